@@ -24,7 +24,6 @@ ROOMS = {
     "integrators": (3, 0, "steps in time"),
     "simulation": (4, 0, "loop in C,\nerrors, export"),
     "plots": (5, 0, "pictures"),
-    "ensemble": (4, 1, "many motions\nof one model"),
     "analysis": (5, 1, "modes, trade-off"),
     "cli": (6, 0, "command line"),
     "envs": (6, 1, "environments\nfor learning"),
@@ -134,7 +133,7 @@ def main(path: Path = Path(__file__).with_name("architecture.png")) -> None:
     draw_arrow(ax, (x - 0.5, y + below), (x1 + 0.5, y1 + above))
     ax.text(x - 1.2, (y + y1) / 2 - 0.75, "Model", fontsize=8, style="italic", ha="right")
     x, y = place(*every["simulation"][:2])
-    x1, y1 = place(*every["ensemble"][:2])
+    x1, y1 = place(*every["io"][:2])
     draw_arrow(ax, (x, y + below), (x1, y1 + above))
     x, y = x1, y1
     x1, y1 = place(*every["plan"][:2])

@@ -16,9 +16,6 @@ from tenscasadi.dynamics.mechanism import Multipliers
 from tenscasadi.dynamics.model import Model
 from tenscasadi.dynamics.observations import Energy
 from tenscasadi.dynamics.state_space import Constraints
-from tenscasadi.ensemble.feedback import Feedback
-from tenscasadi.ensemble.result import Rollouts
-from tenscasadi.ensemble.rollouts import rollouts
 from tenscasadi.exchange.matlab.save import save_mat
 from tenscasadi.exchange.matlab.structures import load_mat
 from tenscasadi.exchange.matlab.trajectories import load_mat_trajectory
@@ -42,6 +39,9 @@ from tenscasadi.scene.supports import SupportMotion
 from tenscasadi.schema.reading import SceneFileError
 from tenscasadi.simulation.declared import Simulation
 from tenscasadi.simulation.export import export_c
+from tenscasadi.simulation.feedback import Feedback
+from tenscasadi.simulation.motions import Rollouts
+from tenscasadi.simulation.rollouts import rollouts
 from tenscasadi.simulation.sensitivities import Sensitivities, sensitivities
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory

@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[1]
 _MODEL = ("util", "schema", "structure", "scene", "dynamics", "integrators", "simulation")
 TENSCASADI = (
     *_MODEL,
-    {"statics", "ensemble", "sweeps", "io"},
+    {"statics", "sweeps", "io"},
     {"exchange", "plots", "envs"},
     "analysis",
     "viewer",
@@ -42,7 +42,7 @@ OCP = (
     {"export", "renamed"},
 )
 
-OPEN_TO_OCP = {*_MODEL, "statics", "ensemble", "io"}
+OPEN_TO_OCP = {*_MODEL, "statics", "io"}
 # Methods that lead on to what is made of a value, such as `value.view()` and `plan.refine()`: it is
 # imported when they are called, and only there.
 ONWARD = {

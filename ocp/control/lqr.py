@@ -21,9 +21,9 @@ from tenscasadi.dynamics.linear_steps import transitions
 from tenscasadi.dynamics.linearization import tangents
 from tenscasadi.dynamics.model import Model
 from tenscasadi.dynamics.regulator import riccati_gains
-from tenscasadi.ensemble.feedback import Feedback
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.stability import fastest_rate
+from tenscasadi.simulation.feedback import Feedback
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import (

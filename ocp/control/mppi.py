@@ -20,8 +20,8 @@ from ocp.sampling.horizon_costs import horizon_costs
 from ocp.sampling.spline_noise import SplineNoise
 from ocp.transcription.inverse_dynamics import inverse_dynamics
 from tenscasadi.dynamics.model import Model
-from tenscasadi.ensemble.kernel import build_kernel
 from tenscasadi.integrators.runge_kutta import RungeKutta4
+from tenscasadi.simulation.engine.kernel import build_kernel
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.validate import (
     Array,

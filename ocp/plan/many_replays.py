@@ -23,10 +23,10 @@ from ocp.problem.scaling import Scales
 from ocp.results.replay import STEPS
 from ocp.results.rest_length_schedule import wind
 from ocp.targets.find_target import find_target
-from tenscasadi.ensemble.feedback import Feedback
-from tenscasadi.ensemble.rollouts import rollouts
 from tenscasadi.scene.strings import RestLength, rest_length
 from tenscasadi.simulation.control_input import ControlProfile, sample_control
+from tenscasadi.simulation.feedback import Feedback
+from tenscasadi.simulation.rollouts import rollouts
 from tenscasadi.util.validate import Array, positive_number, whole_number
 
 MOST_SAMPLES = 1_000_000  # replays

@@ -16,7 +16,7 @@ from ocp.problem.problem import Problem
 from ocp.problem.rows import stack
 from ocp.problem.scaling import Scales
 from ocp.problem.start import FreeStart
-from tenscasadi.simulation.diagnosis import BROKEN_BARS
+from tenscasadi.simulation.engine.kernel import BROKEN_BARS
 
 # what overstepping a limit costs along a whole horizon, in scaled units, against 1 for a departure
 # of a `place`

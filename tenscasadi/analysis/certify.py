@@ -314,6 +314,7 @@ class _Pairs:
                 scheme,
                 save_every=count,
                 seconds=left,
+                verify=False,
                 **self._options,
             )
             if run.interrupted:

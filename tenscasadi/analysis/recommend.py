@@ -25,7 +25,6 @@ from tenscasadi.integrators.stabilization import Correction, Projection
 from tenscasadi.integrators.sundials import Cvodes, Idas
 from tenscasadi.scene.scene import Scene
 from tenscasadi.simulation.control_input import ControlInput
-from tenscasadi.simulation.time_loop import block_steps
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.compile import Compiled, CompileError, Single
 from tenscasadi.util.validate import Array, finite_array, instance, positive_number
@@ -361,8 +360,7 @@ def _measure(case: Case, step: float, price: _Price, goal: _Goal, uncompiled: bo
     seconds = first.seconds
     if price.second and error <= goal.wanted:
         seconds = min(seconds, *(run(**bare).seconds for _ in range(_REPEATS - 1)))
-    block = _count_block(case)
-    cost = price.step * block * -(-first.attempts // block) + price.second * seconds
+    cost = price.step * first.attempts + price.second * seconds
     return _Choice(case, step, first.attempts, error, first.states[-1], cost, first.seconds)
 
 
@@ -398,10 +396,8 @@ def _find_loosest(case: Case, price: _Price, goal: _Goal, most: float) -> _Choic
 
 def _find_fewest(case: Case, price: _Price, goal: _Goal, most: float) -> _Choice | None:
     """Find about the fewest equal steps whose error is at most `wanted`; None when that costs `most` or more."""
-    wanted, block = goal.wanted, _count_block(case)
-    limit = (
-        block * (np.ceil(most / price.step / block) - 1) if price.step else np.inf
-    )  # the last whole block that costs less
+    wanted = goal.wanted
+    limit = np.ceil(most / price.step) - 1 if price.step else np.inf
     steps = int(max(1, min(_count_coarsest(case), limit)))  # from there on downwards
     low, best, each = 0, None, price.step / _PACE
     for _ in range(_TRIES):
@@ -428,13 +424,6 @@ def _find_fewest(case: Case, price: _Price, goal: _Goal, most: float) -> _Choice
             middle = int(np.sqrt(low * best.steps)) if low else best.steps // 2
             steps = min(max(middle, low + 1), best.steps - 1)
     return best
-
-
-def _count_block(case: Case) -> int:
-    """Count the equal steps that are computed together; 1 where each stands alone."""
-    if not case.even or case.compiled is False:
-        return 1
-    return block_steps(case.model, 1 if case.correction is None else case.correction.every)
 
 
 def _count_coarsest(case: Case, state: Array | None = None) -> int:

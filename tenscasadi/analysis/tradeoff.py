@@ -187,6 +187,7 @@ class Case:
             "t_end": self.t_end,
             "control": self.control,
             "parameters": self.parameters,
+            "verify": False,
             **options,
         }
         run = simulate(

@@ -11,7 +11,6 @@ from typing import Any
 from tenscasadi.cli.output import check_file
 from tenscasadi.cli.results import load_result
 from tenscasadi.cli.source import find_source
-from tenscasadi.ensemble.result import Rollouts
 from tenscasadi.exchange.matlab.save import save_mat
 from tenscasadi.exchange.matlab.structures import load_mat
 from tenscasadi.exchange.mjcf import export_mjcf, import_mjcf
@@ -19,6 +18,7 @@ from tenscasadi.exchange.ntrt.load import load_ntrt
 from tenscasadi.exchange.vtk import export_vtk
 from tenscasadi.io.scene_files import save_scene
 from tenscasadi.scene.scene import Scene
+from tenscasadi.simulation.motions import Rollouts
 from tenscasadi.simulation.trajectory import Trajectory
 
 _SCENES: dict[str, Callable[[Scene, Path], object]] = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from tenscasadi.cli.loading import load_ocp
-from tenscasadi.ensemble.result import Rollouts
+from tenscasadi.simulation.motions import Rollouts
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.archive import stored_format
 

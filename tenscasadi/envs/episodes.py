@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from tenscasadi.ensemble.kernel import build_kernel
 from tenscasadi.envs.task import Task, Transition, pair
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.stabilization import projection
-from tenscasadi.simulation.diagnosis import BROKEN_BARS
+from tenscasadi.simulation.engine.kernel import BROKEN_BARS, build_kernel
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.validate import Array, call_user_function, finite_array
 

@@ -1,4 +1,4 @@
-"""Steps with error control as one CasADi Function: attempts that are accepted or rejected inside compiled code, events located."""
+"""Control of the error as CasADi Functions: which step to try, and whether it is accepted; events located."""
 
 from __future__ import annotations
 
@@ -17,9 +17,8 @@ from tenscasadi.integrators.events import (
 from tenscasadi.integrators.runge_kutta import EmbeddedRungeKutta, build_trial
 from tenscasadi.integrators.scheme import equations
 from tenscasadi.integrators.stabilization import Correction, correct
+from tenscasadi.integrators.tableaux import Tableau
 
-ATTEMPTS = 64  # a call: those that are not needed cost next to nothing
-_BLOCK = 8
 _LARGEST, _SMALLEST, _SAFETY = (
     8.0,
     0.2,
@@ -66,64 +65,77 @@ class Events(NamedTuple):
     jump: Any  # of the slope in these changes, relative to the tolerance
 
 
-def build_attempts(
-    model: Model, scheme: EmbeddedRungeKutta, correction: Correction | None, power: bool
-) -> ca.Function:
-    """Return `ATTEMPTS` attempts: Function "attempts" (z, memory, u, limits) -> (z, memory), with `Memory` and `Limits` as columns.
+class Control(NamedTuple):
+    """Functions of a trial step, with `Memory` and `Limits` as columns, and v = (u, modes).
 
-    Attempts after the one that reaches `memory.rest` = 0 do nothing.
+    ode (z, v) -> zdot. prepare (z, memory, u) -> (length, v). decide (z, memory, u, limits, length,
+    v, z after, errors, slope, slope after) -> (z, memory).
     """
-    attempt = _attempt(model, scheme, correction, power)
-    arguments = _symbols(attempt)
-    idle = ca.Function("idle", arguments, arguments[:2], attempt.name_in(), attempt.name_out())
-    choice = ca.Function.if_else("choice", attempt, idle)
-    memory = arguments[1]
-    guarded = ca.Function(
-        "guarded",
-        arguments,
-        list(choice(memory[0] > 0, *arguments)),
-        attempt.name_in(),
-        attempt.name_out(),
-    )
-    return _repeated("attempts", _repeated("block", guarded, _BLOCK), ATTEMPTS // _BLOCK)
+
+    ode: ca.Function
+    prepare: ca.Function
+    decide: ca.Function
 
 
-def _repeated(name: str, function: ca.Function, times: int) -> ca.Function:
-    arguments = _symbols(function)
-    z, memory, *inputs = arguments
-    for _ in range(times):
-        z, memory = function(z, memory, *inputs)
-    return ca.Function(name, arguments, [z, memory], function.name_in(), function.name_out())
+def build_attempt(control: Control, tableau: Tableau) -> ca.Function:
+    """Return one trial step: Function "attempt" (z, memory, u, limits) -> (z, memory)."""
+    decide = control.decide
+    arguments: Any = [ca.MX.sym(decide.name_in(i), *decide.size_in(i)) for i in range(4)]
+    z, memory, u, _ = arguments
+    length, held = control.prepare.call([z, memory, u])
+    trial: Any = build_trial(tableau, control.ode)(z, held, length)
+    return ca.Function("attempt", arguments, list(control.decide(*arguments, length, held, *trial)))
 
 
-def _symbols(function: ca.Function) -> list[ca.MX]:
-    return [ca.MX.sym(function.name_in(i), function.sparsity_in(i)) for i in range(function.n_in())]
-
-
-def _attempt(
+def build_control(
     model: Model, scheme: EmbeddedRungeKutta, correction: Correction | None, power: bool
-) -> ca.Function:
-    """One trial of a step and what follows from it."""
-    z, u = ca.MX.sym("z", model.nx + power), ca.MX.sym("u", model.nw)
-    packed, limits = (
-        ca.MX.sym("memory", len(Memory._fields)),
-        ca.MX.sym("limits", len(Limits._fields)),
-    )
-    m, (longest, rtol, atol) = Memory(*ca.vertsplit(packed)), Limits(*ca.vertsplit(limits))
+) -> Control:
+    """Build the Functions of a model's trial steps; power: whether z has an entry for the energy supplied, J."""
     gaps = build_switching(model)
-    x = z[: model.nx]
-    trial = ca.if_else(m.high > 0, m.aim, ca.if_else(m.step >= m.rest, m.rest, m.step))
-
-    if gaps is None:
+    if gaps is not None:
+        ode = build_held_ode(model, power)
+    else:
         ode = equations(
             model, model.stacked(model.power) if power and model.power is not None else None
         )
-        mode = ca.MX(0, 1)
-    else:
-        ode, mode = build_held_ode(model, power), gaps(x, u) > 0
-    after, errors, slope, end_slope = build_trial(scheme.tableau, ode)(
-        z, ca.vertcat(u, mode), trial
+    z, u = ca.MX.sym("z", model.nx + power), ca.MX.sym("u", model.nw)
+    packed = ca.MX.sym("memory", len(Memory._fields))
+    m = Memory(*ca.vertsplit(packed))
+    trial = ca.if_else(m.high > 0, m.aim, ca.if_else(m.step >= m.rest, m.rest, m.step))
+    held = u if gaps is None else ca.vertcat(u, gaps(z[: model.nx], u) > 0)
+    prepare = ca.Function(
+        "prepare", [z, packed, u], [trial, held], ["z", "memory", "u"], ["h", "v"]
     )
+    return Control(ode, prepare, _build_decision(model, scheme, correction, power, gaps, ode))
+
+
+def _build_decision(
+    model: Model,
+    scheme: EmbeddedRungeKutta,
+    correction: Correction | None,
+    power: bool,
+    gaps: ca.Function | None,
+    ode: ca.Function,
+) -> ca.Function:
+    sizes = {
+        "z": model.nx + power,
+        "memory": len(Memory._fields),
+        "u": model.nw,
+        "limits": len(Limits._fields),
+        "h": 1,
+        "v": ode.size1_in(1),
+        "after": model.nx + power,
+        "errors": (model.nx + power, len(scheme.tableau.errors)),
+        "slope": model.nx + power,
+        "slope_after": model.nx + power,
+    }
+    symbols: dict[str, Any] = {
+        name: ca.MX.sym(name, *(size if isinstance(size, tuple) else (size,)))
+        for name, size in sizes.items()
+    }
+    z, packed, u, limits, trial, held, after, errors, slope, end_slope = symbols.values()
+    m, (longest, rtol, atol) = Memory(*ca.vertsplit(packed)), Limits(*ca.vertsplit(limits))
+    x, mode = z[: model.nx], held[model.nw :]
     if gaps is not None and power:
         stored = build_potential(model)
         after = ca.vertcat(
@@ -135,7 +147,8 @@ def _attempt(
 
     moving = slice(0, 2 * model.nq)
     scale = atol + rtol * ca.fmax(ca.fabs(z[moving]), ca.fabs(after[moving]))
-    error = _norm([ca.vec(column)[moving] / scale for column in ca.horzsplit(errors)])
+    columns: list[Any] = ca.horzsplit(errors)
+    error = _norm([ca.vec(column)[moving] / scale for column in columns])
     events = Events(*[ca.MX(0)] * len(Events._fields))
     if gaps is not None:
         path = x, slope[: model.nx], after[: model.nx], end_slope[: model.nx], u, trial, mode
@@ -143,11 +156,7 @@ def _attempt(
     again, memory = _decide(m, trial, error, events, scheme.order, longest)
     outputs = [ca.if_else(again, z, after), memory]
     return ca.Function(
-        "attempt",
-        [z, packed, u, limits],
-        outputs,
-        ["z", "memory", "u", "limits"],
-        ["z_next", "memory_next"],
+        "decide", list(symbols.values()), outputs, list(symbols), ["z_next", "memory_next"]
     )
 
 

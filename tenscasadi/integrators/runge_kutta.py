@@ -298,11 +298,16 @@ def build_trial(tableau: Tableau, ode: ca.Function) -> ca.Function:
     slopes = _slopes(tableau, ode, x, u, h, set(range(len(tableau.b))))
     errors = ca.horzcat(*(_advance(ca.MX(x.shape[0], 1), h, row, slopes) for row in tableau.errors))
     after = _advance(x, h, tableau.b, slopes)
-    same_as_last = tableau.a[-1] == tableau.b[:-1] and tableau.b[-1] == 0
-    outputs = [after, ca.densify(errors), slopes[0], slopes[-1] if same_as_last else ode(after, u)]
+    end = slopes[-1] if repeats_last(tableau) else ode(after, u)
+    outputs = [after, ca.densify(errors), slopes[0], end]
     return ca.Function(
         "trial", [x, u, h], outputs, ["x", "u", "h"], ["x_next", "errors", "slope", "slope_next"]
     )
+
+
+def repeats_last(tableau: Tableau) -> bool:
+    """Return whether the last stage lies at the end of the step ("first same as last")."""
+    return tableau.a[-1] == tableau.b[:-1] and tableau.b[-1] == 0
 
 
 def _slopes(

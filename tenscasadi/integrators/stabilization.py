@@ -17,10 +17,9 @@ from tenscasadi.dynamics.constraint_forces import (
 )
 from tenscasadi.dynamics.mechanism import Mechanism
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.schema.value import Value
 from tenscasadi.util.casadi_tools import sparse
-from tenscasadi.util.validate import Array, instance, positive_number, whole_number
+from tenscasadi.util.validate import instance, positive_number, whole_number
 
 
 class Correction(Value):
@@ -315,37 +314,14 @@ def _rejoined(mech: Mechanism, Z: Any, change: Any, target: Any) -> Any:
     )
 
 
-def measure_correction(
-    model: Model,
-    scheme: Scheme,
-    correction: Correction,
-    states: Array,
-    controls: Array,
-    step: float,
-) -> tuple[Array, Array]:
-    """Return the largest movement of a node, m, and the energy added, J, (T,) each: of the correction that follows `every` steps from each state.
-
-    states (T, nx) and controls (T, nw), with the parameters, are those of a trajectory, `step` its
-    step, s. The steps are taken again without correction and the correction's part is measured at
-    their end.
-    """
-    project = correction.step(model)
-    if project is None:
-        return np.zeros(len(states)), np.zeros(len(states))
-    advance, energy = scheme.advance(model), model.stacked(model.energy_function)
-    x, u = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nw)
-    chained = advance if correction.every == 1 else advance.fold(correction.every)
-    before: Any = chained(
-        x, ca.repmat(u, 1, correction.every), ca.DM.ones(1, correction.every) * step
-    )
-    after = correct(model, project, before, u)
-    shift = model.nodes(after) - model.nodes(before)
+def build_effect(model: Model) -> ca.Function:
+    """Return (x before, x after, w) -> the largest movement of a node, m, and the energy added, J, by a correction."""
+    energy = model.stacked(model.energy_function)
+    before, after = ca.MX.sym("before", model.nx), ca.MX.sym("after", model.nx)
+    w = ca.MX.sym("w", model.nw)
+    nodes: list[Any] = [model.nodes(x) for x in (before, after)]
+    shift = nodes[1] - nodes[0]
     distance = ca.sqrt(ca.mmax(ca.sum1(shift * shift)))
-    effect = ca.Function(
-        "effect", [x, u], [ca.vertcat(distance, energy(after, u) - energy(before, u))]
+    return ca.Function(
+        "effect", [before, after, w], [ca.vertcat(distance, energy(after, w) - energy(before, w))]
     )
-    with np.errstate(all="ignore"):
-        values = effect.map(len(states))(
-            ca.DM(states.T), ca.DM(controls.T) if model.nw else ca.DM(0, len(states))
-        ).full()
-    return values[0], values[1]

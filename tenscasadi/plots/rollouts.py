@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from tenscasadi.ensemble.result import Rollouts
 from tenscasadi.plots.panels import FilePath, make_panels, save_figure
+from tenscasadi.simulation.motions import Rollouts
 from tenscasadi.util.validate import (
     Array,
     finite_array,

@@ -23,8 +23,6 @@ from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.compile import Compiled, Single
 from tenscasadi.util.validate import Array
 
-BROKEN_BARS = 0.1  # relative length error at which a run has diverged
-BEYOND = 1e12  # entries of a state above this are not physical in any unit
 DRIFTED_BARS = 0.01  # relative length error at which the message speaks of it
 LOST_ENERGY = 0.05  # share of the energy that moves at which the message speaks of it
 LOST_TRUST = 0.5  # and at which the run is another motion
@@ -44,22 +42,6 @@ _MOST_LOOKS = 8  # sets of taut strings at which a run is linearised
 _EPSILON = 64 * float(
     np.finfo(float).eps
 )  # of the largest entry of a state: what rounding may change differences of entries by
-
-
-def first_fault(states: Array, bar_length_error: Array) -> tuple[int, str]:
-    """Count the good rows of states (T, nx) and bar_length_error (T,), and say what is wrong with the next; "" when all are good."""
-    faults = {
-        "the state is not finite": ~np.all(np.isfinite(states), axis=1),
-        "the state is beyond any physical size": np.any(np.abs(states) > BEYOND, axis=1),
-        f"a bar is off by more than {BROKEN_BARS:.0%} of its length": bar_length_error
-        > BROKEN_BARS + bar_length_error[0],
-    }
-    bad = np.any(list(faults.values()), axis=0)
-    bad[0] = False  # the start is the caller's
-    if not bad.any():
-        return len(states), ""
-    row = int(np.argmax(bad))
-    return row, next(name for name, where in faults.items() if where[row])
 
 
 def explain_divergence(model: Model, scheme: Scheme, run: Trajectory, last: int) -> str:

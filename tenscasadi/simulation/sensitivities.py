@@ -214,7 +214,7 @@ def sensitivities(  # noqa: PLR0913  those of a run, and what is asked of it
     common: dict[str, Any] = {"scheme": scheme, "correction": correction}
     run = simulate(
         model, state=request.start, control=request.control, t_end=request.t_end, step=request.step,
-        save_every=CHUNK, energy_balance=False, compiled=compiled, parameters=request.parameters, **common,
+        save_every=CHUNK, energy_balance=False, verify=False, compiled=compiled, parameters=request.parameters, **common,
     )  # fmt: skip
     grid = lay_run(
         model,

@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme, check_scheme
-from tenscasadi.integrators.stabilization import (
-    BarLengthCorrection,
-    Correction,
-    Projection,
-    measure_correction,
-)
+from tenscasadi.integrators.stabilization import BarLengthCorrection, Correction, Projection
 from tenscasadi.scene.strings import RestLength
 from tenscasadi.simulation.control_input import (
     ControlInput,
@@ -27,28 +20,14 @@ from tenscasadi.simulation.control_input import (
     append_constants,
     sample_control,
 )
-from tenscasadi.simulation.diagnosis import describe_doubts, explain_divergence, first_fault
-from tenscasadi.simulation.missed_events import describe_missed_events
-from tenscasadi.simulation.steppers import (
-    OutOfTime,
-    Report,
-    StepFailure,
-    Stepper,
-    Task,
-    make_stepper,
-)
+from tenscasadi.simulation.engine.engine import Request, roll
+from tenscasadi.simulation.engine.step_code import Account
 from tenscasadi.simulation.time_grid import cut_at_changes
-from tenscasadi.simulation.trajectory import (
-    Trajectory,
-    first_rows,
-    observe_states,
-    record_trajectory,
-)
+from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
+from tenscasadi.simulation.verdict import conclude
 from tenscasadi.util.compile import Compiled, Single
-from tenscasadi.util.interrupts import on_interrupt
 from tenscasadi.util.validate import (
     Array,
-    Indices,
     finite_array,
     instance,
     positive_number,
@@ -56,7 +35,6 @@ from tenscasadi.util.validate import (
 )
 
 _ROWS = 1000  # rows kept when save_every is None
-_LOOK_SECONDS = 0.5  # wall time between checks of the bar lengths
 _CLOCK_LOSS = 1e-6  # share of a step that rounding may take off the clock
 
 
@@ -75,6 +53,7 @@ def simulate(  # noqa: PLR0913  the options of a run
     energy_balance: bool = True,
     seconds: float | None = None,
     parameters: Any = None,
+    verify: bool = True,
 ) -> Trajectory:
     """Simulate the motion of a model from time 0 on.
 
@@ -117,11 +96,14 @@ def simulate(  # noqa: PLR0913  the options of a run
         `energy_error` is then NaN where it needs that account.
     seconds : float, optional
         Wall time after which the run stops, s, as by Ctrl-C: `success` is False, and what it has is
-        kept. It is looked at after each piece of steps that is computed at once; compiling comes on
-        top. Default: no limit.
+        kept. Compiling comes on top. Default: no limit.
     parameters : array_like, shape (np,), or mapping of str to array_like, optional
         Values of the model's parameters (`Scene.parameters`), or of some by name, see
         `ParameterLayout.values`. One compiled loop serves all values. Default: nominal.
+    verify : bool, optional
+        Whether to take a run that finished again, in steps twice and four times as long or at a
+        looser tolerance, and where these do not follow it in finer ones: `error_estimate` and
+        `message` tell how far its steps put it off.
 
     Returns
     -------
@@ -149,8 +131,8 @@ def simulate(  # noqa: PLR0913  the options of a run
 
     Notes
     -----
-    The loop over the steps runs inside a CasADi Function, many steps a call. What a correction
-    changes is measured and returned as `correction_shift` and `correction_energy`, except for
+    The loop over the steps is compiled once for all models, and calls the model's own machine code.
+    What a correction changes is returned as `correction_shift` and `correction_energy`, except for
     schemes that control their error.
 
     Examples
@@ -167,7 +149,8 @@ def simulate(  # noqa: PLR0913  the options of a run
     >>> bool(abs(run.energy_error).max() < 1e-6)
     True
     """
-    _check_options(model, scheme, correction, compiled, progress, energy_balance)
+    flags = {"progress": progress, "energy_balance": energy_balance, "verify": verify}
+    _check_options(model, scheme, correction, compiled, **flags)
     p = model.parameters.values(parameters)
     start = np.array(
         model.start_at(p) if state is None else finite_array("state", state, (model.nx,))
@@ -179,63 +162,37 @@ def simulate(  # noqa: PLR0913  the options of a run
         else whole_number("save_every", save_every, 1)
     )
     limit = np.inf if seconds is None else positive_number("seconds", seconds)
-    power, jumps = energy_balance and model.power is not None, energy_balance and inputs.varies
-    built = make_stepper(Task(model, scheme, correction, power, jumps), inputs, compiled)
-    run = _run(
+    account = Account(energy_balance and model.power is not None, energy_balance and inputs.varies)
+    request = Request(model, scheme, correction, start, inputs, every, account, compiled)
+    run = roll(request, limit, progress)
+    supplied: Any = run.supplied if any(account) else 0.0
+    if not any(account) and (inputs.varies or model.power is not None):
+        supplied = np.nan
+    recorded = record_trajectory(
         model,
-        built.stepper,
-        inputs,
-        np.append(start, np.zeros(int(power or jumps))),
-        every,
-        progress,
-        limit,
+        run.time,
+        run.states,
+        run.controls,
+        step=run.step,
+        message="",
+        supplied=supplied,
+        seconds=run.seconds,
+        observed=run.observed,
     )
-    with np.errstate(all="ignore"):  # rows after a fault overflow: they are cut below
-        supplied = (
-            run.rows[:, model.nx]
-            if power or jumps
-            else np.nan
-            if inputs.varies or model.power is not None
-            else 0.0
-        )
-        recorded = record_trajectory(
-            model,
-            run.time,
-            run.rows[:, : model.nx],
-            run.controls,
-            step=run.report.step,
-            message="",
-            supplied=supplied,
-            seconds=run.seconds,
-        )
-    good, success, message = _judge(model, scheme, run, recorded, compiled, inputs.unseen)
-    if success and "try" not in message:
-        message += describe_missed_events(model, built.stepper, inputs, run.rows, recorded)
-    kept = first_rows(recorded, good)
-    if correction is not None:
-        unknown = scheme.adaptive or inputs.ends is not None
-        shift, added = (
-            np.full((2, good), np.nan)
-            if unknown
-            else measure_correction(
-                model, scheme, correction, kept.states, run.controls[:good], kept.step
-            )
-        )
-        kept = replace(kept, correction_shift=shift, correction_energy=added)
-    attempts, interrupted = run.report.attempts, run.interrupted
-    return replace(
-        kept,
-        success=success,
-        message=message + built.note,
-        compiled=built.compiled,
-        attempts=attempts,
-        interrupted=interrupted,
+    energy = run.energy
+    recorded = replace(
+        recorded,
+        energy_error=energy - energy[0] - supplied,
+        correction_shift=run.corrected[:, 0],
+        correction_energy=run.corrected[:, 1],
+        compiled=run.compiled,
+        attempts=run.attempts,
+        interrupted=run.interrupted,
     )
+    return conclude(request, run, recorded, verify)
 
 
-def _check_options(
-    model: Any, scheme: Any, correction: Any, compiled: Any, progress: Any, energy_balance: Any
-) -> None:
+def _check_options(model: Any, scheme: Any, correction: Any, compiled: Any, **flags: Any) -> None:
     instance("model", model, Model, "a tenscasadi.Model")
     check_scheme(scheme)
     if correction is not None:
@@ -247,7 +204,7 @@ def _check_options(
         )
     if compiled is not None:
         instance("compiled", compiled, (bool, Single), "True or False, None or Single()")
-    for name, flag in {"progress": progress, "energy_balance": energy_balance}.items():
+    for name, flag in flags.items():
         instance(name, flag, bool, "True or False")
 
 
@@ -298,43 +255,6 @@ def lay_grid(
     return cut_at_changes(model.scene.over_time, sample(end, n_steps), first, adaptive)
 
 
-def _judge(
-    model: Model, scheme: Scheme, run: _Run, recorded: Trajectory, compiled: Compiled, unseen: str
-) -> tuple[int, bool, str]:
-    """Count the good rows; tell whether the run reached its end, and how it ended; unseen: see `SampledControl`."""
-    time = run.time
-    good, fault = first_fault(recorded.states, recorded.bar_length_error)
-    if fault:
-        why = explain_divergence(model, scheme, recorded, good - 1)
-        return (
-            good,
-            False,
-            f"diverged between t = {time[good - 1]:g} and {time[good]:g} s: {fault}; {why}",
-        )
-    if run.failure:
-        return good, False, f"stopped after t = {time[-1]:g} s: {run.failure}"
-    if run.interrupted:
-        return (
-            good,
-            False,
-            f"interrupted from the keyboard, the last state kept is at t = {time[-1]:g} s",
-        )
-    doubts, trusted = describe_doubts(model, scheme, recorded, compiled)
-    return good, trusted and not unseen, f"finished {run.report.text}{unseen}{doubts}"
-
-
-class _Run(NamedTuple):
-    """Rows (R, nz) and controls (R, nu) at `time` (R,), as the time loop left them."""
-
-    time: Array
-    rows: Array
-    controls: Array
-    report: Report
-    seconds: float
-    interrupted: bool
-    failure: str
-
-
 def _count(t_end: float, step: float) -> int:
     """Count the fewest equal steps that cover t_end, each at most `step` but for rounding."""
     ratio = t_end / step
@@ -352,93 +272,3 @@ def _check_clock(latest: float, step: float) -> None:
         raise ValueError(
             f"state: the clock runs to {latest:g} s, where steps of {step:g} s drown in rounding: start it nearer to 0"
         )
-
-
-def _run(
-    model: Model,
-    stepper: Stepper,
-    inputs: SampledControl,
-    start: Array,
-    every: int,
-    progress: bool,
-    seconds: float,
-) -> _Run:
-    """Call `stepper` until the end of the run, its failure or so many seconds are over; keep each `every`-th state and the last."""
-    kept, rows, controls = _rows_to_keep(inputs.steps, every, len(start), model.nw)
-    z, u = start, inputs.window(0, 1)
-    rows[0], controls[0], count, reached = z, u[0], 1, (0, z, u[0])
-    interrupted, failure = False, ""
-    pressed: list[
-        bool
-    ] = []  # CasADi's integrators make a failure of the KeyboardInterrupt that Ctrl-C raises
-    began = looked = time.perf_counter()
-    stepper.deadline = began + seconds
-
-    def press() -> None:
-        pressed.append(True)
-        stepper.deadline = began  # what is tried again after a failure stops, too
-
-    try:
-        with (
-            on_interrupt(press, then_raise=True),
-            tqdm(total=inputs.steps, unit=" steps", unit_scale=True, disable=not progress) as bar,
-        ):
-            for first in range(0, inputs.steps, stepper.steps):
-                if inputs.varies or inputs.ends is not None or first == 0:
-                    u = np.concatenate([u[-1:], inputs.window(first + 1, stepper.steps)])
-                    stepper.hold(u, inputs.lengths(first, stepper.steps))
-                taken = min(stepper.steps, inputs.steps - first)
-                after = stepper(z, taken)
-                reached = first + taken, after[taken - 1].copy(), u[taken]
-                z = reached[1]
-                end = int(np.searchsorted(kept, first + stepper.steps, side="right"))
-                local = kept[count:end] - first
-                rows[count:end], controls[count:end] = after[local - 1], u[local]
-                count = end
-                bar.update(taken)
-                if not np.all(np.isfinite(z)):
-                    if count < len(kept):  # what is not finite stays so up to the next row
-                        rows[count], controls[count], count = z, u[-1], count + 1
-                    break
-                if time.perf_counter() > stepper.deadline and first + taken < inputs.steps:
-                    raise OutOfTime
-                if time.perf_counter() - looked > _LOOK_SECONDS:
-                    looked = time.perf_counter()
-                    newest = rows[[0, count - 1], : model.nx]
-                    if first_fault(
-                        newest,
-                        observe_states(model, newest, controls[[0, count - 1]])["bar_length_error"][
-                            :, 0
-                        ],
-                    )[1]:
-                        break
-    except OutOfTime:
-        told = f"seconds = {seconds:g} of wall time are over: give more, or a scheme and step that take less"
-        interrupted, failure = bool(pressed), "" if pressed else told
-    except StepFailure as error:
-        interrupted, failure = bool(pressed), "" if pressed else str(error)
-    except KeyboardInterrupt:
-        interrupted = True
-    if (failure or interrupted) and kept[count - 1] < reached[0]:
-        (kept[count], rows[count], controls[count]), count = reached, count + 1
-    report = stepper.report(int(kept[count - 1]), inputs.step)
-    return _Run(
-        inputs.times(kept[:count]),
-        rows[:count],
-        controls[:count],
-        report,
-        time.perf_counter() - began,
-        interrupted,
-        failure,
-    )
-
-
-def _rows_to_keep(steps: int, every: int, nz: int, nu: int) -> tuple[Indices, Array, Array]:
-    """Choose the steps after which a row is kept, and reserve memory for states and controls there."""
-    try:
-        kept = np.append(np.arange(0, steps, every), steps)
-        return kept, np.empty((len(kept), nz)), np.empty((len(kept), nu))
-    except MemoryError:
-        raise ValueError(
-            f"save_every is {every}: {steps / every:.2g} rows do not fit into memory, give a larger save_every or a larger step"
-        ) from None

@@ -53,9 +53,8 @@ class Trajectory(Tabular, Viewable, ReadOnlyArrays):
     joint_error : ndarray, shape (T,)
         Largest gap of a joint, m.
     correction_shift : ndarray, shape (T,)
-        Distance by which the correction after the step that starts here moves a node, m. It is 0
-        without correction, and NaN for schemes that take their own steps, because the length of
-        their last step is not kept.
+        Distance by which the first correction after this row moves a node, m. It is 0 where there
+        is none, and NaN for schemes that take their own steps.
     correction_energy : ndarray, shape (T,)
         Energy that this correction adds, J; 0 and NaN as above.
     states : ndarray, shape (T, nx)
@@ -86,6 +85,9 @@ class Trajectory(Tabular, Viewable, ReadOnlyArrays):
         Whether the run was interrupted from the keyboard.
     parameters : ndarray, shape (np,)
         Values of the model's parameters.
+    error_estimate : float
+        Distance by which the steps put nodes off, m, as the run taken again in other steps tells;
+        NaN where it was not.
 
     See Also
     --------
@@ -128,6 +130,7 @@ class Trajectory(Tabular, Viewable, ReadOnlyArrays):
     attempts: Annotated[int, "", "i"] = 0
     interrupted: Annotated[bool, "", "b"] = False
     parameters: Annotated[Array, "q", "f"] = dataclasses.field(default_factory=lambda: np.zeros(0))
+    error_estimate: Annotated[float, "", "f"] = np.nan
 
     def __post_init__(self) -> None:
         _check({field.name: getattr(self, field.name) for field in fields(self)})
@@ -301,6 +304,18 @@ def observe_states(model: Model, states: Array, controls: Array) -> dict[str, Ar
     }
 
 
+def name_measures(model: Model, states: Array, measures: Array) -> dict[str, Array]:
+    """Return what `observe_states` does, from the columns (T, 5 + 2α) that an engine measures at states (T, nx)."""
+    strings = len(model.scene.modelled.strings)
+    names = ("bar_length_error", "joint_error", "energy", "force_density", "tension")
+    columns = np.split(measures, np.cumsum([1, 1, 3, strings]), axis=1)
+    nodes, velocities = (
+        np.asarray(values).reshape(len(states), -1)
+        for values in (model.nodes(states), model.velocities(states))
+    )
+    return {"nodes": nodes, "velocities": velocities, **dict(zip(names, columns, strict=True))}
+
+
 def record_trajectory(
     model: Model,
     time: Array,
@@ -312,14 +327,16 @@ def record_trajectory(
     success: bool = True,
     supplied: Array | float = np.nan,
     seconds: float = 0.0,
+    observed: dict[str, Array] | None = None,
 ) -> Trajectory:
     """Compute all that a trajectory tells of states (T, nx) under controls (T, nw) at `time` (T,); below the control these hold parameters.
 
-    supplied: energy given to the model since the start, J, a number or (T,), NaN: not known. The
-    rest as in `Trajectory`.
+    supplied: energy given to the model since the start, J, a number or (T,), NaN: not known.
+    observed: see `observe_states`, None: not yet. The rest as in `Trajectory`.
     """
     rows = len(time)
-    observed = observe_states(model, states, controls)
+    if observed is None:
+        observed = observe_states(model, states, controls)
     energy = observed["energy"].sum(axis=1)
     nodes = (rows, len(model.structure.nodes), 3)
     return Trajectory(
@@ -370,6 +387,7 @@ _UNKNOWN = (
     "energy_error",
     "correction_shift",
     "correction_energy",
+    "error_estimate",
 )  # may be NaN, as they are not always computed
 _FINITE = [name for name, (_, kind) in _SHAPES.items() if kind == "f" and name not in _UNKNOWN]
 

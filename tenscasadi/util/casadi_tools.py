@@ -203,7 +203,7 @@ class ArrayFunction:
         ]
 
     def __call__(self, *inputs: Array) -> list[Array]:
-        """Evaluate the Function and return its outputs."""
+        """Evaluate the Function and return its outputs. Raises RuntimeError where it fails."""
         arrays = [np.ascontiguousarray(value, dtype=float) for value in inputs]
         results = [np.empty(shape) for shape in self._shapes]
         for k, array in enumerate(arrays):
@@ -213,6 +213,8 @@ class ArrayFunction:
             if result.size:
                 self._buffer.set_res(k, result.data)
         self._evaluate()
+        if self._buffer.ret():
+            raise RuntimeError("CasADi could not evaluate a function")
         return results
 
     def stats(self) -> dict[str, Any]:

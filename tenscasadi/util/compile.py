@@ -170,18 +170,18 @@ def compile_function(
     )
 
 
-def compile_library(name: str, source: str) -> ctypes.CDLL:
-    """Compile C++ that needs nothing of C++'s own library, by the C compiler, and load it; the cache keeps it as it does a Function's.
+def compile_library(name: str, source: str, suffix: str = ".cpp") -> ctypes.CDLL:
+    """Compile C, or C++ that needs nothing of C++'s own library, by the C compiler, and load it; the cache keeps it as it does a Function's.
 
-    Raises CompileError where there is no compiler, where it knows no C++ or where it refuses the
-    code.
+    suffix: ".c" or ".cpp". Raises CompileError where there is no compiler, where it knows no C++ or
+    where it refuses the code.
     """
     compiler = find_compiler()
     if compiler is None:
         raise CompileError(
             "no C compiler found: install gcc or clang, or name one in the environment variable CC"
         )
-    return _load(compiler, None, source, name, ".cpp", lambda library: ctypes.CDLL(str(library)))
+    return _load(compiler, None, source, name, suffix, lambda library: ctypes.CDLL(str(library)))
 
 
 def _load(

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.ensemble.result import Rollouts
 from tenscasadi.scene.ground import Surface
 from tenscasadi.scene.scene import Scene
+from tenscasadi.simulation.motions import Rollouts
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, Indices, shown, text

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tenscasadi.ensemble.result import Rollouts, node_positions
 from tenscasadi.scene.strings import StringLaw
+from tenscasadi.simulation.motions import Rollouts, node_positions
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, Indices

@@ -14,14 +14,16 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme, check_scheme
 from tenscasadi.integrators.stability import contact_rate, lightest_mass, stable_step
-from tenscasadi.integrators.stabilization import Correction, Projection, measure_correction
+from tenscasadi.integrators.stabilization import Correction, Projection
 from tenscasadi.scene.loads import NodalForce
 from tenscasadi.scene.parameters import Parameters
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import RestLength
-from tenscasadi.simulation.control_input import SampledControl
-from tenscasadi.simulation.diagnosis import describe_doubts, explain_divergence, first_fault
-from tenscasadi.simulation.steppers import StepFailure, Task, make_stepper
+from tenscasadi.simulation.diagnosis import describe_doubts, explain_divergence
+from tenscasadi.simulation.engine.engine import FAULTS
+from tenscasadi.simulation.engine.kernel import build_kernel
+from tenscasadi.simulation.engine.request import FINISHED, Intervals, Rolled
+from tenscasadi.simulation.engine.step_code import Account
 from tenscasadi.simulation.trajectory import Trajectory, observe_states, record_trajectory
 from tenscasadi.util.compile import Compiled
 from tenscasadi.util.validate import (
@@ -159,29 +161,18 @@ class LiveSimulation:
         )
         self.substeps = _substeps(stepping, largest)
         self.step = self.tick / self.substeps
-        task = Task(
+        self._kernel = build_kernel(
             model,
             stepping.scheme,
             stepping.correction,
-            model.power is not None,
-            jumps=False,
-            chunk=self.substeps,
+            measured=True,
+            account=Account(model.power is not None, False),
+            lanes=1,
+            compiled=stepping.compiled,
         )
-        held = np.concatenate([self.start_control, model.parameters.nominal])
-        inputs = SampledControl(
-            self.substeps,
-            self.tick,
-            True,
-            lambda first, count: np.broadcast_to(held, (count, model.nw)),
-        )
-        self._stepper, self.compiled, self.note = make_stepper(task, inputs, stepping.compiled)
+        self.compiled = self._kernel.lanes > 0
+        self.note = self._kernel.note and f"; {self._kernel.note}"
         self._energy = model.stacked(model.energy_function)
-        self._bars, self._lengths = (
-            model.structure.bars,
-            np.linalg.norm(
-                np.diff(model.structure.nodes[model.structure.bars], axis=1)[:, 0], axis=1
-            ),
-        )
         mass = float(model.mechanism.M.sum())
         self._least_mass = lightest_mass(model) if self.pullable.any() else 0.0
         #: stiffness of the spring at the pointer, N/m
@@ -275,25 +266,33 @@ class LiveSimulation:
     def _advance(self) -> bool:
         w = self._held()
         self._keep()
-        began, z, left, most = time.perf_counter(), self._z, self.substeps, self._stepper.steps
-        self._stepper.hold(np.broadcast_to(w, (most + 1, len(w))), np.full(most, self.step))
-        fault = ""
-        try:
-            with np.errstate(all="ignore"):
-                while left:
-                    count = min(most, left)
-                    z, left = self._stepper(z, count)[count - 1].copy(), left - count
-        except StepFailure as error:
-            fault = str(error)
+        began = time.perf_counter()
+        rolled = self._roll(self.state[None], w[None], self.substeps)
         self.seconds += time.perf_counter() - began
-        if not fault:
-            fault = self._find_fault(z[: self.model.nx])
-        if fault:
-            self.fault = f"stopped at t = {self.time:.3g} s: {fault}"
+        if rolled.status[0] != FINISHED:
+            self.fault = f"stopped at t = {self.time:.3g} s: {self._explain(rolled)}"
             self.pull = None
             return False
-        self._z, self.ticks, self._seen = z, self.ticks + 1, None
+        supplied = self._z[self.model.nx :] + rolled.supplied[: len(self._z) - self.model.nx]
+        self._z = np.append(rolled.states[0], supplied)
+        self.ticks, self._seen = self.ticks + 1, None
         return True
+
+    def _roll(self, states: Array, inputs: Array, steps: int) -> Rolled:
+        """Take steps from states (n, nx) under inputs (n, nw)."""
+        whole = Intervals(*(np.array([value]) for value in (0, steps, self.step)))
+        with np.errstate(all="ignore"):
+            return self._kernel.run(
+                states, inputs[:, None], whole, save_every=steps, longest=self.step
+            )
+
+    def _explain(self, rolled: Rolled) -> str:
+        found = FAULTS.get(int(rolled.status[0]), "a step could not be computed")
+        states = np.stack([self.start_state, self.state])
+        held = np.tile(np.concatenate([self.control, self.model.parameters.nominal]), (2, 1))
+        times = np.array([0.0, max(self.time, self.step)])
+        record = record_trajectory(self.model, times, states, held, step=self.step, message="")
+        return f"{found}; {explain_divergence(self.model, self.stepping.scheme, record, 1)}"
 
     def _held(self) -> Array:
         p = self.model.parameters.nominal
@@ -301,24 +300,6 @@ class LiveSimulation:
             p = p.copy()
             p[3 * self.pull.node : 3 * self.pull.node + 3] += self.pull_force
         return np.concatenate([self.control, p])
-
-    def _find_fault(self, x: Array) -> str:
-        error = self._bar_error(x)
-        start = self._bar_error(self.start_state)
-        found = first_fault(np.stack([self.start_state, x]), np.array([start, error]))[1]
-        if not found:
-            return ""
-        states = np.stack([self.start_state, self.state])
-        held = np.tile(np.concatenate([self.control, self.model.parameters.nominal]), (2, 1))
-        times = np.array([0.0, max(self.time, self.step)])
-        record = record_trajectory(self.model, times, states, held, step=self.step, message="")
-        return f"{found}; {explain_divergence(self.model, self.stepping.scheme, record, 1)}"
-
-    def _bar_error(self, x: Array) -> float:
-        nodes = self.model.nodes(x)
-        lengths = np.linalg.norm(nodes[self._bars[:, 1]] - nodes[self._bars[:, 0]], axis=1)
-        with np.errstate(invalid="ignore"):
-            return float(np.abs(lengths / self._lengths - 1).max(initial=0.0))
 
     # --- what is seen ---
 
@@ -402,11 +383,8 @@ class LiveSimulation:
         if stepping.correction is not None:
             shift = np.full((2, len(rows)), np.nan)
             if not stepping.scheme.adaptive:
-                shift = np.array(
-                    measure_correction(
-                        model, stepping.scheme, stepping.correction, kept.states, held, self.step
-                    )
-                )
+                again = self._roll(kept.states, held, stepping.correction.every).corrected
+                shift = np.zeros_like(shift) if again is None else again[:, 0].T
             kept = replace(kept, correction_shift=shift[0], correction_energy=shift[1])
         success, message = not self.fault, self.fault
         if success:

@@ -13,7 +13,7 @@ from planning import folding, integrated
 import ocp
 import tenscasadi as tc
 from ocp.sampling import method
-from tenscasadi.ensemble import kernel as kernels
+from tenscasadi.simulation.engine import native as kernels
 from tenscasadi.util.compile import CompileError
 
 contact_problems = load_example("contact_problems")
@@ -82,7 +82,6 @@ def test_without_a_compiler_motions_go_one_by_one(monkeypatch):
         raise CompileError("no compiler")
 
     monkeypatch.setattr(kernels, "compile_library", none)
-    monkeypatch.setattr("tenscasadi.ensemble.one_by_one._compiled", lambda function: function)
     solver = ocp.Sampling(
         samples=8, rounds=1, iterations=0, attempts=1, groups=[(0, 1, 2), (3, 4, 5), (6, 7, 8)]
     )

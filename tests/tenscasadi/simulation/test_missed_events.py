@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import sys
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +18,6 @@ from tenscasadi.scene.ground import Ground, Terrain
 from tenscasadi.scene.loads import Gravity
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Linear, RestLength
-from tenscasadi.simulation.missed_events import Repetition
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.structure import Structure
@@ -76,7 +73,8 @@ def test_a_run_is_as_good_as_its_word_by_either_cure() -> None:
         simulate(model, 1.0, scheme=DormandPrince853(1e-6), compiled=False),
     ):
         assert off(model, cured) < 0.005
-        assert "put it off" not in cured.message
+        still = WORD.search(cured.message)
+        assert still is None or float(still[1]) < float(told[1]) / 3
 
 
 def test_bounces_within_steps_are_told() -> None:
@@ -213,34 +211,13 @@ def test_steps_that_bear_no_longer_ones_need_no_word() -> None:
         assert run.message == f"finished {steps} steps of {run.step:g} s"
 
 
-def taken_again(
-    monkeypatch: pytest.MonkeyPatch,
-    model: Model,
-    t_end: float,
-    step: float,
-    state: Any = None,
-    control: Any = None,
-) -> tuple[Trajectory, Repetition]:
-    """Simulate; the run can be taken again."""
-    seen: list[Any] = []
-
-    def see(*given: Any) -> str:
-        seen.append(given)
-        return ""
-
-    with monkeypatch.context() as patch:
-        patch.setattr(sys.modules["tenscasadi.simulation.simulate"], "describe_missed_events", see)
-        run = simulate(model, t_end, step, state=state, control=control, compiled=False)
-    return run, Repetition(*seen[0])
-
-
-def test_longer_steps_end_where_controls_jump(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_longer_steps_end_where_controls_jump() -> None:
     structure = Structure(
         [(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], node_mass=1.0, stiffness=50.0, rest_length=1.0
     )
     model = Model(Scene(structure, slack=Linear(), control=RestLength()))
-    _, again = taken_again(monkeypatch, model, 1.0, 1.0 / 44, control=[[0.6], [1.2], [0.6], [1.2]])
-    assert again.apart(2) < 1e-3 * again.motion
+    run = simulate(model, 1.0, 1.0 / 44, control=[[0.9], [1.1], [0.9], [1.1]], compiled=False)
+    assert 0 < run.error_estimate < 1e-3 * np.ptp(run.nodes, axis=0).max()
 
 
 @pytest.mark.parametrize("save_every", [1, 3])
@@ -267,15 +244,10 @@ def test_functions_that_control_are_asked_once_for_each_step(save_every: int) ->
     assert 0.05 < float(told[1]) < 0.5
 
 
-def test_a_piece_near_the_end_of_a_run_is_a_whole_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two masses, slack for most of the run, are caught in its last steps: the piece begins before."""
-    structure = Structure(
-        [(0, 0, 0), (0.1, 0, 0)], strings=[(0, 1)], node_mass=1.0, stiffness=2e3, rest_length=1.0
-    )
-    model = Model(Scene(structure))
-    start = model.state(structure.nodes, [(-0.45, 0, 0), (0.45, 0, 0)])
-    run, again = taken_again(monkeypatch, model, 1.08, 0.0027, state=start)
-    changed = int(np.flatnonzero(np.diff(run.tension[:, 0] != 0))[0])
-    assert changed > len(run.time) - 200
-    wrong = off(model, run)
-    assert wrong / 10 < again.error_of_piece() < 10 * wrong
+def test_the_estimate_is_about_the_error() -> None:
+    model = two_masses(100.0, 0.0)
+    pulled = model.state([(0, 0, 0), (2.0, 0, 0)], [(0, 3.0, 0), (0, -3.0, 0)])
+    for scheme in (RungeKutta4(), Rattle(), DormandPrince853(1e-5), Cvodes(1e-5)):
+        run = simulate(model, 1.0, 0.02, scheme, state=pulled, compiled=False)
+        assert off(model, run) / 30 < run.error_estimate < 30 * off(model, run) + 1e-12
+    assert np.isnan(simulate(model, 1.0, 0.02, verify=False, compiled=False).error_estimate)

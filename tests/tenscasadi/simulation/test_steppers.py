@@ -2,57 +2,22 @@
 
 from __future__ import annotations
 
-import _thread
-import signal
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 from runs import prism
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import DormandPrince54
-from tenscasadi.integrators.sundials import Cvodes, Idas
+from tenscasadi.integrators.sundials import Cvodes
 from tenscasadi.scene.loads import Gravity
 from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.strings import ForceDensity
 from tenscasadi.simulation.simulate import simulate
-from tenscasadi.simulation.steppers import SundialsStepper
 from tenscasadi.structure import shapes
 from tenscasadi.util.compile import CompileError
 
 G = 9.81
-
-
-@pytest.mark.usefixtures("keyboard")
-@pytest.mark.parametrize("scheme", [Cvodes(1e-7), Idas(1e-7)])
-def test_the_keyboard_interrupts_integrators_of_casadi(
-    monkeypatch: pytest.MonkeyPatch, scheme: Any
-) -> None:
-    """They tell of a failure where Python raises KeyboardInterrupt."""
-    model = prism(ForceDensity())
-    usual = signal.getsignal(signal.SIGINT)
-    original = SundialsStepper._run
-
-    def pressed(self: Any, *arguments: Any) -> Any:
-        rows = original(self, *arguments)
-        if calls.append(rows) is None and len(calls) == 3:
-            try:
-                _thread.interrupt_main()
-                rows = original(self, *arguments)
-            except KeyboardInterrupt:
-                raise RuntimeError('CVode returned "CV_RHSFUNC_FAIL"') from None
-        return rows
-
-    calls: list[Any] = []
-    monkeypatch.setattr(SundialsStepper, "_run", pressed)
-    run = simulate(model, 10.0, 1e-3, scheme)
-    assert run.interrupted
-    assert not run.success
-    assert run.message.startswith("interrupted from the keyboard")
-    assert run.time[-1] == pytest.approx(0.1)
-    assert signal.getsignal(signal.SIGINT) is usual
 
 
 def test_a_run_that_ends_in_its_first_step_has_a_summary() -> None:

@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import casadi as ca
 import numpy as np
 import pytest
 from runs import by_hand, moving, prism
 
 import tenscasadi as tc
-from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import Projection
-from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import RestLength
 from tenscasadi.simulation.simulate import simulate
-from tenscasadi.simulation.time_loop import chunk_function, chunk_steps
-from tenscasadi.structure.structure import Structure
 from tenscasadi.util.compile import find_compiler
 
 needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="no C compiler on this machine")
@@ -64,40 +58,7 @@ def test_one_compiled_loop_serves_every_length_and_step(
     for t_end, step, save_every in ((1.0, 1e-3, 1), (0.01, 1e-4, None), (7.0, 3e-3, 13)):
         simulate(model, t_end, step, save_every=save_every, compiled=True)
     simulate(model, 1.0, state=moving(model), control=model.initial_control * 1.1, compiled=True)
-    assert len(list(tmp_path.iterdir())) == 1
-
-
-def test_chunks_shrink_with_the_model_and_fit_the_correction() -> None:
-    many = Structure(
-        np.random.default_rng(0).normal(size=(3000, 3)),
-        bars=[(2 * i, 2 * i + 1) for i in range(1500)],
-    )
-    small, large = chunk_steps(prism(), 1), chunk_steps(Model(Scene(many)), 1)
-    assert 1 <= large < small
-    assert chunk_steps(prism(), 7) % 7 == 0
-    assert chunk_steps(prism(), 10**5) == 10**5
-
-
-@dataclass(frozen=True)
-class Count(tc.RungeKutta4):
-    """Adds one for each step, whatever its length."""
-
-    def step(self, ode):
-        x, u, h = ca.MX.sym("x", ode.size1_in(0)), ca.MX.sym("u", ode.size1_in(1)), ca.MX.sym("h")
-        return ca.Function("step", [x, u, h], [x + 1], ["x", "u", "h"], ["x_next"])
-
-
-PENDULUM = tc.Model(tc.Scene(tc.shapes.pendulum()))
-
-
-def test_blocks_of_steps_without_length_are_passed_over():
-    lengths = np.zeros(128)
-    lengths[:40] = 1e-3
-    after = chunk_function(PENDULUM, Count(), None, False, False, 128)(
-        np.zeros(PENDULUM.nx), lengths, np.zeros((0, 128))
-    ).full()
-    assert after[0, :40].tolist() == list(range(1, 41))
-    assert after[0, -1] == 64  # the block in which the run ends is the last
+    assert len(list(tmp_path.iterdir())) == 2  # the engine, and the model's code
 
 
 def test_runs_of_any_length_end_at_the_same_states():

@@ -170,7 +170,12 @@ def test_a_run_that_failed_is_loaded_with_what_is_not_finite(tmp_path: Path) -> 
 
 def test_missing_fields_and_foreign_files_are_named(tmp_path: Path) -> None:
     fields = content(example())
-    for field in set(fields) - {"attempts", "interrupted", "parameters"}:  # which older files lack
+    for field in set(fields) - {
+        "attempts",
+        "interrupted",
+        "parameters",
+        "error_estimate",
+    }:  # which older files lack
         np.savez(
             tmp_path / "run.npz",
             format="tenscasadi trajectory 1",

@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 
 import tenscasadi as tc
-from tenscasadi.ensemble.kernel import build_kernel
-from tenscasadi.ensemble.stages import write_step
-from tenscasadi.integrators.tableaux import CLASSICAL
+from tenscasadi.simulation.engine.kernel import build_kernel
 
 SPECIAL = [0.0, -0.0, 1.0, -1.0, 0.3, -2.5, 1e-300, 1e300, np.inf, -np.inf, np.nan]
 ONE = {
@@ -119,12 +117,6 @@ def test_splines_take_one_lane():
     found, kernel = cost_of(ca.Function("looked", [x, w], [spline(w[2])]), inputs)
     np.testing.assert_allclose(found, [float(spline(value)) for _, value in inputs], rtol=1e-14)
     assert kernel.lanes == 1
-
-
-def test_stages_of_weight_zero_are_not_computed():
-    text = write_step(CLASSICAL)
-    assert text.count("motion_ode(") == 4
-    assert "lanes *k3 = w + 3 * NZ;" in text
 
 
 @pytest.mark.parametrize("lanes", [2, None])

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import tenscasadi as tc
-from tenscasadi.ensemble import kernel as module
-from tenscasadi.ensemble.kernel import build_kernel
-from tenscasadi.ensemble.request import BEYOND, NOT_FINITE
+from tenscasadi.simulation.engine import native as module
+from tenscasadi.simulation.engine.kernel import build_kernel
+from tenscasadi.simulation.engine.request import BEYOND, NOT_FINITE
 from tenscasadi.util.compile import CompileError
 
 STEP, STEPS = 1e-3, 20
@@ -148,6 +148,7 @@ def test_without_cpp_the_same_numbers(monkeypatch):
     )
 
     monkeypatch.setattr(module, "compile_library", refuse)
+    model = CASES["controlled"][0]()
     kernel = build_kernel(model, tc.RungeKutta4(), tc.Projection(2), cost, cost, measured=True)
     assert (kernel.lanes, kernel.note) == (0, "not compiled: no C++")
     for one, other, name in zip(
@@ -230,6 +231,7 @@ def test_costs_may_depend_on_more_than_the_motion_does(monkeypatch):
     for without in (False, True):
         if without:
             monkeypatch.setattr(module, "compile_library", refuse)
+            model = CASES["controlled"][0]()
         found = build_kernel(model, tc.RungeKutta4(), None, cost, cost)(x, w, STEP, STEPS // 2)
         np.testing.assert_array_equal(found.states, plain.states)
         assert found.cost == pytest.approx(np.full(3, STEP * STEPS / 2 * (1.0 + 2.0) + 2.0))
@@ -248,6 +250,22 @@ def test_wrong_shapes_and_schemes():
         ValueError, match="states has 3 rows and inputs has 2 rows: give as many of each"
     ):
         kernel(np.zeros((3, 36)), np.zeros((2, 1, 0)), STEP, 1)
-    for scheme in (tc.DormandPrince54(rtol=1e-6), tc.Collocation(2), tc.Cvodes()):
-        with pytest.raises(ValueError, match="give a scheme of fixed explicit ones"):
-            build_kernel(model, scheme)
+
+
+@pytest.mark.parametrize(
+    "scheme",
+    [
+        tc.DormandPrince54(rtol=1e-6),
+        tc.DormandPrince853(rtol=1e-9),
+        tc.Collocation(2),
+        tc.Cvodes(1e-7),
+    ],
+)
+def test_schemes_that_choose_their_steps_or_iterate(scheme):
+    model = CASES["prism"][0]()
+    x = starts(model, 3)
+    many = tc.rollouts(model, 0.1, 0.01, x, scheme=scheme, save_every=2)
+    assert many.success.all()
+    for k in (0, 2):
+        run = tc.simulate(model, 0.1, 0.01, scheme, x[k], save_every=2)
+        np.testing.assert_allclose(many.states[k], run.states, rtol=1e-9, atol=1e-9)

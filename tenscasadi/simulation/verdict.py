@@ -1,4 +1,4 @@
-"""Judgement of each of many motions: how it ended, and what is not to be trusted."""
+"""Verdict on a run, or on each of many: how it ended, and what is not to be trusted."""
 
 from __future__ import annotations
 
@@ -11,19 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.ensemble.kernel import KernelResult
-from tenscasadi.ensemble.request import (
-    BEYOND,
-    BROKEN,
-    KINETIC,
-    NOT_FINITE,
-    STOPPED,
-    SUPPLIED,
-    WORST,
-)
+from tenscasadi.integrators.events import build_switching
 from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.simulation.diagnosis import (
-    BROKEN_BARS,
     DRIFTED_BARS,
     LOST_ENERGY,
     LOST_TRUST,
@@ -31,8 +21,12 @@ from tenscasadi.simulation.diagnosis import (
     WRONG_START,
     constraint_violation,
     describe_doubts,
+    explain_divergence,
 )
-from tenscasadi.simulation.trajectory import record_trajectory
+from tenscasadi.simulation.engine.engine import FAULTS, Request, Run
+from tenscasadi.simulation.engine.request import KINETIC, STOPPED, SUPPLIED, WORST, Rolled
+from tenscasadi.simulation.engine.step_error import estimate_error
+from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
 from tenscasadi.util.validate import Array
 
 _ROUNDING = 1e-9  # of the energies, what a run may lose by rounding
@@ -45,14 +39,72 @@ _FEW = 8  # entries of controls and of parameters; of more their sum
 _MOST = 50
 _LIMIT = "stability limit"
 
-_FAULTS = {
-    NOT_FINITE: "the state is not finite",
-    BEYOND: "the state is beyond any physical size",
-    BROKEN: f"a bar is off by more than {BROKEN_BARS:.0%} of its length",
-}
+
+def conclude(request: Request, run: Run, recorded: Trajectory, verify: bool) -> Trajectory:
+    """Return a run with its verdict; verify: whether to take it again in other steps, which tells their error."""
+    model, scheme = request.model, request.scheme
+    if run.status in FAULTS and not run.failure:
+        return replace(recorded, success=False, message=_explain_loss(request, run, recorded))
+    if run.status:
+        at = f"t = {recorded.time[-1]:g} s"
+        message = (
+            f"stopped after {at}: {run.failure}"
+            if run.failure
+            else f"interrupted from the keyboard, the last state kept is at {at}"
+        )
+        return replace(recorded, success=False, message=message + run.note)
+    doubts, trusted = describe_doubts(model, scheme, recorded, request.compiled)
+    message, success = f"finished {run.text}{request.inputs.unseen}{doubts}", trusted
+    success &= not request.inputs.unseen
+    error = np.nan
+    if verify and success:
+        found = estimate_error(request, run, recorded.nodes)
+        error = found.error
+        if found.told and "try" not in message:
+            message += _describe_error(request, recorded, error)
+    return replace(
+        recorded, success=success, message=message + run.note, error_estimate=float(error)
+    )
 
 
-class Run(NamedTuple):
+def _explain_loss(request: Request, run: Run, recorded: Trajectory) -> str:
+    fault, last = FAULTS[run.status], len(recorded.time) - 1
+    why = explain_divergence(request.model, request.scheme, recorded, last)
+    return (
+        f"diverged between t = {recorded.time[-1]:g} and {run.found:g} s: {fault}; {why}{run.note}"
+    )
+
+
+def _describe_error(request: Request, run: Trajectory, error: float) -> str:
+    """Say how far steps put a run off, through which events, and the cure."""
+    scheme, off = request.scheme, f"put it off by some {error:.1g} m"
+    if scheme.adaptive:
+        return f"; its tolerance {off}: try {type(scheme).__name__}(rtol={getattr(scheme, 'rtol', 0.0) / 100:.1g})"
+    finer = run.step / 4  # errors at events fall about like the step
+    if not _meets_events(request.model, run):
+        return f"; its steps, too long for the fastest that moves, {off}: try step={finer:.2g}"
+    events = "strings that go slack or taut"
+    events += " and contacts" if request.model.scene.grounds else ""
+    return (
+        f"; {events} within its steps {off}: "
+        f"try DormandPrince853(rtol=1e-6), which ends its steps there, or step={finer:.2g}"
+    )
+
+
+def _meets_events(model: Model, run: Trajectory) -> bool:
+    """Tell whether another string pulls, or another node touches a ground, at some kept row."""
+    modes: Any = run.tension[:, model.scene.switching_strings] != 0
+    gaps = build_switching(model) if model.scene.grounds else None
+    if gaps is not None:
+        held = np.hstack([run.control, np.tile(run.parameters, (len(run.time), 1))])
+        modes = gaps.map(len(held))(run.states.T, ca.DM(held.T)).full().T > 0
+    return bool((modes[1:] != modes[:-1]).any())
+
+
+# --- many motions ---
+
+
+class Runs(NamedTuple):
     """Request as it was, with the kernel's answer.
 
     starts (n or 1, nx), controls (n or 1, K, nu), parameters (n or 1, np); steps and their mean
@@ -70,11 +122,11 @@ class Run(NamedTuple):
     time: Array
     times: Callable[[int], float]
     rows: Callable[[int], Array]
-    result: KernelResult
+    result: Rolled
     unseen: str = ""  # which functions of time change too fast for the steps
 
 
-def judge(run: Run) -> tuple[NDArray[np.bool_], NDArray[np.str_]]:
+def judge(run: Runs) -> tuple[NDArray[np.bool_], NDArray[np.str_]]:
     """Tell of each motion whether it reached its end and can be trusted, and how it ended."""
     result, n = run.result, len(run.result.status)
     success = result.status == 0
@@ -127,25 +179,25 @@ def judge(run: Run) -> tuple[NDArray[np.bool_], NDArray[np.str_]]:
     return success, np.array(told.tolist(), dtype=np.str_).reshape(n)
 
 
-def _finished(run: Run) -> str:
+def _finished(run: Runs) -> str:
     return f"finished {run.steps} steps of {run.step:g} s{run.unseen}"
 
 
-def _describe_end(run: Run, k: int) -> str:
+def _describe_end(run: Runs, k: int) -> str:
     status, good, fault = (
         int(values[k]) for values in (run.result.status, run.result.good, run.result.fault)
     )
     if status == STOPPED:
         return f"interrupted from the keyboard after t = {run.times(fault):g} s"
     if fault == 0:
-        return f"the start is not one: {_FAULTS[status]}"
+        return f"the start is not one: {FAULTS[status]}"
     return (
-        f"diverged between t = {run.times(good):g} and {run.times(fault):g} s: {_FAULTS[status]}; "
+        f"diverged between t = {run.times(good):g} and {run.times(fault):g} s: {FAULTS[status]}; "
         f"try a step below tenscasadi.stable_step(model, x, u, scheme), such as step={run.step / 5:.2g}, or correction=Projection()"
     )
 
 
-def _violations(run: Run, motions: NDArray[np.intp]) -> Array:
+def _violations(run: Runs, motions: NDArray[np.intp]) -> Array:
     """Return by how much each start is off its bars and joints, see `constraint_violation`; 0 where it was not looked at."""
     found = np.zeros(len(run.result.status))
     if not len(motions):
@@ -184,7 +236,7 @@ def _may_be_off(model: Model, starts: Array) -> NDArray[np.bool_]:
     return np.asarray(off.max(axis=1, initial=0.0) > small)
 
 
-def _look_closer(run: Run, share: Array, success: NDArray[np.bool_], told: NDArray[Any]) -> None:
+def _look_closer(run: Runs, share: Array, success: NDArray[np.bool_], told: NDArray[Any]) -> None:
     """Ask of some motions all that `simulate` asks: of those likeliest to be wrong, and of all where a step is above the stability limit.
 
     share: of the energy that moves, by which it is off (n,).
@@ -225,7 +277,7 @@ def _look_closer(run: Run, share: Array, success: NDArray[np.bool_], told: NDArr
         )
 
 
-def _ask(run: Run, k: int, success: NDArray[np.bool_], told: NDArray[Any]) -> None:
+def _ask(run: Runs, k: int, success: NDArray[np.bool_], told: NDArray[Any]) -> None:
     """Say of a motion what `simulate` says of one with the same rows."""
     saved, measured = run.result.saved, run.result.measured
     if saved is None or measured is None:

@@ -7,7 +7,11 @@
 #define __STDC_VERSION__ 201112L  // CasADi's helpers then call fmin, log1p and hypot, as they do in C
 
 #if LANES == 1
+#ifdef SINGLE
+typedef float lanes;
+#else
 typedef double lanes;
+#endif
 static inline double get(const lanes &a, int) { return a; }
 static inline void set(lanes &a, int, double x) { a = x; }
 #else

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import os
 import time as clock
-from collections.abc import Hashable
 from pathlib import Path
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from tqdm import tqdm
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.ensemble.inputs import (
+from tenscasadi.integrators.runge_kutta import RungeKutta4
+from tenscasadi.integrators.scheme import Scheme, check_scheme
+from tenscasadi.integrators.stabilization import BarLengthCorrection, Correction, Projection
+from tenscasadi.simulation.engine.inputs import (
     controls_at,
     count_motions,
     gather_intervals,
@@ -22,17 +23,13 @@ from tenscasadi.ensemble.inputs import (
     read_parameters,
     read_starts,
 )
-from tenscasadi.ensemble.judge import Run, judge
-from tenscasadi.ensemble.kernel import Kernel, build_kernel
-from tenscasadi.ensemble.request import KINETIC, MEASURED, STOPPED, SUPPLIED
-from tenscasadi.ensemble.result import Rollouts
-from tenscasadi.integrators.runge_kutta import RungeKutta4
-from tenscasadi.integrators.scheme import Scheme, check_scheme
-from tenscasadi.integrators.stabilization import BarLengthCorrection, Correction, Projection
+from tenscasadi.simulation.engine.kernel import Kernel, Watch, build_kernel
+from tenscasadi.simulation.engine.request import KINETIC, MEASURED, STOPPED, SUPPLIED
+from tenscasadi.simulation.motions import Rollouts
+from tenscasadi.simulation.verdict import Runs, judge
 from tenscasadi.util.validate import flag, instance, whole_number
 
 _LOOKS = 100  # measurements of a motion on its way
-_KERNELS: WeakKeyDictionary[Model, dict[Any, Kernel]] = WeakKeyDictionary()
 
 
 def rollouts(
@@ -139,7 +136,7 @@ def rollouts(
     )
     _check_memory(n, 1 - (-inputs.steps // every), model.nx)
     kept = np.append(np.arange(0, inputs.steps, every), inputs.steps)
-    kernel = _kernel(model, scheme, correction)
+    kernel = build_kernel(model, scheme, correction, measured=True)
     intervals, feedback = gather_intervals(model, inputs, plan)
     began = clock.perf_counter()
     with (
@@ -155,11 +152,12 @@ def rollouts(
             parameters=p,
             feedback=feedback,
             threads=workers,
-            watch=lambda done: bar.update(done - bar.n),
+            longest=inputs.longest,
+            watch=Watch(lambda done: bar.update(done - bar.n)),
         )
     seconds = clock.perf_counter() - began
     time = inputs.times(kept)
-    run = Run(
+    run = Runs(
         model,
         scheme,
         starts,
@@ -174,17 +172,6 @@ def rollouts(
         inputs.unseen,
     )
     return _record(run, kernel, workers, seconds)
-
-
-def _kernel(model: Model, scheme: Scheme, correction: Correction | None) -> Kernel:
-    """Build the kernel once for each model."""
-    key = scheme, correction
-    if not isinstance(scheme, Hashable):  # a scheme of somebody's own
-        return build_kernel(model, scheme, correction, measured=True)
-    kernels = _KERNELS.setdefault(model, {})
-    if key not in kernels:
-        kernels[key] = build_kernel(model, scheme, correction, measured=True)
-    return kernels[key]
 
 
 def _check_memory(n: int, rows: int, nx: int) -> None:
@@ -215,7 +202,7 @@ def _processors() -> int:
         return os.cpu_count() or 1
 
 
-def _record(run: Run, kernel: Kernel, threads: int, seconds: float) -> Rollouts:
+def _record(run: Runs, kernel: Kernel, threads: int, seconds: float) -> Rollouts:
     model, result = run.model, run.result
     if result.saved is None or result.measured is None or result.worst is None:
         raise RuntimeError("the kernel has measured nothing")

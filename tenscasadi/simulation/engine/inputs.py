@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.ensemble.feedback import Feedback
-from tenscasadi.ensemble.kernel import Intervals
 from tenscasadi.scene.strings import RestLength
 from tenscasadi.simulation.control_input import ControlProfile, SampledControl, sample_control
+from tenscasadi.simulation.engine.request import Intervals
+from tenscasadi.simulation.feedback import Feedback
 from tenscasadi.simulation.simulate import lay_grid
 from tenscasadi.util.validate import (
     SMALLEST,

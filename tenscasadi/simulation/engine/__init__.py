@@ -1,0 +1,1 @@
+"""One engine for runs: machine code, CasADi's virtual machine, or SUNDIALS."""

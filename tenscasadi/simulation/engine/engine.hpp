@@ -1,0 +1,397 @@
+// Motions through time, LANES at once. Around it stand: lanes.hpp; where the model's code is in the same library OWN_MODEL, its struct;
+// and the two functions declared below as those of the scheme. z is the state x and, with `work`, the energy supplied by forces.
+
+#ifndef casadi_int
+#define casadi_int long long int
+#endif
+
+enum { FINISHED, NOT_FINITE, BEYOND, BROKEN, STOPPED, UNSOLVED, STUCK, TIRED };
+enum { BARS, JOINTS, ENERGY, KINETIC, ELASTIC_LOW, ELASTIC_HIGH, GRAVITY_LOW, GRAVITY_HIGH, WORST };
+enum { REST, NEXT, MEMORY = 11 };                      // of a scheme that controls its error: time left, step to try next, and more
+enum { ENERGY_0, BARS_0, WORK, JUMPS, CARRIED };       // of a motion that goes on in another request; its memory follows
+enum { TOLD = 5 };                                     // measures of a kept row: errors of bars and joints, three energies
+enum { CHECKED = 64 };                                 // trial steps from one look at their lengths to the next
+
+typedef int (*Call)(const lanes **, lanes **, casadi_int *, lanes *, int);
+
+struct Model {
+  int64_t nx, nw, nu, work, jumps, measures, modes, errors, stages;  // modes and errors: of a scheme that controls its error
+  int64_t size_arg, size_res, size_iw, size_w;
+  Call ode;      // (z, w) -> zdot; w: control, parameters and modes
+  Call step;     // (z, w, h, numbers) -> z after a step; of schemes that are no table of Runge and Kutta
+  Call prepare;  // (z, memory, w) -> length of a trial step, w with the modes
+  Call decide;   // (z, memory, w, numbers, h, w with modes, z after, errors, first and last slope) -> z, memory
+  Call project;  // (x, w) -> x on its bars and joints
+  Call effect;   // (x before, x after, w) -> movement of a node, energy added by a correction
+  Call measure;  // (x, w) -> errors of bars and joints, energies, and more
+  Call energy;   // (x, w) -> total energy
+  Call stage;    // (x, w) -> cost rate of an interval
+  Call final;    // (x, w) -> cost of the end
+};
+
+#ifdef OWN_MODEL
+static const Model own = OWN_MODEL;
+#define MODEL own
+#else
+#define MODEL (*room.model)
+#endif
+
+struct Request {
+  // motions; numbers from the states, inputs and parameters of one to those of the next, 0 where all share one; width of a row of inputs
+  int64_t motions, state_stride, input_stride, parameter_stride, width;
+  // intervals of time: the row of the inputs in each, its steps and their length; whether feedback decides anew at its start
+  int64_t intervals;
+  const int64_t *row, *count;
+  const double *length;
+  const int64_t *decides;
+  const double *states, *inputs, *parameters;  // no parameters: inputs hold them, too
+  // feedback: controls, states, gains of each decision, and limits; no gains: none
+  const int64_t *decision;
+  const double *given, *reference, *gains, *lower, *upper;
+  int64_t referred;  // entries of the state that are fed back
+  const double *numbers;  // of the scheme, such as tolerances
+  int64_t counted, trials;  // how many numbers; trial steps in a step of the grid
+  double shortest;  // of a trial step
+  // steps from one correction, kept row and look to the next; 0: none. Steps before this request, and of all requests of these motions
+  int64_t correct_every, save_every, look_every, rows, begin, total;
+  double broken, beyond, largest;  // largest: of a start
+  // results
+  double *last, *saved, *measured, *corrected, *worst, *cost, *carry;
+  int64_t *status, *fault, *good;
+  // shared by the threads that work on a request
+  int64_t *next, *done, *stop;
+};
+
+struct Room {  // of one thread
+  const Model *model;
+  lanes *z, *after, *w, *measure, *first, *worst, *bars, *jumped, *u, *numbers, *memory, *kept, *v, *errors, *slopes, *point, *entry, *work;
+  casadi_int *iw;
+  const lanes **arg;
+  lanes **res;
+};
+
+// Length of a step -> z after it, in room.after; 0: done.
+static int take_step(Room &room, lanes h);
+// Length of a trial step -> z after it in room.after, errors, and slopes at both ends; 0: done.
+static int try_step(Room &room, lanes h, const lanes *&first, const lanes *&last);
+
+template <int A, int R>
+static inline int evaluate(const Room &room, Call function, const lanes *const (&arg)[A], lanes *const (&res)[R]) {
+  for (int i = 0; i < A; ++i) room.arg[i] = arg[i];
+  for (int i = 0; i < R; ++i) room.res[i] = res[i];
+  return function(room.arg, room.res, room.iw, room.work, 0);
+}
+
+struct Group {
+  int64_t start, pending;  // pending: kept row whose next correction is to be measured
+  int live;  // motions of this group; lanes beyond repeat the last one
+  int64_t status[LANES], fault[LANES], good[LANES];
+
+  int64_t motion(int k) const { return start + (k < live ? k : live - 1); }
+  bool all_lost() const {
+    for (int k = 0; k < live; ++k)
+      if (!status[k]) return false;
+    return true;
+  }
+  void end(int64_t code, int64_t step) {
+    for (int k = 0; k < LANES; ++k)
+      if (!status[k]) status[k] = code, fault[k] = step;
+  }
+};
+
+static void load(const Request &q, const Group &g, Room &room, int64_t row) {
+  for (int k = 0; k < LANES; ++k) {
+    const double *w = q.inputs + g.motion(k) * q.input_stride + row * q.width;
+    for (int64_t i = 0; i < q.width; ++i) set(room.w[i], k, w[i]);
+    const double *p = q.parameters + g.motion(k) * q.parameter_stride;
+    for (int64_t i = q.width; i < MODEL.nw; ++i) set(room.w[i], k, p[i - q.width]);
+  }
+}
+
+// u = u_k - G_k (x - x_k), within limits
+static void decide(const Request &q, Room &room, int64_t decision) {
+  const double *u = q.given + decision * MODEL.nu, *x = q.reference + decision * q.referred, *G = q.gains + decision * MODEL.nu * q.referred;
+  for (int i = 0; i < MODEL.nu; ++i) {
+    lanes sum = 0.0;
+    for (int64_t j = 0; j < q.referred; ++j) sum += lanes(G[i * q.referred + j]) * (room.z[j] - lanes(x[j]));
+    lanes value = lanes(u[i]) - sum;
+    for (int k = 0; k < LANES; ++k) {
+      double v = get(value, k);  // what is not a number stays so
+      set(room.w[i], k, v < q.lower[i] ? q.lower[i] : v > q.upper[i] ? q.upper[i] : v);
+    }
+  }
+}
+
+static lanes supplied(const Room &room) { return MODEL.work ? room.z[MODEL.nx] + room.jumped[0] : room.jumped[0]; }
+
+// The fault of one motion.
+static int64_t fault_of(const Request &q, const Room &room, int k, int64_t step) {
+  int64_t fault = FINISHED;
+  for (int i = 0; i < MODEL.nx; ++i) {
+    double x = fabs(get(room.z[i], k));
+    if (!(x <= 1.7976931348623157e308)) return NOT_FINITE;
+    if (x > (step ? q.beyond : q.largest)) fault = BEYOND;
+  }
+  if (!MODEL.measures) return fault;
+  double bars = get(room.measure[0], k);
+  if (bars != bars) return NOT_FINITE;
+  if (!fault && step && bars > q.broken + get(room.bars[0], k)) fault = BROKEN;
+  return fault;
+}
+
+// Whether all motions of a group are on their way and in order, seen at once.
+static bool all_fine(const Request &q, const Group &g, const Room &room) {
+  lanes fine = 1.0, beyond = q.beyond;
+  for (int i = 0; i < MODEL.nx; ++i) fine = fine && fabs(room.z[i]) <= beyond;
+  if (MODEL.measures) fine = fine && room.measure[0] <= lanes(q.broken) + room.bars[0];
+  for (int k = 0; k < g.live; ++k)
+    if (g.status[k] || get(fine, k) == 0.0) return false;
+  return true;
+}
+
+// Measure where motions are, and mark those that are lost.
+static void look(const Request &q, Group &g, Room &room, int64_t step) {
+  if (MODEL.measures) {
+    evaluate(room, MODEL.measure, {room.z, room.w}, {room.measure});
+    if (!step) room.bars[0] = room.measure[0];
+  }
+  if (!step || !all_fine(q, g, room))
+    for (int k = 0; k < g.live; ++k)
+      if (!g.status[k] && (g.status[k] = fault_of(q, room, k, step))) g.fault[k] = step;
+  for (int k = 0; k < g.live; ++k)
+    if (!g.status[k]) g.good[k] = step;
+  if (!MODEL.measures) return;
+  const lanes *m = room.measure;
+  lanes total = m[2] + m[3] + m[4];
+  if (!step) room.first[0] = total;
+  lanes error = total - room.first[0] - supplied(room);
+  lanes now[WORST] = {m[0], m[1], fabs(error), m[2], m[3], m[3], m[4], m[4]};
+  for (int i = 0; i < WORST; ++i) {
+    bool low = i == ELASTIC_LOW || i == GRAVITY_LOW;
+    lanes worst = !step ? now[i] : low ? fmin(room.worst[i], now[i]) : fmax(room.worst[i], now[i]);
+    for (int k = 0; k < g.live; ++k)
+      if (g.status[k]) set(worst, k, get(room.worst[i], k));  // as it was when the motion was lost
+    room.worst[i] = worst;
+  }
+}
+
+static void keep(const Request &q, Group &g, Room &room, int64_t row) {
+  g.pending = row;
+  for (int k = 0; k < g.live; ++k) {
+    bool lost = g.status[k];
+    int64_t place = (g.start + k) * q.rows + row;
+    for (int i = 0; i < MODEL.nx; ++i) q.saved[place * MODEL.nx + i] = lost ? NAN : get(room.z[i], k);
+    if (!q.measured) continue;
+    for (int i = 0; i < TOLD; ++i) q.measured[place * (TOLD + 1) + i] = lost ? NAN : get(room.measure[i], k);
+    q.measured[place * (TOLD + 1) + TOLD] = lost ? NAN : get(supplied(room), k);
+  }
+}
+
+static void measure_correction(const Request &q, Group &g, Room &room, const lanes *before, const lanes *after) {
+  lanes effect[2];
+  evaluate(room, MODEL.effect, {before, after, room.w}, {effect});
+  for (int k = 0; k < g.live; ++k)
+    for (int i = 0; i < 2; ++i) q.corrected[((g.start + k) * q.rows + g.pending) * 2 + i] = get(effect[i], k);
+  g.pending = -1;
+}
+
+// A step of fixed length.
+static int advance(const Request &q, Group &g, Room &room, double length, bool correct) {
+  if (take_step(room, length)) return UNSOLVED;
+  if (correct) {
+    lanes *x = room.z;
+    if (evaluate(room, MODEL.project, {room.after, room.w}, {x})) return UNSOLVED;
+    for (int64_t i = MODEL.nx; i < MODEL.nx + MODEL.work; ++i) x[i] = room.after[i];
+    if (q.corrected && g.pending >= 0) measure_correction(q, g, room, room.after, x);
+    return FINISHED;
+  }
+  lanes *t = room.z;
+  room.z = room.after, room.after = t;
+  return FINISHED;
+}
+
+// Trial steps to the end of a step of the grid; one lane. A step that is given up leaves z where it began.
+static int try_steps(const Request &q, Room &room, double length) {
+  room.memory[REST] = length;
+  for (int64_t i = 0; i < MODEL.nw; ++i) room.v[i] = room.w[i];
+  for (int64_t trial = 1;; ++trial) {
+    lanes h;
+    const lanes *first, *last;
+    if (evaluate(room, MODEL.prepare, {room.z, room.memory, room.w}, {&h, room.v}) || try_step(room, h, first, last) ||
+        evaluate(room, MODEL.decide, {room.z, room.memory, room.w, room.numbers, &h, room.v, room.after, room.errors, first, last}, {room.point, room.kept}))
+      return UNSOLVED;
+    lanes *t = room.z;
+    room.z = room.point, room.point = t;
+    t = room.memory, room.memory = room.kept, room.kept = t;
+    for (int i = 0; i < MEMORY; ++i)
+      if (!(fabs(get(room.memory[i], 0)) <= 1.7976931348623157e308)) return NOT_FINITE;
+    if (get(room.memory[REST], 0) <= 0.0) return FINISHED;
+    if (*(volatile int64_t *)q.stop) return STOPPED;
+    if (trial % CHECKED == 0 && get(room.memory[NEXT], 0) < q.shortest * length) return STUCK;
+    if (trial >= q.trials) return TIRED;
+  }
+}
+
+static int control_error(const Request &q, Room &room, double length) {
+  for (int64_t i = 0; i < MODEL.nx + MODEL.work; ++i) room.entry[i] = room.z[i];
+  int code = try_steps(q, room, length);
+  if (code) {
+    lanes *t = room.z;
+    room.z = room.entry, room.entry = t;
+  }
+  return code;
+}
+
+// The controls of the next interval; what changing them does to the energy counts as supplied.
+static void hold(const Request &q, const Group &g, Room &room, int64_t interval, bool account) {
+  lanes before, after;
+  if (account) evaluate(room, MODEL.energy, {room.z, room.w}, {&before});
+  load(q, g, room, q.row[interval]);
+  if (q.gains) {
+    if (q.decides[interval]) {
+      decide(q, room, q.decision[interval]);
+      for (int i = 0; i < MODEL.nu; ++i) room.u[i] = room.w[i];
+    } else
+      for (int i = 0; i < MODEL.nu; ++i) room.w[i] = room.u[i];
+  }
+  if (account) {
+    evaluate(room, MODEL.energy, {room.z, room.w}, {&after});
+    room.jumped[0] += after - before;
+  }
+}
+
+static void enter(const Request &q, Group &g, Room &room) {
+  const int64_t entries = CARRIED + MEMORY + MODEL.nw;
+  g.pending = -1;
+  for (int k = 0; k < LANES; ++k) {
+    const int64_t n = g.motion(k);
+    const double *x = q.states + n * q.state_stride, *carry = q.carry ? q.carry + n * entries : 0;
+    for (int i = 0; i < MODEL.nx; ++i) set(room.z[i], k, x[i]);
+    for (int i = 0; i < WORST; ++i) set(room.worst[i], k, q.begin && MODEL.measures ? q.worst[n * WORST + i] : NAN);
+    if (MODEL.work) set(room.z[MODEL.nx], k, carry ? carry[WORK] : 0.0);
+    set(room.jumped[0], k, carry ? carry[JUMPS] : 0.0);
+    if (carry) {
+      set(room.first[0], k, carry[ENERGY_0]), set(room.bars[0], k, carry[BARS_0]);
+      for (int i = 0; i < MEMORY; ++i) set(room.memory[i], k, carry[CARRIED + i]);
+      for (int64_t i = 0; i < MODEL.nw; ++i) set(room.w[i], k, carry[CARRIED + MEMORY + i]);
+    }
+    for (int64_t i = 0; i < q.counted; ++i) set(room.numbers[i], k, q.numbers[i]);
+    g.status[k] = FINISHED, g.fault[k] = -1, g.good[k] = q.begin ? q.good[n] : 0;
+  }
+}
+
+static void leave(const Request &q, const Group &g, const Room &room, const lanes &cost) {
+  const int64_t entries = CARRIED + MEMORY + MODEL.nw;
+  for (int k = 0; k < g.live; ++k) {
+    int64_t n = g.start + k;
+    bool lost = g.status[k] && g.status[k] < STOPPED;
+    for (int i = 0; i < MODEL.nx; ++i) q.last[n * MODEL.nx + i] = lost ? NAN : get(room.z[i], k);
+    q.cost[n] = g.status[k] ? INFINITY : get(cost, k);
+    q.status[n] = g.status[k], q.fault[n] = g.fault[k], q.good[n] = g.good[k];
+    if (MODEL.measures)
+      for (int i = 0; i < WORST; ++i) q.worst[n * WORST + i] = get(room.worst[i], k);
+    if (!q.carry) continue;
+    double *carry = q.carry + n * entries;
+    carry[ENERGY_0] = get(room.first[0], k), carry[BARS_0] = get(room.bars[0], k);
+    carry[WORK] = MODEL.work ? get(room.z[MODEL.nx], k) : 0.0, carry[JUMPS] = get(room.jumped[0], k);
+    for (int i = 0; i < MEMORY; ++i) carry[CARRIED + i] = get(room.memory[i], k);
+    for (int64_t i = 0; i < MODEL.nw; ++i) carry[CARRIED + MEMORY + i] = get(room.w[i], k);
+  }
+}
+
+static void roll_group(const Request &q, Group &g, Room &room) {
+  enter(q, g, room);
+  lanes cost = 0.0, value;
+  int64_t step = q.begin;
+  for (int64_t interval = 0; interval < q.intervals && !g.all_lost(); ++interval) {
+    if (interval == 0 || q.gains || q.row[interval] != q.row[interval - 1]) hold(q, g, room, interval, MODEL.jumps && step);
+    if (!step) {
+      look(q, g, room, 0);
+      if (q.save_every) keep(q, g, room, 0);
+    }
+    for (int64_t j = 0; j < q.count[interval] && !g.all_lost(); ++j) {
+      bool correct = q.correct_every && (step + 1) % q.correct_every == 0;
+      int code = *(volatile int64_t *)q.stop ? STOPPED : MODEL.decide ? control_error(q, room, q.length[interval]) : advance(q, g, room, q.length[interval], correct);
+      if (code) {
+        g.end(code, step);
+        break;
+      }
+      ++step;
+      bool save = q.save_every && (step % q.save_every == 0 || step == q.total);
+      if (save || step == q.total || (q.look_every && step % q.look_every == 0)) look(q, g, room, step);
+      if (save) keep(q, g, room, step == q.total ? q.rows - 1 : step / q.save_every);
+    }
+    if (MODEL.stage) {
+      if (evaluate(room, MODEL.stage, {room.z, room.w}, {&value})) g.end(UNSOLVED, step);
+      cost += value * lanes(q.length[interval] * q.count[interval]);
+    }
+    __atomic_fetch_add(q.done, g.live * q.count[interval], __ATOMIC_RELAXED);
+  }
+  if (MODEL.final) {
+    if (evaluate(room, MODEL.final, {room.z, room.w}, {&value})) g.end(UNSOLVED, step);
+    cost += value;
+  }
+  if (q.save_every && g.all_lost())
+    for (int64_t row = step / q.save_every + 1; row < q.rows; ++row) keep(q, g, room, row);
+  leave(q, g, room, cost);
+}
+
+static lanes *take(char *&memory, int64_t count) {
+  lanes *found = (lanes *)memory;
+  memory += count * sizeof(lanes);
+  return found;
+}
+
+static char *make_room(Room &room, int64_t counted) {
+  const int64_t nz = MODEL.nx + MODEL.work, nv = MODEL.nw + MODEL.modes;
+  const int64_t sizes[] = {nz, nz, MODEL.nw, MODEL.measures, 1, WORST, 1, 1, MODEL.nu, counted, MEMORY, MEMORY, nv, nz * MODEL.errors, nz * MODEL.stages, nz, nz, MODEL.size_w};
+  lanes **places[] = {&room.z, &room.after, &room.w, &room.measure, &room.first, &room.worst, &room.bars, &room.jumped, &room.u,
+                      &room.numbers, &room.memory, &room.kept, &room.v, &room.errors, &room.slopes, &room.point, &room.entry, &room.work};
+  int64_t numbers = 0;
+  for (int64_t size : sizes) numbers += size;
+  int64_t pointers = MODEL.size_arg + MODEL.size_res + MODEL.size_iw;
+  char *memory = (char *)calloc(1, numbers * sizeof(lanes) + pointers * 8 + sizeof(lanes) + 8);
+  if (!memory) return 0;
+  char *place = memory + (sizeof(lanes) - (uintptr_t)memory % sizeof(lanes)) % sizeof(lanes);
+  for (unsigned i = 0; i < sizeof(sizes) / sizeof(sizes[0]); ++i) *places[i] = take(place, sizes[i]);
+  place += (8 - (uintptr_t)place % 8) % 8;
+  room.iw = (casadi_int *)place, place += 8 * MODEL.size_iw;
+  room.arg = (const lanes **)place, place += 8 * MODEL.size_arg;
+  room.res = (lanes **)place;
+  return memory;
+}
+
+extern "C" __attribute__((visibility("default"))) int64_t motion_lanes(void) { return LANES; }
+
+// Roll motions until none is left that no other thread has taken. 0: done, 2: no memory.
+extern "C" __attribute__((visibility("default"))) int motion_roll(const Model *model, const Request *request) {
+  Room room;
+  room.model = model;
+  char *memory = make_room(room, request->counted);
+  if (!memory) return 2;
+  for (;;) {
+    Group g;
+    g.start = LANES * __atomic_fetch_add(request->next, 1, __ATOMIC_RELAXED);
+    if (g.start >= request->motions) break;
+    g.live = request->motions - g.start < LANES ? (int)(request->motions - g.start) : LANES;
+    roll_group(*request, g, room);
+  }
+  free(memory);
+  return 0;
+}
+
+// Measures (rows, measures) of states (rows, nx) under w (rows, nw); one lane.
+extern "C" __attribute__((visibility("default"))) int motion_observe(const Model *model, int64_t rows, const double *x, const double *w, double *out) {
+  Room room;
+  room.model = model;
+  char *memory = make_room(room, 0);
+  if (!memory) return 2;
+  for (int64_t row = 0; row < rows; ++row) {
+    for (int i = 0; i < MODEL.nx; ++i) set(room.z[i], 0, x[row * MODEL.nx + i]);
+    for (int64_t i = 0; i < MODEL.nw; ++i) set(room.w[i], 0, w[row * MODEL.nw + i]);
+    evaluate(room, MODEL.measure, {room.z, room.w}, {room.measure});
+    for (int64_t i = 0; i < MODEL.measures; ++i) out[row * MODEL.measures + i] = get(room.measure[i], 0);
+  }
+  free(memory);
+  return 0;
+}

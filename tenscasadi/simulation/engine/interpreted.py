@@ -1,0 +1,278 @@
+"""The loop of `engine.hpp` without C++: each step of all motions by CasADi's virtual machine, to the same numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from tenscasadi.integrators.adaptive import Control, Memory, build_attempt
+from tenscasadi.integrators.runge_kutta import build_step
+from tenscasadi.simulation.engine.request import (
+    BEYOND,
+    BROKEN,
+    CARRIED,
+    FINISHED,
+    NOT_FINITE,
+    STOPPED,
+    STUCK,
+    TIRED,
+    UNSOLVED,
+)
+from tenscasadi.simulation.engine.step_code import Program
+from tenscasadi.util.casadi_tools import ArrayFunction
+from tenscasadi.util.validate import Array
+
+_BLOCK = 256  # motions that go through time together
+_CHECKED = 64  # trial steps from one look at their lengths to the next
+_REST, _NEXT = (Memory._fields.index(name) for name in ("rest", "step"))
+_LOW = [4, 6]  # of `WORST`, which are least values
+Values = Mapping[str, Any]
+
+
+class Interpreted:
+    """A program in CasADi's virtual machine; called with the values of a request."""
+
+    lanes = 0
+
+    def __init__(self, program: Program) -> None:
+        functions, self.sizes = dict(program.functions), program.sizes
+        self.together = 1 if program.adaptive else _BLOCK
+        if program.adaptive and program.tableau is not None:
+            control = Control(*(functions.pop(name) for name in Control._fields))
+            functions["attempt"] = build_attempt(control, program.tableau)
+        elif program.tableau is not None:
+            functions["step"] = build_step(program.tableau, functions.pop("ode"))
+        self._functions = functions
+        self._mapped: dict[tuple[str, int], ArrayFunction] = {}
+
+    def __call__(self, values: Values) -> None:
+        """Fill the results of a request."""
+        with np.errstate(all="ignore"):
+            for first in range(0, values["motions"], self.together):
+                last = min(first + self.together, values["motions"])
+                Loop(self, values, np.arange(first, last)).roll()
+
+    def has(self, name: str) -> bool:
+        """Tell whether there is such a Function."""
+        return name in self._functions
+
+    def evaluate(self, name: str, *inputs: Array) -> list[Array]:
+        """Return the results (n, size) of a Function for rows of inputs (n, size)."""
+        key = name, len(inputs[0])
+        if key not in self._mapped:
+            function = self._functions[name]
+            self._mapped[key] = ArrayFunction(function if key[1] == 1 else function.map(key[1]))
+        return self._mapped[key](*inputs)
+
+    def observe(self, states: Array, inputs: Array) -> Array:
+        """Return the measures (T, M) of states (T, nx) under inputs (T, nw)."""
+        return self.evaluate("measure", states, inputs)[0]
+
+    def steps(self, loop: Loop, interval: int) -> Iterator[int]:
+        """Take the steps of an interval; yield after each the code of what went wrong."""
+        q, sizes = loop.q, self.sizes
+        length = float(q["length"][interval])
+        n, numbers = len(loop.z), np.tile(q["numbers"], (len(loop.z), 1))
+        h = np.full((n, 1), length)
+        for _ in range(q["count"][interval]):
+            if self.has("attempt"):
+                yield self._control_error(loop, length)
+                continue
+            given = [loop.z, loop.w, h, numbers][: self._functions["step"].n_in()]
+            loop.z = self.evaluate("step", *given)[0]
+            if self.has("project") and (loop.step + 1) % q["correct_every"] == 0:
+                x = loop.x
+                corrected = self.evaluate("project", x, loop.w)[0]
+                if q["corrected"] is not None and loop.pending is not None:
+                    effect = self.evaluate("effect", x, corrected, loop.w)[0]
+                    q["corrected"][loop.motions, loop.pending] = effect
+                    loop.pending = None
+                loop.z = np.hstack([corrected, loop.z[:, sizes["nx"] :]])
+            yield FINISHED
+
+    def _control_error(self, loop: Loop, length: float) -> int:
+        """Try steps up to the end of a step of the grid; one that is given up leaves z where it began."""
+        q, z, memory = loop.q, loop.z, loop.memory
+        memory[0, _REST] = length
+        for trial in range(1, int(q["trials"]) + 1):
+            z, memory = self.evaluate("attempt", z, memory, loop.w, q["numbers"])
+            loop.memory = memory
+            if not np.all(np.isfinite(memory)):
+                return NOT_FINITE
+            if memory[0, _REST] <= 0:
+                loop.z = z
+                return FINISHED
+            if q["stop"][0]:
+                return STOPPED
+            if trial % _CHECKED == 0 and memory[0, _NEXT] < q["shortest"] * length:
+                return STUCK
+        return TIRED
+
+
+class Loop:
+    """Some motions on their way; `backend.steps` moves z (n, nx and the work) through an interval."""
+
+    def __init__(self, backend: Any, q: Values, motions: Any) -> None:
+        self.backend, self.q, self.motions, self.sizes = backend, q, motions, backend.sizes
+        n, nx = len(motions), self.sizes["nx"]
+        self.step = int(q["begin"])
+        self.pending: int | None = None
+        self.z = np.zeros((n, nx + self.sizes["work"]))
+        self.z[:, :nx] = q["states"][motions if q["state_stride"] else np.zeros(n, int)]
+        carry, known = q["carry"][motions], len(CARRIED)
+        self.energy, self.bars, work, self.jumped = carry[:, :4].T.copy()
+        self.z[:, nx:] = work[:, None]
+        self.memory, self.w, self.u = (
+            carry[:, 4:known].copy(),
+            carry[:, known:].copy(),
+            carry[:, :0],
+        )
+        self.status, self.fault = np.full(n, FINISHED), np.full(n, -1)
+        self.good = q["good"][motions] if self.step else np.zeros(n, int)
+        self.worst = q["worst"][motions] if self.step and self.measures else np.zeros((n, 0))
+        self.cost = np.zeros(n)
+
+    @property
+    def measures(self) -> bool:
+        """Whether motions are measured."""
+        return bool(self.sizes["measures"])
+
+    @property
+    def x(self) -> Array:
+        """States (n, nx)."""
+        return np.ascontiguousarray(self.z[:, : self.sizes["nx"]])
+
+    @property
+    def supplied(self) -> Array:
+        """Energy supplied (n,), J."""
+        nx = self.sizes["nx"]
+        return np.asarray(self.jumped + self.z[:, nx] if self.sizes["work"] else self.jumped)
+
+    def roll(self) -> None:
+        """Go through all intervals, then write down the ends."""
+        q = self.q
+        for interval in range(q["intervals"]):
+            if self.status.all():
+                break
+            changed = interval == 0 or q["row"][interval] != q["row"][interval - 1]
+            if changed or q.get("gains") is not None:
+                self._hold(interval)
+            if self.step == 0:
+                self._look()
+                self._keep(0)
+            self._march(interval)
+            if self.backend.has("stage"):
+                rate = self.backend.evaluate("stage", self.x, self.w)[0][:, 0]
+                self.cost += rate * (q["length"][interval] * q["count"][interval])
+            q["done"][0] += len(self.z) * q["count"][interval]
+        if self.backend.has("final"):
+            self.cost += self.backend.evaluate("final", self.x, self.w)[0][:, 0]
+        if q["save_every"] and self.status.all():
+            left = slice(self.step // q["save_every"] + 1, None)
+            for rows in (q["saved"], q["measured"]):
+                if rows is not None:
+                    rows[self.motions, left] = np.nan
+        self._leave()
+
+    def _march(self, interval: int) -> None:
+        q, steps = self.q, self.backend.steps(self, interval)
+        for code in _until_failure(steps):
+            if code:
+                self._mark(np.full(len(self.z), code))
+                return
+            self.step += 1
+            last = self.step == q["total"]
+            save = q["save_every"] and (self.step % q["save_every"] == 0 or last)
+            if save or last or (q["look_every"] and self.step % q["look_every"] == 0):
+                self._look()
+            if save:
+                self._keep(q["rows"] - 1 if last else self.step // q["save_every"])
+            if q["stop"][0] and not last:
+                self._mark(np.full(len(self.z), STOPPED))
+            if self.status.all():
+                return
+
+    def _hold(self, interval: int) -> None:
+        q, own, shared = self.q, self.motions, np.zeros(len(self.z), dtype=int)
+        account = self.backend.has("energy") and self.step > 0
+        before = self.backend.evaluate("energy", self.x, self.w)[0] if account else None
+        self.w = q["inputs"][own if q["input_stride"] else shared, q["row"][interval]]
+        if q["parameters"].shape[1]:
+            self.w = np.hstack([self.w, q["parameters"][own if q["parameter_stride"] else shared]])
+        if q.get("gains") is not None:
+            if q["decides"][interval]:
+                k = q["decision"][interval]
+                away = self.z[:, : q["referred"]] - q["reference"][k]
+                self.u = np.clip(q["given"][k] - away @ q["gains"][k].T, q["lower"], q["upper"])
+            self.w[:, : self.u.shape[1]] = self.u
+        if before is not None:
+            self.jumped += (self.backend.evaluate("energy", self.x, self.w)[0] - before)[:, 0]
+
+    def _mark(self, codes: Any) -> None:
+        new = (self.status == FINISHED) & (codes != FINISHED)
+        self.status[new], self.fault[new] = codes[new], self.step
+
+    def _look(self) -> None:
+        q, x, first = self.q, self.x, self.step == 0
+        bad = np.full(len(x), FINISHED)
+        if self.measures:
+            self.measure = self.backend.evaluate("measure", x, self.w)[0]
+            bars = self.measure[:, 0]
+            if first:
+                self.bars = bars.copy()
+            bad[~(bars <= q["broken"] + self.bars)] = BROKEN
+            bad[np.isnan(bars)] = NOT_FINITE
+        bad[np.any(np.abs(x) > q["largest" if first else "beyond"], axis=1)] = BEYOND
+        bad[~np.all(np.isfinite(x), axis=1)] = NOT_FINITE
+        self._mark(bad)
+        fine = self.status == FINISHED
+        self.good[fine] = self.step
+        if self.measures:
+            self._weigh(fine)
+
+    def _weigh(self, fine: Any) -> None:
+        """Keep the extremes of the measures."""
+        bars, joints, kinetic, elastic, gravity = self.measure[:, :5].T
+        energy = kinetic + elastic + gravity
+        if self.step == 0:
+            self.energy = energy
+        error = np.abs(energy - self.energy - self.supplied)
+        now = np.stack([bars, joints, error, kinetic, elastic, elastic, gravity, gravity], axis=1)
+        if self.step == 0:
+            self.worst = np.where(fine[:, None], now, np.nan)
+        new = np.maximum(self.worst, now)
+        new[:, _LOW] = np.minimum(self.worst, now)[:, _LOW]
+        self.worst = np.where(fine[:, None], new, self.worst)
+
+    def _keep(self, row: int) -> None:
+        q, self.pending = self.q, row
+        if not q["save_every"]:
+            return
+        lost = (self.status != FINISHED)[:, None]
+        q["saved"][self.motions, row] = np.where(lost, np.nan, self.x)
+        if q["measured"] is not None:
+            told = np.hstack([self.measure[:, :5], self.supplied[:, None]])
+            q["measured"][self.motions, row] = np.where(lost, np.nan, told)
+
+    def _leave(self) -> None:
+        q, motions = self.q, self.motions
+        lost = (self.status != FINISHED) & (self.status < STOPPED)
+        q["last"][motions] = np.where(lost[:, None], np.nan, self.x)
+        q["cost"][motions] = np.where(self.status != FINISHED, np.inf, self.cost)
+        for name in ("status", "fault", "good"):
+            q[name][motions] = getattr(self, name)
+        if self.measures:
+            q["worst"][motions] = self.worst
+        work = self.supplied - self.jumped
+        head = np.stack([self.energy, self.bars, work, self.jumped], axis=1)
+        q["carry"][motions] = np.hstack([head, self.memory, self.w])
+
+
+def _until_failure(steps: Iterator[int]) -> Iterator[int]:
+    """Yield the codes of steps; UNSOLVED where CasADi cannot evaluate one."""
+    try:
+        yield from steps
+    except RuntimeError:
+        yield UNSOLVED

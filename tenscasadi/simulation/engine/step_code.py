@@ -1,0 +1,360 @@
+"""The code of a run: CasADi Functions under the names of `engine.hpp`, and their C and C++."""
+
+from __future__ import annotations
+
+import re
+from importlib import resources
+from typing import Any, Literal, NamedTuple
+
+import casadi as ca
+
+from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.adaptive import build_control
+from tenscasadi.integrators.collocation import Collocation
+from tenscasadi.integrators.runge_kutta import (
+    SEVERAL,
+    EmbeddedRungeKutta,
+    ExplicitRungeKutta,
+    equal_weights,
+    needed_stages,
+    repeats_last,
+)
+from tenscasadi.integrators.scheme import Scheme, equations
+from tenscasadi.integrators.stabilization import Correction, build_effect, held_correction
+from tenscasadi.integrators.tableaux import Tableau
+
+Measured = Literal["nothing", "errors", "all"]
+# Functions of `struct Model`, in its order
+CALLS = (
+    "ode",
+    "step",
+    "prepare",
+    "decide",
+    "project",
+    "effect",
+    "measure",
+    "energy",
+    "stage",
+    "final",
+)
+_OWN = ("nx", "nw", "nu", "work", "jumps", "measures", "modes", "errors", "stages")
+MODEL_SIZES = (*_OWN, "size_arg", "size_res", "size_iw", "size_w")
+_MOST_INPUTS = 10  # of a Function: those of `decide`
+
+# CasADi writes if_else as a sum of these; the operands are variables, or entries that a loop passes
+# over.
+_OPERAND = r"\w+(?:\[\w+\])?|\(\*\w+\+\+\)"
+_CONDITION = re.compile(rf"\(({_OPERAND})\?({_OPERAND}):0\)")
+_SIGN = re.compile(r"^casadi_real casadi_sign\(.*?\}$", re.DOTALL | re.MULTILINE)
+_LOOK_UP = re.compile(
+    r"casadi_interpn\([^,;]+, \d+, (\w+), \w+, (\w+),"
+)  # of a table: its points, and its values
+_TABLE_CODE = "clear", "low", "interpn_weights", "interpn_interpolate", "flip", "interpn"
+_COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
+_WIDEST = """
+#if defined(__AVX512F__)
+#define LANES 8
+#elif defined(__AVX__)
+#define LANES 4
+#else
+#define LANES 2
+#endif
+"""
+
+
+class Program(NamedTuple):
+    """Functions and sizes of `struct Model`; `tableau` steps `ode`, None: there is a `step`."""
+
+    functions: dict[str, ca.Function]
+    sizes: dict[str, int]
+    tableau: Tableau | None
+
+    @property
+    def adaptive(self) -> bool:
+        """Whether the scheme controls its error."""
+        return "decide" in self.functions
+
+
+class Account(NamedTuple):
+    """Energy that a run accounts for: work of forces beside the potentials, changes of the control."""
+
+    power: bool
+    jumps: bool
+
+
+def write_program(
+    model: Model,
+    scheme: Scheme,
+    correction: Correction | None,
+    account: Account,
+    measured: Measured = "nothing",
+    costs: tuple[ca.Function | None, ca.Function | None] = (None, None),
+) -> Program:
+    """Write the Functions of a run; costs: of intervals, and of the end."""
+    power = model.stacked(model.power) if account.power and model.power is not None else None
+    tableau = _tableau(scheme)
+    sizes = dict.fromkeys(_OWN, 0) | {"nx": model.nx, "nu": model.nu}
+    if isinstance(scheme, EmbeddedRungeKutta) and scheme.adaptive:
+        functions = dict(build_control(model, scheme, correction, power is not None)._asdict())
+        sizes["modes"] = functions["ode"].size1_in(1) - model.nw
+        sizes["errors"] = len(scheme.tableau.errors)
+    else:
+        functions = _fixed_steps(model, scheme, correction, power, tableau)
+    costing = {name: cost for name, cost in zip(("stage", "final"), costs, strict=True) if cost}
+    functions |= costing | _observing(model, account, measured)
+    if "measure" in functions:
+        sizes["measures"] = functions["measure"].size1_out(0)
+    sizes["nw"] = max(model.nw, *(cost.size1_in(1) for cost in costing.values()), 0)
+    sizes |= {"work": int(power is not None), "jumps": int(account.jumps)}
+    sizes["stages"] = 0 if tableau is None else len(tableau.b) + 1
+    if sizes["nw"] > model.nw:
+        functions = {name: _widened(f, model.nw, sizes["nw"]) for name, f in functions.items()}
+    return Program({name: _renamed(name, f) for name, f in functions.items()}, sizes, tableau)
+
+
+def write_observer(model: Model, account: Account, measured: Measured) -> Program:
+    """Write the Functions that only look at a run, whose steps are not ours."""
+    functions = _observing(model, account, measured)
+    sizes = dict.fromkeys(_OWN, 0) | {"nx": model.nx, "nu": model.nu, "nw": model.nw}
+    sizes |= {"work": int(account.power and model.power is not None), "jumps": int(account.jumps)}
+    sizes["measures"] = functions["measure"].size1_out(0) if "measure" in functions else 0
+    return Program(functions, sizes, None)
+
+
+def _observing(model: Model, account: Account, measured: Measured) -> dict[str, ca.Function]:
+    functions = {}
+    if measured != "nothing":
+        functions["measure"] = _measure(model.stacked(model.observe), measured == "all")
+    if account.jumps:
+        functions["energy"] = model.stacked(model.energy_function)
+    return functions
+
+
+def _fixed_steps(
+    model: Model,
+    scheme: Scheme,
+    correction: Correction | None,
+    power: ca.Function | None,
+    tableau: Tableau | None,
+) -> dict[str, ca.Function]:
+    functions = {}
+    if tableau is not None:
+        functions["ode"] = _at_once(equations(model, power), model, power)
+    elif isinstance(scheme, Collocation):  # its tolerance is a number of the run
+        functions["step"] = scheme.advance_within(model, power)
+    else:
+        functions["step"] = scheme.advance(model, power)
+    project = None if correction is None else held_correction(model, correction)
+    if project is not None:
+        functions |= {"project": project, "effect": build_effect(model)}
+    return functions
+
+
+def _at_once(ode: ca.Function, model: Model, power: ca.Function | None) -> ca.Function:
+    """Return the ode with the work of `power` as one scalar Function, where it can be: both take the same forces, which are then computed once."""
+    if power is None or not power.is_a("SXFunction") or not model.ode.is_a("SXFunction"):
+        return ode
+    z, w = ca.SX.sym("z", model.nx + 1), ca.SX.sym("w", model.nw)
+    rates = ca.vertcat(model.stacked(model.ode)(z[:-1], w), power(z[:-1], w))
+    return ca.Function("ode_and_work", [z, w], ca.cse([rates]))
+
+
+def _tableau(scheme: Scheme) -> Tableau | None:
+    """Return the tableau of a scheme that steps as it says, None for others."""
+    if not isinstance(scheme, ExplicitRungeKutta):
+        return None
+    own = (
+        type(scheme).advance is not ExplicitRungeKutta.advance
+        or type(scheme).step is not ExplicitRungeKutta.step
+    )
+    return None if own else scheme.tableau
+
+
+def _measure(observe: ca.Function, everything: bool) -> ca.Function:
+    """Return (x, w) -> errors of bars and joints and the energies, then force densities and tensions."""
+    kind: Any = ca.SX if observe.is_a("SXFunction") else ca.MX
+    x, w = kind.sym("x", observe.size1_in(0)), kind.sym("w", observe.size1_in(1))
+    found = dict(zip(observe.name_out(), observe.call([x, w]), strict=True))
+    names = ["bar_length_error", "joint_error", "energy"]
+    names += ["force_density", "tension"] if everything else []
+    return ca.Function("measure", [x, w], [ca.vertcat(*(found[name] for name in names))])
+
+
+def _widened(function: ca.Function, own: int, nw: int) -> ca.Function:
+    """Return a Function (x, w, ...) as one of a longer w, of which it uses the first entries."""
+    if function.n_in() < 2 or function.size1_in(1) != own:
+        return function
+    inputs: list[Any] = function.sx_in() if function.is_a("SXFunction") else function.mx_in()
+    x, old, *others = inputs
+    w = type(old).sym("w", nw)
+    return ca.Function(
+        "widened", [x, w, *others], function.call([x, w[:own], *others], True, False)
+    )
+
+
+def _renamed(name: str, function: ca.Function) -> ca.Function:
+    """Return the Function under another name, without a call of the one in the other where that can be: it would copy what comes out."""
+    scalar = function.is_a("SXFunction")
+    inputs: Any = function.sx_in() if scalar else function.mx_in()
+    outputs = function.call(inputs, not scalar and function.is_a("MXFunction"), False)
+    return ca.Function(f"motion_{name}", inputs, [ca.densify(value) for value in outputs])
+
+
+# --- sources ---
+
+
+def room_sizes(program: Program) -> dict[str, int]:
+    """Return the sizes of work space that the Functions ask for."""
+    functions = program.functions.values()
+    return {
+        "size_arg": max(_MOST_INPUTS, *(f.sz_arg() for f in functions)),
+        "size_res": max(2, *(f.sz_res() for f in functions)),
+        "size_iw": max(f.sz_iw() for f in functions),
+        "size_w": max(f.sz_w() for f in functions),
+    }
+
+
+def write_model(program: Program, single: bool = False) -> str:
+    """Write the Functions in C, by CasADi; `single`: with float for its numbers."""
+    options: dict[str, Any] = {"with_header": False, "verbose": False}
+    options |= {"casadi_real": "float"} if single else {}
+    generator = ca.CodeGenerator("motion.c", options)
+    for function in program.functions.values():
+        generator.add(function)
+    return str(generator.dump())
+
+
+def write_engine(program: Program, single: bool = False) -> str:
+    """Write the engine of one lane in C++: it serves all models with this tableau."""
+    head = ["#define SINGLE"] if single else []
+    return "\n".join([*head, "#define LANES 1", _text("lanes.hpp"), *_engine(program)])
+
+
+def write_lanes(program: Program, lanes: int | None) -> str:
+    """Write model and engine in C++, several motions in each instruction.
+
+    lanes: how many; None: as many as the processor's registers hold.
+    """
+    sizes = program.sizes | room_sizes(program)
+    calls = [f"motion_{name}" if name in program.functions else "0" for name in CALLS]
+    own = ", ".join([*(str(sizes[name]) for name in MODEL_SIZES), *calls])
+    return "\n".join(
+        [
+            _WIDEST if lanes is None else f"#define LANES {lanes}",
+            _text("lanes.hpp"),
+            _replace_branches(write_model(program)),
+            f"#define OWN_MODEL {{{own}}}",
+            *_engine(program),
+        ]
+    )
+
+
+def _engine(program: Program) -> list[str]:
+    tableau = program.tableau
+    if tableau is None:
+        take = (
+            "  return evaluate(room, MODEL.step, {room.z, room.w, &h, room.numbers}, {room.after});"
+        )
+        steps = [_TAKE.format(body=take)]
+    else:
+        steps = [_TAKE.format(body=_write_stages(tableau, needed_stages(tableau), "w"))]
+    body = "  return 1;" if tableau is None or not program.adaptive else _write_trial(tableau)
+    return [_text("engine.hpp"), *steps, _TRY.format(body=body)]
+
+
+_TAKE = "static int take_step(Room &room, lanes h) {{\n{body}\n}}"
+_TRY = "static int try_step(Room &room, lanes h, const lanes *&first, const lanes *&last) {{\n{body}\n}}"
+_SLOPE = "  if (evaluate(room, MODEL.ode, {{{at}, room.{held}}}, {{k{i}}})) return 1;"
+
+
+def _write_stages(tableau: Tableau, stages: set[int], held: str, end: str = "  return 0;") -> str:
+    """Write the stages of a step, one pass over the state each, to the rounding of `runge_kutta.build_step`; CasADi takes one pass for each term."""
+    lines = [
+        "  const int64_t n = MODEL.nx + MODEL.work;",
+        "  const lanes *x = room.z;",
+        "  lanes *after = room.after, *y = room.point;",
+    ]
+    lines += [f"  lanes *k{i} = room.slopes + {i} * n;" for i in sorted(stages)]
+    for i in sorted(stages):
+        moves = any(tableau.a[i])
+        lines += [_pass("y[i]", tableau.a[i])] if moves else []
+        lines += [_SLOPE.format(at="y" if moves else "x", held=held, i=i)]
+    return "\n".join([*lines, _pass("after[i]", tableau.b), end])
+
+
+def _write_trial(tableau: Tableau) -> str:
+    """Write a step with its errors and the slopes at both ends, as `runge_kutta.build_trial`."""
+    count = len(tableau.b)
+    lines = [
+        _pass(f"room.errors[{j} * n + i]", row, "lanes(0.0)")
+        for j, row in enumerate(tableau.errors)
+    ]
+    if repeats_last(tableau):
+        lines += [f"  first = k0, last = k{count - 1};"]
+    else:
+        lines += [
+            f"  lanes *k{count} = room.slopes + {count} * n;",
+            f"  if (MODEL.modes && evaluate(room, MODEL.ode, {{after, room.v}}, {{k{count}}})) return 1;",
+            f"  first = k0, last = k{count};",
+        ]
+    return _write_stages(tableau, set(range(count)), "v", "\n".join([*lines, "  return 0;"]))
+
+
+def _pass(target: str, weights: tuple[float, ...], base: str = "x[i]") -> str:
+    """Write target = base + h Σ weight · slope, its terms in the order of `runge_kutta`."""
+    used = {
+        weight: " + ".join(f"k{k}[i]" for k in stages)
+        for weight, stages in equal_weights(weights).items()
+    }
+    factors = "".join(
+        f"const lanes c{j} = lanes({weight!r}) * h; " for j, weight in enumerate(used)
+    )
+    terms = [f"c{j} * ({slopes})" for j, slopes in enumerate(used.values())]
+    if len(used) > SEVERAL:
+        terms = ["(" + " + ".join(["lanes(0.0)", *terms]) + ")"]
+    return (
+        f"  {{ {factors}for (int64_t i = 0; i < n; ++i) {target} = {' + '.join([base, *terms])}; }}"
+    )
+
+
+# --- C as lanes ---
+
+
+def _replace_branches(source: str) -> str:
+    """Write choices between numbers as functions of lanes; what is not known here does not compile as lanes."""
+    source = _CONDITION.sub(r"select(\1, \2)", _tables_lane_by_lane(_COMMENT.sub("", source)))
+    return _SIGN.sub(
+        "static inline casadi_real casadi_sign(casadi_real x) { return sign(x); }", source
+    )
+
+
+def _tables_lane_by_lane(source: str) -> str:
+    """Let tables be looked up in each lane by CasADi's own code for doubles, which branches on numbers."""
+    used = _LOOK_UP.findall(source)
+    if not used:
+        return source
+    for name in {name for pair in used for name in pair}:
+        source = source.replace(f"static const casadi_real {name}[", f"static const double {name}[")
+    code = []
+    for name in _TABLE_CODE:
+        found = re.search(
+            rf"^(?:void|casadi_int) casadi_{name}\(.*?^\}}$", source, re.DOTALL | re.MULTILINE
+        )
+        if found is None:  # other code than is known here: it does not compile as lanes
+            return source
+        code.append(found[0])
+    for part in code[1:-1]:
+        source = source.replace(part, "")
+    scalar = "\n".join(
+        [
+            "namespace scalar {",
+            *(part.replace("casadi_real", "double") for part in code),
+            "}",
+            _text("tables.hpp"),
+        ]
+    )
+    return source.replace(code[-1], scalar)
+
+
+def _text(name: str) -> str:
+    return resources.files("tenscasadi.simulation.engine").joinpath(name).read_text("utf-8")

@@ -1,0 +1,122 @@
+"""Runs of SUNDIALS' integrators, one motion after the other, in the loop of `interpreted`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.events import build_switching
+from tenscasadi.integrators.stabilization import Correction, held_correction
+from tenscasadi.integrators.sundials import Sundials
+from tenscasadi.integrators.sundials_events import EventSteps
+from tenscasadi.simulation.engine.interpreted import Interpreted, Loop, Values
+from tenscasadi.simulation.engine.request import FINISHED, STOPPED, UNSOLVED
+from tenscasadi.simulation.engine.step_code import Account, Measured, Program, write_observer
+from tenscasadi.util.validate import Array
+
+
+class Stopped(Exception):
+    """Raised where a run is told to stop within a step of the grid."""
+
+
+class SundialsRuns(Interpreted):
+    """A model's runs by an integrator of SUNDIALS; called with the values of a request.
+
+    A call of the integrator takes up to 50 steps of the grid, if corrections leave it: each starts
+    anew, at low order. What is corrected is what it returns; it goes on from there only where it
+    starts anew.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        scheme: Sundials,
+        correction: Correction | None,
+        account: Account,
+        measured: Measured,
+    ) -> None:
+        if model.nx == 0:
+            raise ValueError(
+                f"{type(scheme).__name__} needs something that can move: this scene has no free node"
+            )
+        self.program: Program = write_observer(model, account, measured)
+        super().__init__(self.program)
+        self.together = 1
+        power = model.stacked(model.power) if account.power and model.power is not None else None
+        self._every = 1 if correction is None else correction.every
+        self._most = self._every * max(1, 50 // self._every)
+        self._scheme, self._nx = scheme, model.nx
+        self._project = None if correction is None else held_correction(model, correction)
+        self._integrators: dict[tuple[int, float], ca.Function] = {}  # by number and length
+        self._equations, self._atol = scheme.equations(model, power), scheme.absolute(model)
+        self._start, self._advance = scheme.algebraic_start(model), scheme.advance(model, power)
+        gaps = build_switching(model) if scheme.locate_events else None
+        self._events = (
+            None
+            if gaps is None
+            else EventSteps(scheme, model, gaps, power is not None, self._pause)
+        )
+        self._stop: Mapping[str, Any] = {}
+        self.failure = ""
+
+    @property
+    def located(self) -> tuple[int, int]:
+        """Events that were located, and trials of it."""
+        return (0, 0) if self._events is None else (self._events.events, self._events.trials)
+
+    def __call__(self, values: Values) -> None:
+        """Fill the results of a request."""
+        self._stop, self.failure = values, ""
+        if self._events is not None and not values["begin"]:
+            self._events.events = self._events.trials = 0
+        super().__call__(values)
+
+    def _pause(self) -> None:
+        if self._stop["stop"][0]:
+            raise Stopped
+
+    def steps(self, loop: Loop, interval: int) -> Iterator[int]:
+        """Take the steps of an interval; yield after each the code of what went wrong."""
+        left, length = int(loop.q["count"][interval]), float(loop.q["length"][interval])
+        while left:
+            count = min(left, self._most - loop.step % self._most)
+            try:
+                rows = self._take(loop.z[0], loop.w[0], length, count)
+            except Stopped:
+                yield STOPPED
+                return
+            except RuntimeError as error:
+                self.failure = str(error)
+                yield UNSOLVED
+                return
+            corrected = np.arange(loop.step + 1, loop.step + count + 1) % self._every == 0
+            self._correct(rows, loop.w[0], corrected)
+            for row in rows:
+                loop.z = row[None].copy()
+                yield FINISHED
+            left -= count
+
+    def _take(self, z: Array, w: Array, length: float, count: int) -> Array:
+        """Return z after each of the next steps (count, nz)."""
+        if self._events is not None:
+            return self._events(z, w, np.full(count, length))
+        if count == 1:
+            return np.asarray(self._advance(z, w, length).full()).T
+        key = count, length
+        if key not in self._integrators:
+            grid = (np.arange(1, count + 1) * length).tolist()
+            self._integrators[key] = self._scheme.integrator(self._equations, grid, self._atol)
+        guess = {} if self._start is None else {"z0": self._start(z[: self._nx], w)}
+        held = np.tile(w[:, None], count)
+        return np.array(self._integrators[key](x0=z, u=held, **guess)["xf"].full()).T
+
+    def _correct(self, rows: Array, w: Array, which: Any) -> None:
+        """Correct states (k, nz) in place."""
+        if self._project is not None and which.any():
+            held = np.tile(w[:, None], int(which.sum()))
+            states = self._project(rows[which, : self._nx].T, held).full().T
+            rows[which, : self._nx] = states
