@@ -34,7 +34,7 @@ OCP = (
     "solvers",
     "sampling",
     "results",
-    {"phases", "condensed"},
+    "phases",
     "control",
     "search",
     "plan",

@@ -12,8 +12,8 @@ import numpy as np
 from ocp.problem.bounds.bound import PathBound, RateBound
 from ocp.problem.path_constraints import path_constraints
 from ocp.problem.problem import Problem
-from ocp.solvers.base import Solution
-from ocp.solvers.ipopt import SADDLE, STOPPED, TIME_UP
+from ocp.solvers.base import STOPPED, TIME_UP, Solution
+from ocp.solvers.ipopt import SADDLE
 from ocp.solvers.relaxation import TOO_SLOW, rate_rows, widening
 from ocp.targets.control_sensitivities import ControlSensitivities
 from ocp.targets.target import Target
@@ -35,6 +35,9 @@ RUNAWAY = 1e2  # in scaled unknowns: what nothing holds grows beyond
 _ROOM = "give a longer duration, wider limits, or a nearer goal"
 _FATROP = "Fatrop gave up, as it does on some problems that IPOPT solves: try ocp.Ipopt()"
 _CAUSES = {
+    "iterations": "stopped at the iteration limit: raise max_iterations of the solver",
+    "undetermined": "the equations of motion do not determine the states here: give solver=ocp.Ipopt()",
+    "unstable": "errors grow too much along the guess to eliminate the states: give solver=ocp.Ipopt(), or another guess",
     "Maximum_Iterations_Exceeded": "stopped at the iteration limit: raise max_iterations of the solver",
     "Infeasible_Problem_Detected": f"no plan near this one meets all constraints: {_ROOM}, or more intervals",
     "Restoration_Failed": f"the solver found no way back to the constraints: {_ROOM}",

@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ocp.condensed.interior_point import TIME
 from ocp.control.lqr import replay_tracked
 from ocp.problem.control import winds
 from ocp.problem.instant import forces_of
@@ -22,7 +21,7 @@ from ocp.search.coordinates import ReducedCoordinates, reduce_coordinates
 from ocp.search.methods import run_method
 from ocp.search.policy import INEXACT, Attempt, attempts, complete, is_inexact
 from ocp.search.task import Method, Task, prepare
-from ocp.solvers.base import Outcome
+from ocp.solvers.base import TIME_UP, Outcome
 from ocp.solvers.relaxation import TOO_SLOW
 from ocp.transcription.base import ReducedOnly, Transcription
 from ocp.transcription.initial_guess import InitialGuess
@@ -95,7 +94,7 @@ def _walk(search: _Search, rows: Iterable[Attempt]) -> PlanResult:
         plan = _try(search, attempt)
         tried[attempt.describe()] = plan
         best = plan if best is None else max(best, plan, key=_worth)
-        if plan.success or plan.status in (TIME, TOO_SLOW) or search.task.is_late():
+        if plan.success or plan.status in (TIME_UP, TOO_SLOW) or search.task.is_late():
             break
     if best is None:
         raise ValueError("no method takes the problem: give a transcription and a solver")

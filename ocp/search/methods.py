@@ -8,7 +8,6 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from ocp.condensed.method import solve_condensed
 from ocp.phases.method import solve_phased
 from ocp.problem.control import stretched, winds
 from ocp.problem.phase import refuse_phases
@@ -28,16 +27,17 @@ from ocp.sampling.method import solve_sampled
 from ocp.sampling.solver import Sampling
 from ocp.search.presolve import check_freedom
 from ocp.search.task import Method, Task, prepare
-from ocp.solvers.base import Outcome, Solution, Solver
-from ocp.solvers.condensed_newton import CondensedNewton
-from ocp.solvers.deferred_correction import (
+from ocp.solvers.base import TIME_UP, Outcome, Solution, Solver
+from ocp.solvers.condensed_newton.method import REMARKS
+from ocp.solvers.correction import (
     TOO_COARSE,
     Corrected,
+    Correcting,
     check_correctable,
     solve_corrected,
 )
 from ocp.solvers.fatrop import Fatrop
-from ocp.solvers.ipopt import TIME_UP, Ipopt
+from ocp.solvers.ipopt import Ipopt
 from ocp.solvers.multipliers import Duals, named_duals, warm_started
 from ocp.solvers.relaxation import find_rate_relaxation
 from ocp.targets.control_sensitivities import ControlSensitivities
@@ -86,11 +86,6 @@ def run_method(
             own.states, own.force_density, own.duration, np.nan, False, TIME_UP, 0, why=TOO_LATE
         )
         return late, target
-    if isinstance(solver, CondensedNewton):
-        first = first.disturbed(problem)
-        return solve_condensed(
-            problem, transcription, target, scales, first, solver, deadline
-        ), target
     duals = guess.duals if isinstance(guess, PlanResult) else None
     return solve_program(
         problem, transcription, target, scales, first, solver, deadline, duals
@@ -134,7 +129,7 @@ def solve_program(
     None: no limit.
     """
     problem = _smooth(problem)
-    check_correctable(transcription, solver)
+    check_correctable(type(transcription).__name__, transcription.accuracy, solver)
     if isinstance(solver, Fatrop) and transcription.control.changes is not None:
         raise ValueError(
             f"PiecewiseConstant.changes is {transcription.control.changes}, and Fatrop finds no plan of few changes: give ocp.Ipopt()"
@@ -207,10 +202,9 @@ def _solved(task: _Task, imposed: Target, program: Program, deadline: float | No
     problem, transcription, solver = task.problem, task.transcription, task.solver
     accuracy = transcription.accuracy
     limited = {} if deadline is None else {"deadline": deadline}  # own solvers may know none
-    if accuracy is not None and isinstance(solver, Ipopt):
-        solution, states, gap = solve_corrected(
-            program, solver, problem.model, transcription.fractions, accuracy, deadline
-        )
+    if accuracy is not None and isinstance(solver, Correcting):
+        measure = transcription.measure_residual(program, problem.model)
+        solution, states, gap = solve_corrected(program, solver, measure, accuracy, deadline)
     else:
         solution, states, gap = Corrected(solver.solve(program, **limited), None, 0.0)
     if isinstance(solver, Ipopt):
@@ -257,7 +251,7 @@ def _outcome(task: _Task, found: _Found) -> Outcome:
         else None,
         gap=gap,
         why=why,
-        imposed=imposed.begin_at(guess.states[0]).describe(),
+        imposed=imposed.begin_at(guess.states[0]).describe() + REMARKS.get(solution.status, ""),
         coarse=coarse,
     )
 

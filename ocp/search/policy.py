@@ -9,7 +9,6 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from ocp.condensed.method import NOT_SETTLED, applies
 from ocp.problem.control import winds
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
@@ -18,6 +17,7 @@ from ocp.sampling.method import default_intervals
 from ocp.sampling.solver import Sampling
 from ocp.search.task import Method, Task
 from ocp.solvers.condensed_newton import CondensedNewton
+from ocp.solvers.condensed_newton.method import NOT_SETTLED
 from ocp.solvers.ipopt import Ipopt
 from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import (
@@ -119,8 +119,6 @@ def _programs(problem: Problem) -> list[Method]:
     Mean CPU time of CondensedNewton and of IPOPT, s: up to 4 bars 0.36 and 0.21, 5 to 8 bars 0.81
     and 0.79, where IPOPT fails less often, 9 to 12 bars 1.9 and 3.0, above 2.7 and 19.7.
     """
-    if applies(problem):
-        return [Ipopt()]
     few = problem.model.mechanism.bars < CONDENSED_BARS
     return [Ipopt(), CondensedNewton()] if few else [CondensedNewton(), Ipopt()]
 

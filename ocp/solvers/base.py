@@ -10,6 +10,9 @@ from ocp.transcription.sparse_nlp import Program
 from tenscasadi.schema.value import Value
 from tenscasadi.util.validate import Array, positive_number, shown, whole_number
 
+STOPPED = "User_Requested_Stop"
+TIME_UP = "Time_Limit_Reached"  # of the whole search, with all that comes before the solver
+
 
 class Solution(NamedTuple):
     """Result of a solver.

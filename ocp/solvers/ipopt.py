@@ -6,14 +6,14 @@ import ctypes
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Annotated, Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from ocp.solvers.base import NamedSolver, Solution, check_options
+from ocp.solvers.base import STOPPED, TIME_UP, NamedSolver, Solution, check_options
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.schema.containers import TableOf
 from tenscasadi.schema.forms import PLAIN, InPython
@@ -41,11 +41,7 @@ MANY_INTERVALS = 800
 
 BENT = 3  # iterations in a row without positive curvature: a saddle
 SADDLE = "Saddle"
-STOPPED = "User_Requested_Stop"
 NOWHERE = "Infeasible_Problem_Detected", "Restoration_Failed"  # it got no nearer to the constraints
-TIME_UP = (
-    "Time_Limit_Reached"  # that of the whole search, which includes what comes before the solver
-)
 SMALL_VIOLATION = 1e-6  # violation, scaled, below which iterates are judged by their objective
 
 
@@ -214,6 +210,21 @@ class Ipopt(NamedSolver, kind="Ipopt"):
             program.problem["x"].shape[0], len(program.lower), program.objective, self.watch
         )
         return partial(_run, self._built(program, best), best)
+
+    def prepare_correction(self, program: Program) -> Callable[..., Solution]:
+        """Prepare solutions of programs whose rows are moved a little from a solved one.
+
+        Parameters
+        ----------
+        program : Program
+            One of the programs, which starts from its solution and multipliers.
+
+        Returns
+        -------
+        callable
+            As that of `prepared`.
+        """
+        return replace(self, warm=True).prepared(program)
 
     def _built(self, program: Program, best: BestIterate) -> ca.Function:
         ipopt = {

@@ -102,7 +102,6 @@ def widened(program: Program) -> Program:
         scale=scale,
         objective=1.0,
         unpack=ca.Function("unpack", [separable.w], list(program.unpack(separable.w[:n]))),
-        controls=None,
         multipliers=None,
         noise=None,
     )

@@ -100,6 +100,9 @@ def assemble(stages: Sequence[Stage], linkage: Sequence[Block] = ()) -> Program:
         noise = np.zeros(unknowns.count)
         noise[place[decided]] = first.noise
         noise /= unknowns.scale
+    free = place[
+        np.concatenate([first.states[0], decided.ravel(), *(v.duration for v in variables)])
+    ]
     lower, upper, scale = (
         np.concatenate(columns) for columns in zip(*(block.limits() for block in rows), strict=True)
     )
@@ -114,12 +117,9 @@ def assemble(stages: Sequence[Stage], linkage: Sequence[Block] = ()) -> Program:
         objective=objective,
         unpack=ca.Function("unpack", [parts.w], [states, controls, durations]),
         states=place[np.concatenate([v.states for v in variables])],
-        controls=place[decided]
-        if not first.profile.linear and len(np.unique(decided)) == decided.size
-        else None,
-        together=first.group_matrix,
         contact=any(v.model.scene.ground is not None for v in variables),
         noise=noise,
+        decided=np.unique(free[free < unknowns.count]),
     )
 
 

@@ -16,6 +16,7 @@ from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.targets.target import Target
 from ocp.transcription.assemble import Defects, Stage, assemble, problem_blocks
+from ocp.transcription.fine_steps import Measure, measure_ends
 from ocp.transcription.initial_guess import Guess
 from ocp.transcription.mesh import (
     Intervals,
@@ -49,7 +50,7 @@ class Transcription(Value):
         How force densities run over the intervals.
     accuracy : float, optional
         How near the motion shall be to that of fine steps, m (speeds: m per duration). The program
-        is solved again from its solution until it is (`ocp.solvers.deferred_correction`). By
+        is solved again from its solution until it is (`ocp.solvers.correction`). By
         default the motion is as the intervals make it.
     """
 
@@ -97,6 +98,10 @@ class Transcription(Value):
         used = variables.entries.used_by([*blocks.rows, *blocks.costs])
         return Stage(variables, blocks, self.defects(variables, used, *contact))
 
+    def measure_residual(self, program: Program, model: Model) -> Measure:
+        """Prepare the residual of solutions against fine steps: gaps between intervals."""
+        return measure_ends(program, model, self.fractions)
+
     def check_model(self, model: Model) -> None:
         """Raise ValueError for a model that the transcription cannot take."""
         refused = self.refusal(model)
@@ -125,6 +130,14 @@ class ReducedOnly(Transcription):
 def unrolled(model: Model, function: ca.Function) -> ca.Function:
     """Return the function as scalar code, where the model's equations are: its derivatives are sparse and quickly built."""
     return function.expand() if model.ode.is_a("SXFunction") else function
+
+
+def scalar_code(function: ca.Function) -> ca.Function:
+    """Expand a function, if it has no calls that cannot be: its derivatives take a fraction of the time."""
+    try:
+        return function.expand()
+    except RuntimeError:  # CasADi's word for such a call
+        return function
 
 
 def bar_multipliers(v: Variables) -> Indices:

@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ocp.transcription.base import bar_names, bar_rows
+from ocp.transcription.base import bar_names, bar_rows, scalar_code
 from ocp.transcription.contact_set import ContactSet, reaction_names
 from ocp.transcription.sparse_nlp import Block, gathered, split_symbol, symbol_kind
 from ocp.transcription.variables import Variables, interval_names, state_names
@@ -200,7 +200,8 @@ class DiscreteEquations:
         )
 
     def _block(self, name: str, z: Any, row: Any, index: Indices, names: tuple[str, ...]) -> Block:
-        return Block(ca.Function(name, [z], [row / self._row_scale]), index, names)
+        function = scalar_code(ca.Function(name, [z], [row / self._row_scale]))
+        return Block(function, index, names, scale=self._row_scale)
 
     def _state(self, q: Any, v: Any, time: Any) -> Any:
         clock = [time + float(self.v.target.start[-1])] if self.model.scene.has_clock else []

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated, Any
+from typing import Annotated
 
 import casadi as ca
 import numpy as np
 
 from ocp.transcription.assemble import Defects
 from ocp.transcription.base import Transcription, unrolled
+from ocp.transcription.interval_step import ramped_step, shooting_step
 from ocp.transcription.sparse_nlp import Block, Derivatives, split_symbol
 from ocp.transcription.step_derivatives import StepDerivatives
 from ocp.transcription.variables import Variables, interval_names, state_names
-from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.runge_kutta import ExplicitRungeKutta, RungeKutta4
 from tenscasadi.integrators.scheme import NamedScheme, Scheme, check_scheme
-from tenscasadi.integrators.stabilization import projection
 from tenscasadi.schema.definitions import OneOf
 from tenscasadi.util.casadi_tools import ArrayCallback
 from tenscasadi.util.validate import Array, whole_number
@@ -182,35 +181,3 @@ class MultipleShooting(Transcription, kind="MultipleShooting"):
             ArrayCallback("gap_hessian", hessian, [shape, (nx, count)], (inner.size**2, count)),
             varied,
         )
-
-
-def shooting_step(model: Model, scheme: Scheme, substeps: int) -> ca.Function:
-    """Return steps of a scheme and a projection: Function (x, u, h) → x_next."""
-    advance = scheme.step(model.ode)
-    x, u, h = (ca.MX.sym(name, size) for name, size in (("x", model.nx), ("u", model.nu), ("h", 1)))
-    end: Any = x
-    for _ in range(substeps):
-        end = advance(end, u, h / substeps)
-    if model.mechanism.constrained:
-        end = projection(model, 1)(end)
-    return ca.Function("interval", [x, u, h], [end], ["x", "u", "h"], ["x_next"])
-
-
-def ramped_step(model: Model, scheme: Scheme, substeps: int) -> ca.Function:
-    """Return the same for a control that runs linearly from u to v, which the scheme integrates with the state: (x, u, v, h) → x_next."""
-    x, u, v, h = (
-        ca.MX.sym(name, size)
-        for name, size in (("x", model.nx), ("u", model.nu), ("v", model.nu), ("h", 1))
-    )
-    z, rate = ca.MX.sym("z", model.nx + model.nu), ca.MX.sym("rate", model.nu)
-    ode = ca.Function(
-        "ramped", [z, rate], [ca.vertcat(model.ode(z[: model.nx], z[model.nx :]), rate)]
-    )
-    advance = scheme.step(ode)
-    end: Any = ca.vertcat(x, u)
-    for _ in range(substeps):
-        end = advance(end, (v - u) / h, h / substeps)
-    end = end[: model.nx]
-    if model.mechanism.constrained:
-        end = projection(model, 1)(end)
-    return ca.Function("interval", [x, u, v, h], [end], ["x", "u", "v", "h"], ["x_next"])

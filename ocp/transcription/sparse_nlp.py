@@ -9,12 +9,13 @@ calls: building and evaluating cost what the non-zeros cost. `Separable.jacobian
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from tenscasadi.util.validate import Array, Indices
 
@@ -198,13 +199,22 @@ class Separable:
 
     def jacobian(self) -> ca.Function:
         """Return the Function nlp_jac_g: (w, p) → g and its sparse Jacobian."""
-        matrix = _SparseMatrix(self.unknowns)
-        for block, z, rows in zip(self.rows, self._row_inputs, self.slices, strict=True):
-            matrix.add_jacobian(block, z, first_row=rows.start)
-        J = matrix.assembled(self.g.shape[0], self.unknowns.count)
+        J = self._row_derivatives.assembled(self.g.shape[0], self.unknowns.count)
         return self._keeping(
             ca.Function("nlp_jac_g", [self.w, self._p], [self.g, J], ["x", "p"], ["g", "jac_g_x"])
         )
+
+    @property
+    def constant_entries(self) -> NDArray[np.bool_]:
+        """Which non-zeros of the Jacobian do not depend on w, in its order."""
+        return self._row_derivatives.constant_entries(self.g.shape[0])
+
+    @cached_property
+    def _row_derivatives(self) -> _SparseMatrix:
+        matrix = _SparseMatrix(self.unknowns)
+        for block, z, rows in zip(self.rows, self._row_inputs, self.slices, strict=True):
+            matrix.add_jacobian(block, z, first_row=rows.start)
+        return matrix
 
     def hessian(self) -> ca.Function:
         """Return the Function nlp_hess_l: (w, p, λ_f, λ_g) → the upper triangle of the sparse Hessian of λ_f f + λ_gᵀ g."""
@@ -238,11 +248,10 @@ class Program:
     physical (rows of goals have no unit); objective: the same for f. unpack: Function w → states
     (nx, intervals + 1), force densities (α, intervals; or intervals + 1 where they are piecewise
     linear), duration; those of one phase after the other, and their durations (1, phases). states:
-    entries of x (intervals + 1, nx). controls: None, or entries (intervals, m) of what is held in
-    each interval, none held over several, which `together` (α, m) makes force densities of.
-    contact: whether nodes may meet a ground. multipliers: those of g and
-    of w's limits to start from, where they are known. noise: None, or what is to be added to
-    `first` where that leads to a saddle.
+    entries of x (intervals + 1, nx). contact: whether nodes may meet a ground. multipliers: those of
+    g and of w's limits to start from, where they are known. noise: None, or what is to be added to
+    `first` where that leads to a saddle. decided: unknowns that the defects leave free, where they
+    determine all others.
     """
 
     parts: Separable
@@ -255,11 +264,10 @@ class Program:
     objective: float
     unpack: ca.Function
     states: Indices
-    controls: Indices | None = None
-    together: Array | None = None
     contact: bool = False
     multipliers: tuple[Array, Array] | None = None
     noise: Array | None = None
+    decided: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
     def disturbed(self) -> Program:
         """Return the program that begins with its noise, within the limits."""
@@ -306,17 +314,10 @@ class Program:
         """Which entries (intervals + 1, nx) of the states are unknowns of their own."""
         return np.asarray(self.states < self.parts.unknowns.count)
 
-    def with_states(self, w: Array, states: Array) -> Array:
-        """Return w with states (intervals + 1, nx) in place of its own."""
-        result, places = w.copy(), self.states[self.known]
-        result[places] = states[self.known] / self.w_scale[places]
-        return result
-
-    def with_controls(self, w: Array, change: Array) -> Array:
-        """Return w with its `controls` changed by (intervals, m)."""
-        result = w.copy()
-        result[self.controls] += change / self.w_scale[self.controls]
-        return result
+    def shifted(self, shift: Array, w: Array, multipliers: tuple[Array, Array] | None) -> Program:
+        """Return the program with limits of rows moved, that starts from a solution."""
+        lower, upper = self.lower + shift, self.upper + shift
+        return replace(self, lower=lower, upper=upper, first=w, multipliers=multipliers)
 
 
 def gathered(y: Any, index: Indices) -> Any:
@@ -354,6 +355,7 @@ class _SparseMatrix:
         self._factors: list[Array] = []
         self._rows: list[Indices] = []
         self._columns: list[Indices] = []
+        self._varying: list[NDArray[np.bool_]] = []
 
     def add_jacobian(
         self,
@@ -364,7 +366,7 @@ class _SparseMatrix:
         transposed: bool = False,
     ) -> None:
         """Add the Jacobian of all instances of a block."""
-        values, local_row, local_column = self._derivative(block, z)
+        values, local_row, local_column, varying = self._derivative(block, z)
         if not len(local_row):
             return
         column = block.index[:, local_column].ravel()
@@ -377,6 +379,8 @@ class _SparseMatrix:
             factor * self._unknowns.scale[column[kept]],
             [place[kept] for place in places],
         )
+        if kept.size:
+            self._varying.append(varying[kept % len(varying)])
 
     def add_hessian(self, block: Block, z: Any, multipliers: Any) -> None:
         """Add the upper triangle of the Hessian of Σ multipliers · rows of all instances."""
@@ -401,10 +405,11 @@ class _SparseMatrix:
         row, column = row[kept], column[kept]
         self._keep(values, position, scale[row] * scale[column], [row, column])
 
-    def _derivative(self, block: Block, z: Any) -> tuple[Any, Indices, Indices]:
-        """Return the non-zeros (n, count) of the Jacobian at z, and the row and the entry of z of each."""
-        if block.derivatives is not None:
-            return block.derivatives.jacobian(z), block.derivatives.rows, block.derivatives.columns
+    def _derivative(self, block: Block, z: Any) -> tuple[Any, Indices, Indices, NDArray[np.bool_]]:
+        """Return the non-zeros (n, count) of the Jacobian at z: their rows, entries of z, and which vary."""
+        if (given := block.derivatives) is not None:
+            varying = np.ones(len(given.rows), dtype=bool)
+            return given.jacobian(z), given.rows, given.columns, varying
         s: Any = symbol_kind(block.function).sym("z", block.function.size1_in(0))
         varied, places = self._varied(block, s)
         J = ca.jacobian(block.function(s), varied)
@@ -412,11 +417,12 @@ class _SparseMatrix:
             own, s = ca.Function("own", [s], [J]), ca.MX.sym("z", s.shape[0])
             J = ca.mtimes(ca.DM(block.combination), own(s))
         row, column = (np.array(entries, dtype=np.intp) for entries in J.sparsity().get_triplet())
-        return (
-            ca.Function("derivative", [s], [_nonzeros(J)]).map(block.count)(z),
-            row,
-            places[column],
-        )
+        function = ca.Function("derivative", [s], [_nonzeros(J)])
+        depends = function.jac_sparsity(0, 0).get_triplet()
+        varying = np.zeros(len(row), dtype=bool)
+        unknown = set(np.flatnonzero((block.index < self._unknowns.count).any(axis=0)).tolist())
+        varying[[k for k, entry in zip(*depends, strict=True) if entry in unknown]] = True
+        return function.map(block.count)(z), row, places[column], varying
 
     def _second(self, block: Block) -> tuple[Callable[[Any, Any, Indices], Any], Indices, Indices]:
         """Return what makes the chosen non-zeros (n, count) of the Hessian, from z and multipliers; and the entries of z of each non-zero."""
@@ -463,6 +469,17 @@ class _SparseMatrix:
         self._factors.append(factor)
         self._rows.append(places[0])
         self._columns.append(places[1])
+
+    def constant_entries(self, rows: int) -> NDArray[np.bool_]:
+        """Return which entries of the assembled matrix of so many rows never change, in its order."""
+        if not self._values:
+            return np.zeros(0, dtype=bool)
+        row, column = np.concatenate(self._rows), np.concatenate(self._columns)
+        varying = np.concatenate(self._varying)
+        places, inverse = np.unique(column * rows + row, return_inverse=True)
+        constant = np.ones(len(places), dtype=bool)
+        constant[inverse[varying]] = False
+        return constant
 
     def assembled(self, rows: int, columns: int) -> Any:
         """Return the matrix as an MX of its sparsity."""

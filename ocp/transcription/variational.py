@@ -8,7 +8,10 @@ from ocp.transcription.assemble import Defects
 from ocp.transcription.base import ReducedOnly
 from ocp.transcription.contact_set import ContactSet, no_contact
 from ocp.transcription.discrete_equations import DiscreteEquations
+from ocp.transcription.fine_steps import Measure, measure_jumps
+from ocp.transcription.sparse_nlp import Program
 from ocp.transcription.variables import Variables
+from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array
 
 
@@ -83,3 +86,20 @@ class Variational(ReducedOnly, kind="Variational"):
             variables, used, no_contact(variables) if contact is None else contact
         )
         return Defects(equations.blocks(), equations.all_states)
+
+    def measure_residual(self, program: Program, model: Model) -> Measure:
+        """Prepare the residual of solutions against fine steps: jumps of the momentum.
+
+        Parameters
+        ----------
+        program : Program
+            The program of this transcription.
+        model : Model
+            The model of its problem.
+
+        Returns
+        -------
+        callable
+            Function of the unknowns that returns a `Residual`.
+        """
+        return measure_jumps(program, model, self.fractions)

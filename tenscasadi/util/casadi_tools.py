@@ -189,17 +189,20 @@ def block_inverse(M: sp.csr_array, free: Any) -> sp.csr_array:
 
 
 class ArrayFunction:
-    """A Function with dense outputs on NumPy arrays in place: copies through CasADi's matrices cost several times what small functions take.
+    """A Function on NumPy arrays in place: copies through CasADi's matrices cost several times what small functions take.
 
-    Arrays go in whose memory holds each input column by column, and an array (columns, rows) comes
-    out for each output.
+    Arrays go in whose memory holds each input column by column. An array (columns, rows) comes out
+    for each dense output, and the non-zeros of each sparse one.
     """
 
     def __init__(self, function: ca.Function) -> None:
         self._buffer: Any
         self._buffer, self._evaluate = function.buffer()
         self._shapes = [
-            (function.size2_out(k), function.size1_out(k)) for k in range(function.n_out())
+            (function.size2_out(k), function.size1_out(k))
+            if function.sparsity_out(k).is_dense()
+            else (function.nnz_out(k),)
+            for k in range(function.n_out())
         ]
 
     def __call__(self, *inputs: Array) -> list[Array]:

@@ -11,7 +11,6 @@ from planning import driven, folding, prism, raising, shaken
 
 import ocp
 import tenscasadi as tc
-from ocp.condensed.method import solve_condensed
 from ocp.search.policy import attempts, choose_intervals
 from ocp.search.task import prepare
 from ocp.transcription.initial_guess import Guess
@@ -210,10 +209,9 @@ def test_condensed_newton_comes_first_from_nine_bars(bars, solver, bounds):
 
 
 def test_time_limit_ends_the_search(monkeypatch):
-    """The condensed method leaves some of the time for corrections: too little for another method."""
-    methods = importlib.import_module("ocp.search.methods")
-    late = lambda *given: solve_condensed(*given[:-1], time.perf_counter())  # noqa: E731
-    monkeypatch.setattr(methods, "solve_condensed", late)
+    solve = ocp.CondensedNewton.solve
+    late = lambda self, program, deadline: solve(self, program, time.perf_counter())  # noqa: E731
+    monkeypatch.setattr(ocp.CondensedNewton, "solve", late)
     plan = ocp.solve(tall(), seconds=1000.0)
     assert not plan.success
     assert "stopped at the time limit" in plan.message

@@ -9,8 +9,8 @@ from planning import GROUPS, driven, folding, prism, program, raising
 
 import ocp
 import tenscasadi as tc
+from ocp.transcription.interval_step import ramped_step, shooting_step
 from ocp.transcription.mesh import group_matrix
-from ocp.transcription.multiple_shooting import ramped_step, shooting_step
 from ocp.transcription.step_derivatives import StepDerivatives
 
 COUNT, SHARE, DURATION = 3, np.array([[0.1], [0.2], [0.15]]), 0.4

@@ -1,1 +1,0 @@
-"""Large plans: a Newton method in the force densities alone, about a motion that is condensed out."""

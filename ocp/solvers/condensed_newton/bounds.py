@@ -1,0 +1,137 @@
+"""Limits of unknowns, logarithmic barriers before them, and the working set."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tenscasadi.util.validate import Array, Indices
+
+_FAR = 1e300  # distance from a limit that does not exist
+
+
+class VariableBounds:
+    """lower ≤ w ≤ upper (n,); unknowns whose limits are equal do not move."""
+
+    def __init__(self, lower: Array, upper: Array) -> None:
+        self.lower, self.upper = lower, upper
+        self.free = lower < upper
+        self.below, self.above = np.isfinite(lower) & self.free, np.isfinite(upper) & self.free
+
+    def gaps(self, w: Array) -> tuple[Array, Array]:
+        """Return the distances (n,) from the lower and from the upper limits."""
+        low, high = np.full(len(w), _FAR), np.full(len(w), _FAR)
+        low[self.below] = (w - self.lower)[self.below]
+        high[self.above] = (self.upper - w)[self.above]
+        return low, high
+
+    def barrier(self, w: Array) -> float:
+        """Return −Σ log of the distances."""
+        low, high = self.gaps(w)
+        return -float(np.log(low[self.below]).sum() + np.log(high[self.above]).sum())
+
+    def barrier_slope(self, w: Array) -> Array:
+        """Return its gradient."""
+        low, high = self.gaps(w)
+        return self.above / high - self.below / low
+
+    def inside(self, w: Array, distance: float, share: float) -> Array:
+        """Move w inside by a distance, or by a share of the width between the limits if less."""
+        width = np.where(np.isfinite(self.upper - self.lower), self.upper - self.lower, np.inf)
+        least = np.minimum(distance, share * width)
+        return np.clip(
+            w,
+            self.lower + np.where(self.below, least, 0.0),
+            self.upper - np.where(self.above, np.minimum(least, 0.05 * width), 0.0),
+        )
+
+    def cut(self, w: Array, step: Array, most: float, least: float) -> Array:
+        """Cut a step to a share of the way to the limits, and to half of it nearer than `least`."""
+        low, high = (
+            np.where(gap > 2 * least, np.minimum(most * gap, gap - least), 0.5 * gap)
+            for gap in self.gaps(w)
+        )
+        return np.clip(step, -low, high) * self.free
+
+    def followed(self, slack: Array, step: Array, true: Array, most: float, least: float) -> Array:
+        """Return slacks after a cut step, or `true` values where these keep enough distance."""
+        kept = [
+            new >= (1 - most) * gap
+            for gap, new in zip(self.gaps(slack), self.gaps(true), strict=True)
+        ]
+        return np.where(
+            kept[0] & kept[1] & self.free, true, slack + self.cut(slack, step, most, least)
+        )
+
+
+class BoundDuals:
+    """Duals (n,) of the lower and of the upper limits, about μ over the distance."""
+
+    def __init__(self, bounds: VariableBounds, w: Array, mu: float) -> None:
+        low, high = bounds.gaps(w)
+        self.bounds = bounds
+        self.lower, self.upper = bounds.below * mu / low, bounds.above * mu / high
+
+    @property
+    def net(self) -> Array:
+        """Duals with signs: positive where an upper limit is active."""
+        return self.upper - self.lower
+
+    def stiffness(self, w: Array) -> Array:
+        """Return the second derivatives (n,) that stand for those of the barrier."""
+        low, high = self.bounds.gaps(w)
+        return self.lower / low + self.upper / high
+
+    def error(self, w: Array, mu: float) -> float:
+        """Return the largest difference between μ and the products with the distances."""
+        low, high = self.bounds.gaps(w)
+        below = (self.lower * low - mu)[self.bounds.below]
+        above = (self.upper * high - mu)[self.bounds.above]
+        return float(np.abs(np.append(below, above)).max(initial=0.0))
+
+    def follow(self, before: Array, after: Array, step: Array, mu: float, most: float) -> None:
+        """Take the Newton step that belongs to a step of w; stay near μ over the distance."""
+        spread, bounds = 100.0, self.bounds  # spread: largest factor away from μ over the distance
+        ways = zip(
+            (self.lower, self.upper),
+            bounds.gaps(before),
+            bounds.gaps(after),
+            (step, -step),
+            strict=True,
+        )
+        for dual, gap, new, direction in ways:
+            change = mu / gap - dual - dual * direction / gap
+            dual[:] = np.maximum(dual + change, (1 - most) * dual)
+            dual[:] = np.clip(dual, mu / (spread * new), spread * mu / new)
+        self.lower *= bounds.below
+        self.upper *= bounds.above
+
+
+class WorkingSet:
+    """Selection of the path rows that count among the rows of a step.
+
+    All others act through the diagonal of the metric, and through products with the second
+    derivatives.
+    """
+
+    def __init__(self) -> None:
+        self.size = 0.0  # typical compliance of a row in the metric
+
+    def learn(self, sizes: Array) -> None:
+        """Remember the typical compliance of the selected rows."""
+        if len(sizes):
+            self.size = float(np.median(sizes))
+
+    def choose(self, stiffness: Array, left: Array) -> Indices:
+        """Select rows (p',) by the stiffness of their barriers and by their violation."""
+        if self.size:
+            felt = stiffness * self.size > 1e-2  # of the metric
+        else:  # a few, from which the size is learned
+            felt = stiffness >= np.sort(stiffness)[-30:].min(initial=np.inf)
+        return select_stiffest(stiffness, felt | (np.abs(left) > 1e-9))
+
+
+def select_stiffest(stiffness: Array, among: NDArray[np.bool_]) -> Indices:
+    """Select the stiffest of some rows, 400 at most, in their order."""
+    rows = np.flatnonzero(among)
+    return np.sort(rows[np.argsort(stiffness[rows], kind="stable")[::-1][:400]])

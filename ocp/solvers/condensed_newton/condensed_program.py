@@ -1,0 +1,269 @@
+"""A program in its decided unknowns, to second order: the others follow from the defects."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+import scipy.sparse as sp
+
+from ocp.solvers.condensed_newton.bounds import VariableBounds
+from ocp.transcription.elimination import Elimination
+from ocp.transcription.sparse_nlp import Program
+from tenscasadi.util.casadi_tools import ArrayFunction
+from tenscasadi.util.validate import Array, Indices
+
+
+class UndeterminedError(ValueError):
+    """Defects that do not determine all unknowns but those that are decided."""
+
+
+class Residual(NamedTuple):
+    """Violations: of goals (m,), of defects (d,), and of path rows (p,) less their slacks."""
+
+    goals: Array
+    defects: Array
+    paths: Array
+
+
+class CondensedProgram:
+    """min f(u, s) with goals = 0, defects = 0, and bounds of path rows and of u; s follows u.
+
+    Unknowns u are decided, s are determined by the defects. Goals are all other equations, path
+    rows all inequalities.
+
+    Attributes
+    ----------
+    u, s : ndarray of int
+        Places of the decided and of the determined unknowns.
+    goal_rows, path_rows, defect_rows : ndarray of int
+        Places of the rows.
+    bounds, path_bounds : VariableBounds
+        Limits of u and of the path rows.
+    everywhere : ndarray of bool
+        Which entries of u belong to no interval, such as the duration.
+    """
+
+    def __init__(self, program: Program) -> None:
+        functions, n = program.derivatives(), program.parts.unknowns.count
+        self.program, self.u = program, program.decided
+        self.everywhere = np.isinf(program.parts.unknowns.interval[self.u])
+        w, value = program.problem["x"], [program.problem["f"], program.problem["g"]]
+        self._value = ArrayFunction(ca.Function("value", [w], [ca.densify(one) for one in value]))
+        names = ("nlp_grad_f", "nlp_jac_g", "nlp_hess_l")
+        self._slope, self._jacobian, self._hessian = (
+            ArrayFunction(functions[name]) for name in names
+        )
+        row, column = _places(functions["nlp_jac_g"].sparsity_out(1))
+        self._set_elimination(row, column, n)
+        others = np.setdiff1d(np.arange(len(program.lower)), self.defect_rows)
+        equal = program.lower[others] == program.upper[others]
+        self.goal_rows, self.path_rows = others[equal], others[~equal]
+        count = len(program.lower)
+        to_s, to_u = _numbers(self.s, n), _numbers(self.u, n)
+        self._parts = [
+            [_Part(row, column, _numbers(rows, count), to) for to in (to_s, to_u)]
+            for rows in (self.goal_rows, self.path_rows)
+        ]
+        to_defect = _numbers(self.defect_rows, count)
+        self._defects_by_u = _Part(row, column, to_defect, to_u)
+        self._u_by_defects = _Part(column, row, to_u, to_defect)
+        i, j = _places(functions["nlp_hess_l"].sparsity_out(0))
+        off, both = np.flatnonzero(i != j), _numbers(np.append(self.s, self.u), n)
+        self._symmetric = np.append(np.arange(len(i)), off)
+        self._second = _Part(np.append(i, j[off]), np.append(j, i[off]), both, both)
+        self.bounds = VariableBounds(program.w_lower[self.u], program.w_upper[self.u])
+        self.path_bounds = VariableBounds(
+            program.lower[self.path_rows], program.upper[self.path_rows]
+        )
+        self.independent: Array | None = None
+
+    def _set_elimination(self, row: Indices, column: Indices, n: int) -> None:
+        program = self.program
+        places = [np.arange(one.start, one.stop) for one in program.rows("defect")]
+        defects = np.concatenate([np.zeros(0, dtype=np.intp), *places])
+        determined = np.setdiff1d(np.arange(n), self.u)
+        if (
+            len(defects) != len(determined)
+            or np.isfinite([program.w_lower[determined], program.w_upper[determined]]).any()
+        ):
+            raise UndeterminedError("the defects do not determine as many unknowns without limits")
+        own = np.flatnonzero(np.isin(row, defects) & np.isin(column, determined))
+        constant, sample = program.parts.constant_entries, self._jacobian(program.first)[1]
+        entry_rows = np.searchsorted(defects, row[own])
+        entry_columns = np.searchsorted(determined, column[own])
+        values = constant[own], sample.ravel()[own]
+        try:
+            self.elimination = Elimination(entry_rows, entry_columns, len(defects), *values)
+        except ValueError as error:
+            raise UndeterminedError(str(error)) from None
+        self._of_elimination = own
+        self.defect_rows = defects[self.elimination.by_row]
+        self.s = determined[self.elimination.by_column]
+
+    def move_rows(self, program: Program) -> None:
+        """Take the limits of the rows of a program that differs in nothing else."""
+        self.program = program
+        self.path_bounds = VariableBounds(
+            program.lower[self.path_rows], program.upper[self.path_rows]
+        )
+
+    @property
+    def goals(self) -> int:
+        """Number of goals that are kept."""
+        return len(self.goal_rows if self.independent is None else self.independent)
+
+    def keep_independent(self, expansion: Expansion) -> None:
+        """Leave combinations of goals out that u hardly moves."""
+        left, sizes, _ = np.linalg.svd(expansion.jacobian, full_matrices=False)
+        kept = sizes > 1e-8 * sizes.max(initial=0.0)
+        self.independent = None if kept.all() else left[:, kept].T
+
+    def join(self, u: Array, s: Array) -> Array:
+        """Return all unknowns."""
+        w = np.empty(len(u) + len(s))
+        w[self.u], w[self.s] = u, s
+        return w
+
+    def values(self, u: Array, s: Array) -> tuple[float, Array, Array, Array]:
+        """Return the cost, goals, defects and path rows."""
+        f, g = (one.ravel() for one in self._value(self.join(u, s)))
+        goals, defects = (
+            g[rows] - self.program.lower[rows] for rows in (self.goal_rows, self.defect_rows)
+        )
+        if self.independent is not None:
+            goals = self.independent @ goals
+        return float(f[0]), goals, defects, g[self.path_rows]
+
+    def slope(self, u: Array, s: Array) -> Array:
+        """Return the gradient of the cost by all unknowns."""
+        return self._slope(self.join(u, s))[1].ravel()
+
+    def hessian(self, u: Array, s: Array, duals: Array | None = None) -> sp.csr_array:
+        """Return the second derivatives of the Lagrangian in the order s, u. duals: of all rows."""
+        weights = np.zeros(len(self.program.lower)) if duals is None else duals
+        values = self._hessian(self.join(u, s), np.zeros(0), np.ones(1), weights)[0].ravel()
+        return self._second.at(values[self._symmetric])
+
+    def jacobian_values(self, u: Array, s: Array) -> Array:
+        """Return the non-zeros of the derivatives of all rows."""
+        return self._jacobian(self.join(u, s))[1].ravel()
+
+
+class Expansion:
+    """The condensed program about a point, to second order.
+
+    Attributes
+    ----------
+    jacobian : ndarray, shape (m, n)
+        Derivatives of the goals by u.
+    slope : ndarray, shape (n,)
+        Derivatives of the cost by u.
+    """
+
+    def __init__(self, of: CondensedProgram, u: Array, s: Array) -> None:
+        self._of, self._u, self._s = of, u, s
+        values, slope = of.jacobian_values(u, s), of.slope(u, s)
+        of.elimination.factor(values[of._of_elimination])
+        self._by_u, self._by_u_T = of._defects_by_u.at(values), of._u_by_defects.at(values)
+        self._goals, self._paths = ([part.at(values) for part in own] for own in of._parts)
+        if of.independent is not None:
+            self._goals = [sp.csr_array(of.independent @ one) for one in self._goals]
+        self._slope_s = slope[of.s]
+        by_s, by_u = (
+            _beside(one, own)
+            for one, own in zip(self._goals, (self._slope_s, slope[of.u]), strict=True)
+        )
+        every = self._reduce(by_s, by_u)
+        self.jacobian, self.slope = np.ascontiguousarray(every[:, :-1].T), every[:, -1].copy()
+
+    def _reduce(self, by_s: Array, by_u: Array) -> Array:
+        """Return the derivatives (n, r) by u, which s follows; `by_s` is overwritten."""
+        return np.asarray(by_u - self._by_u_T @ self._of.elimination.solve_transposed(by_s))
+
+    def growth(self) -> float:
+        """Estimate how far unknowns s move with defects of one."""
+        signs = np.random.default_rng(0).choice([-1.0, 1.0], size=(len(self._s), 2))
+        return float(np.abs(self._of.elimination.solve(signs)).max(initial=0.0))
+
+    def of_paths(self, weights: Array) -> Array:
+        """Return the derivatives (r, n) of combinations (p, r) of the path rows."""
+        by_s, by_u = (np.ascontiguousarray(one.T @ weights) for one in self._paths)
+        return np.ascontiguousarray(self._reduce(by_s, by_u).T)
+
+    def stiffness(self, of_paths: Array) -> Array:
+        """Return the diagonal (n,) that stiff path rows add, each by its own derivatives by u."""
+        return np.asarray(self._paths[1].power(2).T @ of_paths)
+
+    def follow(self, step: Array | None, defects: Array | None) -> Array:
+        """Return the step of s that follows a step of u and removes defects."""
+        push = np.zeros(len(self._s)) if step is None else -(self._by_u @ step)
+        if defects is not None:
+            push = push - defects
+        return self._of.elimination.solve(push[:, None])[:, 0]
+
+    def change(self, moved: Array) -> Array:
+        """Return the change (m,) of the goals along a step of s alone."""
+        return np.asarray(self._goals[0] @ moved)
+
+    def path_change(self, moved: Array, step: Array | None) -> Array:
+        """Return the change (p,) of the path rows along steps of s and of u."""
+        own = self._paths[0] @ moved
+        return np.asarray(own if step is None else own + self._paths[1] @ step)
+
+    def weigh(self, goal_duals: Array, path_duals: Array, stiffness: Array) -> None:
+        """Set the duals of the Lagrangian and the stiffness (p,) of barriers for `curvature`."""
+        of = self._of
+        pull = self._slope_s + self._goals[0].T @ goal_duals + self._paths[0].T @ path_duals
+        self.duals = np.zeros(len(of.program.lower))
+        self.duals[of.goal_rows] = (
+            goal_duals if of.independent is None else of.independent.T @ goal_duals
+        )
+        self.duals[of.defect_rows] = -of.elimination.solve_transposed(pull[:, None])[:, 0]
+        self.duals[of.path_rows] = path_duals
+        self._second, self._stiffness = of.hessian(self._u, self._s, self.duals), stiffness
+
+    def curvature(self, step: Array, moved: Array) -> Array:
+        """Return the second derivatives along a step of u and the step of s with it."""
+        by_s, by_u = np.split(self._second @ np.append(moved, step), [len(moved)])
+        push = self._stiffness * self.path_change(moved, step)
+        by_s, by_u = by_s + self._paths[0].T @ push, by_u + self._paths[1].T @ push
+        return self._reduce(by_s[:, None], by_u[:, None])[:, 0]
+
+
+class _Part:
+    """Some rows and columns of a sparse matrix, from the non-zeros of the whole."""
+
+    def __init__(self, row: Indices, column: Indices, rows: Indices, columns: Indices) -> None:
+        i, j = rows[row], columns[column]
+        kept = np.flatnonzero((i >= 0) & (j >= 0))
+        self.entries = kept[np.lexsort((j[kept], i[kept]))]
+        i, j = i[self.entries], j[self.entries]
+        self.shape = int(rows.max(initial=-1)) + 1, int(columns.max(initial=-1)) + 1
+        self.columns = j.astype(np.int32)
+        self.starts = np.searchsorted(i, np.arange(self.shape[0] + 1)).astype(np.int32)
+
+    def at(self, values: Array) -> sp.csr_array:
+        return sp.csr_array((values[self.entries], self.columns, self.starts), shape=self.shape)
+
+
+def _beside(matrix: sp.csr_array, column: Array) -> Array:
+    """Return the transpose of a sparse matrix, with a column beside it."""
+    result = np.zeros((matrix.shape[1], matrix.shape[0] + 1))
+    row = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
+    result[matrix.indices, row] = matrix.data
+    result[:, -1] = column
+    return result
+
+
+def _places(sparsity: ca.Sparsity) -> tuple[Indices, Indices]:
+    row, column = (np.array(one, dtype=np.intp) for one in sparsity.get_triplet())
+    return row, column
+
+
+def _numbers(index: Indices, size: int) -> Indices:
+    """Return the place of each number below `size` in an index, −1 where it is absent."""
+    result = np.full(size, -1, dtype=np.intp)
+    result[index] = np.arange(len(index))
+    return result

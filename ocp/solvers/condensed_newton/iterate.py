@@ -1,0 +1,122 @@
+"""Iterates of the condensed Newton method, and how they move."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ocp.solvers.condensed_newton.bounds import select_stiffest
+from ocp.solvers.condensed_newton.condensed_program import CondensedProgram, Expansion, Residual
+from ocp.solvers.condensed_newton.metric import Metric, Projector
+from tenscasadi.util.validate import Array, Indices
+
+
+class Iterate(NamedTuple):
+    """A point of the method.
+
+    Attributes
+    ----------
+    u, s, slack : ndarray
+        Decided and determined unknowns, and slacks (p,) of the path rows.
+    left : Residual
+        Violations, with their sum `total` and the largest, `worst`.
+    cost : float
+        Objective.
+    """
+
+    u: Array
+    s: Array
+    slack: Array
+    left: Residual
+    total: float
+    worst: float
+    cost: float
+
+
+def evaluate(of: CondensedProgram, u: Array, s: Array, slack: Array) -> Iterate:
+    """Evaluate an iterate."""
+    cost, goals, defects, paths = of.values(u, s)
+    left = Residual(goals, defects, paths - slack)
+    total = sum(float(np.abs(one).sum()) for one in left)
+    worst = np.max([np.abs(one).max(initial=0.0) for one in left])  # keeps NaN
+    return Iterate(u, s, slack, left, total, float(worst), cost)
+
+
+def step_back(expansion: Expansion, projector: Projector, chosen: Indices, point: Iterate) -> Array:
+    """Return the shortest step of u to goals and chosen path rows, while s removes the defects."""
+    drift = expansion.follow(None, point.left.defects)
+    paths = (point.left.paths + expansion.path_change(drift, None))[chosen]
+    return -projector.shortest(np.append(point.left.goals + expansion.change(drift), paths))
+
+
+def move(
+    of: CondensedProgram,
+    expansion: Expansion,
+    point: Iterate,
+    step: Array,
+    share: float,
+    most: float,
+    least: float,
+) -> Iterate:
+    """Take a step of u, which s follows by the expansion, while it removes a share of the defects.
+
+    The step is cut at the limits, see `VariableBounds.cut`. Slacks follow more slowly: otherwise
+    they vanish before s follows them.
+    """
+    left, bounds, slack = point.left, of.path_bounds, point.slack
+    d = of.bounds.cut(point.u, step, most, least)
+    moved = expansion.follow(d, share * left.defects)
+    u, s = point.u + d, point.s + moved
+    if len(slack):
+        true = of.values(u, s)[3]
+        change = expansion.path_change(moved, d) + share * left.paths
+        slack = bounds.followed(slack, change, true, min(most, 0.6), least)
+    return evaluate(of, u, s, slack)
+
+
+def polish(of: CondensedProgram, point: Iterate, tolerance: float) -> Iterate:
+    """Find the nearest point, relative to the distances from limits, that meets all rows."""
+    for _ in range(12):
+        if not point.worst > tolerance:
+            break
+        expansion = Expansion(of, point.u, point.s)
+        room, near = (
+            np.clip(np.minimum(*bounds.gaps(at)), 1e-5, 0.5)
+            for bounds, at in ((of.bounds, point.u), (of.path_bounds, point.slack))
+        )
+        # path rows far from their limits do not count
+        chosen = select_stiffest(1 / near, (near < 0.02) | (point.left.paths != 0))
+        selected = np.zeros((len(near), len(chosen)))
+        selected[chosen, range(len(chosen))] = 1.0
+        rows = np.vstack([expansion.jacobian, expansion.of_paths(selected)])
+        give = np.append(np.zeros(of.goals), near[chosen] ** 2)
+        metric = Metric(np.where(of.bounds.free, 1 / room, 1e300))
+        projector = Projector(rows, give, metric)
+        moved = _improve(of, expansion, projector, chosen, point)
+        if moved is None:
+            break
+        before, point = point, moved
+        # the same expansion while it serves
+        while point.worst > tolerance and point.total < 0.1 * before.total:
+            back = step_back(expansion, projector, chosen, point)
+            before, point = point, move(of, expansion, point, back, 1.0, 0.999, 0.0)
+        if not point.total < before.total:
+            point = before
+    return point
+
+
+def _improve(
+    of: CondensedProgram,
+    expansion: Expansion,
+    projector: Projector,
+    chosen: Indices,
+    point: Iterate,
+) -> Iterate | None:
+    """Try shares of a whole step; return the first iterate that violates less."""
+    whole = step_back(expansion, projector, chosen, point)
+    for share in (1.0, 0.5, 0.25, 0.1):
+        tried = move(of, expansion, point, share * whole, share, 0.999, 0.0)
+        if tried.total < point.total or tried.worst < point.worst:
+            return tried
+    return None

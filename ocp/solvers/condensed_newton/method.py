@@ -1,0 +1,179 @@
+"""The condensed Newton method: its options, and how it solves a program."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ocp.solvers.base import STOPPED, TIME_UP, NamedSolver, Solution, check_options
+from ocp.solvers.condensed_newton.condensed_program import (
+    CondensedProgram,
+    Expansion,
+    UndeterminedError,
+)
+from ocp.solvers.condensed_newton.interior_point import InteriorPoint
+from ocp.solvers.condensed_newton.iterate import evaluate, polish
+from ocp.transcription.sparse_nlp import Program
+from tenscasadi.util.interrupts import on_interrupt
+
+MET = 1e-9  # scaled rows: all are met
+MAX_GROWTH = 1e8  # of unknowns with defects of one; more multiplies rounding errors as much
+NOT_SETTLED = "unsettled"
+SOLVED = ("optimal", "settled", "nearly settled", NOT_SETTLED)
+REMARKS = {
+    "nearly settled": "; the cost is nearly settled, a little less may be possible",
+    NOT_SETTLED: "; the cost is not settled: it still fell, but slowly, and less is possible",
+}
+UNSTABLE, UNDETERMINED = "unstable", "undetermined"
+
+
+@dataclass(frozen=True)
+class CondensedNewton(NamedSolver, kind="CondensedNewton"):
+    """A Newton method in the controls alone: the states follow from the defects by elimination.
+
+    It takes the program of any transcription. Its work grows linearly with the intervals, and far
+    slower with the bars than the factorizations of `Ipopt`. Programs along whose motion errors grow
+    too much for an elimination, such as arms that stand upright, are left to `Ipopt`.
+
+    Parameters
+    ----------
+    max_iterations : int
+        Most iterations.
+    tolerance : float
+        Tolerance of scaled optimality and constraints.
+    verbose : bool
+        Whether a line is printed for each iteration.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a value is not of its kind.
+
+    Notes
+    -----
+    States and multipliers of bars are iterates of their own, which need not fit the controls before
+    the end: a smooth path is a good start. Each iteration linearizes the defects about them. An
+    interior-point method with exact second derivatives takes a step of the controls, by projected
+    conjugate gradients in a trust region, and the states follow to first order. The largest matrix
+    that is factored has a row for each goal, and for each path constraint that is near its limit.
+    These have slacks with barriers of their own, so that a guess may violate them.
+
+    References
+    ----------
+    .. [1] R. H. Byrd, M. E. Hribar, J. Nocedal, SIAM Journal on Optimization 9, 1999, 877-900.
+    .. [2] J. Albersmeyer, M. Diehl, SIAM Journal on Optimization 20, 2010, 1655-1684.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> import tenscasadi as tc
+    >>> model = tc.Model(tc.Scene(tc.shapes.prism(), control=tc.ForceDensity()))
+    >>> goals = [ocp.StringLengths({6: 0.95}), ocp.AtRest()]
+    >>> problem = ocp.Problem(model, goals=goals, bounds=[ocp.ForceDensityLimits(1.0, 200.0)], costs=[ocp.Effort()])
+    >>> ocp.solve(problem, ocp.Variational(20), ocp.CondensedNewton()).success
+    True
+    """
+
+    max_iterations: int = 200
+    tolerance: float = 1e-6
+    verbose: bool = False
+
+    def __post_init__(self) -> None:
+        check_options("CondensedNewton", self.max_iterations, self.tolerance, self.verbose, {}, "")
+
+    def solve(self, program: Program, deadline: float | None = None) -> Solution:
+        """Solve a program.
+
+        Parameters
+        ----------
+        program : Program
+            The program.
+        deadline : float, optional
+            Value of `time.perf_counter` [s] after which it stops. By default there is none.
+
+        Returns
+        -------
+        Solution
+            The solution, or the last iterate with the reason for the end.
+        """
+        unsolved = Solution(program.first, False, UNSTABLE, 0)
+        with np.errstate(all="ignore"):
+            try:
+                of = CondensedProgram(program)
+                u, s = program.first[of.u], program.first[of.s]
+                # off points without derivatives, such as the center of an obstacle
+                s = s + 1e-4 * np.random.default_rng(0).uniform(-1.0, 1.0, len(s))
+                first = Expansion(of, u, s)
+                if not first.growth() < MAX_GROWTH:
+                    return unsolved
+                of.keep_independent(first)
+                search = InteriorPoint(of, u, s, self.tolerance)
+            except UndeterminedError:
+                return unsolved._replace(status=UNDETERMINED)
+            except np.linalg.LinAlgError:
+                return unsolved._replace(status="stuck")
+            status = self._run(search, deadline)
+            return _polished(of, search, status)
+
+    def _run(self, search: InteriorPoint, deadline: float | None) -> str:
+        """Take steps until the end, and return its status."""
+        interrupts: list[bool] = []
+        with on_interrupt(lambda: interrupts.append(True), then_raise=False):
+            while True:
+                if status := search.check_end():
+                    return status
+                if search.iterations == self.max_iterations:
+                    return NOT_SETTLED if search.is_still(20, np.inf) else "iterations"
+                if interrupts:
+                    return STOPPED
+                if deadline is not None and time.perf_counter() > deadline:
+                    return TIME_UP
+                if not search.advance():
+                    return "nearly settled" if search.is_still(5, 1e-2) else "stuck"
+                if self.verbose:
+                    sys.stdout.write(search.describe() + "\n")
+
+    def prepare_correction(self, program: Program) -> Callable[..., Solution]:
+        """Prepare solutions of programs whose rows are moved a little from a solved one.
+
+        Parameters
+        ----------
+        program : Program
+            One of the programs.
+
+        Returns
+        -------
+        callable
+            Function of a program that differs from this one in limits of rows, start and duals
+            alone, and of a deadline. It returns the nearest `Solution` that meets the moved rows:
+            near an optimum, its cost exceeds the least one by a difference of second order.
+        """
+        of = CondensedProgram(program)
+
+        def correct(moved: Program, deadline: float | None = None) -> Solution:
+            of.move_rows(moved)
+            u, s = moved.first[of.u], moved.first[of.s]
+            with np.errstate(all="ignore"):
+                slack = of.path_bounds.inside(of.values(u, s)[3], 1e-12, 0.2)
+                point = polish(of, evaluate(of, u, s, slack), MET)
+            met = point.worst <= MET
+            return Solution(of.join(point.u, point.s), met, "corrected", 1, moved.multipliers)
+
+        return correct
+
+
+def _polished(of: CondensedProgram, search: InteriorPoint, status: str) -> Solution:
+    """Return the nearest point that meets all rows, with its duals."""
+    point = polish(of, search.point, 1e-11)
+    goal_duals, path_duals, bound_duals = search.prices
+    expansion = Expansion(of, point.u, point.s)
+    expansion.weigh(goal_duals, path_duals, np.zeros(len(path_duals)))
+    limits = np.zeros(len(of.u) + len(of.s))
+    limits[of.u] = bound_duals
+    success = point.worst <= MET and status in SOLVED
+    w = of.join(point.u, point.s)
+    return Solution(w, success, status, search.iterations, (expansion.duals, limits))

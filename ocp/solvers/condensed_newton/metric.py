@@ -1,0 +1,95 @@
+"""The part of the second derivatives that is inverted, and projections in its sense."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse as sp
+import scipy.sparse.linalg
+
+from tenscasadi.util.validate import Array
+
+
+class Metric:
+    """A positive definite matrix D (n, n): a diagonal and, if given, a sparse rest."""
+
+    def __init__(self, diagonal: Array, rest: sp.csr_array | None = None) -> None:
+        self.diagonal, self.rest = diagonal, rest
+        if rest is not None:
+            self._factor = scipy.sparse.linalg.splu(sp.csc_array(rest + sp.diags_array(diagonal)))
+
+    def times(self, x: Array) -> Array:
+        """Return D x of x (n,)."""
+        own = self.diagonal * x
+        return own if self.rest is None else own + self.rest @ x
+
+    def solve(self, x: Array) -> Array:
+        """Return D⁻¹ x of x (n,) or (n, r)."""
+        if self.rest is None:
+            return np.asarray((x.T / self.diagonal).T)
+        return np.asarray(self._factor.solve(np.ascontiguousarray(x)))
+
+
+class Projector:
+    """Shortest steps onto rows, and steps along them, in a metric that soft rows stiffen.
+
+    The metric is D + Bᵀ give⁻¹ B.
+
+    Parameters
+    ----------
+    jacobian : ndarray, shape (m + p, n)
+        Rows of equations, then soft rows B.
+    give : ndarray, shape (m + p,)
+        Compliance of each row, 0 of equations.
+    metric : Metric
+        D.
+    """
+
+    def __init__(self, jacobian: Array, give: Array, metric: Metric) -> None:
+        self.jacobian, self.metric = jacobian, metric
+        self.count = int(np.count_nonzero(give == 0))
+        self.soft, self.resisting = jacobian[self.count :], 1 / give[self.count :]
+        if metric.rest is None and len(jacobian):
+            half = jacobian / np.sqrt(metric.diagonal)
+            # the lower half
+            matrix = scipy.linalg.blas.dsyrk(1.0, half.T, trans=1, lower=1)
+            self.spread = half / np.sqrt(metric.diagonal)  # J D⁻¹
+        else:
+            self.spread = np.ascontiguousarray(metric.solve(jacobian.T).T)
+            matrix = self.spread @ jacobian.T
+        count = len(matrix)
+        self.sizes = matrix.diagonal().copy()
+        # a little more than rounding: rows that nothing moves stay harmless
+        damping = 1e-12 * max(np.trace(matrix) / max(count, 1), 1e-300)
+        matrix[range(count), range(count)] += damping + give
+        self._factor = (
+            scipy.linalg.cho_factor(matrix, lower=True, check_finite=False) if count else None
+        )
+
+    def times(self, x: Array) -> Array:
+        """Return the metric times x (n,)."""
+        own = self.metric.times(x)
+        return own + self.soft.T @ (self.resisting * (self.soft @ x)) if len(self.soft) else own
+
+    def norm(self, x: Array) -> float:
+        """Return the square root of xᵀ times(x)."""
+        return float(np.sqrt(np.maximum(x @ self.times(x), 0.0)))
+
+    def inner(self, x: Array) -> Array:
+        """Return (J D⁻¹ Jᵀ + give)⁻¹ x of all rows."""
+        if self._factor is None:
+            return x
+        return np.asarray(scipy.linalg.cho_solve(self._factor, x, check_finite=False))
+
+    def shortest(self, rows: Array) -> Array:
+        """Return the least step d with J d = rows; soft rows resist what is left of theirs."""
+        return np.asarray(self.spread.T @ self.inner(rows))
+
+    def duals(self, force: Array) -> Array:
+        """Return y (m,) that minimizes force + Jᵀy in the inverse metric."""
+        return -self.inner(self.spread @ force)[: self.count]
+
+    def project(self, force: Array) -> Array:
+        """Return the inverse metric times a force, less the part that J sees."""
+        w = self.metric.solve(force)
+        return w - self.spread.T @ self.inner(self.jacobian @ w)

@@ -1,0 +1,126 @@
+"""One step: towards the goals, and along them towards less cost."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ocp.solvers.condensed_newton.condensed_program import Expansion, Residual
+from ocp.solvers.condensed_newton.metric import Projector
+from tenscasadi.util.validate import Array, Indices
+
+
+class TrialStep(NamedTuple):
+    """A step d of u.
+
+    Attributes
+    ----------
+    slack : ndarray, shape (p,)
+        Step of the slacks with it.
+    normal, tangential : float
+        Sizes, in the metric, of the part towards the goals and of the part along them.
+    duals : ndarray, shape (m,)
+        Duals of the goals at its end.
+    at_boundary, negative_curvature : bool
+        Exits of the conjugate gradients, after `products`.
+    """
+
+    d: Array
+    slack: Array
+    normal: float
+    tangential: float
+    duals: Array
+    at_boundary: bool
+    negative_curvature: bool
+    products: int
+
+
+class QuadraticModel:
+    """Quadratic model of cost and barriers about a point.
+
+    Parameters
+    ----------
+    stiffness : ndarray, shape (n,)
+        Second derivatives of the barriers before limits of u.
+    working : ndarray of int
+        Path rows that are soft rows of the projector.
+    exact : bool
+        Whether second derivatives are exact, or the metric stands for them.
+    """
+
+    def __init__(
+        self,
+        expansion: Expansion,
+        stiffness: Array,
+        projector: Projector,
+        working: Indices,
+        gradient: Array,
+        exact: bool,
+    ) -> None:
+        self.expansion, self.stiffness, self.projector = expansion, stiffness, projector
+        self.working, self.gradient, self.exact = working, gradient, exact
+
+    def step(self, left: Residual, radius: float) -> TrialStep:
+        """Meet the linearized goals, then minimize the model within a radius of that."""
+        expansion, projector = self.expansion, self.projector
+        drift = expansion.follow(None, left.defects)
+        drifted = expansion.path_change(drift, None)[self.working]
+        normal = -projector.shortest(
+            np.append(left.goals + expansion.change(drift), left.paths[self.working] + drifted)
+        )
+        if self.exact:
+            curved = self._curved(normal, expansion.follow(normal, left.defects))
+        else:
+            curved = projector.times(normal) + projector.soft.T @ (projector.resisting * drifted)
+        found = self._descend(self.gradient + curved, radius)
+        tangential, change, at_boundary, negative_curvature, products = found
+        d, curved = normal + tangential, curved + change
+        return TrialStep(
+            d,
+            expansion.path_change(expansion.follow(d, left.defects), d) + left.paths,
+            projector.norm(normal),
+            projector.norm(tangential),
+            projector.duals(self.gradient + curved),
+            at_boundary,
+            negative_curvature,
+            products,
+        )
+
+    def _times(self, step: Array) -> Array:
+        """Return the second derivatives along a step of u that s follows."""
+        if not self.exact:
+            return self.projector.times(step)
+        return self._curved(step, self.expansion.follow(step, None))
+
+    def _curved(self, step: Array, moved: Array) -> Array:
+        return self.expansion.curvature(step, moved) + self.stiffness * step
+
+    def _descend(self, force: Array, radius: float) -> tuple[Array, Array, bool, bool, int]:
+        """Run Steihaug's conjugate gradients along the rows, preconditioned by the metric.
+
+        Returns the step, the change of the gradient, the exits, and the number of products.
+        """
+        most = 30  # products with the second derivatives
+        metric, project = self.projector, self.projector.project
+        total, change = np.zeros_like(force), np.zeros_like(force)
+        r = force
+        g = project(r)
+        p, left = -g, r @ g
+        first = left
+        for count in range(1, most + 1):
+            if not left > 0.05**2 * first or not first > 0:  # of the projected gradient
+                return total, change, False, False, count - 1
+            Hp, Dp = self._times(p), metric.times(p)
+            bend, size, along = p @ Hp, p @ Dp, total @ Dp
+            room = radius**2 - total @ metric.times(total)
+            farthest = (-along + np.sqrt(np.maximum(along**2 + size * room, 0.0))) / size
+            negative = bool(bend <= 1e-8 * size)  # less curvature than rounding
+            if negative or left / bend > farthest:
+                return total + farthest * p, change + farthest * Hp, True, negative, count
+            share = left / bend
+            total, change, r = total + share * p, change + share * Hp, r + share * Hp
+            g = project(r)
+            before, left = left, r @ g
+            p = -g + left / before * p
+        return total, change, False, False, most

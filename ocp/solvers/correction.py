@@ -1,0 +1,92 @@
+"""Deferred correction: a program is solved again until its solution stands for the true motion."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+
+from ocp.solvers.base import Solution, Solver
+from ocp.transcription.fine_steps import Measure
+from ocp.transcription.sparse_nlp import Program
+from tenscasadi.util.validate import Array
+
+TOO_COARSE = (
+    "too coarse: corrections end {:.2g} m from fine steps, not {:.2g} m: give more intervals"
+)
+
+
+@runtime_checkable
+class Correcting(Solver, Protocol):
+    """A solver that starts again from its own solution."""
+
+    def prepare_correction(self, program: Program) -> Callable[..., Solution]:
+        """Prepare solutions of programs whose rows are moved a little from a solved one."""
+
+
+class Corrected(NamedTuple):
+    """A corrected solution.
+
+    Attributes
+    ----------
+    solution : Solution
+        The one with the least error.
+    states : ndarray or None
+        States (K + 1, nx) of fine steps.
+    error : float
+        Largest distance of its own states from them [m] (speeds: m per duration).
+    """
+
+    solution: Solution
+    states: Array | None
+    error: float
+
+
+def check_correctable(name: str, accuracy: float | None, solver: Solver) -> None:
+    """Raise ValueError where an accuracy is given, and the solver does not correct solutions."""
+    if accuracy is not None and not isinstance(solver, Correcting):
+        raise ValueError(
+            f"{name}.accuracy is {accuracy:g}, and solver is {type(solver).__name__}, which cannot "
+            "start again from its own solution: give ocp.Ipopt(), or accuracy=None and more intervals"
+        )
+
+
+def solve_corrected(
+    program: Program,
+    solver: Correcting,
+    measure: Measure,
+    accuracy: float,
+    deadline: float | None = None,
+) -> Corrected:
+    """Solve a program, and again with moved rows, until the error is within the accuracy.
+
+    The limits of rows are shifted by the residual (Stetter, Numer. Math. 1978, 29, 425). Only
+    limits change, so nothing is built again. Each round leaves a share of the residual that is
+    about the relative error of the discretization. The plan is optimal for the costs of the
+    discrete rows, which are wrong by its order.
+    """
+    most, left = 20, 0.7  # rounds; a round that leaves a larger share of the residual is the last
+    solution = solver.solve(program, deadline)
+    best, last, iterations = Corrected(solution, None, np.inf), np.inf, solution.iterations
+    if not solution.success:
+        return best
+    correct: Callable[..., Solution] | None = None
+    for done in range(most + 1):
+        rest = measure(solution.w)
+        if rest.error < best.error:
+            solution = solution._replace(status=best.solution.status, iterations=iterations)
+            best = Corrected(solution, rest.states, rest.error)
+        late = deadline is not None and time.perf_counter() > deadline
+        # the first solution has the full error of the discretization, and a round costs little
+        met = bool(done) and rest.error <= accuracy
+        if met or late or done == most or not rest.size < left * last:
+            break
+        last, program = rest.size, program.shifted(rest.shift, solution.w, solution.multipliers)
+        correct = correct or solver.prepare_correction(program)
+        solution = correct(program, deadline)
+        iterations += solution.iterations
+        if not solution.success:
+            break
+    return best

@@ -1,0 +1,277 @@
+"""Block triangular elimination of a sparse square matrix."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import _sparsetools  # no public call multiplies a range of rows in place
+
+from tenscasadi.util.validate import Array, Indices
+
+Flags = NDArray[np.bool_]
+
+
+class Elimination:
+    """Solutions of A x = b and Aᵀ x = b for many right-hand sides.
+
+    The finest block triangular form of the pattern orders rows and unknowns. Diagonal blocks of one
+    pattern are inverted in one batch. Where a part of a block is constant, only its Schur
+    complement is inverted.
+
+    Parameters
+    ----------
+    rows, columns : ndarray of int
+        Places of the entries of A (n, n).
+    size : int
+        Number n of rows.
+    constant : ndarray of bool
+        Which entries never change.
+    sample : ndarray
+        Values of all entries, of which those that are constant count.
+
+    Attributes
+    ----------
+    by_row, by_column : ndarray of int, shape (n,)
+        Order of the rows of A in b, and of its unknowns in x.
+
+    Raises
+    ------
+    ValueError
+        If the pattern is structurally singular.
+    """
+
+    def __init__(
+        self, rows: Indices, columns: Indices, size: int, constant: Flags, sample: Array
+    ) -> None:
+        blocks = _join_small(rows, columns, *_find_blocks(rows, columns, size))
+        nothing = np.zeros(0, dtype=np.intp)
+        self.size = size
+        self.by_row = np.concatenate([nothing, *(block.rows for block in blocks)])
+        self.by_column = np.concatenate([nothing, *(block.columns for block in blocks)])
+        starts = np.cumsum([0, *(len(block.rows) for block in blocks)])
+        row, column = np.argsort(self.by_row)[rows], np.argsort(self.by_column)[columns]
+        own = np.searchsorted(starts, np.arange(size), side="right") - 1
+        inside = own[row] == own[column]
+        self._groups = _group_alike(
+            starts, own, row, column, np.flatnonzero(inside), constant, sample
+        )
+        self._steps = _find_steps([block.level for block in blocks], starts, self._groups)
+        rest = np.flatnonzero(~inside)
+        self._below = _OffDiagonal(row[rest], column[rest], rest, size)
+        self._above = _OffDiagonal(column[rest], row[rest], rest, size)
+
+    def factor(self, values: Array) -> None:
+        """Take the values of the entries of A."""
+        for group in self._groups:
+            group.take(values)
+        self._below.take(values)
+        self._above.take(values)
+
+    def solve(self, b: Array) -> Array:
+        """Replace b (n, r), ordered by `by_row`, by the solution of A x = b."""
+        for step in self._steps:
+            self._below.add_into(b, step)
+            step.multiply(b, step.inverse())
+        return b
+
+    def solve_transposed(self, b: Array) -> Array:
+        """Replace b (n, r), ordered by `by_column`, by the solution of Aᵀ x = b."""
+        for step in reversed(self._steps):
+            self._above.add_into(b, step)
+            step.multiply(b, step.inverse().transpose(0, 2, 1))
+        return b
+
+
+class _Block(NamedTuple):
+    level: int
+    rows: Indices
+    columns: Indices
+
+
+def _find_blocks(rows: Indices, columns: Indices, size: int) -> tuple[Indices, Indices]:
+    """Find the block of each row and of each unknown: the finest block triangular form."""
+    pattern = ca.Sparsity.triplet(size, size, rows.tolist(), columns.tolist())
+    _, row_order, column_order, ends, column_ends, *_ = pattern.btf()
+    if list(ends) != list(column_ends) or ends[-1] != size:
+        raise ValueError("the rows do not determine the unknowns: the matrix is singular")
+    block = np.repeat(np.arange(len(ends) - 1), np.diff(ends))
+    of_row, of_column = np.empty(size, dtype=np.intp), np.empty(size, dtype=np.intp)
+    of_row[list(row_order)], of_column[list(column_order)] = block, block
+    return of_row, of_column
+
+
+def _join_small(
+    rows: Indices, columns: Indices, of_row: Indices, of_column: Indices
+) -> list[_Block]:
+    """Order the blocks by levels, each after those that it needs, and join small ones of a level."""
+    least = 16  # rows; smaller matrices cost more in calls than in arithmetic
+    widths = np.bincount(of_row)
+    count, ends = len(widths), np.append(0, np.cumsum(widths))
+    orders = [np.argsort(own, kind="stable") for own in (of_row, of_column)]
+    needs, given = np.divmod(np.unique(of_row[rows] * count + of_column[columns]), count)
+    level = np.zeros(count, dtype=np.intp)
+    while ((higher := np.where(needs != given, level[given] + 1, 0)) > level[needs]).any():
+        np.maximum.at(level, needs, higher)
+    found: list[tuple[int, Indices]] = []
+    for own in range(int(level.max(initial=-1)) + 1):
+        members = np.flatnonzero(level == own)
+        found += [(own, members[k : k + 1]) for k in np.flatnonzero(widths[members] >= least)]
+        small = members[widths[members] < least]
+        cuts = np.flatnonzero(np.diff(np.cumsum(widths[small]) // (2 * least))) + 1
+        found += [(own, part) for part in np.split(small, cuts) if len(part)]
+    return [
+        _Block(
+            own,
+            *(
+                np.sort(np.concatenate([which[ends[k] : ends[k + 1]] for k in part]))
+                for which in orders
+            ),
+        )
+        for own, part in found
+    ]
+
+
+def _group_alike(
+    starts: Indices,
+    own: Indices,
+    row: Indices,
+    column: Indices,
+    entries: Indices,
+    constant: Flags,
+    sample: Array,
+) -> list[_Group]:
+    """Collect the diagonal blocks of one pattern."""
+    order = entries[np.lexsort((column[entries], row[entries], own[row[entries]]))]
+    alike: dict[tuple[int, bytes], tuple[Indices, list[int], list[Indices]]] = {}
+    cuts = np.searchsorted(own[row[order]], np.arange(len(starts)))
+    for k, (start, end) in enumerate(pairwise(starts)):
+        part, width = order[cuts[k] : cuts[k + 1]], int(end - start)
+        places = (row[part] - start) * width + column[part] - start
+        _, members, found = alike.setdefault((width, places.tobytes()), (places, [], []))
+        members.append(k)
+        found.append(part)
+    return [
+        _Group(width, places, members, np.array(found), constant, sample)
+        for (width, _), (places, members, found) in alike.items()
+    ]
+
+
+class _Step(NamedTuple):
+    """Neighboring blocks of one level and group.
+
+    Attributes
+    ----------
+    start, end : int
+        First row, and the row after the last.
+    group : _Group
+        Where the inverses are kept, at `ranks`.
+    """
+
+    start: int
+    end: int
+    group: _Group
+    ranks: slice
+
+    def inverse(self) -> Array:
+        """Return the inverse diagonal blocks (count, m, m)."""
+        return self.group.inverse[self.ranks]
+
+    def multiply(self, b: Array, inverse: Array) -> None:
+        """Multiply the own rows of b by block matrices, in place."""
+        own = b[self.start : self.end]
+        shape = (len(inverse), inverse.shape[2], b.shape[1])
+        own[:] = np.matmul(inverse, own.reshape(shape)).reshape(own.shape)
+
+
+def _find_steps(levels: list[int], starts: Indices, groups: list[_Group]) -> list[_Step]:
+    """Find the longest runs of neighboring blocks of one level and group."""
+    place = {k: (group, rank) for group in groups for rank, k in enumerate(group.members)}
+    steps, k = [], 0
+    while k < len(levels):
+        (group, rank), n = place[k], 1
+        while k + n < len(levels) and levels[k + n] == levels[k]:
+            if place[k + n] != (group, rank + n):
+                break
+            n += 1
+        steps.append(_Step(int(starts[k]), int(starts[k + n]), group, slice(rank, rank + n)))
+        k += n
+    return steps
+
+
+class _OffDiagonal:
+    """Negative of the part of A (or Aᵀ) beside its diagonal blocks, by rows."""
+
+    def __init__(self, row: Indices, column: Indices, entries: Indices, size: int) -> None:
+        order = np.lexsort((column, row))
+        self.size, self.entries = size, entries[order]
+        self.columns = column[order].astype(np.int32)
+        self.starts = np.searchsorted(row[order], np.arange(size + 1)).astype(np.int32)
+
+    def take(self, values: Array) -> None:
+        self.values = -values[self.entries]
+
+    def add_into(self, b: Array, step: _Step) -> None:
+        """Add the product with b to the own rows of b, in place."""
+        starts, r = self.starts[step.start : step.end + 1], b.shape[1]
+        if starts[0] == starts[-1]:
+            return
+        flat = b.reshape(-1)
+        own: Any = flat[step.start * r : step.end * r]
+        given = (starts, self.columns, self.values, flat, own)
+        if r == 1:
+            _sparsetools.csr_matvec(step.end - step.start, self.size, *given)
+        else:
+            _sparsetools.csr_matvecs(step.end - step.start, self.size, r, *given)
+
+
+class _Group:
+    """Diagonal blocks (count, m, m) of one pattern, and their inverses."""
+
+    def __init__(
+        self,
+        width: int,
+        places: Indices,
+        members: list[int],
+        entries: Indices,
+        constant: Flags,
+        sample: Array,
+    ) -> None:
+        self.places, self.members, self.entries = places, members, entries
+        self.inverse: Array = np.empty((len(members), width, width))
+        self.fixed: Array | None = None
+        filled, given = np.zeros((2, width, width), dtype=bool)
+        filled.ravel()[places], given.ravel()[places] = True, constant[entries].all(axis=0)
+        one, ones = given.any(axis=1), given.any(axis=0)
+        square = one.any() and not one.all() and one.sum() == ones.sum()
+        # the constant part: rows and columns whose common entries are all constant
+        if square and not (filled & ~given)[np.ix_(one, ones)].any():
+            self.one, self.other, self.ones, self.others = map(
+                np.flatnonzero, (one, ~one, ones, ~ones)
+            )
+            part = self._fill(sample)[:, self.one[:, None], self.ones]
+            if np.linalg.matrix_rank(part).min() == len(self.one):
+                self.fixed = np.asarray(np.linalg.inv(part), dtype=float)
+
+    def _fill(self, values: Array) -> Array:
+        dense = np.zeros(self.inverse.shape)
+        dense.reshape(len(dense), -1)[:, self.places] = values[self.entries]
+        return dense
+
+    def take(self, values: Array) -> None:
+        """Invert the blocks of these values."""
+        D = self._fill(values)
+        if self.fixed is None:
+            self.inverse = np.asarray(np.linalg.inv(D), dtype=float)
+            return
+        one, other = self.one[:, None], self.other[:, None]
+        fixed_B, C_fixed = self.fixed @ D[:, one, self.others], D[:, other, self.ones] @ self.fixed
+        schur = np.linalg.inv(D[:, other, self.others] - D[:, other, self.ones] @ fixed_B)
+        right = fixed_B @ schur
+        self.inverse[:, self.ones[:, None], self.one] = self.fixed + right @ C_fixed
+        self.inverse[:, self.ones[:, None], self.other] = -right
+        self.inverse[:, self.others[:, None], self.one] = -schur @ C_fixed
+        self.inverse[:, self.others[:, None], self.other] = schur

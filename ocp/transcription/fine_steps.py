@@ -1,0 +1,171 @@
+"""Residuals of a discrete motion against fine steps, one interval at a time.
+
+Errors do not grow along the motion: each interval starts from the planned state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from ocp.transcription.interval_step import ramped_step, shooting_step
+from ocp.transcription.sparse_nlp import Program
+from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.runge_kutta import DormandPrince853
+from tenscasadi.integrators.stabilization import projection
+from tenscasadi.util.casadi_tools import sparse
+from tenscasadi.util.validate import Array
+
+
+class Residual(NamedTuple):
+    """Difference between a solution and the motion that it stands for.
+
+    Attributes
+    ----------
+    error : float
+        Largest distance from the motion of fine steps along the whole plan [m] (speeds: m per
+        duration).
+    size : float
+        Size of the residual that corrections reduce.
+    shift : ndarray, shape (m,)
+        Change of the limits of all rows that removes it, to first order.
+    states : ndarray or None
+        States (K + 1, nx) of fine steps along the whole plan.
+    """
+
+    error: float
+    size: float
+    shift: Array
+    states: Array | None
+
+
+Measure = Callable[[Array], Residual]  # of unknowns w
+
+
+class FineSteps:
+    """Fine steps under planned controls: one step of order 8 in each interval."""
+
+    def __init__(self, program: Program, model: Model, fractions: Array) -> None:
+        self.program, self.model, self.fractions = program, model, fractions
+        self.linear = program.unpack.size2_out(1) > len(fractions)
+        scheme = DormandPrince853()
+        step = (ramped_step if self.linear else shooting_step)(model, scheme, 1)
+        self._each, self._chain = step.map(len(fractions)), step.mapaccum(len(fractions))
+
+    def planned(self, w: Array) -> tuple[Array, tuple[Array, ...], float]:
+        """Return states (K + 1, nx), the arguments of steps after the state, and the duration."""
+        states, gamma, T = (np.asarray(one.full()) for one in self.program.unpack(w))
+        held = (gamma[:, :-1], gamma[:, 1:]) if self.linear else (gamma,)
+        duration = float(T.squeeze())
+        return states.T, (*held, duration * self.fractions[None]), duration
+
+    def ends(self, leaving: Array, held: tuple[Array, ...]) -> Array:
+        """Return the states (K, nx) at the ends of intervals that begin at `leaving` (K, nx)."""
+        return np.asarray(self._each(leaving.T, *held).full()).T
+
+    def whole(self, w: Array) -> tuple[Array, float]:
+        """Return the states of the whole motion, and how far the planned ones are from them."""
+        states, held, duration = self.planned(w)
+        later = np.asarray(self._chain(states[0], *held).full())
+        fine = np.column_stack([states[0], later]).T
+        places, speeds, _ = self.model.split(np.abs(fine - states) * self.program.known)
+        return fine, float(max(places.max(initial=0.0), duration * speeds.max(initial=0.0)))
+
+
+def measure_ends(program: Program, model: Model, fractions: Array) -> Measure:
+    """Prepare the residual of one-step methods: defects with the ends of fine steps."""
+    fine, unknowns = FineSteps(program, model, fractions), program.parts.unknowns
+    size = unknowns.count + len(unknowns.constants)
+    node = np.full(size, -1)
+    node[program.states[1:]] = np.arange(1, len(program.states))[:, None]
+    blocks = [
+        (block, rows)
+        for block, rows in zip(program.parts.rows, program.parts.slices, strict=True)
+        if block.kind == "defect"
+    ]
+
+    def measure(w: Array) -> Residual:
+        states, held, _ = fine.planned(w)
+        y = np.concatenate([unknowns.scale * w, unknowns.constants])
+        ends = y.copy()
+        ends[program.states[1:]] = fine.ends(states[:-1], held)
+        shift = np.zeros(len(program.lower))
+        for block, rows in blocks:
+            own = node[block.index]
+            after = own == np.maximum(own.max(axis=1), 0)[:, None]
+            z = np.where(after, ends[block.index], y[block.index])
+            moved, here = (block.value(one.T) for one in (z, y[block.index]))
+            shift[rows] = np.asarray((moved - here).full()).ravel(order="F")
+        return _measured(fine, w, shift)
+
+    return measure
+
+
+def measure_jumps(program: Program, model: Model, fractions: Array) -> Measure:
+    """Prepare the residual of discrete equations of motion: jumps of the momentum at nodes.
+
+    From each node of the mesh, a velocity leads to the next one by fine steps. It jumps from the
+    velocity with which fine steps arrive.
+    """
+    fine, mech, nq = FineSteps(program, model, fractions), model.mechanism, model.nq
+    project = projection(model, 1).map(len(fractions)) if mech.constrained else None
+    momentum = _momentum(model)
+    ends, middle = (_rows_of(program, name) for name in ("ends", "middle"))
+
+    def leave(states: Array, held: tuple[Array, ...], lengths: Array) -> tuple[Array, Array]:
+        """Return the velocities at the start of intervals, and those of fine steps at their ends."""
+        leaving, least = states[:-1].copy(), np.inf
+        while True:
+            arrived = fine.ends(leaving, held)
+            missed = states[1:, :nq] - arrived[:, :nq]
+            size = float(np.abs(missed).max(initial=0.0))
+            if not size < 0.5 * least or size < 1e-13:
+                return leaving[:, nq : 2 * nq], arrived[:, nq : 2 * nq]
+            least = size
+            leaving[:, nq : 2 * nq] += missed / lengths[:, None]
+            if project is not None:
+                leaving = np.asarray(project(leaving.T).full()).T
+
+    def measure(w: Array) -> Residual:
+        states, held, duration = fine.planned(w)
+        left, arrived = leave(states, held, duration * fractions)
+        planned = states[:, nq : 2 * nq]
+        at_ends = np.vstack([left[:1] - planned[:1], arrived[-1:] - planned[-1:]])
+        jumps = [at_ends, left[1:] - arrived[:-1], arrived[:-1] - planned[1:-1]]
+        shift = np.zeros(len(program.lower))
+        # the rows of velocities within are there where these are unknowns
+        for rows, jump in zip([ends[0], *middle, *ends[1:]], jumps, strict=False):
+            moved = duration * np.asarray(momentum(jump.T).full()).ravel(order="F")
+            shift[rows] = -moved / program.scale[rows]
+        return _measured(fine, w, shift)
+
+    return measure
+
+
+def _measured(fine: FineSteps, w: Array, shift: Array) -> Residual:
+    states, error = fine.whole(w)
+    return Residual(error, float(np.abs(shift).max(initial=0.0)), shift, states)
+
+
+def _rows_of(program: Program, name: str) -> list[slice]:
+    """Return the rows of the blocks whose Function has a name."""
+    parts = program.parts
+    return [
+        rows
+        for block, rows in zip(parts.rows, parts.slices, strict=True)
+        if block.function.name() == name
+    ]
+
+
+def _momentum(model: Model) -> ca.Function:
+    """Build the Function of velocities (nq) that returns their momenta along the free coordinates."""
+    v = ca.SX.sym("v", model.nq)
+    clock = [0.0] * (model.nx - 2 * model.nq)
+    _, V, _ = model.unpack(ca.vertcat(v, v, *clock))
+    if model.scene.supports is not None:  # these do not jump
+        V[:, model.scene.supports.nodes] = 0.0
+    P = ca.mtimes(V, sparse(model.mechanism.M))
+    return ca.Function("momentum", [v], [model.split(model.pack(P, P, 0))[0]])

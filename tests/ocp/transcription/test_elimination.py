@@ -1,0 +1,53 @@
+"""Block triangular elimination against dense solutions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ocp.transcription.elimination import Elimination
+
+
+def random_matrix(rng, stages, width, fixed):
+    """A shuffled block lower triangular matrix, and which of its entries are constant."""
+    size = stages * width
+    dense = np.zeros((size, size))
+    constant = np.zeros((size, size), dtype=bool)
+    for k in range(stages):
+        own = slice(k * width, (k + 1) * width)
+        block = rng.normal(size=(width, width)) * (rng.uniform(size=(width, width)) < 0.6)
+        dense[own, own] = block + 4.0 * np.eye(width)
+        constant[own, own][:fixed, :fixed] = True
+        if k:
+            before = slice((k - 1) * width, k * width)
+            dense[own, before] = rng.normal(size=(width, width)) * (rng.uniform(size=width) < 0.5)
+    rows, columns = rng.permutation(size), rng.permutation(size)
+    return dense[rows][:, columns], constant[rows][:, columns]
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    stages=st.integers(1, 6),
+    width=st.integers(1, 24),
+    columns=st.integers(0, 3),
+)
+def test_solutions_are_those_of_dense_matrices(seed, stages, width, columns):
+    rng = np.random.default_rng(seed)
+    A, constant = random_matrix(rng, stages, width, width // 2)
+    rows, cols = np.nonzero(A)
+    own = Elimination(rows, cols, len(A), constant[rows, cols], A[rows, cols])
+    for _ in range(2):
+        own.factor(A[rows, cols])
+        ordered = A[own.by_row][:, own.by_column]
+        b = rng.normal(size=(len(A), columns))
+        assert np.allclose(own.solve(b.copy()), np.linalg.solve(ordered, b), atol=1e-8)
+        assert np.allclose(own.solve_transposed(b.copy()), np.linalg.solve(ordered.T, b), atol=1e-8)
+        A = np.where(constant | (A == 0), A, A * rng.uniform(0.9, 1.1, A.shape))
+
+
+def test_singular_patterns_are_rejected():
+    with pytest.raises(ValueError, match="singular"):
+        Elimination(np.array([0, 1]), np.array([0, 0]), 2, np.zeros(2, dtype=bool), np.ones(2))
