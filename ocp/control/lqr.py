@@ -1,4 +1,4 @@
-"""Time-varying LQR: a linear-quadratic regulator that keeps to a plan, from exact derivatives along it."""
+"""Time-varying linear-quadratic regulator (LQR) that tracks a plan."""
 
 from __future__ import annotations
 
@@ -45,7 +45,19 @@ STEPS = 10  # of a replay for each decision
 
 
 class Hold(NamedTuple):
-    """How a tracker goes on after its plan: γ = force_density − gains (x − state) within limits; state (nx,), force_density (α,), gains (α, nx)."""
+    """Feedback law after the end of the plan.
+
+    The control is γ = force_density − gains (x − state), within limits.
+
+    Attributes
+    ----------
+    state : ndarray, shape (nx,)
+        State at rest [m, m/s].
+    force_density : ndarray, shape (α,)
+        Control at rest [N/m], or rest lengths [m].
+    gains : ndarray, shape (α, nx)
+        Feedback gains.
+    """
 
     state: Array
     force_density: Array
@@ -54,11 +66,12 @@ class Hold(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Tracker(ReadOnlyArrays):
-    """Time-varying LQR about a plan, γ = γ_plan − G (x − x_plan) within limits; a controller for `run`, made by `track`.
+    """Time-varying LQR about a plan, made by `track`.
 
-    After a plan that ends at rest it holds that state: under the least force densities of
-    equilibrium, with the gains of a stationary regulator about it. `message` says where it cannot;
-    its last gain then goes on to hold the last state.
+    It is a controller for `run` with the law γ = γ_plan − G (x − x_plan), within limits. After a plan
+    that ends at rest it holds that state. The control is then the least force density in equilibrium,
+    with the gains of a stationary regulator. If there is none, `message` gives the reason, and the
+    last gain holds the last state.
 
     Attributes
     ----------
@@ -75,8 +88,8 @@ class Tracker(ReadOnlyArrays):
     lower, upper : ndarray, shape (α,)
         Limits of the force densities, N/m.
     hold : Hold or None
-        What holds the end of the plan: `state` (nx,), `force_density` (α,) and `gains` (α, nx);
-        None where nothing does.
+        Law that holds the end of the plan: `state` (nx,), `force_density` (α,) and `gains` (α, nx);
+        None if the plan does not end at rest.
     message : str
         Whether the end of the plan is held, and why not.
 
@@ -114,7 +127,7 @@ class Tracker(ReadOnlyArrays):
 
     @property
     def feedback(self) -> Feedback:
-        """The same regulator as `tenscasadi.rollouts` takes it: for thousands of motions at once."""
+        """The same regulator for `tenscasadi.rollouts`."""
         if self.hold is None:
             return Feedback(
                 self.time, self.force_density, self.states, self.gains, self.lower, self.upper
@@ -170,12 +183,12 @@ def track(
     lower: ArrayLike | None = None,
     upper: ArrayLike | None = None,
 ) -> Tracker:
-    """Make a time-varying LQR that keeps to a plan.
+    """Build a time-varying LQR that tracks a plan.
 
     Parameters
     ----------
     plan : Plan
-        What to keep to.
+        The plan to track.
     decisions : int, optional
         How many, at equal times. Default: one per interval of the plan.
     place : float, optional
@@ -200,10 +213,11 @@ def track(
 
     Notes
     -----
-    Riccati's recursion minimizes Σ (δq/place)² + (δv/speed)² + (δγ/effort)² of small departures
-    from the plan: of coordinates or, of free structures, of distances between nodes. Derivatives
-    are those of the integrated steps, in an orthonormal basis of the changes that bars and joints
-    allow [1]_.
+    The Riccati recursion minimizes Σ (δq/place)² + (δv/speed)² + (δγ/effort)² of small deviations
+    from the plan [1]_. The deviations are those of coordinates, or of distances between nodes if
+    the structure is free. Each period is divided into substeps. Each substep is linearized at its
+    midpoint and advanced by the Padé (2, 2) approximation of the matrix exponential. The
+    linearization is projected onto an orthonormal basis of the changes that bars and joints allow.
 
     References
     ----------
@@ -267,7 +281,10 @@ def track(
 def _rest(
     plan: PlanResult, model: Model, limits: tuple[Array, Array], slow: float, margin: float
 ) -> Rest:
-    """Tell what holds the end of a plan: force densities, or the rest lengths at which elastic strings pull so."""
+    """Find the control that holds the end of a plan.
+
+    It is a force density, or the rest length at which an elastic string has this force density.
+    """
     end = plan.trajectory.states[-1]
     if not winds(model):
         return find_rest(model, end, *limits, slow, margin)
@@ -287,14 +304,20 @@ def _rest(
 
 
 def replay_tracked(plan: PlanResult) -> Trajectory:
-    """Return the motion of a plan's model from its start under `track`. Raises ValueError where no gains are found, or the model is not known."""
+    """Simulate a plan under `track` from its start.
+
+    Raises ValueError if no gains are found or the model is unknown.
+    """
     return run(
         track(plan), float(plan.time[-1]), steps=STEPS, state=plan.trajectory.states[0]
     ).trajectory
 
 
 def _planned(plan: PlanResult, model: Model, time: Array) -> Array:
-    """Return the planned states (count + 1, nx) at times: from the node before each, in steps of RK4, so that errors do not add up."""
+    """Compute the planned states (count + 1, nx) at given times.
+
+    RK4 steps start from the preceding mesh point, so that errors do not accumulate.
+    """
     nodes = plan.time
     k = np.clip(
         np.searchsorted(nodes, time + 1e-9 * nodes[-1], side="right") - 1, 0, len(nodes) - 2
@@ -328,7 +351,10 @@ def _regulate(
     kept: ca.Function,
     effort: float,
 ) -> Array:
-    """Gains (K, α, nx) along states (K + 1, nx) under γ (K, α); where the end is held one more (K + 1, α, nx), that of holding it."""
+    """Compute the gains (K, α, nx) along states (K + 1, nx).
+
+    If the end is held, there is one gain more, that of the stationary regulator.
+    """
     ends = states
     if rest.state is not None:
         states, gamma, ends = (
@@ -357,7 +383,10 @@ def _regulate(
 def _linearize(
     model: Model, states: Array, controls: Array, period: float, count: int
 ) -> tuple[Array, Array]:
-    """Linearize the motions from states (K, nx) over a period, in so many steps of RK4."""
+    """Linearize the trajectories from states (K, nx) over a period.
+
+    RK4 steps compute the states between, and `transitions` the derivatives.
+    """
     step, h = RungeKutta4().step(model.ode).mapaccum(count).map(len(states)), period / count
     held = np.repeat(controls, count, axis=0)
     ends = np.asarray(step(states.T, held.T, h).full()).T.reshape(len(states), count, -1)

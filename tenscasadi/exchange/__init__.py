@@ -1,1 +1,1 @@
-"""Files of other programs: MuJoCo, MATLAB, NTRT, ParaView."""
+"""Import and export of files of MuJoCo, MATLAB, NTRT and ParaView."""

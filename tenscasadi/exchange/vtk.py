@@ -1,4 +1,4 @@
-"""Motions for ParaView: a .vtu file for each saved time, and a .pvd file that tells their times."""
+"""Export of trajectories to ParaView: .vtu frames and a .pvd file."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ def export_vtk(
     model: Model | None = None,
     every: int = 1,
 ) -> Path:
-    """Write a motion for ParaView, with what its nodes and members carry.
+    """Write a trajectory for ParaView, with quantities of nodes and members.
 
-    The .pvd file names the frames, one .vtu file for each saved time, in a folder of its name
-    beside it: open the .pvd. Each frame holds bars and strings as lines, with ``kind`` (0 for bars,
-    1 for strings), ``number``, ``length`` (m), ``force_density`` (N/m) and ``tension`` (N, negative
-    where a member pushes), and nodes with ``number``, ``velocity`` (m/s) and ``pinned``. It takes
-    ``pip install 'tenscasadi[exchange]'``.
+    Open the .pvd file in ParaView. It lists the frames, one .vtu file for each saved time, in a folder
+    of the same name beside it. A frame contains bars and strings as lines with the fields ``kind`` (0
+    for bars, 1 for strings), ``number``, ``length`` [m], ``force_density`` [N/m] and ``tension`` [N],
+    negative in compression. Nodes have the fields ``number``, ``velocity`` [m/s] and ``pinned``. It
+    requires ``pip install 'tenscasadi[exchange]'``.
 
     Parameters
     ----------
     trajectory : Trajectory
-        The motion.
+        The trajectory.
     path : str or PathLike
         File to write; its name ends in .pvd.
     model : Model, optional
-        The model that was simulated, which tells the forces of bars. Default: they are NaN.
+        The simulated model, from which bar forces are computed. Default: they are NaN.
     every : int
-        Write each so many saved times.
+        Write every `every`-th saved time.
 
     Returns
     -------
@@ -51,7 +51,7 @@ def export_vtk(
     Raises
     ------
     TypeError, ValueError
-        An argument is wrong, or the model is not that of the motion.
+        An argument is wrong, or the model is not that of the trajectory.
     ImportError
         If meshio is not installed.
     OSError
@@ -100,7 +100,10 @@ def export_vtk(
 
 
 def _bar_force_density(run: Trajectory, model: Model | None) -> Array:
-    """Return the force densities of bars (T, β), N/m, negative in compression as λ is positive there (Eq. 87); NaN without a model."""
+    """Compute the force densities of bars (T, β) [N/m].
+
+    They are negative in compression, where λ is positive (Eq. 87), and NaN without a model.
+    """
     if model is None:
         return np.full((len(run.time), len(run.bars)), np.nan)
     instance("model", model, Model, "a Model or None")
@@ -121,7 +124,7 @@ def _bar_force_density(run: Trajectory, model: Model | None) -> Array:
 
 
 def _frame(meshio: Any, run: Trajectory, row: int, bar_force_density: Array) -> Any:
-    """Return the mesh of one saved time."""
+    """Build the mesh of one saved time."""
     nodes, pinned = run.nodes[row], np.zeros(run.nodes.shape[1])
     pinned[run.pinned] = 1
     lengths = [

@@ -1,1 +1,1 @@
-"""MATLAB's .mat files, with the names that MOTES and TsgFEM give to structures and motions."""
+"""MATLAB files with the variable names of MOTES and TsgFEM."""

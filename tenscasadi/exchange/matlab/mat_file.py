@@ -1,8 +1,9 @@
-"""Variables of .mat files. SciPy writes them; it does not read them here, as a damaged file can end its process.
+"""Variables of .mat files.
 
-A file of MATLAB's versions 5 to 7 is a header and elements, each a type, a number of bytes, and the
-bytes, which may hold elements again. Every size is compared with the bytes that are there before it
-is used, and nothing in a file is ever run.
+A file of MATLAB's versions 5 to 7 consists of a header and elements. An element has a type, a
+number of bytes, and the bytes, which may contain elements. Every size is checked against the
+available bytes before it is used. SciPy writes the files but does not read them, because a damaged
+file can crash its process. Nothing in a file is executed.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from tenscasadi.util.validate import file_path
 from tenscasadi.util.whole_file import whole_file
 
 _HEADER = 128  # bytes
-_MATRIX, _COMPRESSED = 14, 15  # types of elements
+_MATRIX, _COMPRESSED = 14, 15  # element types
 _NUMBERS = {
     1: "i1",
     2: "u1",
@@ -37,9 +38,9 @@ _NUMBERS = {
     13: "u8",
 }
 _CODECS = {1: "latin-1", 2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}
-_STRUCT, _CHAR, _SPARSE, _NUMERIC = 2, 4, 5, range(6, 16)  # classes of matrices
+_STRUCT, _CHAR, _SPARSE, _NUMERIC = 2, 4, 5, range(6, 16)  # array classes
 _COMPLEX = 0x0800
-_DEEPEST = 30  # structs within structs
+_DEEPEST = 30  # nesting depth of structs
 _UNREADABLE = (
     OSError,
     ValueError,
@@ -53,13 +54,14 @@ _UNREADABLE = (
 
 
 def read_mat(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return the variables of a .mat file (v5, v6 or v7) by name: arrays of floats, sparse ones, texts, and structs as dicts of these.
+    """Read the variables of a .mat file (v5, v6, v7) by name.
 
-    Objects, function handles, cells, arrays of structs and complex numbers are left out. Raises
-    FileNotFoundError, and ValueError, which names the file and why it cannot be read.
+    Values are float arrays, sparse arrays, texts, and structs as dictionaries of these. Objects,
+    function handles, cells, arrays of structs and complex numbers are omitted. Raises
+    FileNotFoundError, and ValueError that names the file and the reason.
     """
     place = file_path("path", path)
-    if place.exists() and not place.is_file():  # opening a FIFO would wait for another process
+    if place.exists() and not place.is_file():  # opening a FIFO would block
         raise ValueError(f"path is {place}, no regular file: give a .mat file")
     with open(place, "rb") as file:
         _check_version(place, file.read(_HEADER))
@@ -72,8 +74,11 @@ def read_mat(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def write_mat(path: str | os.PathLike[str], content: Mapping[str, Any]) -> Path:
-    """Write variables (numbers, arrays, texts, dicts as structs) to exactly `path` in MATLAB's format v7, and return it. Raises OSError."""
-    from scipy.io import savemat  # takes a while to load
+    """Write variables to exactly `path` in MATLAB's format v7. Raises OSError.
+
+    Values are numbers, arrays, texts, and dictionaries for structs. Returns the path.
+    """
+    from scipy.io import savemat  # slow import
 
     with whole_file(path) as file:
         savemat(file, dict(content), do_compression=True, oned_as="column", long_field_names=True)
@@ -93,7 +98,10 @@ def _check_version(path: Path, header: bytes) -> None:
 
 
 def _variables(path: Path) -> Iterator[tuple[str, Any]]:
-    """Names and values of all variables; None for a value that is left out. Raises ValueError and others where the file is damaged."""
+    """Yield names and values of all variables; None if omitted.
+
+    Raises ValueError and others if the file is damaged.
+    """
     limit = left = unpacked_limit(path)
     if path.stat().st_size > limit:
         raise ValueError(f"it has more than {limit / 1e9:.3g} GB")
@@ -103,7 +111,7 @@ def _variables(path: Path) -> Iterator[tuple[str, Any]]:
         if kind == _COMPRESSED:
             told = (
                 struct.unpack(order + "II", zlib.decompressobj().decompress(content, 8))[1] + 8
-            )  # bytes that its own head says it has
+            )  # size that its own header states
             left -= told
             if left < 0:
                 raise ValueError(
@@ -121,12 +129,15 @@ def _variables(path: Path) -> Iterator[tuple[str, Any]]:
 
 
 def _elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
-    """Types and contents of the elements that follow each other. Raises ValueError where one says that it is longer than the data."""
+    """Yield types and contents of consecutive elements.
+
+    Raises ValueError if an element exceeds the data.
+    """
     at = 0
     while at < len(data):
         kind, size = struct.unpack(order + "II", data[at : at + 8])
         start = at + 8
-        if kind >> 16:  # a small element: type and content share eight bytes
+        if kind >> 16:  # small element: type and content share eight bytes
             kind, size, start = kind & 0xFFFF, kind >> 16, at + 4
             at += 8
         else:
@@ -137,7 +148,10 @@ def _elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
 
 
 def _matrix(content: memoryview, order: str, depth: int) -> tuple[str, Any]:
-    """Name and value of a matrix, in MATLAB's sense; None for a value that is left out. Raises ValueError and others where it is damaged."""
+    """Read name and value of an array; None if omitted.
+
+    Raises ValueError and others if it is damaged.
+    """
     if not len(content):
         return "", np.zeros((0, 0))
     if depth > _DEEPEST:
@@ -186,7 +200,7 @@ def _text(part: tuple[int, memoryview], order: str) -> str:
 
 def _sparse(parts: list[tuple[int, memoryview]], order: str, shape: tuple[int, ...]) -> Any:
     rows, starts = (_numbers(part, order) for part in parts[:2])
-    flat = len(parts[2][1]) == len(rows)  # truth values, a byte each, whose type says otherwise
+    flat = len(parts[2][1]) == len(rows)  # Boolean values of one byte, whatever their type says
     values = np.frombuffer(parts[2][1], "u1") if flat else _numbers(parts[2], order)
     count = int(starts[-1])
     if (
@@ -199,7 +213,7 @@ def _sparse(parts: list[tuple[int, memoryview]], order: str, shape: tuple[int, .
         (values[:count].astype(float), rows[:count].astype(np.int64), starts.astype(np.int64)),
         shape=shape,
     )
-    found.check_format(full_check=True)  # its methods go where wrong indices lead
+    found.check_format(full_check=True)  # wrong indices would make its methods read out of bounds
     return found
 
 

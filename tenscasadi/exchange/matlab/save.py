@@ -1,4 +1,4 @@
-"""Structures and motions written as .mat files, by the names of MOTES and TsgFEM."""
+"""Export of structures and trajectories with the names of MOTES."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ HISTORY = {
     "nodes": "Nhist",
     "velocities": "Ndhist",
     "force_density": "gamma",
-}  # as MOTES calls them; others keep their names
+}  # the names of MOTES; other fields keep their names
 LETTERS = {
     name: hint.__metadata__[0]
     for name, hint in get_type_hints(Trajectory, include_extras=True).items()
@@ -31,22 +31,26 @@ LETTERS = {
 def save_mat(
     what: Structure | Trajectory, path: str | os.PathLike[str], *, class_one: bool = False
 ) -> Path:
-    """Write a structure or a trajectory for MATLAB, with the names of MOTES and TsgFEM; nodes count from 1 there.
+    """Write a structure or a trajectory for MATLAB, MOTES and TsgFEM.
 
-    A structure becomes the variables N (3×n), C_b, C_s, s_0, k, c, m and pinned_nodes, with
-    pinned_X, pinned_Y, pinned_Z, node_mass, string_mass, bar_radius, roller_nodes and
-    roller_normals, which MOTES does not know: ``load_mat`` gives the same structure back, to the
-    last bit. With `class_one` they are what ``tenseg_sim_class1open(load('x.mat'))`` or
-    ``tenseg_sim_classkopen`` of MOTES take: a column for each end of a bar, joints and pins in P
-    and D, masses of string nodes in ms. A trajectory becomes N, C_b, C_s and MOTES' struct History:
-    Nhist (3×n×T), Ndhist, gamma, bar_len, t, and all else that it holds.
+    Indices count from 1 in the file. A structure becomes the variables N (3×n), C_b, C_s, s_0, k, c, m
+    and pinned_nodes. The additional variables pinned_X, pinned_Y, pinned_Z, node_mass, string_mass,
+    bar_radius, roller_nodes and roller_normals are unknown to MOTES. `load_mat` restores the structure
+    exactly.
+
+    With `class_one` the file is valid input of ``tenseg_sim_class1open(load('x.mat'))`` or
+    ``tenseg_sim_classkopen`` of MOTES. N then has a column for each end of a bar, P and D hold joints
+    and pins, and ms the masses of string nodes.
+
+    A trajectory becomes N, C_b, C_s and MOTES' struct History: Nhist (3×n×T), Ndhist, gamma, bar_len,
+    t, and all its other fields.
 
     Parameters
     ----------
     what : Structure or Trajectory
-        The structure or the motion.
+        The structure or the trajectory.
     path : str or PathLike
-        File to write, in MATLAB's format v7; no ending is added.
+        File to write, in MATLAB's format v7; no suffix is added.
     class_one : bool
         Whether to write a structure in the paper's split, for MOTES.
 
@@ -58,14 +62,14 @@ def save_mat(
     Raises
     ------
     TypeError, ValueError
-        An argument is wrong, or MOTES has nothing for what the structure has: it is named.
+        An argument is wrong, or MOTES does not model a property: the message names it.
     OSError
         The file cannot be written.
 
     See Also
     --------
     load_mat : Read a structure.
-    load_mat_trajectory : Read a motion.
+    load_mat_trajectory : Read a trajectory.
 
     Examples
     --------
@@ -95,7 +99,10 @@ def _matrices(nodes: Array, bars: Indices, strings: Indices) -> dict[str, Any]:
 
 
 def _strings_and_bars(structure: Structure) -> dict[str, Any]:
-    """Return a column of rest lengths and rows of the others: MOTES takes no other shapes."""
+    """Build rest lengths as a column, other values as rows.
+
+    MOTES accepts no other shapes.
+    """
     rows = {"k": structure.stiffness, "c": structure.damping, "m": structure.bar_mass}
     return {
         "s_0": structure.rest_length[:, None],
@@ -132,7 +139,10 @@ def _from_one(mask: Any) -> Array:
 
 
 def _split(structure: Structure) -> dict[str, Any]:
-    """Return the task of a MOTES simulation. Raises ValueError for what MOTES would leave out."""
+    """Build the input of a MOTES simulation.
+
+    Raises ValueError for properties that MOTES ignores.
+    """
     partly = structure.held.any(axis=1) & ~structure.fixed.all(axis=1)
     loose = np.ones(len(structure.nodes), dtype=bool)
     loose[structure.bars] = False
@@ -168,7 +178,7 @@ def _split(structure: Structure) -> dict[str, Any]:
     on_bar = split.C_nb.any(axis=0)
     order = np.concatenate(
         [np.flatnonzero(on_bar), np.flatnonzero(~on_bar)]
-    )  # MOTES takes the first 2β columns for ends of bars
+    )  # MOTES expects the ends of bars in the first 2β columns
     return {
         "N": split.N[:, order],
         "C_b": (split.C_b @ split.C_nb)[:, order],

@@ -1,4 +1,4 @@
-"""Structures in .mat files, by the names of MOTES and TsgFEM: N, C_b, C_s, rest lengths, stiffnesses, masses, joints and pins."""
+"""Import of structures with the variable names of MOTES and TsgFEM."""
 
 from __future__ import annotations
 
@@ -15,37 +15,45 @@ from tenscasadi.structure.structure import PARAMETERS, Structure
 from tenscasadi.util.validate import Array, Indices, finite_array, shown, text
 
 _BARS, _STRINGS = ("C_b", "C_b_in", "Cb_in"), ("C_s", "C_s_in", "Cs_in")
-_STRING_NODE_MASS = 0.1  # kg, where a task of MOTES says nothing
+_STRING_NODE_MASS = 0.1  # kg, the default of MOTES
 _MOST = 125_000_000  # entries of a connectivity matrix: 1 GB
 Fields = Mapping[str, Any]
 
 
 class Found(NamedTuple):
-    """A structure of a file, and the column of the file's N that each of its nodes stands in."""
+    """Structure of a file.
+
+    Attributes
+    ----------
+    structure : Structure
+        The structure.
+    columns : ndarray, shape (n,)
+        Column of the file's N for each node.
+    """
 
     structure: Structure
     columns: Indices
 
 
 def load_mat(path: str | os.PathLike[str], name: str | None = None, **options: Any) -> Structure:
-    """Read a structure from a MATLAB file, as MOTES, TsgFEM or `save_mat` write it.
+    """Read a structure from a MATLAB file.
 
-    The file holds N (3×n) with C_b and C_s, dense or sparse, or lists of node pairs that count from
-    1 (``C_b_in``), as variables or in a struct, such as the task of a MOTES simulation. Of MOTES it
-    takes ``s_0``, ``k``, ``c``, ``m``, ``ms`` (with MOTES' defaults), ``P`` and ``D`` (nodes that P
-    ties together are merged), ``pinned_nodes``; of TsgFEM ``C``, ``index_b``, ``index_s``, ``E``,
-    ``A``, ``l0``, ``mass``, ``pinned_X``, ``pinned_Y``, ``pinned_Z`` or ``Ib``: its bars become
-    rigid. Objects and function handles in the file are left out, nothing is run. Loads, velocities
-    and times are no part of a structure.
+    MOTES, TsgFEM and `save_mat` write such files. They contain N (3×n) with C_b and C_s, dense or
+    sparse, or lists of node pairs that count from 1 (``C_b_in``). These are variables or fields of a
+    struct, such as the input of a MOTES simulation. From MOTES, ``s_0``, ``k``, ``c``, ``m``, ``ms``
+    (with MOTES' defaults), ``P``, ``D`` and ``pinned_nodes`` are read; nodes that P ties together are
+    merged. From TsgFEM, ``C``, ``index_b``, ``index_s``, ``E``, ``A``, ``l0``, ``mass``,
+    ``pinned_X``, ``pinned_Y``, ``pinned_Z`` or ``Ib`` are read; its bars become rigid. Objects and
+    function handles are ignored, and nothing is executed. Loads, velocities and times are not read.
 
     Parameters
     ----------
     path : str or PathLike
         File of MATLAB's versions 5, 6 or 7 (``save('x.mat', '-v7')``).
     name : str, optional
-        The struct to read, where the file holds several.
+        The struct to read if the file contains several.
     **options : array_like
-        Keywords of `Structure` that replace what the file says, such as ``damping``.
+        Keywords of `Structure` that replace values of the file, such as ``damping``.
 
     Returns
     -------
@@ -57,13 +65,13 @@ def load_mat(path: str | os.PathLike[str], name: str | None = None, **options: A
     FileNotFoundError
         There is no such file.
     TypeError, ValueError
-        The file cannot be read, holds no structure or several, or one that is wrong; the message
-        names the file, the variable and its value.
+        The file cannot be read, or does not contain exactly one valid structure; the message names
+        the file, the variable and its value.
 
     See Also
     --------
-    save_mat : Write one.
-    load_mat_trajectory : Read a motion.
+    save_mat : Write a structure.
+    load_mat_trajectory : Read a trajectory.
 
     Examples
     --------
@@ -81,7 +89,10 @@ def load_mat(path: str | os.PathLike[str], name: str | None = None, **options: A
 def find_structure(
     path: str | os.PathLike[str], variables: Fields, name: str | None, options: Fields
 ) -> Found:
-    """Return the structure that variables of the file describe. Raises TypeError, ValueError, which name the file."""
+    """Build the structure that variables of a file describe.
+
+    Raises TypeError, ValueError, which name the file.
+    """
     allowed = [key for key in PARAMETERS if key not in ("nodes", "bars", "strings")]
     for key in set(options) - set(allowed):
         raise TypeError(f"load_mat got {key!r}: give keywords of Structure ({', '.join(allowed)})")
@@ -92,7 +103,7 @@ def find_structure(
 
 
 def _choose(variables: Fields, name: str | None) -> Fields:
-    """Return the variables that describe one structure: of a struct, or of the file where no struct has any."""
+    """Select the variables of one structure: a struct, or the file."""
     structs = {
         key: value
         for key, value in variables.items()
@@ -123,7 +134,7 @@ def _choose(variables: Fields, name: str | None) -> Fields:
     fields = structs[first]
     return (
         {**variables, **fields} if "index_s" in fields else fields
-    )  # TsgFEM keeps masses and pins outside its struct
+    )  # TsgFEM stores masses and pins outside its struct
 
 
 def _describes(fields: Fields) -> bool:
@@ -172,7 +183,10 @@ def _build(fields: Fields, options: Fields) -> Found:
 
 
 def _read_members(fields: Fields, count: int) -> tuple[Indices, Indices, tuple[Indices, Indices]]:
-    """Bars and strings as pairs of nodes, and their rows in TsgFEM's list of all members."""
+    """Read bars and strings as pairs of nodes.
+
+    Also returns their rows in TsgFEM's list of all members.
+    """
     bars, strings = (
         next((key for key in keys if key in fields), None) for keys in (_BARS, _STRINGS)
     )
@@ -196,9 +210,9 @@ def _read_members(fields: Fields, count: int) -> tuple[Indices, Indices, tuple[I
 
 
 def read_pairs(field: str, value: Any, count: int) -> Indices:
-    """Return members as pairs of `count` nodes, zero-based, from a connectivity matrix or from a list of pairs that counts from 1.
+    """Convert a connectivity matrix or a list into zero-based node pairs.
 
-    Raises TypeError, ValueError.
+    A list counts from 1. Raises TypeError, ValueError.
     """
     if isinstance(value, np.ndarray) and value.size == 0:
         return np.zeros((0, 2), dtype=np.intp)
@@ -214,7 +228,7 @@ def read_pairs(field: str, value: Any, count: int) -> Indices:
         dense = finite_array(field, value, (None, None))
         rows, columns = np.nonzero(dense)
         entries, shape = dense[rows, columns], dense.shape
-        if shape[1] == 2 and dense.min() >= 1.0:  # connectivity has a -1 in each row
+        if shape[1] == 2 and dense.min() >= 1.0:  # a connectivity matrix has a −1 in each row
             return np.column_stack([read_indices(field, ends, count) for ends in dense.T]).reshape(
                 -1, 2
             )
@@ -236,7 +250,7 @@ def read_pairs(field: str, value: Any, count: int) -> Indices:
 
 
 def read_indices(field: str, value: Any, count: int) -> Indices:
-    """Return indices that count from 1 as indices of `count` items that count from 0. Raises TypeError, ValueError."""
+    """Convert indices from one-based to zero-based. Raises TypeError, ValueError."""
     numbers = np.asarray(value, dtype=float).ravel() if isinstance(value, np.ndarray) else None
     if numbers is None:
         raise ValueError(f"{field} is {shown(value)}: give numbers from 1 to {count}")
@@ -246,7 +260,7 @@ def read_indices(field: str, value: Any, count: int) -> Indices:
 
 
 def _filled(fields: Fields, key: str) -> bool:
-    """Whether there is a variable of numbers other than zeros."""
+    """Return whether a variable has nonzero numbers."""
     value = fields.get(key)
     return bool(
         value is not None
@@ -256,7 +270,10 @@ def _filled(fields: Fields, key: str) -> bool:
 
 
 def read_values(fields: Fields, key: str, count: int) -> Array:
-    """Return a variable of numbers: one for each of `count` items, or one for all. Raises TypeError, ValueError."""
+    """Read one number for each of `count` items, or one for all.
+
+    Raises TypeError, ValueError.
+    """
     value = fields[key]
     if not isinstance(value, np.ndarray):
         kind = f"a text, {value!r}, which is not run" if isinstance(value, str) else "no array"
@@ -313,7 +330,7 @@ def _of_tsgfem(fields: Fields) -> bool:
 
 
 def _of_members(fields: Fields, key: str, name: str) -> Array:
-    """One number for each of TsgFEM's members, which index_b and index_s number, greater than 0."""
+    """Read one positive number for each of TsgFEM's members."""
     if key not in fields:
         raise ValueError(
             f"{key} is missing, from which {name} follows: give {name}=..., or save {key} too"
@@ -331,7 +348,10 @@ def _of_members(fields: Fields, key: str, name: str) -> Array:
 
 
 def _read_node_mass(fields: Fields, count: int, bars: Indices) -> Array:
-    """Point mass of each column of N: MOTES has them where no bar ends."""
+    """Read the point mass of each column of N.
+
+    In MOTES only nodes without bars have one.
+    """
     mass = np.zeros(count)
     loose = np.setdiff1d(np.arange(count), bars)
     if "node_mass" in fields:

@@ -1,4 +1,4 @@
-"""Motions in .mat files: those of `save_mat`, MOTES' History and TsgFEM's n_t."""
+"""Import of trajectories written by `save_mat`, MOTES or TsgFEM."""
 
 from __future__ import annotations
 
@@ -19,7 +19,17 @@ from tenscasadi.util.validate import Array, finite_array, instance, shown
 
 
 class Motion(NamedTuple):
-    """Times (T,), positions and velocities (T, columns of N, 3), and force densities (T, α) or None, of another program."""
+    """Trajectory of another program.
+
+    Attributes
+    ----------
+    time : ndarray, shape (T,)
+        Times [s].
+    nodes, velocities : ndarray, shape (T, columns of N, 3)
+        Positions [m] and velocities [m/s].
+    force_density : ndarray, shape (T, α), or None
+        Force densities [N/m].
+    """
 
     time: Array
     nodes: Array
@@ -30,40 +40,40 @@ class Motion(NamedTuple):
 def load_mat_trajectory(
     path: str | os.PathLike[str], model: Model | None = None, parameters: Any = None
 ) -> Trajectory:
-    """Read a motion from a MATLAB file, as `save_mat`, MOTES or TsgFEM write it.
+    """Read a trajectory from a MATLAB file.
 
-    What `save_mat` wrote comes back as it was. Of MOTES it takes Nhist, Ndhist, t and gamma, of
-    TsgFEM n_t, nd_t and out_tspan, in a struct or outside, and makes them a trajectory of the
-    model: its forces, energies and errors are those of the model at these positions and velocities.
-    Nodes that P ties together, as in MOTES' split, are one node.
+    A file of `save_mat` is restored exactly. From MOTES, Nhist, Ndhist, t and gamma are read, and from
+    TsgFEM n_t, nd_t and out_tspan, in a struct or outside. Forces, energies and errors are then those
+    of the model at these positions and velocities. Nodes that P ties together, as in MOTES' split, are
+    one node.
 
     Parameters
     ----------
     path : str or PathLike
         File of MATLAB's versions 5, 6 or 7 (``save('x.mat', '-v7')``).
     model : Model, optional
-        Model of another program's motion, such as one with gravity. Default: the structure in the
-        file, as by `load_mat`, without loads.
+        Model of another program's trajectory, such as one with gravity. Default: the structure in
+        the file, as from `load_mat`, without loads.
     parameters : array_like, shape (np,), or mapping of str to array_like, optional
         Values of the model's parameters, see `ParameterLayout.values`; nominal if None.
 
     Returns
     -------
     Trajectory
-        The motion.
+        The trajectory.
 
     Raises
     ------
     FileNotFoundError
         There is no such file.
     TypeError, ValueError
-        The file cannot be read, or holds no motion, or one that does not fit the model; the message
+        The file cannot be read, has no trajectory, or one that does not fit the model; the message
         names the file and the variable.
 
     See Also
     --------
     load_mat : Read a structure.
-    save_mat : Write a motion.
+    save_mat : Write a trajectory.
 
     Examples
     --------
@@ -101,7 +111,7 @@ def load_mat_trajectory(
 
 
 def _own(variables: Mapping[str, Any]) -> Trajectory:
-    """Return a trajectory as `save_mat` wrote it. Raises KeyError, TypeError, ValueError."""
+    """Restore a trajectory of `save_mat`. Raises KeyError, TypeError, ValueError."""
     history, N = variables["History"], finite_array("N", variables["N"], (3, None))
     count = N.shape[1]
     content: dict[str, Any] = {
@@ -117,7 +127,7 @@ def _own(variables: Mapping[str, Any]) -> Trajectory:
                 content[name] = (
                     value if isinstance(value, str) else _KINDS[name](np.asarray(value).item())
                 )
-            else:  # MATLAB drops trailing dimensions of size one
+            else:  # MATLAB drops trailing dimensions of size 1
                 shape = [sizes.get(letter, -1) for letter in letters]
                 content[name] = np.asarray(value, dtype=float).T.reshape(
                     shape if np.size(value) else [max(0, size) for size in shape]
@@ -126,7 +136,7 @@ def _own(variables: Mapping[str, Any]) -> Trajectory:
 
 
 def _find(variables: Mapping[str, Any]) -> Motion:
-    """Return the motion among variables, in a struct or outside. Raises TypeError, ValueError."""
+    """Find the trajectory among variables and structs. Raises TypeError, ValueError."""
     scopes = {
         "": variables,
         **{name: value for name, value in variables.items() if isinstance(value, dict)},
@@ -153,7 +163,7 @@ def _read_motes(scope: Mapping[str, Any]) -> Motion:
     given = _numbers(scope, "Nhist"), _numbers(scope, "Ndhist")
     cubes = [
         value.reshape(*value.shape, *[1] * (3 - value.ndim)) for value in given
-    ]  # MATLAB drops a last dimension of one
+    ]  # MATLAB drops a last dimension of size 1
     nodes = finite_array("Nhist", cubes[0], (3, None, len(time))).transpose(2, 1, 0)
     velocities = finite_array("Ndhist", cubes[1], (3, nodes.shape[1], len(time))).transpose(2, 1, 0)
     return Motion(time, nodes, velocities, _numbers(scope, "gamma").T if "gamma" in scope else None)
@@ -162,7 +172,7 @@ def _read_motes(scope: Mapping[str, Any]) -> Motion:
 def _read_tsgfem(scope: Mapping[str, Any]) -> Motion:
     rows = min(
         _numbers(scope, key).shape[-1] for key in ("n_t", "nd_t", "out_tspan")
-    )  # its velocities end one time before its positions
+    )  # TsgFEM stores one time fewer for velocities than for positions
     time = finite_array("out_tspan", np.ravel(scope["out_tspan"])[:rows], (rows,))
     size = len(scope["n_t"])
     nodes, velocities = (
@@ -190,7 +200,7 @@ _KINDS: dict[str, Any] = {
 
 
 def _record(model: Model, motion: Motion, parameters: Any, path: str) -> Trajectory:
-    """Return a trajectory of the model through these positions and velocities. Raises ValueError."""
+    """Build a trajectory of the model at these states. Raises ValueError."""
     rows = len(motion.time)
     controlled = isinstance(model.scene.control, ForceDensity)
     if model.nu and not controlled:

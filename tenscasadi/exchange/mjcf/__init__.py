@@ -1,4 +1,4 @@
-"""MuJoCo's XML format, MJCF: scenes to it, and back from what maps."""
+"""Import and export of MuJoCo's XML format, MJCF."""
 
 from tenscasadi.exchange.mjcf.export import export_mjcf
 from tenscasadi.exchange.mjcf.importing import import_mjcf

@@ -1,4 +1,4 @@
-"""The bodies of a file as rigid pieces, with all that is fixed to each: masses, sites, geoms, and the joints that they hang by."""
+"""Rigid pieces of an MJCF file: masses, sites, geoms and joints."""
 
 from __future__ import annotations
 
@@ -25,7 +25,17 @@ from tenscasadi.util.validate import Array
 
 
 class Shape(NamedTuple):
-    """A geom: its axis, None where it is no sphere, capsule or cylinder, and its frame."""
+    """Geom with its frame.
+
+    Attributes
+    ----------
+    element : Element
+        XML element.
+    rod : Rod or None
+        Axis; None unless it is a sphere, capsule or cylinder.
+    frame : Frame
+        Frame in the world.
+    """
 
     element: Element
     rod: Rod | None
@@ -34,26 +44,41 @@ class Shape(NamedTuple):
 
 @dataclass
 class Piece:
-    """A rigid piece: the bodies that are fixed to each other. The first of all is the world."""
+    """Rigid piece: bodies fixed to each other.
+
+    The first piece is the world.
+    """
 
     element: Element
     parent: int | None = None
     slides: list[Array] = field(default_factory=list)  # unit directions
-    anchor: Array | None = None  # of a ball
+    anchor: Array | None = None  # of the ball joint
     free: bool = False
     masses: list[Mass] = field(default_factory=list)
     shapes: list[Shape] = field(default_factory=list)
 
 
 class Site(NamedTuple):
-    """A site: the piece that it is on, and where."""
+    """Site: its piece and its position."""
 
     piece: int
     place: Array
 
 
 class Body(NamedTuple):
-    """A body that is not read yet: where it is, the piece that it is of, and the class of what stands in it."""
+    """Body that has not been read yet.
+
+    Attributes
+    ----------
+    element : Element
+        XML element.
+    frame : Frame
+        Frame in the world.
+    piece : int
+        Piece that it belongs to.
+    childclass : str
+        Default class of its children.
+    """
 
     element: Element
     frame: Frame
@@ -62,7 +87,10 @@ class Body(NamedTuple):
 
 
 class Bodies:
-    """All pieces of a file in MuJoCo's reference configuration, the sites by name, and the frame and the piece of each body by name."""
+    """Pieces of a file in MuJoCo's reference configuration.
+
+    It maps the names of sites and bodies to their pieces and frames.
+    """
 
     def __init__(
         self, root: Element, defaults: Defaults, units: Units, geoms_weigh: bool | None
@@ -75,14 +103,17 @@ class Bodies:
             if not self.pieces:
                 self.pieces.append(Piece(element))
             waiting = [Body(check(element), WORLD, 0, "")]
-            while waiting:  # in the order of the file, however deep bodies hang
+            while waiting:  # keeps the order of the file at any depth
                 waiting += reversed(self._fill(waiting.pop()))
         if not self.pieces:
             raise root.error("has no <worldbody>: give one with bodies")
         self.frames.setdefault("world", (0, WORLD))
 
     def _fill(self, body: Body) -> list[Body]:
-        """Add what stands in a body to the piece that it is of, and return the bodies in it."""
+        """Add the contents of a body to its piece.
+
+        Returns the bodies inside.
+        """
         element, frame, piece, childclass = body
         own, inner = self.pieces[piece], list[Body]()
         inertials = element.of("inertial")
@@ -159,7 +190,7 @@ class Bodies:
     def _site(self, site: Element, frame: Frame, piece: int) -> None:
         check(site)
         if "name" not in site.attributes:
-            return  # which nothing can refer to
+            return  # without a name nothing can refer to it
         name = site.text("name")
         if name in self.sites:
             raise site.error("is the name of two sites: give each its own", "name")
@@ -184,26 +215,29 @@ class Bodies:
         piece.masses.append(rod_mass(geom, rod))
 
     def named(self, element: Element, attribute: str) -> tuple[int, Frame]:
-        """Return piece and frame of the body that an attribute names; without it those of the world. Raises SceneFileError."""
+        """Find piece and frame of the body an attribute names.
+
+        The default is the world. Raises SceneFileError.
+        """
         name = element.text(attribute, "world")
         if name not in self.frames:
             raise element.error(f"is {name!r}, which is no body: name one", attribute)
         return self.frames[name]
 
     def site(self, element: Element, attribute: str = "site") -> Site:
-        """Return the site that an attribute names. Raises SceneFileError."""
+        """Find the site that an attribute names. Raises SceneFileError."""
         name = element.text(attribute)
         if name not in self.sites:
             raise element.error(f"is {name!r}, which is no site: name one", attribute)
         return self.sites[name]
 
     def moving(self) -> Iterator[tuple[int, Piece]]:
-        """Yield all pieces but the world, with their numbers."""
+        """Yield the index and piece of all pieces except the world."""
         return ((k, piece) for k, piece in enumerate(self.pieces) if k)
 
 
 def _middle(site: Element) -> str:
-    """Return the place of a site as text, also where it is drawn from one point to another."""
+    """Return the position of a site, or the midpoint of `fromto`."""
     if "fromto" not in site.attributes:
         return site.text("pos", "0 0 0")
     ends = site.numbers("fromto", 6).reshape(2, 3)

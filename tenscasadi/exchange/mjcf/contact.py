@@ -1,8 +1,8 @@
-"""A ground's law in numbers of MuJoCo's soft contacts, and back.
+"""Conversion between `Ground` and MuJoCo's soft contacts.
 
-A contact of impedance d pushes with f = d (κ r/d − a)/A at depth r, for an acceleration a that the
-other forces alone would give; A is the inverse mass that MuJoCo reckons for the body. With κ = k A
-that is k r − d a/A: our push, as far as d is small.
+A contact of impedance d has the force f = d (κ r/d − a)/A at depth r. The acceleration a is that
+of the other forces alone, and A is the inverse mass that MuJoCo computes for the body. With
+κ = k A the force is k r − d a/A, the force of `Ground` if d is small.
 """
 
 from __future__ import annotations
@@ -21,20 +21,28 @@ from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.scene import Scene
 from tenscasadi.util.validate import Array
 
-# d: the share of other forces that a contact takes away, beside its push; MuJoCo takes no less
+# d: fraction of the other forces that a contact cancels; MuJoCo's minimum
 IMPEDANCE = 1e-4
-_STANDING = 3  # nodes that a body stands on
+_STANDING = 3  # number of nodes that support a standing body
 
 
 class Weights(NamedTuple):
-    """Scales of contacts: the inverse mass A of each node's body, 1/kg, and the weight on a node that a body stands on, N."""
+    """Scales of contact parameters.
+
+    Attributes
+    ----------
+    inverse : ndarray, shape (n,)
+        Inverse mass A of each node's body [1/kg].
+    standing : float
+        Load on one supporting node of a standing body [N].
+    """
 
     inverse: Array
     standing: float
 
 
 def contact_weights(scene: Scene, hanging: Hanging) -> Weights:
-    """Return the scales of the contacts of a scene's nodes; A is 0 at nodes that do not move."""
+    """Compute the contact scales of a scene; A is 0 at fixed nodes."""
     s = scene.modelled
     held, bars = held_directions(s), inverse_weights(s, hanging) if len(s.bars) else np.zeros(0)
     inverse = np.zeros(len(s.nodes))
@@ -57,13 +65,16 @@ def contact_weights(scene: Scene, hanging: Hanging) -> Weights:
 
 
 def touching(ground: Ground, inverse: Array) -> list[int]:
-    """Return the nodes that a ground acts on, of those that move."""
+    """List the moving nodes that a ground acts on."""
     nodes = range(len(inverse)) if ground.nodes is None else ground.nodes
     return [node for node in nodes if inverse[node] > 0]
 
 
 def contact_numbers(ground: Ground, inverse: float, standing: float) -> dict[str, list[float]]:
-    """Return the attributes of the contact of a node with a ground: its stiffness, damping and friction, per mass."""
+    """Compute the contact attributes of a node and a ground.
+
+    They are its stiffness, damping and friction, per mass.
+    """
     impedance = [IMPEDANCE, IMPEDANCE, IMPEDANCE, 0.5, 2.0]
     found = {
         "solref": [-ground.stiffness * inverse, -ground.damping * inverse],
@@ -73,7 +84,7 @@ def contact_numbers(ground: Ground, inverse: float, standing: float) -> dict[str
         return {"condim": [1], **found}
     slip = (
         ground.friction * standing / ground.slip_speed * inverse
-    )  # as ours, for slow slip under the weight of a body that stands
+    )  # matches `Ground` for slow slip under the weight of a standing body
     sliding = [ground.friction, ground.friction, 0.005, 0.0001, 0.0001]
     return {"condim": [3], "friction": sliding, **found, "solreffriction": [0.0, -slip]}
 
@@ -81,7 +92,7 @@ def contact_numbers(ground: Ground, inverse: float, standing: float) -> dict[str
 def ground_numbers(
     solref: Array, solreffriction: Array, friction: float | None, inverse: float, standing: float
 ) -> dict[str, float | None]:
-    """Return stiffness, damping, friction and slip speed of the ground whose contact has these numbers."""
+    """Compute stiffness, damping, friction and slip speed from contact attributes."""
     stiffness, damping = _direct(solref)
     found: dict[str, float | None] = {
         "stiffness": stiffness / inverse,
@@ -95,7 +106,10 @@ def ground_numbers(
 
 
 def _direct(solref: Array) -> tuple[float, float]:
-    """Return stiffness, 1/s², and damping, 1/s, of MuJoCo's `solref`: both negated, or a time constant and a damping ratio."""
+    """Convert MuJoCo's `solref` to stiffness [1/s²] and damping [1/s].
+
+    `solref` is both of them negated, or a time constant and a damping ratio.
+    """
     first, second = (float(value) for value in solref)
     if first <= 0:
         return 0.0 - first, 0.0 - second

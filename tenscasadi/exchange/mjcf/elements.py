@@ -1,4 +1,7 @@
-"""XML as elements that know their lines; nothing but elements and attributes is read, and no other file is opened."""
+"""Reader of XML elements with line numbers.
+
+Only elements and attributes are read. No other file is opened.
+"""
 
 from __future__ import annotations
 
@@ -15,12 +18,12 @@ from tenscasadi.util.validate import LARGEST, Array, file_path, shown
 
 LARGEST_FILE = 16_000_000  # bytes
 MOST_ELEMENTS = 100_000
-DEEPEST = 500  # elements in elements
+DEEPEST = 500  # nesting depth
 
 
 @dataclass(frozen=True)
 class Element:
-    """An element: its attributes, its children, and where it stands."""
+    """XML element with its attributes, children and line."""
 
     tag: str
     attributes: Mapping[str, str]
@@ -32,32 +35,35 @@ class Element:
         return iter(self.children)
 
     def of(self, *tags: str) -> list[Element]:
-        """Return the children of these kinds."""
+        """Return the children with these tags."""
         return [child for child in self.children if child.tag in tags]
 
     def given(self, attributes: Mapping[str, str]) -> Element:
-        """Return the same element with other attributes."""
+        """Copy the element with other attributes."""
         return replace(self, attributes=attributes)
 
     def error(self, message: str, attribute: str = "") -> SceneFileError:
-        """Return the error that names this element, or one of its attributes."""
+        """Build the error that names this element or an attribute."""
         name = self.attributes.get("name")
         said = f"<{self.tag}>" if name is None else f'<{self.tag} name="{shown(name)[1:-1]}">'
         return SceneFileError(message, self.file, self.line, f"{said} {attribute}".strip())
 
     def text(self, attribute: str, default: str = "") -> str:
-        """Return an attribute as it is."""
+        """Return an attribute as text."""
         return self.attributes.get(attribute, default)
 
     def word(self, attribute: str, default: str, *words: str) -> str:
-        """Return an attribute that is one of some words. Raises SceneFileError."""
+        """Read an attribute with given alternatives. Raises SceneFileError."""
         found = self.text(attribute, default)
         if found not in words:
             raise self.error(f"is {shown(found)}: tenscasadi reads {' or '.join(words)}", attribute)
         return found
 
     def flag(self, attribute: str, default: bool | None = None) -> bool | None:
-        """Return an attribute that is true or false; None where it is auto, or not given and without a default. Raises SceneFileError."""
+        """Read a Boolean attribute. Raises SceneFileError.
+
+        Returns None for "auto", and the default if it is missing.
+        """
         if attribute not in self.attributes:
             return default
         return {"true": True, "false": False, "auto": None}[
@@ -67,7 +73,10 @@ class Element:
     def numbers(
         self, attribute: str, count: int | Sequence[int], default: Sequence[float] | None = None
     ) -> Array:
-        """Return an attribute of so many numbers, or one of several counts, finite. Raises SceneFileError."""
+        """Read an attribute of finite numbers. Raises SceneFileError.
+
+        `count` is their number, or the allowed numbers.
+        """
         counts = [count] if isinstance(count, int) else list(count)
         if attribute not in self.attributes:
             if default is None:
@@ -89,11 +98,11 @@ class Element:
         return found
 
     def number(self, attribute: str, default: float | None = None) -> float:
-        """Return an attribute of one number. Raises SceneFileError."""
+        """Read an attribute of one number. Raises SceneFileError."""
         return float(self.numbers(attribute, 1, None if default is None else [default])[0])
 
     def whole(self, attribute: str, default: int) -> int:
-        """Return an attribute of one whole number. Raises SceneFileError."""
+        """Read an attribute of one integer. Raises SceneFileError."""
         found = self.number(attribute, default)
         if found != round(found) or abs(found) > 2**31:
             raise self.error(f"is {shown(self.text(attribute))}: give a whole number", attribute)
@@ -101,7 +110,7 @@ class Element:
 
 
 def read_elements(path: str | os.PathLike[str]) -> Element:
-    """Return the outermost element of a file. Raises SceneFileError, and OSError where there is no such file."""
+    """Read the root element of a file. Raises SceneFileError, OSError."""
     source = file_path("path", path)
     if not source.exists():
         raise FileNotFoundError(2, "No such file", os.fspath(path))
@@ -123,7 +132,7 @@ def read_elements(path: str | os.PathLike[str]) -> Element:
 
 
 class _Reader:
-    """Builds elements as expat tells of them."""
+    """Handler of expat's events."""
 
     def __init__(self, name: str) -> None:
         self._name, self._count = name, 0
@@ -141,7 +150,7 @@ class _Reader:
         parser.SetParamEntityParsing(expat.XML_PARAM_ENTITY_PARSING_NEVER)
 
     def read(self, content: bytes) -> Element:
-        """Return the outermost element. Raises SceneFileError."""
+        """Parse the root element. Raises SceneFileError."""
         try:
             self._parser.Parse(content, True)
         except expat.ExpatError as error:
@@ -149,7 +158,7 @@ class _Reader:
             raise SceneFileError(
                 f"it is no XML, {reason}: correct it there", self._name, error.lineno
             ) from None
-        except (ValueError, LookupError) as error:  # of its encoding
+        except (ValueError, LookupError) as error:  # an unknown encoding
             if isinstance(error, SceneFileError):
                 raise
             raise SceneFileError(

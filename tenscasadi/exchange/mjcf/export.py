@@ -1,4 +1,4 @@
-"""A scene as a file that MuJoCo loads: bars as bodies, strings as spatial tendons."""
+"""Export of scenes to MuJoCo: bars as bodies, strings as spatial tendons."""
 
 from __future__ import annotations
 
@@ -35,12 +35,11 @@ from tenscasadi.util.validate import (
 )
 from tenscasadi.util.whole_file import whole_file
 
-_LEAST = 1e-15  # kg and kg m²: less MuJoCo does not take for a body that moves
-# times the inertia across a bar: what it has about its axis, at least, so that friction beside the
+_LEAST = 1e-15  # kg and kg m²: MuJoCo's minimum for a moving body
 # axis does not spin it
 _AXIAL = 0.01
-_DRAWN = 0.005  # times the mean length of members: radius of thin bars
-_SPHERE = 1e-3  # times the mean length of members: radius of what touches the ground
+_DRAWN = 0.005  # relative to the mean member length: radius of bars without one
+_SPHERE = 1e-3  # relative to the mean member length: radius of contact spheres
 _STRONGEST = 1e12  # N
 
 
@@ -53,26 +52,25 @@ def export_mjcf(
 ) -> Path:
     """Write a scene as MuJoCo's XML, MJCF.
 
-    Bars are bodies ``bar0``, ``bar1`` …, nodes are sites ``n0``, ``n1`` …, strings (their segments,
-    where they are cut) are spatial tendons ``string0``, ``string1`` … MuJoCo starts in the
-    structure's nodes.
+    Bars become bodies ``bar0``, ``bar1`` …, nodes become sites ``n0``, ``n1`` …, and strings or
+    their segments become spatial tendons ``string0``, ``string1`` … The reference configuration is
+    that of the structure.
 
     Parameters
     ----------
     scene : Scene
-        What to write.
+        The scene.
     path : str or path
         The file, such as ``"prism.xml"``.
     velocities : array_like, shape (n, 3), optional
-        Velocities of the nodes that are modelled at the start, m/s, in the keyframe ``start``; at
-        rest if None.
+        Initial velocities of the modelled nodes [m/s], for the keyframe ``start``; at rest if None.
     joints : {"ball", "connect"}
-        Bars that share a node, or hang from a pinned one: a ball joint, which holds them exactly,
-        and an equality ``connect`` only where a loop of bars closes; or each bar as a free body,
-        and ``connect`` for all.
+        "ball" connects bars with shared or pinned nodes by ball joints, which are exact, and closes
+        loops of bars by the equality ``connect``. "connect" makes each bar a free body and uses
+        ``connect`` for all shared nodes.
     step : float
-        MuJoCo's time step, s. Equalities have a time constant of two steps: write the file again to
-        change it.
+        MuJoCo's time step [s]. Equalities have a time constant of two steps, so export again to
+        change the step.
 
     Returns
     -------
@@ -82,35 +80,34 @@ def export_mjcf(
     Raises
     ------
     TypeError, ValueError
-        Where an argument is wrong, or something in the scene has no counterpart in MJCF: the
-        message names it.
+        An argument is wrong, or a feature of the scene has no counterpart in MJCF; the message
+        names it.
     OSError
-        Where the file cannot be written.
+        The file cannot be written.
 
     Notes
     -----
-    What differs, and by how much:
+    The models differ as follows:
 
-    - A bar has an inertia about its own axis, m r²/2, and at least 0.01 of that across: MuJoCo
-    takes none of 0. No force turns a
-      bar about its axis, so the motion is the same, but for friction on the spheres below.
-    - A damped string damps in MuJoCo also while it is slack, and may push then. One without damping
-    follows `Clip` exactly, one with the law
-      `Linear` in both cases. `Smooth` is refused.
-    - `connect` is soft: two ends drift apart by a share of about 1e-4 of what would part them in
-    two steps.
-    - On the ground, nodes are spheres of a thousandth of the mean length of the members, on a plane
-    that is as much lower. A contact pushes as
-      `Ground` does but for 1e-4 of the other forces on the body. Friction is Coulomb's with a slip
-      speed, too, which here belongs to the weight that a body standing on three nodes has on each,
-      and there to the push that there is.
-    - Control by rest lengths is a position actuator for each string, control by force densities a
-    general actuator with
-      the gain −length: in both, MuJoCo's ``ctrl`` is the control of the model. Its start is in the
-      keyframe ``start``: begin with ``mujoco.mj_resetDataKeyframe(model, data, 0)``.
+    - A bar has the axial inertia m r²/2, and at least 0.01 of its transverse inertia, because
+      MuJoCo rejects 0. No force turns a bar about its axis, so only friction on the contact spheres
+      changes the trajectory.
+    - A damped string also damps while it is slack in MuJoCo, and may then push. Strings without
+      damping follow `Clip` exactly, and strings with the law `Linear` are always exact. `Smooth` is
+      rejected.
+    - `connect` is soft: two ends separate by about 1e-4 of their free separation in two steps.
+    - In contact, nodes are spheres with a radius of 0.001 of the mean member length. The plane is
+      lower by this radius. The normal force is that of `Ground`, except for 1e-4 of the other
+      forces on the body. Friction is Coulomb friction with a slip speed. In MuJoCo the slip speed
+      refers to the weight on each of three supporting nodes, in `Ground` to the current normal
+      force.
+    - Control by rest lengths becomes a position actuator for each string. Control by force
+      densities becomes a general actuator with the gain −length. MuJoCo's ``ctrl`` is the control
+      of the model in both cases. Its initial value is in the keyframe ``start``: begin with
+      ``mujoco.mj_resetDataKeyframe(model, data, 0)``.
 
-    Pressure, forces on nodes, moved supports, height fields, gravity over time and parameters are
-    refused, and nodes held along one or two directions where MuJoCo's joints cannot slide so.
+    Pressure, nodal forces, moving supports, height fields, time-varying gravity and parameters are
+    rejected. Rollers are rejected if MuJoCo's joints cannot represent them.
 
     Examples
     --------
@@ -138,7 +135,7 @@ def export_mjcf(
 
 
 def _refuse(scene: Scene) -> None:
-    """Raise ValueError where a scene has what MJCF has not."""
+    """Reject features that MJCF lacks. Raises ValueError."""
     others = {
         "pressure": "leave it out",
         "forces": "leave them out, and give them to MuJoCo through data.xfrc_applied",
@@ -179,7 +176,7 @@ def _refuse(scene: Scene) -> None:
 
 
 def _velocities(s: Structure, given: ArrayLike) -> Array:
-    """Return velocities that bars and pins allow. Raises TypeError, ValueError."""
+    """Check that velocities satisfy bars and pins. Raises TypeError, ValueError."""
     V = finite_array("velocities", given, (len(s.nodes), 3))
     least = 1e-9 * abs(V).max(initial=0.0)
     for node, directions in held_directions(s).items():
@@ -201,13 +198,13 @@ def _velocities(s: Structure, given: ArrayLike) -> Array:
 
 
 class _Writer:
-    """The elements of one file."""
+    """Builder of the XML elements of one file."""
 
     def __init__(self, scene: Scene, hanging: Hanging) -> None:
         self.scene, self.s, self.hanging = scene, scene.modelled, hanging
         self.grounds = [
             ground for ground in scene.grounds if isinstance(ground, Ground)
-        ]  # all are: `_refuse`
+        ]  # `_refuse` rejects all other kinds
         s = self.s
         size = (
             float(np.mean(np.concatenate([s.bar_lengths, s.string_lengths])))
@@ -225,15 +222,15 @@ class _Writer:
         )
         self.turns: dict[int | None, Array] = {
             None: np.eye(3)
-        }  # columns: the axes of a bar's body, whose z axis is along the bar
+        }  # columns: axes of a bar's body frame; z is along the bar
         self.along: dict[
             tuple[int | None, int], Array
-        ] = {}  # where a node is in the body of its bar
-        self.rates: dict[ET.Element, list[float]] = {}  # of the joints of each body
+        ] = {}  # position of a node in the body frame of its bar
+        self.rates: dict[ET.Element, list[float]] = {}  # joint velocities of each body
         self.root = ET.Element("mujoco", model="tenscasadi")
 
     def write(self, step: float, velocities: Array | None) -> ET.Element:
-        """Return the whole."""
+        """Build the root element."""
         V = np.zeros(self.s.nodes.shape) if velocities is None else velocities
         self._options(step)
         world = ET.SubElement(self.root, "worldbody")
@@ -306,7 +303,7 @@ class _Writer:
             _add(body, "joint", type="ball")
         self.rates[body] += [
             *(turning @ turn)
-        ]  # rates of turning are told along the body's own axes
+        ]  # MuJoCo expects angular velocities in the body frame
 
     def _slides(self, body: ET.Element, directions: Array, velocity: Array, turn: Array) -> None:
         for direction in directions:
@@ -314,7 +311,7 @@ class _Writer:
         self.rates[body] = [*(directions @ velocity)]
 
     def _rod(self, body: ET.Element, bar: int, ends: list[float]) -> None:
-        """Give a bar its mass, and a cylinder to look at."""
+        """Add the mass of a bar, and a cylinder for display."""
         s = self.s
         radius, mass = s.bar_radius[bar], s.bar_mass[bar]
         across = s.bar_inertia[bar] * s.bar_lengths[bar] ** 2  # J of Eq. 19 times l²
@@ -331,7 +328,10 @@ class _Writer:
         )
 
     def _node(self, body: ET.Element, node: int, place: Array) -> None:
-        """Put a node of a bar into its body, with its mass in a body that is fixed to it."""
+        """Add a node to the body of its bar.
+
+        Its point mass goes into a body fixed to that one.
+        """
         if self.s.node_mass[node] > 0:
             mass = _add(body, "body", name=f"n{node}", pos=place)
             _add(
@@ -355,7 +355,7 @@ class _Writer:
             )
 
     def _points(self, world: ET.Element, V: Array) -> None:
-        """Add the nodes of no bar, and the pinned ones."""
+        """Add pinned nodes and nodes without bars."""
         s, held, here = self.s, held_directions(self.s), np.zeros(3)
         for node in (node for node in range(len(s.nodes)) if node not in self.hanging.owner):
             slides = free_directions(held.get(node, NO_DIRECTION))
@@ -370,7 +370,7 @@ class _Writer:
                 pos=here,
                 mass=s.node_mass[node],
                 diaginertia=np.full(3, max(s.node_mass[node], 1.0)),
-            )  # it does not turn
+            )  # any value: the body does not rotate
             _add(body, "site", name=f"n{node}", pos=here, size=[self.sphere])
             self._ball(body, node, here)
 
@@ -426,7 +426,7 @@ class _Writer:
     def _control(self, moving: bool) -> None:
         scene, s = self.scene, self.s
         start: dict[str, Any] = {}
-        if moving:  # in the order of the file, which is MuJoCo's
+        if moving:  # MuJoCo's order is that of the file
             start["qvel"] = [
                 rate for body in self.root.iter("body") for rate in self.rates.get(body, ())
             ]
@@ -462,7 +462,7 @@ class _Writer:
 
 
 def _add(parent: ET.Element, tag: str, **attributes: Any) -> ET.Element:
-    """Add an element; numbers and lists of them become text that reads back as they are."""
+    """Add an element; numbers become text that is read back exactly."""
     return ET.SubElement(parent, tag, {name: _text(value) for name, value in attributes.items()})
 
 

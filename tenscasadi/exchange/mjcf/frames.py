@@ -1,4 +1,4 @@
-"""Places and turns of MJCF's elements, and the masses of its geoms."""
+"""Frames of MJCF elements, and the masses of geoms."""
 
 from __future__ import annotations
 
@@ -9,37 +9,47 @@ import numpy as np
 from tenscasadi.exchange.mjcf.elements import Element
 from tenscasadi.util.validate import Array
 
-_DENSITY = 1000.0  # kg/m³, of geoms that say nothing
+_DENSITY = 1000.0  # kg/m³, MuJoCo's default
 
 
 class Units(NamedTuple):
-    """How a file tells angles."""
+    """Angle conventions of a file."""
 
     degrees: bool
-    sequence: str  # of Euler's angles
+    sequence: str  # of Euler angles
 
 
 class Frame(NamedTuple):
-    """A place, and a turn whose columns are the axes."""
+    """Position, and rotation matrix with the axes as columns."""
 
     place: Array
     turn: Array
 
     def at(self, point: Array) -> Array:
-        """Return where a point of this frame is."""
+        """Transform a point of this frame to the outer frame."""
         return np.asarray(self.place + self.turn @ point)
 
     def seen(self, point: Array) -> Array:
-        """Return where a point of what is around this frame is in it."""
+        """Transform a point of the outer frame to this frame."""
         return np.asarray(self.turn.T @ (point - self.place))
 
     def within(self, outer: Frame) -> Frame:
-        """Return this frame as seen from around the outer one."""
+        """Express this frame in the frame around `outer`."""
         return Frame(outer.at(self.place), outer.turn @ self.turn)
 
 
 class Mass(NamedTuple):
-    """A mass, kg, its centre, and its inertia about that, kg m² (3, 3)."""
+    """Mass properties of a body.
+
+    Attributes
+    ----------
+    mass : float
+        Mass [kg].
+    centre : ndarray, shape (3,)
+        Center of mass [m].
+    inertia : ndarray, shape (3, 3)
+        Inertia about the center of mass [kg m²].
+    """
 
     mass: float
     centre: Array
@@ -47,7 +57,10 @@ class Mass(NamedTuple):
 
 
 class Rod(NamedTuple):
-    """The axis of a geom, and its radius, m; a sphere has one end twice."""
+    """Axis of a geom and its radius [m].
+
+    A sphere has two equal ends.
+    """
 
     ends: Array
     radius: float
@@ -58,7 +71,7 @@ WORLD = Frame(np.zeros(3), np.eye(3))
 
 
 def read_frame(element: Element, units: Units) -> Frame:
-    """Return place and turn of an element in what it stands in. Raises SceneFileError."""
+    """Read the frame of an element. Raises SceneFileError."""
     given = [
         name
         for name in ("quat", "axisangle", "euler", "xyaxes", "zaxis")
@@ -99,7 +112,7 @@ def _turn(element: Element, name: str, units: Units) -> Array:
 
 
 def turn_to(z: Array) -> Array:
-    """Return the smallest turn of the z axis to a unit direction."""
+    """Compute the smallest rotation of the z axis to a direction."""
     axis = np.cross([0, 0, 1], z)
     sine = float(np.linalg.norm(axis))
     return (
@@ -117,13 +130,16 @@ def _unit(element: Element, name: str, vector: Array) -> Array:
 
 
 def _rotation(axis: Array, angle: float) -> Array:
-    """Return the rotation about a unit axis (Rodrigues)."""
+    """Compute the rotation about a unit axis (Rodrigues)."""
     across = np.cross(np.eye(3), axis)
     return np.asarray(np.eye(3) + np.sin(angle) * across + (1 - np.cos(angle)) * across @ across)
 
 
 def read_rod(element: Element, frame: Frame, units: Units) -> Rod | None:
-    """Return the axis of a sphere, capsule or cylinder in a body's frame; None for geoms of other shapes. Raises SceneFileError."""
+    """Read the axis of a sphere, capsule or cylinder.
+
+    It is expressed in the outer frame, and None for other geoms. Raises SceneFileError.
+    """
     kind = element.text("type", "sphere")
     if kind not in ("sphere", "capsule", "cylinder"):
         return None
@@ -154,7 +170,7 @@ def read_rod(element: Element, frame: Frame, units: Units) -> Rod | None:
 
 
 def rod_mass(element: Element, rod: Rod) -> Mass:
-    """Return the mass of a sphere, capsule or cylinder. Raises SceneFileError."""
+    """Compute the mass of a sphere, capsule or cylinder. Raises SceneFileError."""
     along = rod.ends[1] - rod.ends[0]
     length, r = float(np.linalg.norm(along)), rod.radius
     tube, caps = np.pi * r**2 * length, 4 / 3 * np.pi * r**3 * (rod.kind != "cylinder")
@@ -165,7 +181,7 @@ def rod_mass(element: Element, rod: Rod) -> Mass:
         )
     tube, caps = (mass * part / (tube + caps) for part in (tube, caps))
     spin = tube * r**2 / 2 + caps * 2 * r**2 / 5
-    # two half spheres, whose centres are 3r/8 beyond the ends
+    # two half spheres with their centers 3r/8 beyond the ends
     across = tube * (length**2 / 12 + r**2 / 4) + caps * (
         2 * r**2 / 5 + length**2 / 4 + 3 * length * r / 8
     )
@@ -176,7 +192,7 @@ def rod_mass(element: Element, rod: Rod) -> Mass:
 
 
 def read_inertial(element: Element, frame: Frame, units: Units) -> Mass:
-    """Return the mass that an `inertial` tells. Raises SceneFileError."""
+    """Read the mass of an `inertial` element. Raises SceneFileError."""
     own = read_frame(element, units).within(frame)
     mass = element.number("mass")
     if mass < 0:

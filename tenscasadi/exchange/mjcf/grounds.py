@@ -1,4 +1,4 @@
-"""Planes of a file as grounds of the nodes that touch them."""
+"""Conversion of planes into grounds of the nodes in contact."""
 
 from __future__ import annotations
 
@@ -14,14 +14,24 @@ from tenscasadi.exchange.mjcf.words import Defaults, check, children
 from tenscasadi.scene.ground import Ground
 from tenscasadi.util.validate import Array
 
-_SOFT = (0.02, 1.0)  # MuJoCo's solref where none is given
+_SOFT = (0.02, 1.0)  # MuJoCo's default solref
 _FRICTION = (1.0, 0.005, 0.0001)
-_ALIKE = 1e-4  # relative: numbers of the same ground, in files of six digits
+_ALIKE = 1e-4  # relative difference within one ground, for files of six digits
 _MOST = 10_000_000  # pairs of geoms
 
 
 class Touch(NamedTuple):
-    """A contact of a node with a plane: how far the node is above it then, m, and the attributes that tell its law."""
+    """Contact of a node with a plane.
+
+    Attributes
+    ----------
+    node : int
+        Index of the node.
+    distance : float
+        Height of the node above the plane at contact [m].
+    law : Element
+        Element with the contact attributes.
+    """
 
     node: int
     distance: float
@@ -35,7 +45,22 @@ def read_grounds(
     node_at: Callable[[int, Array], int | None],
     weigh: Callable[[], Weights],
 ) -> list[Ground]:
-    """Return the grounds of a file; `node_at`: the node at a place of a piece, `weigh`: the scales of contacts. Raises SceneFileError."""
+    """Read the grounds of a file. Raises SceneFileError.
+
+    Parameters
+    ----------
+    root, bodies, defaults
+        The file.
+    node_at : callable
+        Returns the node at a point of a piece.
+    weigh : callable
+        Returns the contact scales.
+
+    Returns
+    -------
+    list of Ground
+        The grounds.
+    """
     pairs, apart = _read_contacts(root, bodies, defaults)
     moving = [(k, shape) for k, piece in bodies.moving() for shape in piece.shapes]
     found: list[Ground] = []
@@ -65,7 +90,7 @@ def read_grounds(
 def _read_contacts(
     root: Element, bodies: Bodies, defaults: Defaults
 ) -> tuple[Mapping[frozenset[str], Element], set[int]]:
-    """Return the pairs of geoms that are told to touch, and the pieces that are told not to touch the world."""
+    """Read explicit contact pairs, and pieces excluded from world contact."""
     pairs: dict[frozenset[str], Element] = {}
     apart: set[int] = set()
     for section in root.of("contact"):
@@ -90,7 +115,11 @@ def _meet(one: Element, other: Element) -> bool:
 
 
 def _mixed(one: Element, other: Element) -> Element:
-    """Return a geom with the attributes of a contact of two: those of the higher priority, else the greater friction and the mean of the laws."""
+    """Combine the contact attributes of two geoms.
+
+    The geom of higher priority decides. For equal priorities the friction is the maximum, and the law
+    the mean.
+    """
     priorities = [geom.whole("priority", 0) for geom in (one, other)]
     if priorities[0] != priorities[1]:
         return one if priorities[0] > priorities[1] else other
@@ -111,7 +140,7 @@ def _mixed(one: Element, other: Element) -> Element:
 def _touches(
     k: int, shape: Shape, law: Element, node_at: Callable[[int, Array], int | None]
 ) -> list[Touch]:
-    """Return the contacts of the ends of a geom, of those that are nodes."""
+    """Find the contacts of the ends of a geom at nodes."""
     if shape.rod is None:
         return []
     nodes = [node_at(k, end) for end in shape.rod.ends[: 1 if shape.rod.kind == "sphere" else 2]]
@@ -119,7 +148,7 @@ def _touches(
 
 
 def _grounds(plane: Shape, touches: list[Touch], weights: Weights) -> list[Ground]:
-    """Return the grounds that a plane is, one for all nodes of the same law."""
+    """Build the grounds of a plane, one for each law."""
     normal = plane.frame.turn[:, 2]
     touches = sorted(
         (touch for touch in touches if weights.inverse[touch.node] > 0),
@@ -143,7 +172,7 @@ def _grounds(plane: Shape, touches: list[Touch], weights: Weights) -> list[Groun
         )
         inverse = (
             float(weights.inverse[touch.node]) if solref[0] <= 0 else mean
-        )  # of a time constant the stiffness goes with the mass
+        )  # a time constant gives a stiffness proportional to mass
         slow = touch.law.numbers("solreffriction", 2, (0, 0))
         numbers = ground_numbers(solref, slow, friction or None, inverse, weights.standing)
         law = {**numbers, "height": float(normal @ plane.frame.place) + touch.distance}
@@ -163,7 +192,7 @@ def _grounds(plane: Shape, touches: list[Touch], weights: Weights) -> list[Groun
 
 
 def _same(one: dict[str, Any], other: dict[str, Any]) -> bool:
-    """Return whether two laws are one, as told in a few digits."""
+    """Return whether two laws agree to the digits of a file."""
     if one.keys() != other.keys() or (one["friction"] is None) != (other["friction"] is None):
         return False
     return all(

@@ -1,4 +1,4 @@
-"""Which body of MuJoCo's tree each bar and each node belongs to, and the joints that a tree cannot hold."""
+"""Body tree of MuJoCo: parents, joints and loop-closing constraints."""
 
 from __future__ import annotations
 
@@ -11,15 +11,29 @@ import numpy as np
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array
 
-# bars that hang from each other: files that are nested deeper are hard to read, for MuJoCo too
+# nesting depth of bodies; MuJoCo reads deeper files badly
 DEEPEST = 100
-# bars of a tree whose weights are computed: with a matrix of three rows and columns for each
+# bars of one tree: the mass matrix has three rows and columns per bar
 MOST = 1000
 NO_DIRECTION = np.zeros((0, 3))
 
 
 class Link(NamedTuple):
-    """A bar, the bar that it hangs from (None: the world), the node that it turns about (None: it is free) and along which that slides (k, 3)."""
+    """Bar of the body tree, with the joint to its parent.
+
+    Attributes
+    ----------
+    bar : int
+        Index of the bar.
+    parent : int or None
+        Bar that it is attached to; None for the world.
+    node : int or None
+        Node of the ball joint; None for a free body.
+    slides : ndarray, shape (k, 3)
+        Directions in which that node can slide.
+    still : bool
+        Whether both ends are pinned.
+    """
 
     bar: int
     parent: int | None
@@ -29,7 +43,17 @@ class Link(NamedTuple):
 
 
 class Tie(NamedTuple):
-    """A node that an equation holds: its bar, and the bar that has the node (None: the world)."""
+    """Loop-closing constraint of a node.
+
+    Attributes
+    ----------
+    node : int
+        Index of the node.
+    bar : int
+        Bar that ends at the node.
+    other : int or None
+        Bar whose body contains the node; None for the world.
+    """
 
     node: int
     bar: int
@@ -37,7 +61,17 @@ class Tie(NamedTuple):
 
 
 class Hanging(NamedTuple):
-    """All bars, each after the one that it hangs from; which bar has a node, of nodes of bars that are not pinned; and the ties."""
+    """Body tree of a structure.
+
+    Attributes
+    ----------
+    links : list of Link
+        All bars, parents before children.
+    owner : dict of int to int
+        Bar whose body contains a node, for nodes of bars that are not pinned.
+    ties : list of Tie
+        Loop-closing constraints.
+    """
 
     links: list[Link]
     owner: dict[int, int]
@@ -45,7 +79,7 @@ class Hanging(NamedTuple):
 
 
 def held_directions(s: Structure) -> dict[int, Array]:
-    """Return the orthonormal directions (k, 3) along which nodes are held, of those that are."""
+    """Find the orthonormal directions (k, 3) of each constrained node."""
     axes = {
         node: np.eye(3)[["xyz".index(axis) for axis in names]] for node, names in s.pinned.items()
     }
@@ -53,19 +87,23 @@ def held_directions(s: Structure) -> dict[int, Array]:
 
 
 def free_directions(held: Array) -> Array:
-    """Return orthonormal directions (3 − k, 3) across those held (k, 3)."""
-    if np.count_nonzero(held) == len(held):  # along axes: the others, as they are
+    """Compute orthonormal directions (3 − k, 3) perpendicular to `held` (k, 3)."""
+    if np.count_nonzero(held) == len(held):  # coordinate axes: keep the others exact
         return np.eye(3)[~held.any(axis=0)]
     return np.asarray(np.linalg.svd(held)[2][len(held) :])
 
 
 def hang(s: Structure, balls: bool) -> Hanging:
-    """Return the tree of the bars of `s`: bars that share a node turn about it where `balls`, else each is by itself. Raises ValueError."""
+    """Build the body tree of a structure. Raises ValueError.
+
+    With `balls`, bars that share a node are connected there by a ball joint. Otherwise each bar is a
+    body by itself.
+    """
     return _Tree(s, balls).grow()
 
 
 class _Tree:
-    """A tree that grows from bars which hang from the world, those with pinned nodes first."""
+    """Builder of the body tree; bars with pinned nodes come first."""
 
     def __init__(self, s: Structure, balls: bool) -> None:
         self.bars: list[list[int]] = s.bars.tolist()
@@ -77,7 +115,7 @@ class _Tree:
             for node in ends:
                 self.at.setdefault(node, []).append(bar)
         self.found = Hanging([], {}, [])
-        self.depth: dict[int, int] = {}  # how many bars hang above each other
+        self.depth: dict[int, int] = {}  # number of ancestors of each bar
 
     def grow(self) -> Hanging:
         placed = set[int]()
@@ -95,7 +133,7 @@ class _Tree:
         return self.found
 
     def _root(self, bar: int) -> Link:
-        """Return how a bar hangs from the world: about a pinned node, about one that slides, or not at all."""
+        """Find the joint between a bar and the world."""
         ends = self.bars[bar]
         if self.pinned.issuperset(ends):
             return Link(bar, None, ends[0], still=True)
@@ -105,7 +143,7 @@ class _Tree:
         return Link(bar, None, node, free_directions(self.held[node]))
 
     def _take(self, link: Link) -> Iterator[Link]:
-        """Put a bar into the tree, and tell which ones may hang from it."""
+        """Add a bar to the tree and yield candidates for its children."""
         self.found.links.append(link)
         for node in self.bars[link.bar]:
             joint = node == link.node
@@ -130,10 +168,11 @@ class _Tree:
 
 
 def inverse_weights(s: Structure, hanging: Hanging) -> Array:
-    """Return how much a force on the middle of each bar accelerates it, the mean over all directions, 1/kg: 1/m for a bar by itself.
+    """Compute the inverse effective mass of each bar [1/kg].
 
-    Of the trees without their ties, as MuJoCo computes it. Raises ValueError where too many bars
-    hang together.
+    It is the acceleration of the midpoint per unit force, averaged over all directions: 1/m for a
+    single bar. As in MuJoCo, loop-closing constraints are ignored. Raises ValueError if a tree has too
+    many bars.
     """
     found = np.zeros(len(s.bars))
     roots = [k for k, link in enumerate(hanging.links) if link.parent is None]
@@ -148,11 +187,9 @@ def inverse_weights(s: Structure, hanging: Hanging) -> Array:
 
 
 def _weigh(s: Structure, hanging: Hanging, tree: list[Link]) -> list[float]:
-    """Return the inverse weights of the bars of one tree."""
+    """Compute the inverse effective masses of the bars of one tree."""
     slides = np.eye(3) if tree[0].node is None else tree[0].slides
-    size = len(slides) + 3 * len(
-        tree
-    )  # velocities of the root along its slides, then rates of turning
+    size = len(slides) + 3 * len(tree)  # root velocities along its slides, then angular velocities
     M, middles = np.zeros((size, size)), []
     points: dict[tuple[int, int | None], Array] = {}
     for k, link in enumerate(tree):
@@ -185,6 +222,6 @@ def _weigh(s: Structure, hanging: Hanging, tree: list[Link]) -> list[float]:
         middles.append(velocity(middle))
         M += s.bar_mass[link.bar] * middles[-1].T @ middles[-1]
         across = s.bar_inertia[link.bar] * s.bar_lengths[link.bar] ** 2
-        M[turning, turning] += across * np.eye(3)  # about the axis, too: nothing turns about it
+        M[turning, turning] += across * np.eye(3)  # also about the axis, about which no bar rotates
     inverse = np.linalg.inv(M)
     return [float(np.sum((J @ inverse) * J)) / 3 for J in middles]

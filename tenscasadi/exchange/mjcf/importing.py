@@ -1,4 +1,4 @@
-"""A file of MuJoCo's as a scene."""
+"""Import of scenes from MuJoCo."""
 
 from __future__ import annotations
 
@@ -22,11 +22,27 @@ from tenscasadi.schema.reading import SceneFileError
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array
 
-_ENDLESS = 1e9  # N: a tension that a limit of more does not limit
+_ENDLESS = 1e9  # N: larger force limits count as none
 
 
 class String(NamedTuple):
-    """A spatial tendon: its ends, its law, and whether it pushes; a rest length of None is its length in the file."""
+    """Spatial tendon of a file.
+
+    Attributes
+    ----------
+    element : Element
+        XML element.
+    ends : (Site, Site)
+        Sites of its ends.
+    stiffness : float
+        Stiffness [N/m].
+    damping : float
+        Damping [N s/m].
+    rest : float or None
+        Rest length [m]; None for the length in the file.
+    pushes : bool
+        Whether it carries compression.
+    """
 
     element: Element
     ends: tuple[Site, Site]
@@ -39,15 +55,14 @@ class String(NamedTuple):
 def import_mjcf(path: str | os.PathLike[str]) -> Scene:
     """Read a tensegrity from MuJoCo's XML, MJCF.
 
-    Bodies with two ends become bars, bodies with one place become points, spatial tendons of two
-    sites strings, balls and ``connect`` nodes that bars share. What has no counterpart in a scene
-    is refused by name.
+    Bodies with two ends become bars, bodies with one end become point masses, spatial tendons
+    between two sites become strings. Ball joints and ``connect`` become nodes that bars share.
+    Features without a counterpart in a scene are rejected by name.
 
     Parameters
     ----------
     path : str or path
-        The file. Nothing in it is run, and no other file is opened: one with ``include`` is
-        refused.
+        The file. Nothing in it is executed and no other file is opened: ``include`` is rejected.
 
     Returns
     -------
@@ -57,31 +72,27 @@ def import_mjcf(path: str | os.PathLike[str]) -> Scene:
     Raises
     ------
     SceneFileError
-        Where the file is no MJCF, or says what a scene has no counterpart for: file, line, element,
-        value and cure.
+        The file is not MJCF, or has a feature without a counterpart; the message names file, line,
+        element, value and cure.
     OSError
-        Where there is no such file.
+        The file does not exist.
 
     Notes
     -----
-    - A bar ends where strings and joints hold it, or at the ends of its longest geom. Masses on its
-    ends become masses of nodes; the radius of
-      the bar is the one that gives the inertia across that all its geoms have together. An inertia
-      less than that of a thin rod is refused.
-    - A tendon with two spring lengths, the first of them 0, becomes a string with `Clip`, one with
-    a single spring length has the law `Linear`. A
-      damped tendon damps in MuJoCo also while it is slack; a scene's strings do so with `Linear`
-      alone.
-    - Position actuators on all tendons become control by rest lengths, whose start is that of the
-    first key of the file. Ranges of
-      controls are left out: they are bounds of a plan.
-    - Only nodes touch the ground: spheres, capsules and cylinders that end there give its distance.
-    A time constant of contacts becomes the
-      stiffness of the mean mass. Contacts of bodies with each other, velocities of keys, and the
-      step and solver are left out.
+    - The ends of a bar are the points of its strings and joints, or the ends of its longest geom.
+      Masses at the ends become node masses. The radius follows from the transverse inertia of all
+      its geoms. An inertia below that of a thin rod is rejected.
+    - A tendon with two spring lengths, the first of them 0, becomes a string with `Clip`. A tendon
+      with one spring length has the law `Linear`. Damped tendons also damp while they are slack in
+      MuJoCo; here only strings with `Linear` do.
+    - Position actuators on all tendons become control by rest lengths. Its initial value is that of
+      the first key. Control ranges are ignored, because they are bounds of a plan.
+    - Only nodes touch the ground. Spheres, capsules and cylinders that end at a node give its
+      distance. A contact time constant becomes the stiffness for the mean mass. Contacts between
+      bodies, velocities of keys, step and solver are ignored.
 
-    Nodes, bars and strings keep the numbers that `export_mjcf` names them by; others are numbered
-    as they come.
+    Nodes, bars and strings keep the numbers in the names of `export_mjcf`. Others are numbered in
+    the order of the file.
 
     Examples
     --------
@@ -122,7 +133,7 @@ def import_mjcf(path: str | os.PathLike[str]) -> Scene:
 
 
 def _settings(root: Element, sections: list[Element]) -> tuple[Element, Element]:
-    """Return the compiler's and the solver's settings, of all their elements together. Raises SceneFileError."""
+    """Merge the settings of the compiler and the solver. Raises SceneFileError."""
     merged = []
     for tag in ("compiler", "option"):
         found = root.given({})
@@ -139,7 +150,7 @@ def _settings(root: Element, sections: list[Element]) -> tuple[Element, Element]
 
 
 def _read_string(tendon: Element, bodies: Bodies) -> String:
-    """Return a spatial tendon between two sites. Raises SceneFileError."""
+    """Read a spatial tendon between two sites. Raises SceneFileError."""
     check(tendon)
     limited = tendon.flag("limited")
     if limited or (limited is None and "range" in tendon.attributes):
@@ -186,7 +197,7 @@ def _read_string(tendon: Element, bodies: Bodies) -> String:
 def _read_control(
     root: Element, defaults: Defaults, strings: list[String]
 ) -> tuple[Control | None, list[String]]:
-    """Return how strings are driven, and the strings with the law that their actuators give them. Raises SceneFileError."""
+    """Read the control, and apply its law to strings. Raises SceneFileError."""
     driving, names = {}, {string.element.text("name") for string in strings}
     actuators = [
         check(defaults.apply(child))
@@ -226,7 +237,7 @@ def _read_control(
         if servo is None:
             found.append(
                 string._replace(stiffness=100.0, rest=None)
-            )  # a structure's own: force densities need none
+            )  # the default of `Structure`; force densities ignore it
         else:
             rest = None if start is None else float(start[k])
             found.append(
@@ -236,7 +247,10 @@ def _read_control(
 
 
 def _servo(actuator: Element) -> tuple[float, float] | None:
-    """Return stiffness and damping of an actuator that holds a length; None for one that holds a force density. Raises SceneFileError."""
+    """Read stiffness and damping of a length actuator.
+
+    Returns None if the actuator controls a force density. Raises SceneFileError.
+    """
     if actuator.tag == "position":
         return actuator.number("kp", 1.0), actuator.number("kv", 0.0)
     words = [
@@ -259,7 +273,7 @@ def _servo(actuator: Element) -> tuple[float, float] | None:
         and not any([*gain[1:], bias[0], *bias[3:]])
         and bias[1] == -gain[0]
     ):
-        return float(gain[0]), float(0.0 - bias[2])  # as MuJoCo writes position actuators
+        return float(gain[0]), float(0.0 - bias[2])  # MuJoCo's position actuator
     raise actuator.error(
         'pulls by another law than force = −length × control: give gaintype="affine" gainprm="0 -1 0"',
         "gainprm",
@@ -267,7 +281,7 @@ def _servo(actuator: Element) -> tuple[float, float] | None:
 
 
 def _start(root: Element, count: int) -> Array | None:
-    """Return the controls of the first key that tells them."""
+    """Read the controls of the first key that has them."""
     for section in root.of("keyframe"):
         for key in section.of("key"):
             if "ctrl" in key.attributes:
@@ -276,7 +290,10 @@ def _start(root: Element, count: int) -> Array | None:
 
 
 def _pulls_alone(actuator: Element) -> bool:
-    """Return whether an actuator is kept from pushing; any other limit is refused. Raises SceneFileError."""
+    """Return whether an actuator is limited to tension.
+
+    Other limits are rejected. Raises SceneFileError.
+    """
     limited = actuator.flag("forcelimited")
     if limited is False or "forcerange" not in actuator.attributes:
         return False
@@ -290,7 +307,7 @@ def _pulls_alone(actuator: Element) -> bool:
 
 
 class _Reader:
-    """Numbers nodes and members, and makes the scene of them."""
+    """Builder of a scene: numbers nodes and members."""
 
     def __init__(
         self,
@@ -352,7 +369,10 @@ class _Reader:
         return found
 
     def _tied(self, tie: Element) -> tuple[tuple[int, Array], tuple[int, Array]]:
-        """Return the two pieces, and where on them, that an equality joins. Raises SceneFileError."""
+        """Read the two points that an equality joins.
+
+        Each is a piece and a position. Raises SceneFileError.
+        """
         if "site1" in tie.attributes:
             one, other = self.bodies.site(tie, "site1"), self.bodies.site(tie, "site2")
             if np.linalg.norm(one.place - other.place) > 1e-5 * max(
@@ -368,9 +388,9 @@ class _Reader:
         return (piece, place), (other_piece, place)
 
     def _numbered(self, places: list[Place]) -> dict[Place, int]:
-        """Return the numbers of nodes: those of their sites' names, where all have one, else as they come.
+        """Assign node numbers, by the names of sites if possible.
 
-        Sites of the world that nothing is attached to are nodes where they go on with the numbers.
+        Unattached sites of the world are nodes if they continue the numbers.
         """
         members, sites = self.members, self.bodies.sites
         lone = [
@@ -391,7 +411,7 @@ class _Reader:
         return {place: number for number, place in enumerate(places)}
 
     def structure(self) -> Structure:
-        """Return bars, points and strings as a structure."""
+        """Build the structure from bars, points and strings."""
         members, pieces = self.members, self.bodies.pieces
         mass = np.zeros(len(self.nodes))
         weights, radii = [], []
@@ -441,7 +461,7 @@ class _Reader:
         return self.nodes[self.members.node(Place(piece, end))]
 
     def _held(self) -> tuple[dict[int, str], dict[int, Array]]:
-        """Return pinned nodes, and those that slide, by the directions along which they are held."""
+        """Find pinned nodes, and the normals of rollers."""
         members = self.members
         pinned = {self.nodes[members.node(place)]: "xyz" for place in members.pinned}
         rollers: dict[int, Array] = {}
@@ -449,16 +469,14 @@ class _Reader:
             node = self.nodes[members.node(place)]
             if node not in pinned:
                 directions = np.linalg.svd(np.array(slides))[2][len(slides) :]
-                free = (
-                    np.abs(directions).max(axis=0) < 1e-12
-                )  # axes along which it is not held at all
+                free = np.abs(directions).max(axis=0) < 1e-12  # axes along which it is free
                 rollers[node] = (
                     np.eye(3)[~free] if np.count_nonzero(~free) == len(directions) else directions
                 )
         return pinned, rollers
 
     def scene(self, control: Control | None) -> Scene:
-        """Return the scene."""
+        """Build the scene."""
         structure = self.structure()
         gravity = (
             self.option.numbers("gravity", 3, (0, 0, -9.81))

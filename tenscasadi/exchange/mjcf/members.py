@@ -1,4 +1,4 @@
-"""Rigid pieces as bars and points, and what holds them together as nodes."""
+"""Conversion of rigid bodies into bars, point masses and nodes."""
 
 from __future__ import annotations
 
@@ -13,24 +13,31 @@ from tenscasadi.exchange.mjcf.bodies import Bodies, Piece, Site
 from tenscasadi.exchange.mjcf.elements import Element
 from tenscasadi.util.validate import Array
 
-CLOSE = 1e-5  # times the size of a structure: places that are as close are one
-_ROUND = 1e-12  # of a bar's squared length: a squared radius that is less is rounding
-_ALIKE = 1e-3  # of a bar's inertia: by how much it may differ between two directions across
-# of a squared length: how much less than a thin rod an inertia may be, by rounding of decimals in
-# files
+CLOSE = 1e-5  # relative to the structure's size: closer points coincide
+_ROUND = 1e-12  # of a bar's squared length: a smaller squared radius counts as zero
+_ALIKE = 1e-3  # relative difference allowed between the transverse inertias of a bar
+# of a squared length
 _THIN = 1e-5
 _WORLD = 0
 
 
 class Place(NamedTuple):
-    """A node before nodes have numbers: a piece and which of its ends, or the world and which of the places that it holds."""
+    """Endpoint of a piece, used as a node before nodes are numbered.
+
+    Attributes
+    ----------
+    piece : int
+        Index of the piece; 0 is the world.
+    end : int
+        Index among the endpoints of the piece.
+    """
 
     piece: int
     end: int
 
 
 class Members:
-    """Bars and points of a file: the ends of each piece, masses, and which ends are one node."""
+    """Bars and point masses of a file, and the nodes they share."""
 
     def __init__(self, bodies: Bodies, attached: list[Site]) -> None:
         self.bodies = bodies
@@ -61,7 +68,10 @@ class Members:
             self._hang(k, piece)
 
     def place(self, piece: int, point: Array, element: Element | None = None) -> Place:
-        """Return the end of a piece that is at a point. Raises SceneFileError."""
+        """Find the endpoint of a piece at a point, or add one to the world.
+
+        Raises SceneFileError if a moving piece has no endpoint there.
+        """
         found = self.near(piece, point)
         if found is not None:
             return found
@@ -72,7 +82,7 @@ class Members:
         )
 
     def join(self, one: Place, other: Place) -> None:
-        """Make one node of two places; one in the world pins the other."""
+        """Merge two endpoints into one node; an endpoint of the world pins it."""
         for place, to in ((one, other), (other, one)):
             if to.piece == _WORLD:
                 self.pinned.add(self.node(place))
@@ -83,13 +93,16 @@ class Members:
                 self.pinned.add(first)
 
     def node(self, place: Place) -> Place:
-        """Return the place that stands for all that are one node with this one."""
+        """Return the endpoint that represents the node of this one."""
         while place in self._same:
             place = self._same[place]
         return place
 
     def near(self, piece: int, point: Array) -> Place | None:
-        """Return the end of a piece that is as good as at a point, if one is."""
+        """Find the endpoint of a piece within the tolerance of a point.
+
+        Returns None if there is none.
+        """
         x, y, z = (int(v) for v in np.floor(point / (2 * self.close)))
         for cell in product((x - 1, x, x + 1), (y - 1, y, y + 1), (z - 1, z, z + 1)):
             found = self._cells.get((piece, *cell))
@@ -111,7 +124,10 @@ class Members:
             self._add(piece, point)
 
     def _complete(self, k: int, piece: Piece) -> None:
-        """Find the ends of a piece to which nothing is attached, and put them in the order of its longest geom. Raises SceneFileError."""
+        """Add the missing endpoints of a piece and order them.
+
+        The order is that of its longest geom. Raises SceneFileError.
+        """
         ends = self.ends[k]
         if len(ends) > 2:
             where = ", ".join(str(end.round(4).tolist()) for end in ends[:4])
@@ -147,7 +163,7 @@ class Members:
             self._add(k, np.mean([mass.centre for mass in piece.masses], axis=0))
 
     def _hang(self, k: int, piece: Piece) -> None:
-        """Join a piece to what it hangs from. Raises SceneFileError."""
+        """Connect a piece to its parent. Raises SceneFileError."""
         if piece.free:
             return
         slides = piece.slides
@@ -173,7 +189,10 @@ class Members:
             self.slides[own] = slides
 
     def read_bar(self, k: int, piece: Piece) -> tuple[float, float, Array]:
-        """Return mass and radius of a bar, and the masses on its ends (2,): those of its geoms whose centres are there. Raises SceneFileError."""
+        """Compute mass, radius and end masses (2,) of a bar.
+
+        The end masses are the geoms with their centers at the ends. Raises SceneFileError.
+        """
         ends = np.array(self.ends[k])
         along = ends[1] - ends[0]
         length = float(np.linalg.norm(along))
@@ -202,7 +221,7 @@ class Members:
     def _radius(
         self, piece: Piece, mass: float, length: float, axis: Array, inertia: Array
     ) -> float:
-        """Return the radius that gives a bar its inertia across (Eq. 19). Raises SceneFileError."""
+        """Compute the radius from the transverse inertia (Eq. 19). Raises SceneFileError."""
         other = np.linalg.svd(axis[None])[2][1:]
         across = other @ inertia @ other.T
         mean, uneven = (
@@ -224,10 +243,10 @@ class Members:
         ]
         return next(
             (size for size in drawn if abs(size**2 - squared) < _ROUND * length**2), radius
-        )  # without the rounding of its square
+        )  # avoids the rounding error of the square root
 
     def read_point(self, k: int, piece: Piece) -> float:
-        """Return the mass of a point. Raises SceneFileError."""
+        """Compute the mass of a point. Raises SceneFileError."""
         total = sum(mass.mass for mass in piece.masses)
         if (
             total > 0
@@ -243,7 +262,10 @@ class Members:
 
 
 def by_number(names: list[list[str]], prefix: str) -> list[int] | None:
-    """Return the order of items of which each has a name of `prefix` and its number, without gaps; None where that is not so."""
+    """Sort items by the number that follows `prefix` in their names.
+
+    Returns None unless the numbers are complete and start at 0.
+    """
     numbers = [
         next(
             (int(name[len(prefix) :]) for name in own if re.fullmatch(prefix + "[0-9]{1,9}", name)),
@@ -259,6 +281,6 @@ def by_number(names: list[list[str]], prefix: str) -> list[int] | None:
 
 
 def unique(items: list[Any]) -> list[Any]:
-    """Return items without those that came before."""
+    """Remove repeated items, keeping the first of each."""
     seen: dict[Hashable, Any] = {item: item for item in items}
     return list(seen)

@@ -1,4 +1,4 @@
-"""Words of MJCF: which of them a scene has counterparts for, which say nothing of a motion, and the classes of defaults."""
+"""Supported elements and attributes of MJCF, and its default classes."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 
 from tenscasadi.exchange.mjcf.elements import Element
 
-# Elements that draw, measure, or keep states of runs.
+# Elements for drawing, sensors and saved states: ignored.
 SILENT = {
     "visual",
     "asset",
@@ -38,7 +38,7 @@ _FLAT = (
 _DRAWN = {"name", "class", "group", "rgba", "material", "user"}
 _CONTACT = {"condim", "friction", "solref", "solimp", "margin", "gap"}
 
-# Attributes that are read, or that say nothing of a motion, of each kind of element.
+# Attributes of each element that are read, or do not affect the dynamics.
 READ: dict[str, set[str]] = {
     "mujoco": {"model"},
     "compiler": {
@@ -226,7 +226,7 @@ READ: dict[str, set[str]] = {
     | {"forcelimited", "forcerange"},
 }
 
-# Attributes that have no counterpart, with the values that are as if they were not given.
+# Attributes without a counterpart, with the values that have no effect.
 NEUTRAL: dict[str, dict[str, str]] = {
     "compiler": {
         "inertiagrouprange": "0 5",
@@ -254,7 +254,7 @@ NEUTRAL: dict[str, dict[str, str]] = {
     "geom": {"shellinertia": "false", "fluidshape": "none"},
     "spatial": {"frictionloss": "0", "armature": "0"},
     "position": {"gear": "1", "timeconst": "0", "dampratio": "0"},
-    "general": {"gear": "1", "input": "pos"},  # which MuJoCo writes of position actuators
+    "general": {"gear": "1", "input": "pos"},  # MuJoCo writes these for position actuators
 }
 _CHILDREN: dict[str, set[str]] = {
     "mujoco": {
@@ -289,7 +289,7 @@ _CURES = {
 
 
 class Defaults:
-    """The classes of a file: attributes by class and kind of element."""
+    """Default attributes of a file by class and element kind."""
 
     def __init__(self, root: Element) -> None:
         self._classes: dict[str, dict[str, dict[str, str]]] = {}
@@ -308,7 +308,7 @@ class Defaults:
                 for tag, attributes in {**above, **self._classes.get(name, {})}.items()
             }
             for child in inner:
-                if child.tag in _FLAT:  # others are refused, or drawn, where they are used
+                if child.tag in _FLAT:  # others are rejected or ignored where they are used
                     own.setdefault(child.tag, {}).update(child.attributes)
             self._classes[name] = own
             for child in inner.of("default"):
@@ -317,7 +317,10 @@ class Defaults:
                 waiting.append((child, child.text("class"), own))
 
     def apply(self, element: Element, childclass: str = "") -> Element:
-        """Return an element with the attributes of its class, of that of the bodies around it, or of the main one. Raises SceneFileError."""
+        """Add default attributes to an element. Raises SceneFileError.
+
+        The class is its own, that of the enclosing bodies, or the main one.
+        """
         name = element.text("class") or childclass or self._main
         if name not in self._classes and name != self._main:
             raise element.error(
@@ -327,12 +330,15 @@ class Defaults:
         known = self._classes.get(name, {})
         general = (
             known.get("general", {}) if tag == "position" else {}
-        )  # to MuJoCo all actuators are general ones
+        )  # MuJoCo treats all actuators as general ones
         return element.given({**general, **known.get(tag, {}), **element.attributes})
 
 
 def check(element: Element) -> Element:
-    """Return an element once all that it says has a counterpart, or says nothing of a motion. Raises SceneFileError."""
+    """Reject attributes that affect the dynamics without a counterpart.
+
+    Returns the element. Raises SceneFileError.
+    """
     for name, value in element.attributes.items():
         if name in READ.get(element.tag, ()):
             continue
@@ -347,7 +353,10 @@ def check(element: Element) -> Element:
 
 
 def children(element: Element) -> Iterator[Element]:
-    """Yield the children that say something of a motion. Raises SceneFileError at one that has no counterpart."""
+    """Yield the children that affect the dynamics.
+
+    Raises SceneFileError at a child without a counterpart.
+    """
     known = _CHILDREN.get(element.tag, set())
     for child in element:
         if child.tag in known:

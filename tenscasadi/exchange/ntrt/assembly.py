@@ -1,4 +1,4 @@
-"""Structures of NTRT put together: nodes, pairs with tags, substructures that are turned, scaled and moved, and bonds between them."""
+"""Assembly of NTRT structures from nodes, pairs, substructures and bonds."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tenscasadi.util.validate import Array
 
 @dataclass(eq=False)
 class Node:
-    """A named point, which moves with the structure that has it."""
+    """Named point, transformed with its structure."""
 
     name: str
     at: Array
@@ -21,7 +21,10 @@ class Node:
 
 @dataclass(eq=False)
 class Pair:
-    """Two nodes and the tags that builders look for; `entry` is where the file says so."""
+    """Two nodes with the tags that select a builder.
+
+    `entry` is its place in the file.
+    """
 
     ends: tuple[Node, Node]
     tags: frozenset[str]
@@ -30,7 +33,7 @@ class Pair:
 
 @dataclass(eq=False)
 class Assembly:
-    """A structure: its own nodes and pairs, and substructures."""
+    """Structure with its own nodes and pairs, and substructures."""
 
     name: str = ""
     nodes: list[Node] = field(default_factory=list)
@@ -38,7 +41,7 @@ class Assembly:
     children: list[Assembly] = field(default_factory=list)
 
     def whole(self) -> Iterator[Assembly]:
-        """Itself and all substructures, level by level."""
+        """Yield this structure and all substructures, level by level."""
         level = [self]
         while level:
             yield from level
@@ -49,23 +52,26 @@ class Assembly:
         return [node for part in self.whole() for node in part.nodes]
 
     def centre(self) -> Array:
-        """Return the mean of all nodes."""
+        """Compute the mean position of all nodes."""
         return np.asarray(np.mean([node.at for node in self.all_nodes()], axis=0))
 
     def transform(self, change: Callable[[Array], Array]) -> None:
-        """Move every node to where `change` takes it."""
+        """Apply a transformation to the positions of all nodes."""
         for node in self.all_nodes():
             node.at = change(node.at)
 
     def child(self, name: str, entry: Entry) -> Assembly:
-        """Return the nearest substructure of this name."""
+        """Find the nearest substructure of this name."""
         for part in self.whole():
             if part is not self and part.name == name:
                 return part
         raise entry.refusal(f"names the substructure {name!r}: there is none")
 
     def node(self, path: str, entry: Entry) -> Node:
-        """Return the nearest node of a name, which may be that of substructures and the node's with dots between."""
+        """Find the nearest node of a dotted name.
+
+        The parts before the last are names of substructures.
+        """
         *parents, name = path.split(".")
         part = self
         for parent in parents:
@@ -78,16 +84,22 @@ class Assembly:
 
 
 def turn(axis: Array, angle: float) -> Array:
-    """Return the matrix (3, 3) that turns by an angle, rad, about an axis of some length."""
+    """Compute the rotation matrix (3, 3) about an axis.
+
+    The angle is in rad; the axis need not have unit length.
+    """
     x, y, z = axis / np.linalg.norm(axis)
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.asarray(np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)
 
 
 def turn_between(a: Array, b: Array, fallback: Array) -> Array:
-    """Return the matrix that turns the direction of a into that of b the short way, or half round about `fallback` where they are opposite."""
+    """Compute the smallest rotation from direction a to b.
+
+    If they are opposite, it is a half turn about `fallback`.
+    """
     a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
-    if np.linalg.norm(a - b) < 1e-5:  # as near as NTRT takes for equal
+    if np.linalg.norm(a - b) < 1e-5:  # NTRT's tolerance for equal directions
         return np.eye(3)
     if np.linalg.norm(a + b) < 1e-5:
         return turn(fallback, np.pi)
@@ -95,7 +107,10 @@ def turn_between(a: Array, b: Array, fallback: Array) -> Array:
 
 
 def place_children(parent: Assembly, groups: list[tuple[list[str], dict[str, Entry]]]) -> None:
-    """Turn, then scale and move substructures, in NTRT's order: a group is names and attributes that they share."""
+    """Rotate, scale and translate substructures, in NTRT's order.
+
+    A group is a list of names and the attributes that they share.
+    """
     for names, attributes in groups:
         if "rotation" in attributes:
             for name in names:
@@ -137,10 +152,11 @@ def bond_edges(
     tags: frozenset[str],
     is_rod: Callable[[Pair], bool],
 ) -> None:
-    """Move the second substructure so that its nodes meet the middles of the first one's strings, or the other way round, and join them.
+    """Bond nodes of one substructure to edges of the other.
 
-    Each string of an edge "a/b" gives way to two, from a to the node and on to b; strings between
-    the nodes are left out.
+    The second substructure is moved so that the nodes meet the midpoints of the edges. Each string of
+    an edge "a/b" is replaced by two, from a to the node and from the node to b. Strings between the
+    nodes are removed.
     """
     parts = [parent.child(name, pairs) for name in names]
     joints, edges, places = [], [], []
@@ -179,7 +195,10 @@ def bond_edges(
 
 
 def _meet(moved: Assembly, places: Array, entry: Entry) -> None:
-    """Turn and move a substructure so that its places (k, 3) meet those of the other: planes first, then the first place about the normal."""
+    """Move a substructure so that its points (k, 3) meet the others.
+
+    Their planes are aligned first, then the first points about the normal.
+    """
     middles = places.mean(axis=1)
     normals = np.cross(places[:, 1] - places[:, 0], places[:, 2] - places[:, 0])
     if not (

@@ -1,4 +1,4 @@
-"""NTRT's YAML files as structures: files and substructures, builders by tags, units."""
+"""Import of structures from NTRT's YAML files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tenscasadi.util.validate import Array, Indices, file_path, flag, positive_n
 
 _ROD = {"radius": 0.5, "density": 1.0}  # NTRT's defaults, in its units
 _STRING = {"stiffness": 1000.0, "damping": 10.0, "pretension": 0.0}
-_LEFT_OUT = {  # what ground, motors and NTRT's own records use
+_LEFT_OUT = {  # used by ground, motors and logs only
     "tgRodInfo": ("friction", "roll_friction", "restitution"),
     "tgBasicActuatorInfo": (
         "history",
@@ -45,8 +45,8 @@ _CLASSES |= dict.fromkeys(
     ("tgBasicContactCableInfo", "tgKinematicContactCableInfo"), "tgBasicActuatorInfo"
 )
 _MOST = 20_000  # nodes, pairs and substructures
-_DEEPEST = 20  # substructures within substructures
-_SAME = 1e-9  # of the largest extent: nodes as near as that are one, as in NTRT
+_DEEPEST = 20  # nesting depth of substructures
+_SAME = 1e-9  # relative to the largest extent: closer nodes are merged, as in NTRT
 
 
 def load_ntrt(
@@ -56,27 +56,26 @@ def load_ntrt(
     ball_joints: bool = False,
     folder: str | os.PathLike[str] | None = None,
 ) -> Structure:
-    """Read a structure from a YAML file of NASA's Tensegrity Robotics Toolkit (NTRT).
+    """Read a structure from NASA's Tensegrity Robotics Toolkit (NTRT).
 
-    Nodes, pair_groups, builders, substructures and bond_groups (node_node and node_edge) are read
-    as NTRT reads them; rods become bars of mass π r² l ρ, strings of every class elastic strings
-    with the rest length l − pretension/stiffness. NTRT's y axis points up; here z does: (x, y, z)
-    becomes (x, −z, y). Strings end at nodes, where NTRT moves them to the surfaces of rods. Motors,
-    contact and friction are no part of a structure. It takes ``pip install
-    'tenscasadi[exchange]'``.
+    Its YAML files contain nodes, pair_groups, builders, substructures and bond_groups (node_node and
+    node_edge). Rods become bars of mass π r² l ρ. Strings of every class become elastic strings with
+    the rest length l − pretension/stiffness. The y axis points up in NTRT and the z axis here:
+    (x, y, z) becomes (x, −z, y). Strings end at nodes, whereas NTRT moves their ends to the surfaces of
+    rods. Motors, contact and friction are ignored. It requires ``pip install 'tenscasadi[exchange]'``.
 
     Parameters
     ----------
     path : str or PathLike
         The file.
     length_unit : float
-        Length of NTRT's unit, m: its files do not say. It is 0.1 where its gravity is 98.1, and
-        0.01 where that is 981. Mass is in kg.
+        NTRT's unit of length [m], which its files do not state. It is 0.1 if the gravity is 98.1,
+        and 0.01 if the gravity is 981. Mass is in kg.
     ball_joints : bool
-        Whether rods that share a node may turn freely there. NTRT welds them into one rigid body,
-        which is refused otherwise.
+        Whether rods that share a node are connected there by a ball joint. NTRT welds them into one
+        rigid body, so they are rejected by default.
     folder : str or PathLike, optional
-        Folder that the files of substructures must lie in. Default: that of the file.
+        Folder that must contain the files of substructures. Default: that of the file.
 
     Returns
     -------
@@ -116,7 +115,7 @@ def load_ntrt(
 
 @dataclass(frozen=True)
 class _Builder:
-    """Rods or strings that pairs with these tags become; `values` in NTRT's units."""
+    """Properties of rods or strings with these tags, in NTRT's units."""
 
     tags: frozenset[str]
     values: dict[str, float]
@@ -128,7 +127,10 @@ class _Builder:
 
 @dataclass
 class _Reader:
-    """Files as they are read: the builders found so far, of which later ones win, and how much there is."""
+    """State of the import: builders, parsed files, number of items.
+
+    Later builders take precedence.
+    """
 
     folder: Path
     builders: list[_Builder] = field(
@@ -141,7 +143,7 @@ class _Reader:
     count: int = 0
 
     def read(self, path: Path, name: str, above: tuple[Path, ...]) -> Assembly:
-        """Return the structure of a file, with its substructures. Raises ValueError."""
+        """Read a file and its substructures. Raises ValueError."""
         if path not in self.trees:
             self.trees[path] = read_tree(path, "load_ntrt")
         root = self.trees[path]
@@ -184,7 +186,10 @@ class _Reader:
         place_children(whole, groups)
 
     def _below(self, entry: Entry, above: tuple[Path, ...]) -> Path:
-        """Return the path of a substructure's file, which must lie in the folder and not hold itself."""
+        """Resolve the path of a substructure's file.
+
+        It must lie in the folder and must not contain itself.
+        """
         path = entry.path.parent / entry.word()
         whole = path.resolve()
         if not whole.is_relative_to(self.folder) or whole.suffix.lower() not in (".yaml", ".yml"):
@@ -200,7 +205,10 @@ class _Reader:
         return path
 
     def _read_bonds(self, whole: Assembly, entry: Entry) -> None:
-        """Bonds by tags, or tags by bonds: what has a slash is a bond, such as "leg/foot/node_node"."""
+        """Read bonds nested in tags, or tags nested in bonds.
+
+        A key with a slash is a bond, such as "leg/foot/node_node".
+        """
         for outer, inside in entry.items():
             for inner, pairs in inside.items():
                 if ("/" in outer) == ("/" in inner):
@@ -223,7 +231,7 @@ class _Reader:
                         parts = whole.child(first, pairs), whole.child(second, pairs)
                         more = frozenset(
                             {*tags.split(), first, second, f"{first}/{second}"}
-                        )  # for controllers, as in NTRT
+                        )  # tags for controllers, as in NTRT
                         whole.pairs += [_read_pair(row, parts, more) for row in pairs.parts()]
 
     def _is_rod(self, pair: Pair) -> bool:
@@ -298,7 +306,7 @@ def _structure(
             unit * np.column_stack([places[:, 0], 0.0 - places[:, 2], places[:, 1]]),
             bars,
             lines,
-            bar_mass=np.pi * radius**2 * lengths[0] * density,  # in kg whatever the unit of length
+            bar_mass=np.pi * radius**2 * lengths[0] * density,  # in kg for every unit of length
             bar_radius=unit * radius,
             stiffness=stiffness,  # kg/s², and damping kg/s
             damping=damping,
@@ -309,7 +317,10 @@ def _structure(
 
 
 def _builder_of(pair: Pair, name: str, builders: list[_Builder]) -> _Builder:
-    """Return the last builder whose tags the pair has, one of rods where there is any; its structure's name counts as a tag."""
+    """Select the last builder whose tags the pair has.
+
+    Builders of rods take precedence. The name of the structure counts as a tag.
+    """
     fitting = [builder for builder in builders if builder.tags <= pair.tags | {name}]
     if not fitting:
         told = f"has the tags {', '.join(sorted(pair.tags))}, which no builder fits"
@@ -320,8 +331,11 @@ def _builder_of(pair: Pair, name: str, builders: list[_Builder]) -> _Builder:
 
 
 def _merged(nodes: list[Node]) -> tuple[Array, dict[int, int]]:
-    """Return places (n, 3), those that coincide once, and the index of each node's by its id."""
-    from scipy.spatial import cKDTree  # takes a while to load
+    """Merge coinciding nodes.
+
+    Returns positions (n, 3), and the index of each node by its id.
+    """
+    from scipy.spatial import cKDTree  # slow import
 
     places = np.array([node.at for node in nodes])
     near = cKDTree(places).query_pairs(
@@ -358,7 +372,7 @@ def _check_joints(
     strings: Indices,
     ball_joints: bool,
 ) -> None:
-    """Refuse strings that end at no rod, and rods that NTRT welds together."""
+    """Reject strings without rods, and rods that NTRT welds together."""
     names: dict[int, list[str]] = {}
     for node in nodes:
         names.setdefault(index[id(node)], []).append(node.name)

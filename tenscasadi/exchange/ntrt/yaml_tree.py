@@ -1,4 +1,7 @@
-"""YAML files as trees of words that know their lines: bounded in size, nothing in them is run, every key once."""
+"""Reader of YAML files as trees with line numbers.
+
+The size is limited, nothing is executed, and keys are unique.
+"""
 
 from __future__ import annotations
 
@@ -11,11 +14,14 @@ import numpy as np
 from tenscasadi.util.validate import Array, shown
 
 _MOST_BYTES, _MOST_ENTRIES = 5_000_000, 500_000
-_LARGEST = 1e30  # a mass is a product of four numbers
+_LARGEST = 1e30  # a mass is a product of four numbers and must stay finite
 
 
 class Entry:
-    """A mapping, a list or a word of a file; its methods raise ValueError, which names file, line and key."""
+    """Mapping, list or scalar of a YAML file.
+
+    Its methods raise ValueError, which names file, line and key.
+    """
 
     def __init__(
         self, path: Path, line: int, key: str, value: dict[str, Entry] | list[Entry] | str
@@ -23,11 +29,14 @@ class Entry:
         self.path, self.line, self.key, self.value = path, line, key, value
 
     def refusal(self, text: str) -> ValueError:
-        """Return the error that says where this is, and `text`."""
+        """Build the error that names this place."""
         return ValueError(f"{self.path}, line {self.line}: {self.key} {text}")
 
     def items(self, *known: str) -> Iterator[tuple[str, Entry]]:
-        """Keys and values of a mapping, whose keys are some of those `known`, if any are given; none where nothing is written."""
+        """Yield keys and values of a mapping.
+
+        If `known` keys are given, others are rejected. An empty entry yields nothing.
+        """
         if self.value == "":
             return
         if not isinstance(self.value, dict):
@@ -38,7 +47,10 @@ class Entry:
             yield key, entry
 
     def parts(self, count: int | None = None) -> list[Entry]:
-        """Return the entries of a list, of `count` where that is given; none where nothing is written."""
+        """Return the entries of a list, of length `count` if given.
+
+        An empty entry has none.
+        """
         if self.value == "" and count is None:
             return []
         if not isinstance(self.value, list) or (count is not None and len(self.value) != count):
@@ -48,13 +60,13 @@ class Entry:
         return self.value
 
     def word(self) -> str:
-        """Return a word."""
+        """Read a nonempty text."""
         if not isinstance(self.value, str) or not self.value:
             raise self.refusal(f"is {self.shown()}: give a word")
         return self.value
 
     def number(self) -> float:
-        """Return a finite number."""
+        """Read a finite number."""
         try:
             found = float(self.word())
         except ValueError:
@@ -66,11 +78,11 @@ class Entry:
         return found
 
     def vector(self) -> Array:
-        """Return three finite numbers."""
+        """Read three finite numbers."""
         return np.array([part.number() for part in self.parts(3)])
 
     def shown(self) -> str:
-        """Return the value as messages show it."""
+        """Format the value for messages."""
         return shown(
             {dict: "a mapping", list: "a list"}.get(type(self.value), self.value)
             if not isinstance(self.value, str)
@@ -79,7 +91,10 @@ class Entry:
 
 
 def read_tree(path: Path, users: str) -> Entry:
-    """Return the root of a YAML file. Raises ImportError, which names the `users`, FileNotFoundError, and ValueError."""
+    """Read the root of a YAML file.
+
+    Raises ImportError, which names the `users`, FileNotFoundError, and ValueError.
+    """
     try:
         import yaml
     except ImportError as error:
@@ -119,7 +134,10 @@ def read_tree(path: Path, users: str) -> Entry:
 
 
 def _count(node: Any, known: dict[int, int]) -> int:
-    """Return the number of entries below a node, with what aliases repeat. Raises ValueError where one holds itself."""
+    """Count the entries below a node, with expanded aliases.
+
+    Raises ValueError if an alias contains itself.
+    """
     if id(node) not in known:
         known[id(node)] = -1
         inside = node.value if isinstance(node.value, list) else []
@@ -133,7 +151,10 @@ def _count(node: Any, known: dict[int, int]) -> int:
 
 
 def _entry(path: Path, key: str, node: Any) -> Entry:
-    """Entries of a node and all below it. Raises ValueError where a key is given twice or is no word."""
+    """Build the entries of a node and its descendants.
+
+    Raises ValueError if a key is repeated or is not text.
+    """
     line, value = node.start_mark.line + 1, node.value
     if isinstance(value, str):
         return Entry(
@@ -143,7 +164,7 @@ def _entry(path: Path, key: str, node: Any) -> Entry:
         found: dict[str, Entry] = {}
         for name, inside in value:
             entry = _entry(path, str(name.value), inside)
-            entry.line = name.start_mark.line + 1  # where the key is
+            entry.line = name.start_mark.line + 1  # the line of the key
             if not isinstance(name.value, str) or name.value in found:
                 raise entry.refusal(
                     "is given twice: leave one out" if isinstance(name.value, str) else "is no word"
