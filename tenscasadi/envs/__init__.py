@@ -1,4 +1,7 @@
-"""Tasks of control as environments of gymnasium, one or many at once. Import it by name; it needs ``pip install 'tenscasadi[gym]'``."""
+"""Control tasks as gymnasium environments, single or vectorized.
+
+Import it by name. It requires ``pip install 'tenscasadi[gym]'``.
+"""
 
 from __future__ import annotations
 

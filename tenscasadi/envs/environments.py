@@ -1,4 +1,4 @@
-"""Environments of gymnasium: one episode at a time, or many side by side."""
+"""Gymnasium environments with one or many episodes."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ except ImportError as error:
     raise ImportError("tenscasadi.envs needs gymnasium: pip install 'tenscasadi[gym]'") from error
 
 
-MOST = 1_000_000  # episodes at once
+MOST = 1_000_000  # parallel episodes
 
 
 class TensegrityEnv(gymnasium.Env[Any, Any]):
-    """A task as an environment of gymnasium.
+    """Control task as a gymnasium environment.
 
     Parameters
     ----------
@@ -31,11 +31,11 @@ class TensegrityEnv(gymnasium.Env[Any, Any]):
 
     See Also
     --------
-    TensegrityVectorEnv : Many episodes at once, in the lanes of each instruction.
+    TensegrityVectorEnv : Many episodes in parallel.
 
     Notes
     -----
-    Actions are (α,) from −1 to 1, observations (k,) in single precision. `info` tells whether the
+    Actions are (α,) from −1 to 1, observations (k,) in single precision. `info` states whether the
     episode ``diverged``.
 
     Examples
@@ -61,19 +61,19 @@ class TensegrityEnv(gymnasium.Env[Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode.
+        """Start an episode.
 
         Parameters
         ----------
         seed : int, optional
-            Seed of all draws from now on.
+            Seed of all later draws.
         options : dict, optional
             Not used.
 
         Returns
         -------
         observation : ndarray, shape (k,)
-            What is seen.
+            The observation.
         info : dict
             Whether the episode ``diverged``.
         """
@@ -82,21 +82,21 @@ class TensegrityEnv(gymnasium.Env[Any, Any]):
         return self._episodes.observe()[0], {"diverged": False}
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Move by one period.
+        """Simulate one control period.
 
         Parameters
         ----------
         action : array_like, shape (α,)
-            The decision, from −1 to 1; what is beyond is clipped.
+            The action, clipped to −1 … 1.
 
         Returns
         -------
         observation : ndarray, shape (k,)
-            What is seen.
+            The observation.
         reward : float
             The reward.
         terminated, truncated : bool
-            Whether the episode is over, by its own end or by its duration.
+            Whether the episode has ended, by the task or by its duration.
         info : dict
             Whether it ``diverged``.
         """
@@ -110,7 +110,7 @@ class TensegrityEnv(gymnasium.Env[Any, Any]):
 
 
 class TensegrityVectorEnv(VectorEnv[Any, Any, Any]):
-    """Many episodes of a task at once as a vector environment of gymnasium, simulated in the lanes of each instruction.
+    """Vectorized gymnasium environment for a control task.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ class TensegrityVectorEnv(VectorEnv[Any, Any, Any]):
     num_envs : int
         Number of episodes, n.
     threads : int
-        Threads that share them.
+        Number of threads.
 
     See Also
     --------
@@ -127,8 +127,8 @@ class TensegrityVectorEnv(VectorEnv[Any, Any, Any]):
 
     Notes
     -----
-    An episode that is over begins anew in the next step, whose action it does not use
-    (`AutoresetMode.NEXT_STEP`).
+    An episode that has ended restarts in the next step, which ignores its action
+    (`AutoresetMode.NEXT_STEP`). Episodes run in the lanes of each instruction.
 
     Examples
     --------
@@ -159,19 +159,20 @@ class TensegrityVectorEnv(VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin all episodes, or some of them.
+        """Start all episodes, or some of them.
 
         Parameters
         ----------
         seed : int, optional
-            Seed of all draws from now on.
+            Seed of all later draws.
         options : dict, optional
-            ``{"reset_mask": ...}`` with an array of bool (n,): only these begin, the others go on.
+            ``{"reset_mask": ...}`` with a Boolean array (n,) of the episodes to start; the others
+            continue.
 
         Returns
         -------
         observations : ndarray, shape (n, k)
-            What is seen.
+            The observations.
         info : dict
             Which episodes ``diverged``.
         """
@@ -182,21 +183,21 @@ class TensegrityVectorEnv(VectorEnv[Any, Any, Any]):
         return self._episodes.observe(), {"diverged": np.zeros(self.num_envs, dtype=bool)}
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Move all episodes by one period, or begin those that were over.
+        """Simulate one control period; restart episodes that have ended.
 
         Parameters
         ----------
         actions : array_like, shape (n, α)
-            The decisions, from −1 to 1; what is beyond is clipped.
+            The actions, clipped to −1 … 1.
 
         Returns
         -------
         observations : ndarray, shape (n, k)
-            What is seen.
+            The observations.
         rewards : ndarray, shape (n,)
             The rewards.
         terminated, truncated : ndarray of bool, shape (n,)
-            Which episodes are over, by their own end or by their duration.
+            Which episodes have ended, by the task or by their duration.
         info : dict
             Which of them ``diverged``.
         """
@@ -213,7 +214,7 @@ class TensegrityVectorEnv(VectorEnv[Any, Any, Any]):
         return self._episodes.observe(), rewards, over, late, {"diverged": lost & ~begun}
 
     def _asked(self, options: dict[str, Any] | None) -> Any:
-        """Return which episodes begin (n,). Raises ValueError."""
+        """Read the mask (n,) of episodes to start. Raises ValueError."""
         if options is None or "reset_mask" not in options:
             return np.ones(self.num_envs, dtype=bool)
         mask = np.asarray(options["reset_mask"])
@@ -225,7 +226,7 @@ class TensegrityVectorEnv(VectorEnv[Any, Any, Any]):
 
 
 def _spaces(episodes: Episodes) -> tuple[Any, Any]:
-    """Return the spaces of observations and actions of one episode."""
+    """Build the observation and action spaces of one episode."""
     size, count = episodes.observe().shape[1], episodes.task.model.nu
     return gymnasium.spaces.Box(-FARTHEST, FARTHEST, (size,), np.float32), gymnasium.spaces.Box(
         -1.0, 1.0, (count,), np.float32
@@ -233,7 +234,10 @@ def _spaces(episodes: Episodes) -> tuple[Any, Any]:
 
 
 def _clipped(field: str, given: Any, shape: tuple[int, ...]) -> Any:
-    """Return actions of this shape as numbers from −1 to 1. Raises TypeError, ValueError."""
+    """Clip actions of a shape to −1 … 1.
+
+    Raises TypeError, ValueError.
+    """
     wanted = f"{shape} finite numbers from -1 to 1"
     values = real_array(field, given, wanted)
     if values.shape not in (shape, (1, *shape), shape[1:]) or values.size != np.prod(shape):

@@ -1,4 +1,4 @@
-"""Episodes of a task side by side: their starts and parameters, and their motion from decision to decision."""
+"""Batch simulation of the episodes of a task."""
 
 from __future__ import annotations
 
@@ -15,14 +15,22 @@ from tenscasadi.simulation.engine.kernel import BROKEN_BARS, build_kernel
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.validate import Array, call_user_function, finite_array
 
-FARTHEST = 1e6  # m, m/s: what is seen is kept within, as spaces need limits
+FARTHEST = 1e6  # m, m/s: limit of observations, because spaces must be bounded
 
 
 class Episodes:
-    """`count` episodes of a task.
+    """Batch of `count` episodes of a task.
 
-    Attributes: states (n, nx), control (n, nu), parameters (n, np), decided (n,): how many
-    decisions each has had.
+    Attributes
+    ----------
+    states : ndarray, shape (n, nx)
+        States.
+    control : ndarray, shape (n, nu)
+        Controls.
+    parameters : ndarray, shape (n, np)
+        Parameters of each episode.
+    decided : ndarray of int, shape (n,)
+        Number of control periods so far.
     """
 
     def __init__(self, task: Task, count: int, threads: int = 1) -> None:
@@ -39,7 +47,7 @@ class Episodes:
         )
         correction = task.correction and replace(  # type: ignore[type-var]  # all are dataclasses
             task.correction, every=min(task.correction.every, task.steps)
-        )  # each period counts anew
+        )  # the count restarts in each period
         self._kernel = build_kernel(model, RungeKutta4(), correction)
         self._project = ArrayFunction(projection(model, 10))
         self._spread = task.spread
@@ -47,7 +55,10 @@ class Episodes:
         self.nodes, self.velocities = self._places(self.states)
 
     def reset(self, which: Any, rng: np.random.Generator) -> None:
-        """Begin episodes `which` (indices) anew. Raises ValueError where their spread breaks bars."""
+        """Restart the episodes with these indices.
+
+        Raises ValueError if the spread violates bar lengths.
+        """
         task, model = self.task, self.task.model
         self.control = self.control.copy()
         for k in which:
@@ -71,11 +82,16 @@ class Episodes:
         self.nodes, self.velocities = (
             self.nodes.copy(),
             self.velocities.copy(),
-        )  # those of a Transition stay as they are
+        )  # arrays of earlier transitions must not change
         self.nodes[which], self.velocities[which] = nodes, velocities
 
     def step(self, action: Array) -> tuple[Transition, Array]:
-        """Move all episodes by one period under actions (n, α) from −1 to 1; also returns which of them diverged (n,)."""
+        """Simulate one control period.
+
+        Actions (n, α) run from −1 to 1.
+
+        Also returns the episodes that diverged (n,).
+        """
         task = self.task
         inputs = self._inputs(action)
         rolled = self._kernel(
@@ -104,7 +120,7 @@ class Episodes:
         return Transition(*map(_read_only, now)), lost
 
     def observe(self) -> Any:
-        """Return what is seen of all episodes (n, k), in single precision."""
+        """Compute the observations (n, k), in single precision."""
         task, n = self.task, len(self.states)
         if task.observation is not None:
             cure = "give a function of nodes (n, N, 3), velocities (n, N, 3) and control (n, α) that returns (n, k)"
@@ -114,7 +130,7 @@ class Episodes:
                 "Task.observation", lambda places: see(*places), places, cure
             )
             seen = finite_array("what Task.observation gives", given, (n, self._width))
-            self._width = seen.shape[1]  # as in the space of observations
+            self._width = seen.shape[1]  # the size of the observation space
         else:
             rows = [
                 self.nodes.reshape(n, -1),
@@ -125,24 +141,24 @@ class Episodes:
         return np.clip(seen, -FARTHEST, FARTHEST).astype(np.float32)
 
     def rewards(self, now: Transition, lost: Array) -> Array:
-        """Return the rewards (n,), 0 of those that diverged."""
+        """Compute the rewards (n,), 0 for diverged episodes."""
         return np.where(lost, 0.0, _per_episode("reward", self.task.reward, now))
 
     def ended(self, now: Transition, lost: Array) -> Any:
-        """Return which episodes are terminated (n,)."""
+        """Find the terminated episodes (n,)."""
         if self.task.terminated is None:
             return lost.copy()
         return lost | (_per_episode("terminated", self.task.terminated, now) != 0)
 
     def _places(self, states: Array) -> tuple[Array, Array]:
-        """Return nodes and velocities (n, N, 3) of the scene's structure."""
+        """Compute nodes and velocities of the structure, (n, N, 3)."""
         count = len(self.task.model.scene.structure.nodes)
         return self.task.model.nodes(states)[:, :count], self.task.model.velocities(states)[
             :, :count
         ]
 
     def _broken(self, nodes: Array) -> Any:
-        """Return in which episodes (n,) a bar is off its length as no motion can be that is still one."""
+        """Find episodes (n,) with an invalid bar length."""
         structure = self.task.model.scene.structure
         ends, own = nodes[:, structure.bars], structure.nodes[structure.bars]
         lengths = np.linalg.norm(own[:, 1] - own[:, 0], axis=1)
@@ -153,7 +169,10 @@ class Episodes:
         )
 
     def _inputs(self, action: Array) -> Array:
-        """Return the inputs (n, intervals, nw) of one period: rest lengths run on from step to step."""
+        """Build the inputs (n, intervals, nw) of one period.
+
+        Rest lengths change in every step.
+        """
         task, model = self.task, self.task.model
         n, pieces = len(action), task.steps if task.winds else 1
         inputs = np.empty((n, pieces, model.nw))
@@ -174,14 +193,20 @@ class Episodes:
 
 
 def _read_only(array: Array) -> Array:
-    """Return the array as functions of a task may see it: changing it would change the motion."""
+    """Make a read-only view for functions of a task.
+
+    A changed array would change the simulation.
+    """
     view = array.view()
     view.flags.writeable = False
     return view
 
 
 def _per_episode(name: str, function: Callable[[Transition], Any], now: Transition) -> Array:
-    """Return what a function of the task says of each episode (n,). Raises TypeError, ValueError."""
+    """Evaluate a function of the task per episode (n,).
+
+    Raises TypeError, ValueError.
+    """
     given = call_user_function(
         f"Task.{name}",
         function,

@@ -1,4 +1,4 @@
-"""A task of control as a value: what acts, what is seen, what is rewarded, and what differs from episode to episode."""
+"""Definition of a control task for reinforcement learning."""
 
 from __future__ import annotations
 
@@ -27,30 +27,32 @@ from tenscasadi.util.validate import (
 )
 
 CORRECTION = Projection(10)
-MOST_STEPS = 1_000_000  # of a period: a second or so
-ROUNDED = 1e-3  # of lengths and speeds: what a start may be off its bars and joints by
+MOST_STEPS = 1_000_000  # steps per period, about a second of computation
+ROUNDED = 1e-3  # relative to lengths and speeds: constraint tolerance of the initial state
 
 
 @dataclass(frozen=True, eq=False)
 class Transition:
-    """One period of n episodes: from where to where, and by what. Rewards and ends are functions of it.
+    """One control period of n episodes.
+
+    Rewards and terminations are functions of it.
 
     Attributes
     ----------
     nodes, velocities : ndarray, shape (n, N, 3)
         Nodes, m, and their velocities, m/s, at the end of the period.
     nodes_before, velocities_before : ndarray, shape (n, N, 3)
-        The same at its beginning.
+        The same at its start.
     control : ndarray, shape (n, α)
         Force densities in the period, N/m, or rest lengths at its end, m.
     action : ndarray, shape (n, α)
-        What was decided, from −1 to 1.
+        Actions, from −1 to 1.
     time : ndarray, shape (n,)
         Time since the start of the episode, at the end of the period, s.
 
     Examples
     --------
-    A reward for each metre that the centre moves along x:
+    A reward for each meter that the center moves along x:
 
     >>> def forward(now):
     ...     return (now.nodes - now.nodes_before)[:, :, 0].mean(axis=1)
@@ -67,7 +69,7 @@ class Transition:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """A task of control for learning: a model, what acts on it, what is rewarded, and what differs from episode to episode.
+    """Control task: model, action limits, reward, and random variations.
 
     Parameters
     ----------
@@ -77,33 +79,33 @@ class Task:
     reward : callable
         Function of a `Transition` of n episodes that returns rewards (n,).
     lower, upper : array_like, scalar or shape (α,)
-        Force densities of the actions −1 and 1, N/m; or the limits of rest lengths, m.
+        Force densities at the actions −1 and 1 [N/m], or limits of rest lengths [m].
     speed : array_like, scalar or shape (α,), optional
-        Rate of rest lengths of the action 1, m/s. Only for `RestLength`.
+        Rate of rest lengths at the action 1 [m/s]. Only for `RestLength`.
     period : float
-        Time from one decision to the next, s.
+        Control period [s].
     steps : int
-        Steps of `RungeKutta4` in each period.
+        Number of `RungeKutta4` steps per period.
     duration : float
-        Time after which an episode is truncated, s.
+        Time after which an episode is truncated [s].
     state : array_like, shape (nx,), optional
-        The start. Default: the model's initial state.
+        Initial state. Default: that of the model.
     start : float or (float, float)
-        Spread of the start: of nodes, m, and of velocities, m/s. Bars and joints are then put
-        right.
+        Spread of the initial positions [m] and velocities [m/s]. They are then projected onto the
+        constraints.
     parameters : mapping of str to float, optional
-        Relative spreads of the model's parameters by name, at least 0 and less than 1: each episode
-        has its own values (domain randomisation).
+        Relative spreads of the model's parameters by name, at least 0 and less than 1. Each episode
+        has its own values (domain randomization).
     observation : callable, optional
-        Function of nodes (n, N, 3), velocities (n, N, 3) and control (n, α) that returns what is
-        seen (n, k), which is kept within ±1e6. Default: all of it, under force densities without
+        Function of nodes (n, N, 3), velocities (n, N, 3) and control (n, α) that returns
+        observations (n, k), clipped to ±1e6. Default: all of these, under force densities without
         the control.
     terminated : callable, optional
-        Function of a `Transition` that tells which episodes end (n,). Default: none but those that
+        Function of a `Transition` that returns the terminated episodes (n,). Default: those that
         diverge.
     correction : Projection or BarLengthCorrection, optional
-        Applied after every `correction.every`-th step of a period, after its last one where it has
-        fewer; None: none.
+        Constraint stabilization after every `correction.every`-th step of a period, or after the
+        last step of a shorter period; None for none.
 
     Raises
     ------
@@ -112,8 +114,8 @@ class Task:
 
     Notes
     -----
-    All draws are uniform within ± their spread. An episode that diverges, or whose bars are off by
-    more than 10 % of their length, is terminated with the reward 0 and its last state.
+    All draws are uniform within ± their spread. An episode is terminated if it diverges or a bar
+    length has an error over 10 %. Its reward is then 0, and its last state is kept.
 
     Examples
     --------
@@ -204,12 +206,12 @@ class Task:
 
     @property
     def decisions(self) -> int:
-        """Decisions in an episode that is not terminated."""
+        """Number of control periods in a complete episode."""
         return max(1, int(np.ceil(self.duration / self.period - 1e-9)))
 
     @property
     def spread(self) -> Array:
-        """The spread of each entry of p (np,)."""
+        """Spread of each entry of p (np,)."""
         values = np.zeros(self.model.np)
         for name, share in self.parameters.items():
             place = self.model.parameters.places[name]
@@ -218,7 +220,10 @@ class Task:
 
 
 def pair(field: str, value: Any) -> tuple[float, float]:
-    """Return the spreads of places and velocities: one number is that of places. Raises TypeError, ValueError."""
+    """Read the spreads of positions and velocities.
+
+    One number is the spread of positions. Raises TypeError, ValueError.
+    """
     if nesting(value) == 0:
         return positive_number(field, value, zero=True), 0.0
     place, speed = finite_array(field, value, (2,))

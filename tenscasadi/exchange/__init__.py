@@ -1,1 +1,1 @@
-"""Import and export of files of MuJoCo, MATLAB, NTRT and ParaView."""
+"""Import and export for MuJoCo, MATLAB, NTRT and ParaView."""

@@ -1,4 +1,7 @@
-"""Export of trajectories to ParaView: .vtu frames and a .pvd file."""
+"""Export of trajectories to ParaView.
+
+It writes .vtu frames and a .pvd file.
+"""
 
 from __future__ import annotations
 
@@ -24,13 +27,13 @@ def export_vtk(
     model: Model | None = None,
     every: int = 1,
 ) -> Path:
-    """Write a trajectory for ParaView, with quantities of nodes and members.
+    """Write a trajectory for ParaView.
 
-    Open the .pvd file in ParaView. It lists the frames, one .vtu file for each saved time, in a folder
-    of the same name beside it. A frame contains bars and strings as lines with the fields ``kind`` (0
-    for bars, 1 for strings), ``number``, ``length`` [m], ``force_density`` [N/m] and ``tension`` [N],
-    negative in compression. Nodes have the fields ``number``, ``velocity`` [m/s] and ``pinned``. It
-    requires ``pip install 'tenscasadi[exchange]'``.
+    Open the .pvd file in ParaView. It lists the frames, one .vtu file for each saved time, in a
+    folder of the same name beside it. A frame contains bars and strings as lines with the fields
+    ``kind`` (0 for bars, 1 for strings), ``number``, ``length`` [m], ``force_density`` [N/m] and
+    ``tension`` [N], negative in compression. Nodes have the fields ``number``, ``velocity`` [m/s]
+    and ``pinned``. It requires ``pip install 'tenscasadi[exchange]'``.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Nodes, bars, strings, masses and pins; the paper's matrices; ready-made shapes."""
+"""Structures, the paper's matrices, and standard shapes."""
 
 from __future__ import annotations
 

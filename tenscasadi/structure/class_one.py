@@ -1,4 +1,7 @@
-"""The paper's class-1 split: one column of N for each bar end, joints and pins as N P = D (Eqs. 61-66, 81, 84)."""
+"""The paper's class-one matrices (Eqs. 61-66, 81, 84).
+
+N has one column for each bar end, and N P = D are the joints and pins.
+"""
 
 from __future__ import annotations
 
@@ -10,18 +13,19 @@ from scipy.sparse import csr_array, diags_array, issparse
 
 from tenscasadi.util.validate import SMALLEST, Array, Indices, finite_array, per_item
 
-SHORTEST = 1e-12  # of the largest coordinate: below it rounding decides where a member points
+SHORTEST = 1e-12  # relative to the largest coordinate: shorter members have no direction
 
 Matrix = Any  # ndarray, or scipy csr_array where the caller asks for sparse matrices
 
 
 class ClassOne(NamedTuple):
-    """The paper's matrices of a structure: one column of N for each bar end, joints and pins as N P = D.
+    """The paper's class-one matrices of a structure.
 
-    There are β bars, α strings, σ string nodes, n' = 2β + σ columns and c columns of joints and
-    pins. Bars, their centres, string nodes and strings follow from N: B = N C_nbᵀ C_bᵀ (Eq. 65),
-    R_b = N C_nbᵀ C_rᵀ (Eq. 63), R_s = N C_nsᵀ (Eq. 64), S = N C_sᵀ (Eq. 66). Matrices are ndarrays,
-    or ``csr_array`` where they were asked for.
+    N has one column for each bar end, and N P = D are the joints and pins. There are β bars, α
+    strings, σ string nodes, n' = 2β + σ columns, and c columns of joints and pins. The other
+    matrices follow from N: B = N C_nbᵀ C_bᵀ (Eq. 65), R_b = N C_nbᵀ C_rᵀ (Eq. 63), R_s = N C_nsᵀ
+    (Eq. 64), S = N C_sᵀ (Eq. 66). They are the bars, their centers, the string nodes and the
+    strings. Matrices are ndarrays, or ``csr_array`` on request.
 
     Attributes
     ----------
@@ -32,7 +36,7 @@ class ClassOne(NamedTuple):
     C_s : ndarray or csr_array, shape (α, n')
         Connectivity of strings.
     C_r : ndarray or csr_array, shape (β, 2β)
-        Means of bar ends, ½ |C_b|.
+        Averages of bar ends, ½ |C_b|.
     C_nb : ndarray or csr_array, shape (2β, n')
         Selects the bar ends.
     C_ns : ndarray or csr_array, shape (σ, n')
@@ -42,14 +46,14 @@ class ClassOne(NamedTuple):
     D : ndarray, shape (3, c)
         Right-hand side of N P = D, m.
     M_s : ndarray or csr_array, shape (n', n')
-        Mass matrix, kg: Eq. 81 plus the point masses that sit on bar ends.
+        Mass matrix [kg]: Eq. 81 plus the point masses on bar ends.
     physical : ndarray of int, shape (n',)
         Node of the structure that each column belongs to.
 
     Notes
     -----
     A pinned string node without mass has a zero on the diagonal of M_s. Any positive number there
-    gives the same motion, as P holds that node.
+    gives the same trajectory, because P fixes that node.
 
     Examples
     --------
@@ -74,17 +78,20 @@ class ClassOne(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """Where the physical nodes and members of a structure stand in the columns of the class-1 split."""
+    """Columns of the class-one matrices for nodes and members."""
 
     physical: Indices  # (n',) physical node of each column
     bar_columns: Indices  # (β, 2) first and second end
     string_columns: Indices  # (α, 2)
-    mass_share: Array  # (n',) share of the physical node's point mass that the column carries
+    mass_share: Array  # (n',) fraction of the physical node's point mass
     P: csr_array  # n'×c
 
 
 class MatrixInput(NamedTuple):
-    """The paper's matrices read as the physical structure; `layout` is None when bars share columns."""
+    """Physical structure read from the paper's matrices.
+
+    `layout` is None if bars share columns.
+    """
 
     nodes: Array  # (n, 3)
     bars: Indices
@@ -95,14 +102,17 @@ class MatrixInput(NamedTuple):
 
 
 def connectivity(pairs: Indices, count: int) -> csr_array:
-    """Return the connectivity matrix (members, `count`) of `pairs` (members, 2): −1 at the first node, +1 at the second."""
+    """Build the connectivity matrix (members, `count`) of `pairs`.
+
+    It has −1 at the first node and +1 at the second.
+    """
     members = len(pairs)
     rows = np.repeat(np.arange(members), 2)
     return csr_array((np.tile([-1.0, 1.0], members), (rows, pairs.ravel())), shape=(members, count))
 
 
 def member_lengths(field: str, nodes: Array, pairs: Indices, item: str) -> Array:
-    """Return the lengths of members, m; ValueError where one has none."""
+    """Compute member lengths [m]; raise ValueError if one is zero."""
     lengths = np.linalg.norm(nodes[pairs[:, 1]] - nodes[pairs[:, 0]], axis=1)
     for i in np.flatnonzero(lengths < max(SHORTEST * np.abs(nodes).max(), SMALLEST)):
         a, b = pairs[i]
@@ -115,7 +125,10 @@ def member_lengths(field: str, nodes: Array, pairs: Indices, item: str) -> Array
 def refuse_massless_nodes(
     node_mass: Array, still: Any, bars: Indices, heavy_strings: Indices
 ) -> None:
-    """Refuse a node of no bar and no mass, unless it stands `still` (n,), where M would be singular."""
+    """Reject moving nodes without bar or mass.
+
+    They would make M singular.
+    """
     heavy = (node_mass > SMALLEST) | still
     heavy[bars] = True
     heavy[heavy_strings] = True
@@ -127,25 +140,36 @@ def refuse_massless_nodes(
 
 
 def selection_matrix(columns: Indices, count: int) -> csr_array:
-    """Return the rows of the identity of size `count` that pick `columns`, in order."""
+    """Build the rows of the identity matrix that select `columns`."""
     return csr_array(
         (np.ones(len(columns)), (np.arange(len(columns)), columns)), shape=(len(columns), count)
     )
 
 
 def bar_mass_matrix(bars: Indices, inertia: Array, mass: Array, count: int) -> csr_array:
-    """Return C_bᵀ Ĵ C_b + C_rᵀ m̂ C_r with C_r = ½|C_b| (Eq. 59), kg, (count, count); `bars` may share nodes."""
+    """Compute the mass matrix of bars (Eq. 59).
+
+    It is C_bᵀ Ĵ C_b + C_rᵀ m̂ C_r [kg], (count, count).
+
+    C_r is ½|C_b|. `bars` may share nodes.
+    """
     C_b = connectivity(bars, count)
     C_r = 0.5 * abs(C_b)
     return csr_array(C_b.T @ diags_array(inertia) @ C_b + C_r.T @ diags_array(mass) @ C_r)
 
 
 def default_layout(count: int, bars: Indices, strings: Indices, pinned: Indices) -> Layout:
-    """Lay out first ends of all bars, then second ends (the paper's N = [N₁ N₂]), then string nodes; ties in node order, then pins."""
+    """Build the default column layout.
+
+    N consists of [N₁ N₂] and the string nodes.
+
+    N₁ are the first ends of bars and N₂ the second ends. In P the ties come first, in node order,
+    then the pins.
+    """
     physical = np.concatenate([bars[:, 0], bars[:, 1], np.setdiff1d(np.arange(count), bars)])
     first = np.unique(physical, return_index=True)[
         1
-    ]  # first copy of each node: strings, masses and pins attach to it
+    ]  # first copy of each node, to which strings, masses and pins are attached
     share = np.zeros(len(physical))
     share[first] = 1.0
     copies = np.flatnonzero(share == 0.0)
@@ -160,9 +184,10 @@ def default_layout(count: int, bars: Indices, strings: Indices, pinned: Indices)
 
 
 def extend_layout(layout: Layout, count: int, strings: Indices, parent: Indices) -> Layout:
-    """Return the `layout` of `count` nodes once its strings are cut into `strings` (segments, 2): new nodes get columns after the others.
+    """Extend the `layout` of `count` nodes after subdividing strings.
 
-    An end at an old node stays in the column where the string that was cut, `parent`, has it.
+    `strings` (segments, 2) are the segments, and new nodes get the last columns. An end at an old
+    node keeps the column of the `parent` string.
     """
     columns = len(layout.physical)
     new = max(int(strings.max(initial=-1)) + 1 - count, 0)
@@ -179,7 +204,10 @@ def extend_layout(layout: Layout, count: int, strings: Indices, parent: Indices)
 def class_one(
     layout: Layout, nodes: Array, inertia: Array, mass: Array, node_mass: Array, sparse: bool
 ) -> ClassOne:
-    """Compute the matrices of `layout` for nodes (n, 3), bar inertia J and mass m (β,) and point masses (n,)."""
+    """Compute the class-one matrices of a layout.
+
+    The input are nodes (n, 3), bar inertia J and mass m (β,), and point masses (n,).
+    """
     count = len(layout.physical)
     N = nodes[layout.physical].T
     bar_ends = np.unique(layout.bar_columns)
@@ -205,7 +233,10 @@ def class_one(
 
 
 def read_matrices(N: ArrayLike, C_b: Any, C_s: Any, P: Any, D: Any, node_mass: Any) -> MatrixInput:
-    """Return the physical structure behind the paper's matrices (see `Structure.from_matrices`). Raises TypeError, ValueError."""
+    """Read the paper's matrices as a physical structure.
+
+    See `Structure.from_matrices`. Raises TypeError, ValueError.
+    """
     columns = finite_array("N", N, (3, None)).T
     count = len(columns)
     if count == 0:
@@ -216,7 +247,7 @@ def read_matrices(N: ArrayLike, C_b: Any, C_s: Any, P: Any, D: Any, node_mass: A
         and len(shape) == 2
         and shape[1] == 2 * shape[0]
         and 0 < shape[1] < count
-    ):  # as the paper has it, on N_b
+    ):  # the paper's C_b, which refers to N_b
         raise ValueError(
             f"C_b has shape {shape}, a column for each end of a bar: give C_b @ C_nb, of shape ({shape[0]}, {count})"
         )
@@ -233,9 +264,7 @@ def read_matrices(N: ArrayLike, C_b: Any, C_s: Any, P: Any, D: Any, node_mass: A
     np.add.at(total, physical, mass)
     pinned = sorted({int(physical[pin]) for pin in pins})
     layout = None
-    if (
-        len(np.unique(bars)) == bars.size
-    ):  # bars that share a column are not split yet: the default layout splits them
+    if len(np.unique(bars)) == bars.size:  # shared columns are split by the default layout
         on_bar = np.zeros(count, dtype=bool)
         on_bar[bars] = True
         for column in (end for tie in ties for end in tie):
@@ -245,15 +274,16 @@ def read_matrices(N: ArrayLike, C_b: Any, C_s: Any, P: Any, D: Any, node_mass: A
                     "give it a mass, or attach its strings to the column it is tied to"
                 )
         share = np.divide(mass, total[physical], out=np.zeros(count), where=total[physical] > 0.0)
-        share[first[total == 0.0]] = (
-            1.0  # should the node be given a mass later, its first column carries it
-        )
+        share[first[total == 0.0]] = 1.0  # a mass added later goes to the first column
         layout = Layout(physical, bars, strings, share, P_matrix)
     return MatrixInput(columns[first], physical[bars], physical[strings], pinned, total, layout)
 
 
 def _dense(field: str, value: Matrix, shape: tuple[int | None, int | None]) -> Array:
-    """`value` (dense, scipy sparse, None or empty) as a finite array of `shape`, its free side 0 when there is nothing."""
+    """Convert a matrix to a finite array of a shape.
+
+    The free dimension of None or an empty value is 0.
+    """
     dense = value.toarray() if issparse(value) else value
     if (
         dense is None
@@ -265,7 +295,7 @@ def _dense(field: str, value: Matrix, shape: tuple[int | None, int | None]) -> A
 
 
 def _member_columns(field: str, value: Any, count: int, item: str) -> Indices:
-    """Rows of a connectivity matrix as (members, 2) columns."""
+    """Read the columns (members, 2) of a connectivity matrix."""
     matrix = _dense(field, value, (None, count))
     good = (
         (np.sum(matrix == -1.0, axis=1) == 1)
@@ -285,7 +315,12 @@ def _member_columns(field: str, value: Any, count: int, item: str) -> Indices:
 def _read_joints(
     columns: Array, P: Any, D: Any
 ) -> tuple[list[tuple[int, int]], list[int], csr_array]:
-    """Ties and pins of N P = D, in column order, and P; every column must say something that those before it do not."""
+    """Read ties, pins and P of N P = D.
+
+    They are in column order.
+
+    Columns must be independent.
+    """
     count = len(columns)
     P = _dense("P", P, (count, None))
     joints = P.shape[1]
@@ -318,15 +353,18 @@ def _read_joints(
             ties.append((int(ends[0]), int(ends[1])))
         else:
             pins.append(int(ends[0]))
-        # the ground is one more item to be linked to: a column is redundant exactly if it links
-        # what is linked already
+        # The ground is an additional node. A column is redundant if it joins nodes that are already
+        # connected.
         if not _link(linked, int(ends[0]), int(ends[-1]) if len(ends) == 2 else count):
             raise ValueError(f"P: column {c} repeats what the columns before it say: leave it out")
     return ties, pins, csr_array(P)
 
 
 def _link(root: Indices, a: int, b: int) -> bool:
-    """Links the groups of a and b in place, each known by its smallest member; False if they were one group already."""
+    """Merge the groups of a and b in place.
+
+    Groups are named by their smallest member. Returns False if they were already merged.
+    """
     low, high = sorted((root[a], root[b]))
     root[root == high] = low
     return bool(low != high)

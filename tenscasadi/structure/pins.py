@@ -1,4 +1,4 @@
-"""Pinned nodes and rollers: along which directions nodes are held."""
+"""Pinned nodes and rollers."""
 
 from __future__ import annotations
 
@@ -12,16 +12,19 @@ from tenscasadi.util.validate import Array, finite_array, nesting, node_index, s
 
 Normals = tuple[tuple[float, float, float], ...]
 
-_PARALLEL = 1e-6  # sine of the angle between two directions below which they count as one
+_PARALLEL = 1e-6  # sine of the angle below which two directions count as parallel
 
 
 def read_pins(pinned: Any, count: int) -> Mapping[int, str]:
-    """Return {node: axes} in node order, axes in the order x, y, z. Raises TypeError, ValueError."""
+    """Read {node: axes} in node order. Raises TypeError, ValueError.
+
+    The axes are in the order x, y, z.
+    """
     try:
         entries = list(
             pinned.items() if isinstance(pinned, Mapping) else ((node, "xyz") for node in pinned)
         )
-    except Exception as error:  # each kind of matrix refuses in its own way
+    except Exception as error:  # each kind of matrix raises its own error
         raise TypeError(
             f"pinned is {shown(pinned)}: give node indices, such as [0, 3], or a mapping such as {{0: 'xyz', 3: 'z'}}"
         ) from error
@@ -45,9 +48,10 @@ def read_pins(pinned: Any, count: int) -> Mapping[int, str]:
 def read_rollers(
     rollers: Any, pins: Mapping[int, str], count: int
 ) -> tuple[Mapping[int, str], Mapping[int, Normals]]:
-    """Return the pins with the rollers along axes among them, and {node: one or two orthonormal directions} of the others.
+    """Split rollers into pinned axes and inclined directions.
 
-    Raises TypeError, ValueError.
+    Returns the pins with the rollers along axes among them, and {node: one or two orthonormal
+    directions} for the others. Raises TypeError, ValueError.
     """
     if not isinstance(rollers, Mapping):
         raise TypeError(
@@ -75,7 +79,10 @@ def read_rollers(
 def read_axes(
     pinned: Mapping[int, str], rollers: Mapping[int, Normals], count: int
 ) -> tuple[Any, Any]:
-    """Return whether nodes are pinned along x, y and z (count, 3), and whether pins or rollers have a share in holding them along these."""
+    """Find the constrained axes of each node.
+
+    Returns the pinned axes (count, 3), and the axes with a component in a pin or roller (count, 3).
+    """
     fixed = np.array([[axis in pinned.get(node, "") for axis in "xyz"] for node in range(count)])
     held = fixed.copy()
     for node, normals in rollers.items():
@@ -84,7 +91,10 @@ def read_axes(
 
 
 def _orthonormal(field: str, given: Any) -> Array:
-    """Return one or two orthonormal directions (k, 3) that span those given; what is orthonormal stays as it is."""
+    """Compute orthonormal directions (k, 3) spanning one or two directions.
+
+    Orthonormal input is returned unchanged.
+    """
     directions = np.atleast_2d(
         finite_array(field, given, (3,) if nesting(given) < 2 else (None, 3))
     )

@@ -1,4 +1,4 @@
-"""Ready-made structures: pendulums, prism, D-bar, T-bar, six-bar ball and membrane, with any further keyword of `Structure`."""
+"""Standard structures, which accept all keywords of `Structure`."""
 
 from __future__ import annotations
 
@@ -20,11 +20,14 @@ from tenscasadi.util.validate import (
     whole_number,
 )
 
-LARGEST_COUNT = 10**5  # bars, rings or units: more would take hours
+LARGEST_COUNT = 10**5  # bars, rings or units; larger structures would take hours
 
 
 class Shape(Value):
-    """Family of the functions that build structures; the name of each is its kind in files."""
+    """Family of functions that build structures.
+
+    The name of each function is its kind in files.
+    """
 
 
 shape = Shape.maker
@@ -32,7 +35,9 @@ shape = Shape.maker
 
 @shape
 def pendulum(length: float = 1.0, angle: float = np.pi / 4, **options: Any) -> Structure:
-    """Build a pendulum: one bar in the x-z plane, pinned at node 0, the origin.
+    """Build a pendulum of one bar in the x-z plane.
+
+    Node 0 is pinned at the origin.
 
     ::
 
@@ -76,7 +81,9 @@ def double_pendulum(
     angles: Annotated[ArrayLike, PAIR] = (np.pi / 4, np.pi / 4),
     **options: Any,
 ) -> Structure:
-    """Build a double pendulum: two bars in the x-z plane that share node 1, pinned at node 0, the origin. Class 2.
+    """Build a double pendulum in the x-z plane (class 2).
+
+    Both bars share node 1. Node 0 is pinned at the origin.
 
     ::
 
@@ -124,7 +131,11 @@ def prism(
     prestress: float | None = None,
     **options: Any,
 ) -> Structure:
-    """Build a prism: two regular polygons of strings, held apart by bars and by as many vertical strings. Class 1.
+    """Build a prism with inclined bars (class 1).
+
+    Strings form its two polygons.
+
+    Each bar has a vertical string beside it.
 
     ::
 
@@ -200,7 +211,9 @@ def d_bar(
     prestress: float | None = None,
     **options: Any,
 ) -> Structure:
-    """Build a D-bar: four bars in a diamond in the plane z = 0, about the origin, with strings along both diagonals. Class 2.
+    """Build a D-bar: four bars in a diamond (class 2).
+
+    It lies in the plane z = 0 around the origin, with strings along both diagonals.
 
     ::
 
@@ -211,7 +224,7 @@ def d_bar(
                1
 
     Bars: (0, 1), (1, 2), (2, 3), (3, 0). Strings: (0, 2), (1, 3). Equal force densities are in
-    equilibrium. Nothing is pinned unless `pinned` says so: the paper pins node 0 (Sect. 7.2).
+    equilibrium. No node is pinned by default; the paper pins node 0 (Sect. 7.2).
 
     Parameters
     ----------
@@ -249,7 +262,9 @@ def d_bar(
 def t_bar(
     length: float = 1.0, width: float = 0.5, prestress: float | None = None, **options: Any
 ) -> Structure:
-    """Build a T-bar: four bars that meet in node 4, the origin, in the plane z = 0, with a diamond of strings about them. Class 4.
+    """Build a T-bar of four bars (class 4).
+
+    All bars meet in node 4, the origin. They lie in the plane z = 0, inside a diamond of strings.
 
     ::
 
@@ -297,7 +312,10 @@ def t_bar(
 def six_bar_ball(
     bar_length: float = 1.0, prestress: float | None = None, **options: Any
 ) -> Structure:
-    """Build a ball of six bars in three parallel pairs and 24 equal strings about the origin: the expanded octahedron. Class 1.
+    """Build a ball of six bars (class 1).
+
+    It is the expanded octahedron, with three parallel pairs of bars and 24 equal strings, centered
+    at the origin.
 
     ::
 
@@ -338,7 +356,7 @@ def six_bar_ball(
     length = positive_number("bar_length", bar_length)
     shape = np.array(
         [(end * 2, 0, side) for side in (-1, 1) for end in (-1, 1)]
-    )  # bars along x, in quarters of a bar
+    )  # bars along x, in units of a quarter bar length
     quarters = np.concatenate([np.roll(shape, axis, axis=1) for axis in range(3)])
     strings = [
         (a, b)
@@ -363,7 +381,9 @@ def membrane(
     node_mass: Annotated[ArrayLike, ToldApart()] = 0.1,
     **options: Any,
 ) -> Structure:
-    """Build a cylinder of strings about the z axis, open at both ends: rings of nodes and double helices. Class 0 (Sect. 7.3).
+    """Build a cylindrical membrane of strings (class 0, Sect. 7.3).
+
+    It is open at both ends. Rings of nodes around the z axis are connected by double helices.
 
     ::
 
@@ -419,7 +439,9 @@ def membrane(
 
 
 def membrane_faces(p: int = 8, q: int = 5) -> Indices:
-    """Return the triangles between the strings of `membrane`, counterclockwise as seen from outside.
+    """Find the triangles between the strings of `membrane`.
+
+    They are counterclockwise as seen from outside.
 
     Parameters
     ----------
@@ -448,7 +470,7 @@ def membrane_faces(p: int = 8, q: int = 5) -> Indices:
 
 
 def _membrane_neighbours(p: int, q: int) -> tuple[Indices, Indices, Indices]:
-    """All nodes, and the nodes before and after each on its ring."""
+    """Find all nodes and their neighbors on the ring."""
     ring = np.arange(p * q)
     first = ring - ring % p
     return ring, first + (ring - 1) % p, first + (ring + 1) % p
@@ -466,7 +488,10 @@ def _hanging(length: float, angle: float) -> Array:
 def _prestressed(
     structure: Structure, stress: Array, prestress: float | None, options: dict[str, Any]
 ) -> Structure:
-    """Rest lengths for the self-stress `stress`, scaled to have `prestress` as its smallest force density."""
+    """Set rest lengths for a self-stress.
+
+    The smallest force density is `prestress`.
+    """
     if prestress is None:
         return structure
     if options.get("rest_length") is not None:

@@ -1,4 +1,4 @@
-"""The structure: physical nodes, rigid bars, strings, masses and pins, checked when it is built."""
+"""Structure: nodes, rigid bars, strings, masses and pins."""
 
 from __future__ import annotations
 
@@ -41,25 +41,25 @@ from tenscasadi.util.validate import (
 )
 from tenscasadi.util.viewable import Viewable
 
-THICKEST = 1e3  # radius over length: beyond it M loses its positive definiteness to rounding
+THICKEST = 1e3  # radius over length: above it M is not positive definite after rounding
 
 
 class Structure(Viewable, ReadOnlyArrays):
-    """Physical nodes, rigid bars and strings, with their masses, stiffness and pins.
+    """Nodes, rigid bars and strings, with masses, stiffness and pins.
 
-    A structure does not change and its arrays are read-only: `replace` gives another one. One
-    number given for an array stands for one equal value for each item. Bars that meet share a node:
-    a node of k bars is a class-k joint.
+    A structure is immutable and its arrays are read-only; `replace` makes a modified copy. A scalar
+    given for an array applies to every item. Bars that meet share a node: a node of k bars is a
+    class-k joint.
 
     Parameters
     ----------
     nodes : array_like, shape (n, 3)
         Positions, m.
     bars : sequence of pairs of int
-        Nodes that each of the β bars joins, zero-based.
+        End nodes of each of the β bars, zero-based.
     strings : sequence of pairs of int
-        Nodes that each of the α strings joins, zero-based; several strings may join the same two
-        nodes, bars may not.
+        End nodes of each of the α strings, zero-based. Several strings may join the same two nodes,
+        but bars may not.
     bar_mass : array_like, shape (β,)
         Mass of each bar, kg, greater than 0.
     bar_radius : array_like, shape (β,)
@@ -67,40 +67,38 @@ class Structure(Viewable, ReadOnlyArrays):
     node_mass : array_like, shape (n,)
         Point mass on each node, kg.
     pinned : iterable of int or mapping of int to str
-        Nodes that are held in place, or axes along which each node is held, such as ``{0: "xyz", 3:
-        "z"}``.
+        Fixed nodes, or the fixed axes of nodes, such as ``{0: "xyz", 3: "z"}``.
     stiffness : array_like, shape (α,)
-        Force of each string per stretch, N/m.
+        Force of each string per elongation [N/m].
     damping : array_like, shape (α,)
-        Force of each string per rate of stretch, N·s/m.
+        Force of each string per elongation rate [N·s/m].
     rest_length : array_like, shape (α,), optional
-        Unstretched length of each string, m; by default its length in `nodes`.
+        Unstretched length of each string [m]. Default: its length in `nodes`.
     string_mass : array_like, shape (α,)
-        Mass of each string, kg, which `subdivide` puts on nodes.
+        Mass of each string [kg], which `subdivide` assigns to nodes.
     rollers : mapping of int to array_like, shape (3,) or (k, 3)
-        Nodes that are held along any direction, such as ``{3: (1, 0, 1)}``: the normal of the plane
-        that it rolls on, or two of a line.
+        Fixed directions of nodes, such as ``{3: (1, 0, 1)}``: the normal of the plane on which a
+        node rolls, or two normals of its line.
 
     Attributes
     ----------
     fixed : ndarray of bool, shape (n, 3)
-        Whether a node is held along x, y and z.
+        Whether a node is fixed along x, y and z.
     held : ndarray of bool, shape (n, 3)
-        The same, and along each axis that the normal of a roller has a share of.
+        The same, including each axis in which the normal of a roller has a component.
     bar_lengths, string_lengths : ndarray, shape (β,) and (α,)
         Lengths in `nodes`, m.
     bar_inertia : ndarray, shape (β,)
         J of each bar, kg (Eq. 19).
     string_parent : ndarray of int, shape (α,)
-        The string that `subdivide` cut each string from, or the string itself.
+        The string from which `subdivide` made each segment, or the string itself.
     string_fraction : ndarray, shape (α,)
-        Share of its parent's length that each string has.
+        Length of each string relative to its parent.
 
     Raises
     ------
     TypeError, ValueError
-        Where a field is wrong, by its name, or the mass matrix would be singular at a node of no
-        bar.
+        A field is wrong, or the mass matrix would be singular at a node without bars.
 
     Examples
     --------
@@ -206,11 +204,11 @@ class Structure(Viewable, ReadOnlyArrays):
         node_mass: ArrayLike = 0.0,
         **options: Any,
     ) -> Structure:
-        """Build the structure that the paper's matrices describe.
+        """Build a structure from the paper's matrices.
 
-        A column of P with +1 and −1 ties two nodes (D is 0 there): they are merged. A single ±1
-        pins a node at ±D. Physical nodes keep the order in which they first appear. `class_one`
-        gives the same matrices back, C_b as C_b C_nb; bars that share columns are split there.
+        A column of P with +1 and −1 ties two nodes, which are merged; D is 0 there. A single ±1
+        pins a node at ±D. Physical nodes keep the order of their first appearance. `class_one`
+        restores the same matrices, with C_b as C_b C_nb. Bars that share columns are split there.
 
         Parameters
         ----------
@@ -221,7 +219,7 @@ class Structure(Viewable, ReadOnlyArrays):
         P, D : array_like or sparse array, shape (n', c) and (3, c), optional
             Joints and pins as N P = D (Eq. 84).
         node_mass : array_like, shape (n',)
-            Point mass of each column of N, kg; those of one physical node add up.
+            Point mass of each column of N [kg]; those of one physical node are added.
         **options : array_like
             Other keywords of `Structure`.
 
@@ -233,8 +231,7 @@ class Structure(Viewable, ReadOnlyArrays):
         Raises
         ------
         TypeError, ValueError
-            Where a matrix has another shape, or a column of P says anything else or repeats others,
-            by its number.
+            A matrix has another shape, or a column of P has other entries or depends on the others.
         """
         read = read_matrices(N, C_b, C_s, P, D, node_mass)
         structure = cls(
@@ -249,21 +246,23 @@ class Structure(Viewable, ReadOnlyArrays):
 
     @property
     def C_b(self) -> Array:
-        """Bar connectivity (β, n) on physical nodes: B = N C_bᵀ."""
+        """Bar connectivity (β, n), with B = N C_bᵀ."""
         return np.asarray(connectivity(self.bars, len(self.nodes)).toarray())
 
     @property
     def C_s(self) -> Array:
-        """String connectivity (α, n) on physical nodes: S = N C_sᵀ."""
+        """String connectivity (α, n), with S = N C_sᵀ."""
         return np.asarray(connectivity(self.strings, len(self.nodes)).toarray())
 
     def mass_matrix(self) -> csr_array:
-        """Return the mass matrix on physical nodes: C_bᵀ Ĵ C_b + C_rᵀ m̂ C_r (Eq. 59) plus the point masses.
+        """Compute the mass matrix on physical nodes (Eq. 59).
+
+        It is C_bᵀ Ĵ C_b + C_rᵀ m̂ C_r plus the point masses.
 
         Returns
         -------
         csr_array, shape (n, n)
-            M, kg; string masses count once `subdivide` has put them on nodes.
+            M [kg], without the masses of strings that `subdivide` has not assigned to nodes.
         """
         return csr_array(
             bar_mass_matrix(self.bars, self.bar_inertia, self.bar_mass, len(self.nodes))
@@ -271,12 +270,12 @@ class Structure(Viewable, ReadOnlyArrays):
         )
 
     def class_one(self, sparse: bool = False) -> ClassOne:
-        """Return the paper's split: a column of N for each bar end, then one for each string node.
+        """Compute the paper's class-one matrices.
 
-        A node of k bars gives k columns, tied by k−1 columns of P; strings, point masses and pins
-        attach to the first of them. P has columns for nodes pinned along all axes only, as N P = D
-        cannot hold a single axis. A structure made by `from_matrices` gives the columns and P that
-        it was made from.
+        N has a column for each bar end, then one for each string node. A node of k bars has k
+        columns, tied by k−1 columns of P. Strings, point masses and pins are attached to the first
+        of them. P has columns only for nodes pinned along all axes, because N P = D cannot fix a
+        single axis. A structure made by `from_matrices` returns its original columns and P.
 
         Parameters
         ----------
@@ -297,9 +296,9 @@ class Structure(Viewable, ReadOnlyArrays):
         return found
 
     def replace(self, **changes: Any) -> Structure:
-        """Return the same structure with some of its parameters changed.
+        """Copy the structure with changed parameters.
 
-        Rest lengths stay as they are unless they are given, also where nodes move.
+        Rest lengths are kept unless they are given, even if nodes move.
 
         Parameters
         ----------
@@ -329,15 +328,16 @@ class Structure(Viewable, ReadOnlyArrays):
         return new._derived(**kept)
 
     def prestressed(self, force_density: ArrayLike, pushing: Iterable[int] = ()) -> Structure:
-        """Return the structure with the rest lengths ρ = s (1 − γ/k) at which its strings carry given force densities (Appendix A).
+        """Copy the structure with rest lengths for given force densities.
+
+        The rest lengths are ρ = s (1 − γ/k) (Appendix A).
 
         Parameters
         ----------
         force_density : array_like, shape (α,)
-            γ of each string in these nodes, N/m, at least 0 and below its stiffness.
+            γ of each string at these nodes [N/m], at least 0 and below its stiffness.
         pushing : sequence of int
-            Strings that may push, where the scene gives them the law `Linear`: their γ may be
-            negative.
+            Strings with the law `Linear` in the scene, whose γ may be negative.
 
         Returns
         -------
@@ -347,7 +347,7 @@ class Structure(Viewable, ReadOnlyArrays):
         Raises
         ------
         ValueError
-            Where γ ≥ k: no positive rest length gives as much.
+            γ ≥ k, which no positive rest length attains.
         """
         gamma = per_item("force_density", force_density, len(self.strings))
         pushes = item_mask("pushing", pushing, len(self.strings), "string")
@@ -369,10 +369,12 @@ class Structure(Viewable, ReadOnlyArrays):
         ends: str = "interior",
         fractions: ArrayLike | None = None,
     ) -> Structure:
-        """Return the structure with each string cut into segments that together are as stiff as it was (Sect. 5).
+        """Divide strings into segments (Sect. 5).
 
-        A segment with share f of the length has k/f, c/f and rest length ρ f. New nodes follow the
-        existing ones, string by string; segments follow each other from the string's first node to
+        Together the segments have the stiffness of the string.
+
+        A segment with fraction f of the length has k/f, c/f and rest length ρ f. New nodes follow
+        the existing ones, string by string. Segments are ordered from the string's first node to
         its second.
 
         Parameters
@@ -380,11 +382,11 @@ class Structure(Viewable, ReadOnlyArrays):
         segments : int or sequence of int, shape (α,)
             Number of segments of each string.
         ends : {"interior", "lumped"}
-            Where a string's mass m goes: m/(segments−1) on each inner node, as in the paper (a
-            string in one segment then has no mass), or half of each segment's mass on each of its
-            ends, which is more accurate.
+            Distribution of a string's mass m. "interior": m/(segments−1) on each inner node, as in
+            the paper; a string with one segment then has no mass. "lumped": half of each segment's
+            mass on each of its ends, which is more accurate.
         fractions : array_like, shape (segments,), optional
-            Shares of each string's length, which sum to 1; by default equal.
+            Fractions of each string's length, with sum 1. Default: equal.
 
         Returns
         -------
@@ -394,7 +396,7 @@ class Structure(Viewable, ReadOnlyArrays):
         Raises
         ------
         ValueError
-            Where a string that is cut has no mass, or the fractions do not sum to 1.
+            A subdivided string has no mass, or the fractions do not sum to 1.
         """
         choice("ends", ends, "interior", "lumped")
         counts = segment_counts(segments, len(self.strings))
@@ -428,7 +430,9 @@ class Structure(Viewable, ReadOnlyArrays):
         )
 
     def parent_mean(self, values: ArrayLike) -> Array:
-        """Return the mean over the segments of each parent string, weighted by their share of its length.
+        """Average a quantity over the segments of each parent string.
+
+        The weights are the lengths of the segments.
 
         Parameters
         ----------
@@ -438,7 +442,7 @@ class Structure(Viewable, ReadOnlyArrays):
         Returns
         -------
         ndarray, shape (..., parents)
-            The means, in the order of the strings that `subdivide` cut.
+            The means, in the order of the original strings.
         """
         array = rows_of_size("values", values, len(self.strings), "values of strings")
         weight = np.zeros((len(self.strings), int(self.string_parent.max(initial=-1)) + 1))
@@ -457,10 +461,10 @@ class Structure(Viewable, ReadOnlyArrays):
     def __setstate__(self, state: dict[str, Any]) -> None:
         super().__setstate__(
             {**state, **{name: MappingProxyType(state[name]) for name in ("pinned", "rollers")}}
-        )  # which does not pickle
+        )  # a mapping proxy cannot be pickled
 
     def _derived(self, **attributes: Any) -> Structure:
-        """Self, just built, with what a constructor keyword cannot say, and from now on read-only."""
+        """Set derived attributes of a new structure and freeze it."""
         self.__dict__.update(attributes)
         self.__post_init__()
         return self

@@ -1,4 +1,4 @@
-"""Strings cut into segments, with the strings' mass on the nodes between (Sect. 5)."""
+"""Subdivision of strings into segments with mass (Sect. 5)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ LARGEST_COUNT = 10**5  # segments of a string
 def cut_strings(
     nodes: Array, strings: Indices, string_mass: Array, shares: list[Array], lumped: bool
 ) -> tuple[Array, Indices, Array]:
-    """Return all nodes (m, 3), the segments' pairs of nodes, and the strings' mass (m,) on nodes; `shares` of each string's length."""
+    """Divide strings into segments with the given fractions.
+
+    Returns all nodes (m, 3), the node pairs of segments, and the string mass (m,) of each node.
+    """
     places, pairs, masses = [nodes], [np.zeros((0, 2), dtype=np.intp)], [np.zeros(len(nodes))]
     new = len(nodes)
     for (a, b), share, m in zip(strings, shares, string_mass, strict=True):
@@ -34,7 +37,7 @@ def cut_strings(
 
 
 def segment_counts(segments: int | Sequence[int] | Indices, strings: int) -> list[int]:
-    """Return the number of segments of each string, as `Structure.subdivide` is given it. Raises TypeError, ValueError."""
+    """Read the number of segments per string. Raises TypeError, ValueError."""
     if not isinstance(segments, (Sequence, np.ndarray)):
         return [whole_number("segments", segments, 1, LARGEST_COUNT)] * strings
     counts = listed("segments", segments, "[2, 2, 1]")
@@ -48,7 +51,10 @@ def segment_counts(segments: int | Sequence[int] | Indices, strings: int) -> lis
 
 
 def segment_shares(count: int, fractions: ArrayLike | None) -> Array:
-    """Return the share of each of `count` segments, equal unless `fractions` are given. Raises TypeError, ValueError."""
+    """Read the length fractions of segments. Raises TypeError, ValueError.
+
+    They are equal unless `fractions` are given.
+    """
     if fractions is None:
         return np.full(count, 1.0 / count)
     shares = nonnegative(

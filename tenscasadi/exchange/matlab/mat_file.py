@@ -54,7 +54,9 @@ _UNREADABLE = (
 
 
 def read_mat(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Read the variables of a .mat file (v5, v6, v7) by name.
+    """Read the variables of a .mat file by name.
+
+    The file has MATLAB's version 5, 6 or 7.
 
     Values are float arrays, sparse arrays, texts, and structs as dictionaries of these. Objects,
     function handles, cells, arrays of structs and complex numbers are omitted. Raises
@@ -74,7 +76,9 @@ def read_mat(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def write_mat(path: str | os.PathLike[str], content: Mapping[str, Any]) -> Path:
-    """Write variables to exactly `path` in MATLAB's format v7. Raises OSError.
+    """Write variables to exactly `path` in MATLAB's format v7.
+
+    Raises OSError.
 
     Values are numbers, arrays, texts, and dictionaries for structs. Returns the path.
     """

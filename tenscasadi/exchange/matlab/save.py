@@ -31,19 +31,21 @@ LETTERS = {
 def save_mat(
     what: Structure | Trajectory, path: str | os.PathLike[str], *, class_one: bool = False
 ) -> Path:
-    """Write a structure or a trajectory for MATLAB, MOTES and TsgFEM.
+    """Write a structure or a trajectory for MATLAB.
 
-    Indices count from 1 in the file. A structure becomes the variables N (3×n), C_b, C_s, s_0, k, c, m
-    and pinned_nodes. The additional variables pinned_X, pinned_Y, pinned_Z, node_mass, string_mass,
-    bar_radius, roller_nodes and roller_normals are unknown to MOTES. `load_mat` restores the structure
-    exactly.
+    The names are those of MOTES and TsgFEM.
+
+    Indices count from 1 in the file. A structure becomes the variables N (3×n), C_b, C_s, s_0, k,
+    c, m and pinned_nodes. The additional variables pinned_X, pinned_Y, pinned_Z, node_mass,
+    string_mass, bar_radius, roller_nodes and roller_normals are unknown to MOTES. `load_mat`
+    restores the structure exactly.
 
     With `class_one` the file is valid input of ``tenseg_sim_class1open(load('x.mat'))`` or
-    ``tenseg_sim_classkopen`` of MOTES. N then has a column for each end of a bar, P and D hold joints
-    and pins, and ms the masses of string nodes.
+    ``tenseg_sim_classkopen`` of MOTES. N then has a column for each end of a bar, P and D hold
+    joints and pins, and ms the masses of string nodes.
 
-    A trajectory becomes N, C_b, C_s and MOTES' struct History: Nhist (3×n×T), Ndhist, gamma, bar_len,
-    t, and all its other fields.
+    A trajectory becomes N, C_b, C_s and MOTES' struct History: Nhist (3×n×T), Ndhist, gamma,
+    bar_len, t, and all its other fields.
 
     Parameters
     ----------

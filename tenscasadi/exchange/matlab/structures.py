@@ -1,4 +1,4 @@
-"""Import of structures with the variable names of MOTES and TsgFEM."""
+"""Import of structures with names of MOTES and TsgFEM."""
 
 from __future__ import annotations
 
@@ -39,12 +39,13 @@ def load_mat(path: str | os.PathLike[str], name: str | None = None, **options: A
     """Read a structure from a MATLAB file.
 
     MOTES, TsgFEM and `save_mat` write such files. They contain N (3×n) with C_b and C_s, dense or
-    sparse, or lists of node pairs that count from 1 (``C_b_in``). These are variables or fields of a
-    struct, such as the input of a MOTES simulation. From MOTES, ``s_0``, ``k``, ``c``, ``m``, ``ms``
-    (with MOTES' defaults), ``P``, ``D`` and ``pinned_nodes`` are read; nodes that P ties together are
-    merged. From TsgFEM, ``C``, ``index_b``, ``index_s``, ``E``, ``A``, ``l0``, ``mass``,
-    ``pinned_X``, ``pinned_Y``, ``pinned_Z`` or ``Ib`` are read; its bars become rigid. Objects and
-    function handles are ignored, and nothing is executed. Loads, velocities and times are not read.
+    sparse, or lists of node pairs that count from 1 (``C_b_in``). These are variables or fields of
+    a struct, such as the input of a MOTES simulation. From MOTES, ``s_0``, ``k``, ``c``, ``m``,
+    ``ms`` (with MOTES' defaults), ``P``, ``D`` and ``pinned_nodes`` are read; nodes that P ties
+    together are merged. From TsgFEM, ``C``, ``index_b``, ``index_s``, ``E``, ``A``, ``l0``,
+    ``mass``, ``pinned_X``, ``pinned_Y``, ``pinned_Z`` or ``Ib`` are read; its bars become rigid.
+    Objects and function handles are ignored, and nothing is executed. Loads, velocities and times
+    are not read.
 
     Parameters
     ----------
@@ -103,7 +104,10 @@ def find_structure(
 
 
 def _choose(variables: Fields, name: str | None) -> Fields:
-    """Select the variables of one structure: a struct, or the file."""
+    """Select the variables of one structure.
+
+    They are the fields of a struct, or the variables of the file.
+    """
     structs = {
         key: value
         for key, value in variables.items()
@@ -210,7 +214,7 @@ def _read_members(fields: Fields, count: int) -> tuple[Indices, Indices, tuple[I
 
 
 def read_pairs(field: str, value: Any, count: int) -> Indices:
-    """Convert a connectivity matrix or a list into zero-based node pairs.
+    """Convert a connectivity matrix or list into zero-based pairs.
 
     A list counts from 1. Raises TypeError, ValueError.
     """
@@ -270,7 +274,7 @@ def _filled(fields: Fields, key: str) -> bool:
 
 
 def read_values(fields: Fields, key: str, count: int) -> Array:
-    """Read one number for each of `count` items, or one for all.
+    """Read one number per item, or one for all.
 
     Raises TypeError, ValueError.
     """

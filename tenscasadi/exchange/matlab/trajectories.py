@@ -42,10 +42,10 @@ def load_mat_trajectory(
 ) -> Trajectory:
     """Read a trajectory from a MATLAB file.
 
-    A file of `save_mat` is restored exactly. From MOTES, Nhist, Ndhist, t and gamma are read, and from
-    TsgFEM n_t, nd_t and out_tspan, in a struct or outside. Forces, energies and errors are then those
-    of the model at these positions and velocities. Nodes that P ties together, as in MOTES' split, are
-    one node.
+    A file of `save_mat` is restored exactly. From MOTES, Nhist, Ndhist, t and gamma are read, and
+    from TsgFEM n_t, nd_t and out_tspan, in a struct or outside. Forces, energies and errors are
+    then those of the model at these positions and velocities. Nodes that P ties together, as in
+    MOTES' split, are one node.
 
     Parameters
     ----------
@@ -200,7 +200,10 @@ _KINDS: dict[str, Any] = {
 
 
 def _record(model: Model, motion: Motion, parameters: Any, path: str) -> Trajectory:
-    """Build a trajectory of the model at these states. Raises ValueError."""
+    """Build a trajectory of the model at these states.
+
+    Raises ValueError.
+    """
     rows = len(motion.time)
     controlled = isinstance(model.scene.control, ForceDensity)
     if model.nu and not controlled:

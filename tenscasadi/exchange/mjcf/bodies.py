@@ -1,4 +1,4 @@
-"""Rigid pieces of an MJCF file: masses, sites, geoms and joints."""
+"""Rigid pieces of an MJCF file."""
 
 from __future__ import annotations
 
@@ -232,12 +232,12 @@ class Bodies:
         return self.sites[name]
 
     def moving(self) -> Iterator[tuple[int, Piece]]:
-        """Yield the index and piece of all pieces except the world."""
+        """Yield the index and piece of all moving pieces."""
         return ((k, piece) for k, piece in enumerate(self.pieces) if k)
 
 
 def _middle(site: Element) -> str:
-    """Return the position of a site, or the midpoint of `fromto`."""
+    """Return the position or midpoint of a site."""
     if "fromto" not in site.attributes:
         return site.text("pos", "0 0 0")
     ends = site.numbers("fromto", 6).reshape(2, 3)

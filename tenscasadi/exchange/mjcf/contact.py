@@ -42,7 +42,10 @@ class Weights(NamedTuple):
 
 
 def contact_weights(scene: Scene, hanging: Hanging) -> Weights:
-    """Compute the contact scales of a scene; A is 0 at fixed nodes."""
+    """Compute the contact scales of a scene.
+
+    A is 0 at fixed nodes.
+    """
     s = scene.modelled
     held, bars = held_directions(s), inverse_weights(s, hanging) if len(s.bars) else np.zeros(0)
     inverse = np.zeros(len(s.nodes))

@@ -1,4 +1,7 @@
-"""Export of scenes to MuJoCo: bars as bodies, strings as spatial tendons."""
+"""Export of scenes to MuJoCo.
+
+Bars become bodies, and strings become spatial tendons.
+"""
 
 from __future__ import annotations
 
@@ -65,9 +68,9 @@ def export_mjcf(
     velocities : array_like, shape (n, 3), optional
         Initial velocities of the modelled nodes [m/s], for the keyframe ``start``; at rest if None.
     joints : {"ball", "connect"}
-        "ball" connects bars with shared or pinned nodes by ball joints, which are exact, and closes
-        loops of bars by the equality ``connect``. "connect" makes each bar a free body and uses
-        ``connect`` for all shared nodes.
+        "ball" connects bars with shared or pinned nodes by ball joints, which are exact. Loops of
+        bars are closed by the equality ``connect``. With "connect" each bar is a free body, and
+        ``connect`` holds all shared nodes.
     step : float
         MuJoCo's time step [s]. Equalities have a time constant of two steps, so export again to
         change the step.
@@ -311,7 +314,7 @@ class _Writer:
         self.rates[body] = [*(directions @ velocity)]
 
     def _rod(self, body: ET.Element, bar: int, ends: list[float]) -> None:
-        """Add the mass of a bar, and a cylinder for display."""
+        """Add the mass of a bar and a visible cylinder."""
         s = self.s
         radius, mass = s.bar_radius[bar], s.bar_mass[bar]
         across = s.bar_inertia[bar] * s.bar_lengths[bar] ** 2  # J of Eq. 19 times l²
@@ -462,7 +465,10 @@ class _Writer:
 
 
 def _add(parent: ET.Element, tag: str, **attributes: Any) -> ET.Element:
-    """Add an element; numbers become text that is read back exactly."""
+    """Add an element.
+
+    Numbers become text that is read back exactly.
+    """
     return ET.SubElement(parent, tag, {name: _text(value) for name, value in attributes.items()})
 
 

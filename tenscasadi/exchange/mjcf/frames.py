@@ -112,7 +112,7 @@ def _turn(element: Element, name: str, units: Units) -> Array:
 
 
 def turn_to(z: Array) -> Array:
-    """Compute the smallest rotation of the z axis to a direction."""
+    """Compute the smallest rotation from z to a direction."""
     axis = np.cross([0, 0, 1], z)
     sine = float(np.linalg.norm(axis))
     return (
@@ -170,7 +170,10 @@ def read_rod(element: Element, frame: Frame, units: Units) -> Rod | None:
 
 
 def rod_mass(element: Element, rod: Rod) -> Mass:
-    """Compute the mass of a sphere, capsule or cylinder. Raises SceneFileError."""
+    """Compute the mass of a sphere, capsule or cylinder.
+
+    Raises SceneFileError.
+    """
     along = rod.ends[1] - rod.ends[0]
     length, r = float(np.linalg.norm(along)), rod.radius
     tube, caps = np.pi * r**2 * length, 4 / 3 * np.pi * r**3 * (rod.kind != "cylinder")

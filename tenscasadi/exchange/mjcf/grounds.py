@@ -117,8 +117,8 @@ def _meet(one: Element, other: Element) -> bool:
 def _mixed(one: Element, other: Element) -> Element:
     """Combine the contact attributes of two geoms.
 
-    The geom of higher priority decides. For equal priorities the friction is the maximum, and the law
-    the mean.
+    The geom of higher priority decides. For equal priorities the friction is the maximum, and the
+    law the mean.
     """
     priorities = [geom.whole("priority", 0) for geom in (one, other)]
     if priorities[0] != priorities[1]:
@@ -140,7 +140,7 @@ def _mixed(one: Element, other: Element) -> Element:
 def _touches(
     k: int, shape: Shape, law: Element, node_at: Callable[[int, Array], int | None]
 ) -> list[Touch]:
-    """Find the contacts of the ends of a geom at nodes."""
+    """Find the contacts of a geom's ends at nodes."""
     if shape.rod is None:
         return []
     nodes = [node_at(k, end) for end in shape.rod.ends[: 1 if shape.rod.kind == "sphere" else 2]]
@@ -192,7 +192,7 @@ def _grounds(plane: Shape, touches: list[Touch], weights: Weights) -> list[Groun
 
 
 def _same(one: dict[str, Any], other: dict[str, Any]) -> bool:
-    """Return whether two laws agree to the digits of a file."""
+    """Return whether two laws agree to file precision."""
     if one.keys() != other.keys() or (one["friction"] is None) != (other["friction"] is None):
         return False
     return all(

@@ -19,7 +19,7 @@ NO_DIRECTION = np.zeros((0, 3))
 
 
 class Link(NamedTuple):
-    """Bar of the body tree, with the joint to its parent.
+    """Bar of the body tree with its joint.
 
     Attributes
     ----------
@@ -87,7 +87,10 @@ def held_directions(s: Structure) -> dict[int, Array]:
 
 
 def free_directions(held: Array) -> Array:
-    """Compute orthonormal directions (3 − k, 3) perpendicular to `held` (k, 3)."""
+    """Compute orthonormal directions perpendicular to the held ones.
+
+    Shapes are (k, 3) and (3 − k, 3).
+    """
     if np.count_nonzero(held) == len(held):  # coordinate axes: keep the others exact
         return np.eye(3)[~held.any(axis=0)]
     return np.asarray(np.linalg.svd(held)[2][len(held) :])
@@ -96,14 +99,17 @@ def free_directions(held: Array) -> Array:
 def hang(s: Structure, balls: bool) -> Hanging:
     """Build the body tree of a structure. Raises ValueError.
 
-    With `balls`, bars that share a node are connected there by a ball joint. Otherwise each bar is a
-    body by itself.
+    With `balls`, bars that share a node are connected there by a ball joint. Otherwise each bar is
+    a body by itself.
     """
     return _Tree(s, balls).grow()
 
 
 class _Tree:
-    """Builder of the body tree; bars with pinned nodes come first."""
+    """Builder of the body tree.
+
+    Bars with pinned nodes come first.
+    """
 
     def __init__(self, s: Structure, balls: bool) -> None:
         self.bars: list[list[int]] = s.bars.tolist()
@@ -143,7 +149,7 @@ class _Tree:
         return Link(bar, None, node, free_directions(self.held[node]))
 
     def _take(self, link: Link) -> Iterator[Link]:
-        """Add a bar to the tree and yield candidates for its children."""
+        """Add a bar to the tree and yield possible children."""
         self.found.links.append(link)
         for node in self.bars[link.bar]:
             joint = node == link.node
@@ -171,8 +177,8 @@ def inverse_weights(s: Structure, hanging: Hanging) -> Array:
     """Compute the inverse effective mass of each bar [1/kg].
 
     It is the acceleration of the midpoint per unit force, averaged over all directions: 1/m for a
-    single bar. As in MuJoCo, loop-closing constraints are ignored. Raises ValueError if a tree has too
-    many bars.
+    single bar. As in MuJoCo, loop-closing constraints are ignored. Raises ValueError if a tree has
+    too many bars.
     """
     found = np.zeros(len(s.bars))
     roots = [k for k, link in enumerate(hanging.links) if link.parent is None]
@@ -187,7 +193,7 @@ def inverse_weights(s: Structure, hanging: Hanging) -> Array:
 
 
 def _weigh(s: Structure, hanging: Hanging, tree: list[Link]) -> list[float]:
-    """Compute the inverse effective masses of the bars of one tree."""
+    """Compute the inverse effective masses of one tree's bars."""
     slides = np.eye(3) if tree[0].node is None else tree[0].slides
     size = len(slides) + 3 * len(tree)  # root velocities along its slides, then angular velocities
     M, middles = np.zeros((size, size)), []

@@ -133,7 +133,10 @@ def import_mjcf(path: str | os.PathLike[str]) -> Scene:
 
 
 def _settings(root: Element, sections: list[Element]) -> tuple[Element, Element]:
-    """Merge the settings of the compiler and the solver. Raises SceneFileError."""
+    """Merge the settings of compiler and solver.
+
+    Raises SceneFileError.
+    """
     merged = []
     for tag in ("compiler", "option"):
         found = root.given({})
@@ -197,7 +200,10 @@ def _read_string(tendon: Element, bodies: Bodies) -> String:
 def _read_control(
     root: Element, defaults: Defaults, strings: list[String]
 ) -> tuple[Control | None, list[String]]:
-    """Read the control, and apply its law to strings. Raises SceneFileError."""
+    """Read the control, and apply its law to strings.
+
+    Raises SceneFileError.
+    """
     driving, names = {}, {string.element.text("name") for string in strings}
     actuators = [
         check(defaults.apply(child))

@@ -22,7 +22,7 @@ _WORLD = 0
 
 
 class Place(NamedTuple):
-    """Endpoint of a piece, used as a node before nodes are numbered.
+    """Endpoint of a piece: a node without a number.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class Place(NamedTuple):
 
 
 class Members:
-    """Bars and point masses of a file, and the nodes they share."""
+    """Bars, point masses and shared nodes of a file."""
 
     def __init__(self, bodies: Bodies, attached: list[Site]) -> None:
         self.bodies = bodies
@@ -68,7 +68,9 @@ class Members:
             self._hang(k, piece)
 
     def place(self, piece: int, point: Array, element: Element | None = None) -> Place:
-        """Find the endpoint of a piece at a point, or add one to the world.
+        """Find the endpoint of a piece at a point.
+
+        In the world it is added if necessary.
 
         Raises SceneFileError if a moving piece has no endpoint there.
         """
@@ -82,7 +84,10 @@ class Members:
         )
 
     def join(self, one: Place, other: Place) -> None:
-        """Merge two endpoints into one node; an endpoint of the world pins it."""
+        """Merge two endpoints into one node.
+
+        An endpoint of the world pins it.
+        """
         for place, to in ((one, other), (other, one)):
             if to.piece == _WORLD:
                 self.pinned.add(self.node(place))
@@ -99,7 +104,7 @@ class Members:
         return place
 
     def near(self, piece: int, point: Array) -> Place | None:
-        """Find the endpoint of a piece within the tolerance of a point.
+        """Find the endpoint of a piece near a point.
 
         Returns None if there is none.
         """
@@ -221,7 +226,10 @@ class Members:
     def _radius(
         self, piece: Piece, mass: float, length: float, axis: Array, inertia: Array
     ) -> float:
-        """Compute the radius from the transverse inertia (Eq. 19). Raises SceneFileError."""
+        """Compute the radius from the transverse inertia (Eq. 19).
+
+        Raises SceneFileError.
+        """
         other = np.linalg.svd(axis[None])[2][1:]
         across = other @ inertia @ other.T
         mean, uneven = (
@@ -262,7 +270,7 @@ class Members:
 
 
 def by_number(names: list[list[str]], prefix: str) -> list[int] | None:
-    """Sort items by the number that follows `prefix` in their names.
+    """Sort items by the numbers in their names.
 
     Returns None unless the numbers are complete and start at 0.
     """

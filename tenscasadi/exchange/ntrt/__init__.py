@@ -1,1 +1,1 @@
-"""Import from NASA's Tensegrity Robotics Toolkit (NTRT), in its YAML format."""
+"""Import from NASA's Tensegrity Robotics Toolkit (NTRT)."""

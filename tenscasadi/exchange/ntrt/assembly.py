@@ -154,9 +154,9 @@ def bond_edges(
 ) -> None:
     """Bond nodes of one substructure to edges of the other.
 
-    The second substructure is moved so that the nodes meet the midpoints of the edges. Each string of
-    an edge "a/b" is replaced by two, from a to the node and from the node to b. Strings between the
-    nodes are removed.
+    The second substructure is moved so that the nodes meet the midpoints of the edges. Each string
+    of an edge "a/b" is replaced by two, from a to the node and from the node to b. Strings between
+    the nodes are removed.
     """
     parts = [parent.child(name, pairs) for name in names]
     joints, edges, places = [], [], []
@@ -195,7 +195,7 @@ def bond_edges(
 
 
 def _meet(moved: Assembly, places: Array, entry: Entry) -> None:
-    """Move a substructure so that its points (k, 3) meet the others.
+    """Move a substructure so that its points meet the others.
 
     Their planes are aligned first, then the first points about the normal.
     """

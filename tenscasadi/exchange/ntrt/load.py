@@ -58,11 +58,12 @@ def load_ntrt(
 ) -> Structure:
     """Read a structure from NASA's Tensegrity Robotics Toolkit (NTRT).
 
-    Its YAML files contain nodes, pair_groups, builders, substructures and bond_groups (node_node and
-    node_edge). Rods become bars of mass π r² l ρ. Strings of every class become elastic strings with
-    the rest length l − pretension/stiffness. The y axis points up in NTRT and the z axis here:
-    (x, y, z) becomes (x, −z, y). Strings end at nodes, whereas NTRT moves their ends to the surfaces of
-    rods. Motors, contact and friction are ignored. It requires ``pip install 'tenscasadi[exchange]'``.
+    Its YAML files contain nodes, pair_groups, builders, substructures and bond_groups (node_node
+    and node_edge). Rods become bars of mass π r² l ρ. Strings of every class become elastic strings
+    with the rest length l − pretension/stiffness. The y axis points up in NTRT and the z axis here:
+    (x, y, z) becomes (x, −z, y). Strings end at nodes, whereas NTRT moves their ends to the
+    surfaces of rods. Motors, contact and friction are ignored. It requires ``pip install
+    'tenscasadi[exchange]'``.
 
     Parameters
     ----------
@@ -90,7 +91,7 @@ def load_ntrt(
     ImportError
         If PyYAML is not installed.
     TypeError, ValueError
-        An argument is wrong, or the file holds what cannot be read or modelled; the message names
+        An argument is wrong, or an entry of the file cannot be read or modeled; the message names
         file, line, key and value.
 
     Examples
@@ -115,7 +116,7 @@ def load_ntrt(
 
 @dataclass(frozen=True)
 class _Builder:
-    """Properties of rods or strings with these tags, in NTRT's units."""
+    """Properties of tagged rods or strings, in NTRT's units."""
 
     tags: frozenset[str]
     values: dict[str, float]

@@ -47,7 +47,9 @@ class Entry:
             yield key, entry
 
     def parts(self, count: int | None = None) -> list[Entry]:
-        """Return the entries of a list, of length `count` if given.
+        """Return the entries of a list.
+
+        Its length must be `count`, if given.
 
         An empty entry has none.
         """
