@@ -29,6 +29,7 @@ from tenscasadi.integrators.stability import stable_step
 from tenscasadi.integrators.stabilization import BarLengthCorrection, Projection, projection
 from tenscasadi.integrators.sundials import Cvodes, Idas
 from tenscasadi.io.scene_files import load_scene, load_simulation, save_scene
+from tenscasadi.scene.control_function import ControlFunction
 from tenscasadi.scene.ground import Ground, Terrain
 from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
 from tenscasadi.scene.parameter_layout import ParameterLayout
@@ -78,6 +79,7 @@ __all__ = [
     "Terrain",
     "Pressure",
     "NodalForce",
+    "ControlFunction",
     "SupportMotion",
     "Parameters",
     "ParameterLayout",

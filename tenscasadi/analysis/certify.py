@@ -16,10 +16,9 @@ from tenscasadi.integrators.events import build_switching
 from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853
 from tenscasadi.integrators.scheme import Scheme, extent
 from tenscasadi.integrators.stability import stable_step
-from tenscasadi.scene.pulses import Resolution, is_bounded
 from tenscasadi.simulation.control_input import ControlInput
-from tenscasadi.simulation.simulate import lay_run, simulate
-from tenscasadi.simulation.time_grid import resolving, unseen_changes
+from tenscasadi.simulation.simulate import simulate
+from tenscasadi.simulation.time_grid import UNSEEN, lay_run
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import Array, finite_array, instance, positive_number
 
@@ -31,7 +30,6 @@ _TOLERANCES = (1e-10, 1e-12, 1e-14)
 _GRID = 50  # parts of a run with control of the error, at least as many steps
 # of the structure's size: solutions that differ by less and cease to converge, do so by rounding
 _ROUNDING = 1e-10
-_RESOLUTION = Resolution(1e-3, 1e-10)  # of functions of time
 # of the distance of two solutions: what the clock's rounding adds, and the message speaks of
 _TOLD = 0.1
 _LEAST_SECONDS = 0.1  # for a solution that is begun
@@ -93,10 +91,9 @@ def certify(
     The schemes are `DormandPrince853` and `DormandPrince54`. Refinement ends when they agree within
     `enough`, when finer steps do not bring them closer, or when the next solution would cost more
     than `work`. Where slack or contact spoils the order of fixed steps, both control their error
-    and locate these events. Steps are cut where a function of time of the scene would do something
-    that they do not see, down to a ten-billionth of its impulse over the run, however short it is;
-    the message says where a function, such as an interpolant, can be looked at in samples alone.
-    What the rounding of the clock may do to such functions is part of the error.
+    and locate these events. Steps end at the breakpoints of functions of time; a solution whose steps
+    do not see all that such a function does is no reference. The effect of the rounding of the
+    clock on such functions is part of the error.
 
     Parameters
     ----------
@@ -205,12 +202,6 @@ class _Pairs:
     ) -> None:
         self._model, self._t_end, self._deadline = model, t_end, deadline
         self._options = {**options, "energy_balance": False}
-        sampled = [load.field for load in model.scene.over_time if not is_bounded(load)]
-        self._unknown = (
-            f"; {' and '.join(sampled)} known by samples alone, pulses between them are not seen"
-            if sampled
-            else ""
-        )
         self.best: Reference | None = None
         self.apart, self.fault = np.inf, "not tried"
         self.rounding = self._round_clock()
@@ -243,38 +234,25 @@ class _Pairs:
             (second, _GRID + 1),
         )
 
-    def _unseen(self, count: int) -> str:
-        """Say what of the scene changes faster than so many steps and their cuts see; "" where they see all."""
-        scene, state = self._model.scene, self._options["state"]
-        first = (
-            float((self._model.initial_state if state is None else state)[-1])
-            if scene.has_clock
-            else 0.0
-        )
-        return unseen_changes(scene.over_time, first, first + self._t_end, count, _RESOLUTION)
-
     def _round_clock(self) -> float:
         """Bound what the rounding of the clock does to the end, m: functions and tables of time are asked for a time that is off by it.
 
         Their changes act as accelerations from the start on, each by so much too late or too early.
         """
         model, state = self._model, self._options["state"]
-        if not model.scene.over_time:
-            return 0.0
-        start, p = (
-            np.array(model.start_at(self._options["parameters"]) if state is None else state),
-            self._options["parameters"],
+        p = self._options["parameters"]
+        laid = lay_run(
+            model,
+            np.array(model.start_at(p) if state is None else state),
+            self._t_end,
+            self._t_end / _GRID,
+            DormandPrince853(_TOLERANCES[0]),
+            self._options["control"],
+            p,
         )
-        with resolving(_RESOLUTION):
-            grid = lay_run(
-                model,
-                start,
-                self._t_end,
-                self._t_end / _GRID,
-                DormandPrince853(_TOLERANCES[0]),
-                self._options["control"],
-                p,
-            )
+        model, start, grid = laid.model, laid.start, laid.inputs
+        if not model.over_time:
+            return 0.0
         times = start[-1] + grid.times(np.arange(grid.steps + 1))
         states = np.tile(start, (len(times), 1))
         model.split(states)[2][:, 0] = times
@@ -298,15 +276,11 @@ class _Pairs:
         self.apart = np.inf
         ends = []
         for scheme, count in pair:
-            if unseen := self._unseen(count):
-                self.fault = unseen.removeprefix("; ")
-                return
-            with resolving(_RESOLUTION):
-                left = (
-                    None
-                    if np.isinf(self._deadline)
-                    else max(_LEAST_SECONDS, self._deadline - time.perf_counter())
-                )
+            left = (
+                None
+                if np.isinf(self._deadline)
+                else max(_LEAST_SECONDS, self._deadline - time.perf_counter())
+            )
             run = simulate(
                 self._model,
                 self._t_end,
@@ -319,7 +293,7 @@ class _Pairs:
             )
             if run.interrupted:
                 raise KeyboardInterrupt
-            if not run.success:
+            if not run.success or UNSEEN in run.message:
                 self.fault = run.message
                 return
             ends.append(end_nodes(self._model, run))
@@ -334,7 +308,7 @@ class _Pairs:
                 ends[0],
                 error,
                 self._t_end,
-                f"{what} end {self.apart:.2g} m apart{rounded}{self._unknown}",
+                f"{what} end {self.apart:.2g} m apart{rounded}",
             )
 
 

@@ -18,6 +18,7 @@ from tenscasadi.dynamics.instruction_count import count_instructions
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import Scheme, check_scheme
 from tenscasadi.integrators.stabilization import BarLengthCorrection, Correction, Projection
+from tenscasadi.scene.control_function import ControlFunction
 from tenscasadi.simulation.control_input import ControlInput
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
@@ -246,11 +247,8 @@ class Case:
 
     def _held(self) -> ControlInput:
         """Return the control where it is constant: others are not for the short time of a timed run."""
-        return (
-            None
-            if callable(self.control) or (self.control is not None and np.ndim(self.control) != 1)
-            else self.control
-        )
+        over_time = callable(self.control) or isinstance(self.control, ControlFunction)
+        return None if over_time or np.ndim(np.asarray(self.control)) != 1 else self.control
 
 
 def start_of(model: Model, state: State) -> Array | None:

@@ -121,6 +121,7 @@ def applied_forces(
     F M⁻ plus those accelerations is the motion that no bar and no joint constrains.
     """
     moved, mech = space.support_accelerations(time), mech or space.weighted(u, inverse=False)
+    u = space.add_schedule(u, time)
     return forces.total(space.scene, mech, N, V, u, time, mode) - ca.mtimes(
         moved, sparse(mech.M)
     ), moved
@@ -134,7 +135,7 @@ def joint_forces(space: StateSpace, N: Any, V: Any, A: Any, lam: Any, u: Any, ti
     if full.masses is not None:
         full = full.weighted(full.masses.weigh(u[space.nu :]))
     N, V, A = (Z[:, full.physical.tolist()] for Z in (N, V, A))
-    known = forces.total(space.scene, full, N, V, u, time)
+    known = forces.total(space.scene, full, N, V, space.add_schedule(u, time), time)
     lacking = (
         ca.mtimes(A, sparse(full.M)) - known - nodal_forces(full, full.bar_vectors(N), lam)
     )  # Ω Pᵀ

@@ -217,7 +217,7 @@ def _constraint_jacobian(model: Model, state: Array) -> Array:
 
 def _symbol_kind(model: Model) -> Any:
     """Return SX where all forces are scalar code; functions of time may not be."""
-    return ca.SX if not model.scene.has_clock or model.ode.is_a("SXFunction") else ca.MX
+    return ca.SX if not model.has_clock or model.ode.is_a("SXFunction") else ca.MX
 
 
 def _squared_length_error(model: Model, N: Any, w: Any) -> Any:

@@ -91,6 +91,7 @@ class Model(Observations):
         self, scene: Scene, coordinates: Coordinates = "reduced", bar_length: BarLength = "current"
     ) -> None:
         super().__init__(scene, coordinates, bar_length)
+        self.driven: tuple[Any, Model] | None = None  # by the control function of the last run
         if self.np and self.nq:
             check_parameters(self)
 
@@ -172,12 +173,14 @@ class Model(Observations):
         N, V, time = self.unpack(x)
         mech = self.weighted(u, inverse=False)
         if self._supports is None:
-            push = forces.total(self.scene, mech, N, V, u, time)
+            push = forces.total(self.scene, mech, N, V, self.add_schedule(u, time), time)
         else:  # with the reactions of the supports, which work too: all that moves the mass
             push = ca.mtimes(forward_dynamics(self, N, V, u, time)[0], sparse(mech.M))
-        n: Any = type(N).sym("n", N.shape)
-        total = sum(forces.potential_energy(self.scene, mech, n, u))
-        slope = ca.substitute(ca.jtimes(total, n, V), n, N)
+        slope = ca.DM(0)
+        if self.schedule is None:
+            n: Any = type(N).sym("n", N.shape)
+            total = sum(forces.potential_energy(self.scene, mech, n, u))
+            slope = ca.substitute(ca.jtimes(total, n, V), n, N)
         return self._function(
             "power", x, u, [ca.densify(ca.sum2(ca.sum1(push * V)) + slope)], ["power"]
         )

@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.dynamics.mechanism import Coordinates, Mechanism
+from tenscasadi.scene.control_function import ControlSchedule
 from tenscasadi.scene.scene import Scene
 from tenscasadi.util.validate import Array, finite_array, rows_of_size
 
@@ -18,6 +19,8 @@ class NodeCoordinates:
     Attributes: nq and nx are the sizes of the positions and of the state.
     """
 
+    schedule: ControlSchedule | None = None  # control over time that u is added to
+
     def __init__(self, scene: Scene, coordinates: Coordinates, mechanism: Mechanism) -> None:
         self.scene, self.structure = scene, scene.modelled
         self.coordinates: Coordinates = coordinates
@@ -25,7 +28,12 @@ class NodeCoordinates:
         self._supports = None if scene.supports is None else scene.supports.rates()
         self._free = mechanism.free_index
         self.nq = len(self._free)
-        self.nx = 2 * self.nq + (1 if scene.has_clock else 0)
+        self.nx = 2 * self.nq + (1 if self.has_clock else 0)
+
+    @property
+    def has_clock(self) -> bool:
+        """Whether the state has a clock, as anything depends on time."""
+        return self.scene.has_clock or self.schedule is not None
 
     # --- numbers ---
 
@@ -132,7 +140,7 @@ class NodeCoordinates:
     def unpack(self, x: Any) -> tuple[Any, Any, Any]:
         """Return N, m, and V, m/s, (3×n, the columns of `mechanism`) and the time, s, of a CasADi state."""
         start, (q, v, clock) = self.mechanism.N.T, self.split(x)
-        time = clock if self.scene.has_clock else 0
+        time = clock if self.has_clock else 0
         N, V = self._place(q, start), self._place(v, np.zeros_like(start))
         if self._supports is not None and self.coordinates == "reduced":
             N[:, self._moved], V[:, self._moved], _ = self._supports(time)
@@ -178,7 +186,7 @@ class NodeCoordinates:
             else ca.vec(matrix)
             for matrix in (upper, lower)
         ]
-        return ca.densify(ca.vertcat(*parts, *([clock] if self.scene.has_clock else [])))
+        return ca.densify(ca.vertcat(*parts, *([clock] if self.has_clock else [])))
 
     def support_accelerations(self, time: Any) -> Any:
         """Return the accelerations (3×n), m/s², of supports that are moved in reduced coordinates, where P does not hold them; else zero."""

@@ -61,8 +61,8 @@ class Observations(StateSpace):
         """
         x, u = self.symbols(not self.mechanism.large)
         N, V, time = self.unpack(x)
-        mech = self.weighted(u, inverse=False)
-        gamma, S = forces.string_force_density(self.scene, mech, N, V, u)
+        mech, w = self.weighted(u, inverse=False), self.add_schedule(u, time)
+        gamma, S = forces.string_force_density(self.scene, mech, N, V, w)
         first = self.mechanism.first.tolist()
         outputs = {
             "nodes": ca.vec(N[:, first]),
@@ -70,7 +70,7 @@ class Observations(StateSpace):
             "force_density": gamma.T,
             "tension": (gamma * ca.sqrt(ca.sum1(S * S))).T,
             "energy": ca.vertcat(
-                _kinetic_energy(mech, V), *forces.potential_energy(self.scene, mech, N, u)
+                _kinetic_energy(mech, V), *forces.potential_energy(self.scene, mech, N, w)
             ),
             "bar_length_error": self._bar_length_error(N),
             "joint_error": self._joint_error(N, time),
@@ -179,7 +179,7 @@ class Observations(StateSpace):
     @property
     def conservative(self) -> bool:
         """Whether no force outside `energy` does work while the control stands still."""
-        return forces.is_conservative(self.scene)
+        return self.schedule is None and forces.is_conservative(self.scene)
 
     # --- expressions ---
 

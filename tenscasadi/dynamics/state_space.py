@@ -186,6 +186,17 @@ class StateSpace(NodeCoordinates):
         return tuple(check_column(name, value, size) for name, value, size in given)
 
     @property
+    def over_time(self) -> list[Any]:
+        """The parts that change over time."""
+        return [*self.scene.over_time, *([] if self.schedule is None else [self.schedule])]
+
+    def add_schedule(self, w: Any, time: Any) -> Any:
+        """Add the control of the schedule at a time, s, to the held input w; w where there is none."""
+        if self.schedule is None:
+            return w
+        return w + ca.vertcat(self.schedule.at(time), ca.DM.zeros(self.np))
+
+    @property
     def nw(self) -> int:
         """Size of the held input w: the control u, and below it the parameters p."""
         return self.nu + self.np

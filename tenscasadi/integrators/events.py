@@ -25,8 +25,8 @@ def build_switching(model: Model) -> ca.Function | None:
     if strings + contacts == 0:
         return None
     x, u = model.symbols(not mech.large)
-    N, V, _ = model.unpack(x)
-    rows = [forces.string_gaps(scene, mech, N, V, u)] if strings else []
+    N, V, time = model.unpack(x)
+    rows = [forces.string_gaps(scene, mech, N, V, model.add_schedule(u, time))] if strings else []
     rows += [
         ground.switching(N[:, columns], V[:, columns])
         for ground, columns, _ in forces.contacts(bind(scene, u)[0], mech)
@@ -54,7 +54,7 @@ def build_held_ode(model: Model, work: bool = False) -> ca.Function:
     if work:
         mech = model.weighted(u, inverse=False)
         if model.scene.supports is None:
-            push = forces.total(model.scene, mech, N, V, u, time, mode)
+            push = forces.total(model.scene, mech, N, V, model.add_schedule(u, time), time, mode)
         else:  # reactions of moved supports work too
             push = ca.mtimes(acceleration, sparse(mech.M))
         parts.append(ca.sum2(ca.sum1(push * V)))
@@ -72,8 +72,10 @@ def split_mode(model: Model, w: Any) -> tuple[Any, forces.Mode]:
 
 
 def build_potential(model: Model) -> ca.Function:
-    """Return (x, u) -> elastic and gravity energy, J."""
+    """Return (x, u) -> elastic and gravity energy, J, that `Model.power` leaves out; 0 under a schedule."""
     x, u = model.symbols(not model.mechanism.large)
+    if model.schedule is not None:
+        return ca.Function("potential", [x, u], [ca.DM(0)], ["x", "u"], ["potential"])
     mech = model.weighted(u, inverse=False)
     total = ca.densify(sum(forces.potential_energy(model.scene, mech, model.unpack(x)[0], u)))
     return ca.Function("potential", [x, u], [total], ["x", "u"], ["potential"])

@@ -166,7 +166,7 @@ def _solver(model: Model) -> ca.Function:
     def linear(x: Any, w: Any, g: Any, r: Any, moved: Any) -> tuple[Any, ...]:
         N, V, time = model.unpack(x)
         u, mode = split_mode(model, w)
-        mech = model.weighted(u, inverse=False)
+        u, mech = model.add_schedule(u, time), model.weighted(u, inverse=False)
         M = sparse(mech.free_mass)
 
         def slopes(scene: Scene, longest: Any = None) -> Any:

@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from tenscasadi.scene.over_time import OverTime
+from tenscasadi.scene.over_time import OverTime, takes_breaks
 from tenscasadi.scene.time_functions import express
 from tenscasadi.schema.containers import ListOf, MapOf
 from tenscasadi.schema.forms import TIMES, Index, Members
@@ -18,6 +18,7 @@ from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import Array, Indices, listed, node_index, number, shown, whole_number
 
 
+@takes_breaks
 @dataclass(frozen=True)
 class Gravity(OverTime, kind="Gravity", short="acceleration"):
     """Uniform gravity, constant or over time.
@@ -33,9 +34,9 @@ class Gravity(OverTime, kind="Gravity", short="acceleration"):
         of it at `times`.
     times : array_like, shape (K,), optional
         Increasing times of a table, s. Steps of a simulation end there.
-    breaks : array_like, shape (B,), optional
-        Times at which a function of time jumps or has a kink, s, beside those that its comparisons,
-        signs and roundings show. Steps of a simulation end there.
+    breakpoints : array_like, shape (B,), optional
+        Times at which a function of time jumps, has a kink, or begins or ends a pulse, s, beside
+        those that its comparisons, signs and roundings show. Steps of a simulation end there.
 
     Notes
     -----
@@ -54,7 +55,7 @@ class Gravity(OverTime, kind="Gravity", short="acceleration"):
     _quantity: ClassVar[str] = "acceleration"
     acceleration: Annotated[Any, Varying((3,))] = (0.0, 0.0, -9.81)
     times: Annotated[Any, TIMES] = field(default=None, repr=False)
-    breaks: Annotated[Any, TIMES] = field(default=(), repr=False)
+    breakpoints: Annotated[Any, TIMES] = field(default=(), repr=False)
 
     def __post_init__(self) -> None:
         self._read((3,))
@@ -120,6 +121,7 @@ class Gravity(OverTime, kind="Gravity", short="acceleration"):
         return ca.DM(0) if self.varies else -ca.sum1(ca.sum2(N * self.forces(node_weight)))
 
 
+@takes_breaks
 @dataclass(frozen=True)
 class Pressure(OverTime, kind="Pressure"):
     """A pressure across triangles, which follows them as they move, constant or over time.
@@ -136,9 +138,9 @@ class Pressure(OverTime, kind="Pressure"):
         Pressure p, Pa; a function of the time t, s, that returns it; or a table of it at `times`.
     times : array_like, shape (K,), optional
         Increasing times of a table, s. Steps of a simulation end there.
-    breaks : array_like, shape (B,), optional
-        Times at which a function of time jumps or has a kink, s, beside those that its comparisons,
-        signs and roundings show. Steps of a simulation end there.
+    breakpoints : array_like, shape (B,), optional
+        Times at which a function of time jumps, has a kink, or begins or ends a pulse, s, beside
+        those that its comparisons, signs and roundings show. Steps of a simulation end there.
 
     Examples
     --------
@@ -152,7 +154,7 @@ class Pressure(OverTime, kind="Pressure"):
     faces: Annotated[Sequence[Sequence[int]] | Indices, ListOf(Members("node"))]
     difference: Annotated[Any, Varying(())]
     times: Annotated[Any, TIMES] = field(default=None, repr=False)
-    breaks: Annotated[Any, TIMES] = field(default=(), repr=False)
+    breakpoints: Annotated[Any, TIMES] = field(default=(), repr=False)
 
     def __post_init__(self) -> None:
         given = listed("Pressure.faces", self.faces, "[(0, 1, 2)] of triangles of node indices")
@@ -230,6 +232,7 @@ class Pressure(OverTime, kind="Pressure"):
         return ca.mtimes(push, spread)
 
 
+@takes_breaks
 @dataclass(frozen=True, eq=False)
 class NodalForce(OverTime, ReadOnlyArrays, kind="NodalForce"):
     """Forces on nodes, constant or over time.
@@ -244,10 +247,9 @@ class NodalForce(OverTime, ReadOnlyArrays, kind="NodalForce"):
         Forces, N; a function of the time t, s, that returns them; or a table of them at `times`.
     times : array_like, shape (K,), optional
         Increasing times of a table, s. Steps of a simulation end there.
-    breaks : array_like, shape (B,), optional
-        Times at which a function of time jumps, has a kink, or begins or ends a pulse, s. Steps of
-        a simulation end there, and at all of these that its expression shows, which are found
-        without being given.
+    breakpoints : array_like, shape (B,), optional
+        Times at which a function of time jumps, has a kink, or begins or ends a pulse, s, beside
+        those that its comparisons, signs and roundings show. Steps of a simulation end there.
     bars : mapping of int to int, optional
         Nodes of several bars, and the bar whose end takes the node's force; by default the one that
         is first in the columns of `Structure.class_one`. The motion is the same, the forces in the
@@ -265,7 +267,7 @@ class NodalForce(OverTime, ReadOnlyArrays, kind="NodalForce"):
     _quantity: ClassVar[str] = "values"
     values: Annotated[Any, NodalForces()]
     times: Annotated[Any, TIMES] = None
-    breaks: Annotated[Any, TIMES] = ()
+    breakpoints: Annotated[Any, TIMES] = ()
     bars: Annotated[Mapping[int, int] | None, MapOf("node", Index("bar"))] = None
 
     def __post_init__(self) -> None:
@@ -339,7 +341,7 @@ class NodalForce(OverTime, ReadOnlyArrays, kind="NodalForce"):
 
 def _freeze(load: OverTime, quantity: str) -> None:
     """Make tuples of the arrays of a value, which is compared and hashed."""
-    for name in (quantity, "times", "breaks"):
+    for name in (quantity, "times", "breakpoints"):
         value = getattr(load, name)
         if isinstance(value, np.ndarray):
             object.__setattr__(load, name, _as_tuple(value.tolist()))

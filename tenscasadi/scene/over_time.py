@@ -2,24 +2,46 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar
+import functools
+import warnings
+from typing import Annotated, Any, ClassVar, TypeVar
 
 import casadi as ca
 import numpy as np
 
+from tenscasadi.scene.breakpoints import at_edges, find_breakpoints, short_beside_steep
 from tenscasadi.scene.time_functions import (
     as_numbers,
-    at_edges,
     check_over_run,
     express,
-    find_breaks,
     interpolate,
-    short_beside_steep,
     trace,
 )
 from tenscasadi.schema.forms import TIMES
 from tenscasadi.schema.value import Value
 from tenscasadi.util.validate import Array, finite_array
+
+Timed = TypeVar("Timed", bound=type)
+
+
+def takes_breaks(kind: Timed) -> Timed:
+    """Let a class take the earlier name `breaks` of its field `breakpoints`, with a warning."""
+    made: Any = kind
+    build = made.__init__
+
+    @functools.wraps(build)
+    def init(self: Any, *args: Any, **fields: Any) -> None:
+        if "breaks" in fields:
+            warnings.warn(
+                f"{kind.__name__}(breaks=...) is deprecated: use breakpoints",
+                DeprecationWarning,
+                stacklevel=2,
+            )
+            fields["breakpoints"] = fields.pop("breaks")
+        build(self, *args, **fields)
+
+    made.__init__, made.earlier_names = init, {"breaks": "breakpoints"}
+    return kind
 
 
 class OverTime(Value):
@@ -32,7 +54,7 @@ class OverTime(Value):
 
     _quantity: ClassVar[str]  # name of the field that may change over time
     times: Annotated[Any, TIMES]
-    breaks: Annotated[Any, TIMES]
+    breakpoints: Annotated[Any, TIMES]
 
     @property
     def varies(self) -> bool:
@@ -62,11 +84,12 @@ class OverTime(Value):
     def _read(self, shape: tuple[int | None, ...]) -> None:
         """Check the fields of a frozen value whose quantity has this shape at each time; arrays take their place."""
         name, value = type(self).__name__, self.quantity
-        checked: dict[str, Any] = {"breaks": finite_array(f"{name}.breaks", self.breaks, (None,))}
-        if len(checked["breaks"]) and not callable(value):
+        given = finite_array(f"{name}.breakpoints", self.breakpoints, (None,))
+        if len(given) and not callable(value):
             raise ValueError(
-                f"{name}.breaks is {checked['breaks']}: give breaks of a function of time alone, a table has its times"
+                f"{name}.breakpoints is {given}: give them with a function of time alone, a table has its times"
             )
+        checked: dict[str, Any] = {"breakpoints": given}
         if self.times is not None:
             times = finite_array(f"{name}.times", self.times, (None,))
             if len(times) < 2 or np.any(np.diff(times) <= 0):
@@ -129,8 +152,8 @@ class OverTime(Value):
         if self.is_function:
             check_over_run(self.field, self.quantity, trace(self.at), first, last)
 
-    def find_breaks(self, first: float, last: float, steps: int) -> Array:
-        """Return the times at which steps have to end: those of a table, or just before and just after each jump or kink of a function.
+    def find_breakpoints(self, first: float, last: float, steps: int) -> Array:
+        """Find the times at which steps have to end: those of a table, or around each jump or kink of a function.
 
         Parameters
         ----------
@@ -148,12 +171,12 @@ class OverTime(Value):
             return short_beside_steep(np.asarray(self.times))
         if not self.is_function:
             return np.empty(0)
-        return at_edges(
-            np.concatenate([self.breaks, find_breaks(trace(self.at), first, last)]),
-            first,
-            last,
-            steps,
-        )
+        found = [self.breakpoints, find_breakpoints(trace(self.at), first, last)]
+        return at_edges(np.concatenate(found), first, last, steps)
+
+    def changing(self) -> ca.Function | None:
+        """Build the function of time that steps have to follow; None where it is a table, which they follow."""
+        return trace(self.at) if self.is_function else None
 
 
 def read_sample(field: str, value: Any, shape: tuple[int, ...]) -> Array:

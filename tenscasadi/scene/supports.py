@@ -9,14 +9,9 @@ from typing import Annotated, Any
 import casadi as ca
 import numpy as np
 
-from tenscasadi.scene.time_functions import (
-    CURE,
-    at_edges,
-    check_over_run,
-    express,
-    find_breaks,
-    probe_times,
-)
+from tenscasadi.scene.breakpoints import at_edges, find_breakpoints, probe_times
+from tenscasadi.scene.over_time import takes_breaks
+from tenscasadi.scene.time_functions import CURE, check_over_run, express
 from tenscasadi.schema.containers import MapOf
 from tenscasadi.schema.forms import TIMES
 from tenscasadi.schema.time_formula import MovingPoint
@@ -33,6 +28,7 @@ _JUMPS = {
 }
 
 
+@takes_breaks
 @dataclass(frozen=True, eq=False)
 class SupportMotion(Value, kind="SupportMotion"):
     """Motion of pinned nodes, such as a shaking base or a driven hinge.
@@ -46,7 +42,7 @@ class SupportMotion(Value, kind="SupportMotion"):
     positions : mapping of int to callable
         For each moved node a function of the time, s, that returns (x, y, z), m; at t = 0 where the
         structure has the node.
-    breaks : array_like, shape (B,), optional
+    breakpoints : array_like, shape (B,), optional
         Times at which an acceleration jumps or begins or ends a pulse, s, beside those that
         comparisons, signs and roundings show. Steps of a simulation end there.
 
@@ -60,7 +56,7 @@ class SupportMotion(Value, kind="SupportMotion"):
     """
 
     positions: Annotated[Mapping[int, Callable[[Any], Any]], MapOf("node", MovingPoint())]
-    breaks: Annotated[Any, TIMES] = ()
+    breakpoints: Annotated[Any, TIMES] = ()
 
     def __post_init__(self) -> None:
         if not isinstance(self.positions, Mapping) or not self.positions:
@@ -74,7 +70,9 @@ class SupportMotion(Value, kind="SupportMotion"):
                 )
         object.__setattr__(self, "positions", dict(self.positions))
         object.__setattr__(
-            self, "breaks", finite_array("SupportMotion.breaks", self.breaks, (None,))
+            self,
+            "breakpoints",
+            finite_array("SupportMotion.breakpoints", self.breakpoints, (None,)),
         )
 
     @property
@@ -130,7 +128,7 @@ class SupportMotion(Value, kind="SupportMotion"):
                 abs(values.full()).max() for values in rates.call([probe_times(first, last)[None]])
             ]
             around = _AROUND * max(abs(first), abs(last))
-            for time in find_breaks(rates, first, last):
+            for time in find_breakpoints(rates, first, last):
                 before, after = (
                     rates(edge) for edge in (max(first, time - around), min(last, time + around))
                 )
@@ -147,8 +145,8 @@ class SupportMotion(Value, kind="SupportMotion"):
                             f"{name}: {what} jumps by {jump:.3g} at t = {time:g} s, which bars and joints cannot follow: {cure}"
                         )
 
-    def find_breaks(self, first: float, last: float, steps: int) -> Array:
-        """Return the times at which steps have to end: just before and just after each at which an acceleration may jump.
+    def find_breakpoints(self, first: float, last: float, steps: int) -> Array:
+        """Find the times at which steps have to end: around each jump of an acceleration.
 
         Parameters
         ----------
@@ -162,15 +160,11 @@ class SupportMotion(Value, kind="SupportMotion"):
         ndarray
             Times, s, in order.
         """
-        return at_edges(
-            np.concatenate([self.breaks, find_breaks(self.rates(), first, last)]),
-            first,
-            last,
-            steps,
-        )
+        found = [self.breakpoints, find_breakpoints(self.rates(), first, last)]
+        return at_edges(np.concatenate(found), first, last, steps)
 
-    def accelerations(self) -> ca.Function:
-        """Return the accelerations of the moved nodes.
+    def changing(self) -> ca.Function:
+        """Build the function of time that steps have to follow: the accelerations of the moved nodes.
 
         Returns
         -------

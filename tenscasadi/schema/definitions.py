@@ -62,6 +62,8 @@ class Definition:
         table = item.table(f"a table with {', '.join(self.fields) or tag}")
         if tag is not None:
             table.pop(tag, None)
+        earlier = getattr(self.build, "earlier_names", {})
+        table = {earlier.get(name, name): entry for name, entry in table.items()}
         return self.make(item, table, self.read_fields(table, names))
 
     def read_fields(self, table: Mapping[str, Item], names: Names) -> dict[str, Any]:

@@ -23,6 +23,8 @@ class Value:
         Field that stands for the whole value where no other is given.
     implied : str
         Kind of a table that does not name one.
+    earlier_names : mapping of str to str
+        Names of fields in earlier versions, which files may still use, and those of today.
     members : dict
         Members of the family by kind: classes, and functions that make values.
     """
@@ -30,6 +32,7 @@ class Value:
     kind: ClassVar[str] = ""
     short: ClassVar[str] = ""
     implied: ClassVar[str] = ""
+    earlier_names: ClassVar[Mapping[str, str]] = {}
     members: ClassVar[dict[str, Callable[..., Any]]] = {}
 
     def __init_subclass__(

@@ -1,4 +1,4 @@
-"""Controls over time: a constant, a table, a function of time, or a profile on a mesh, sampled at the steps of a run."""
+"""Controls over time: a constant, a table, or a profile on a mesh, sampled at the steps of a run."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tenscasadi.util.validate import SMALLEST, Array, Indices, call_user_function, finite_array
+from tenscasadi.scene.control_function import ControlFunction
+from tenscasadi.util.validate import SMALLEST, Array, Indices, finite_array
 
 _SAME = 1e-9  # of a step: as close as this to its end is there
 
-ControlInput = ArrayLike | Callable[[float], ArrayLike] | None
+ControlInput = ArrayLike | Callable[[float], ArrayLike] | ControlFunction | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,10 +41,8 @@ class ControlProfile:
 class SampledControl:
     """The `steps` steps of a run to `t_end`, s, with the control held in each; `varies`: it may change from step to step.
 
-    ends (steps + 1,): where steps begin and end, s, None: all are equally long. unseen: which
-    functions of time change too fast for them, as messages tell it. early: s, by which the last
-    step is shorter than these say, of which rounding leaves nothing to be seen. asks: whether a
-    function of the user's is called for it, which is asked once for each step.
+    ends (steps + 1,): where steps begin and end, s, None: all are equally long. early: s, by
+    which the last step is shorter than these say, of which rounding leaves nothing to be seen.
     """
 
     steps: int
@@ -51,9 +50,7 @@ class SampledControl:
     varies: bool
     sample: Callable[[int, int], Array]
     ends: Array | None = None
-    unseen: str = ""
     early: float = 0.0
-    asks: bool = False
 
     @property
     def step(self) -> float:
@@ -98,16 +95,11 @@ def sample_control(
 
     `default` (nu,) is used for None; `positive`: these are lengths, greater than 0.
 
-    Raises TypeError, ValueError naming `control`; a function's results are checked when it is
-    called.
+    Raises TypeError, ValueError naming `control`.
     """
     nu = len(default)
     if isinstance(control, ControlProfile):
         return _sample_profile(control, nu, t_end, t_end / steps, positive)
-    if callable(control):
-        return SampledControl(
-            steps, t_end, nu > 0, _of_function(control, nu, t_end / steps, positive), asks=nu > 0
-        )
     value = default
     if control is not None:
         table = _check_lengths("control", _array(control, nu), positive)
@@ -168,7 +160,7 @@ def cut_steps(inputs: SampledControl, breaks: Array, near: float | None = None) 
             else inputs.sample(0, 0)
         )
 
-    return SampledControl(len(owner), inputs.t_end, inputs.varies, sample, cut, asks=inputs.asks)
+    return SampledControl(len(owner), inputs.t_end, inputs.varies, sample, cut)
 
 
 def _sample_profile(
@@ -232,20 +224,3 @@ def _check_lengths(field: str, values: Array, positive: bool) -> Array:
             f"{field}[{', '.join(map(str, place))}] is {values[place]:g}: rest lengths (RestLength) must be greater than 0"
         )
     return values
-
-
-def _of_function(
-    function: Callable[[float], ArrayLike], nu: int, step: float, positive: bool
-) -> Callable[[int, int], Array]:
-    def sample(first: int, count: int) -> Array:
-        values = np.empty((count, nu))
-        for k in range(count):
-            time = (first + k) * step
-            field = f"control({time:g})"
-            given = call_user_function(
-                field, function, time, f"give a function of time, s, that returns ({nu},)"
-            )
-            values[k] = _check_lengths(field, finite_array(field, given, (nu,)), positive)
-        return values
-
-    return sample

@@ -24,7 +24,8 @@ from tenscasadi.schema.containers import TableOf
 from tenscasadi.schema.definitions import OneOf
 from tenscasadi.schema.forms import PER_ITEM, ToldApart
 from tenscasadi.schema.time_formula import Varying
-from tenscasadi.simulation.simulate import lay_run, simulate
+from tenscasadi.simulation.simulate import simulate
+from tenscasadi.simulation.time_grid import lay_run
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.subdivision import cut_strings, segment_counts, segment_shares
 from tenscasadi.util.compile import Compiled
@@ -178,13 +179,8 @@ class Simulation:
                 f"state has {len(self.start)} entries: give the {self.model.nx} of the model, or nodes and velocities"
             )
         p = self.model.parameters.values(self.parameters)
-        inputs = lay_run(
-            self.model, self.start, self.t_end, self.step, self.scheme, self.control, p
-        )
-        inputs.sample(
-            0, 1
-        )  # calls a function of time, whose result nothing else checks before the run
-        steps = inputs.steps
+        laid = lay_run(self.model, self.start, self.t_end, self.step, self.scheme, self.control, p)
+        steps = laid.inputs.steps
         if self.save_every is not None and steps / self.save_every * self.model.nx > MOST_KEPT:
             raise ValueError(
                 f"save_every is {self.save_every}: {steps} steps would keep more than {MOST_KEPT:g} numbers, give more"

@@ -17,6 +17,7 @@ from tenscasadi.integrators.stabilization import BarLengthCorrection, Correction
 from tenscasadi.simulation.engine.inputs import (
     controls_at,
     count_motions,
+    first_time,
     gather_intervals,
     lay_steps,
     read_controls,
@@ -26,6 +27,7 @@ from tenscasadi.simulation.engine.inputs import (
 from tenscasadi.simulation.engine.kernel import Kernel, Watch, build_kernel
 from tenscasadi.simulation.engine.request import KINETIC, MEASURED, STOPPED, SUPPLIED
 from tenscasadi.simulation.motions import Rollouts
+from tenscasadi.simulation.time_grid import describe_unseen
 from tenscasadi.simulation.verdict import Runs, judge
 from tenscasadi.util.validate import flag, instance, whole_number
 
@@ -169,7 +171,9 @@ def rollouts(
         lambda step: float(inputs.times(np.array([step]))[0]),
         lambda k: controls_at(plan, model, time, result.saved, k),
         result,
-        inputs.unseen,
+        describe_unseen(
+            model.over_time, inputs, first_time(model, starts), inputs.step, scheme.order
+        ),
     )
     return _record(run, kernel, workers, seconds)
 

@@ -15,8 +15,9 @@ from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stabilization import Correction
 from tenscasadi.integrators.sundials import Sundials
+from tenscasadi.scene.control_function import ControlFunction
 from tenscasadi.simulation.control_input import ControlInput, ControlProfile, SampledControl
-from tenscasadi.simulation.simulate import lay_run, simulate
+from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.tangent_loop import (
     CHUNK,
     Steps,
@@ -25,6 +26,7 @@ from tenscasadi.simulation.tangent_loop import (
     tangent_function,
 )
 from tenscasadi.simulation.tangent_passes import Task, pull, push
+from tenscasadi.simulation.time_grid import lay_run
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.compile import CompileError, compile_function
@@ -142,7 +144,7 @@ def sensitivities(  # noqa: PLR0913  those of a run, and what is asked of it
         "end": the output at the end of the run. "run": its integral over time, by the scheme; m is 1.
     by : {"state", "control", "parameters"}
         Inputs. "state": the start. "control": the control in each interval of a table, in each step
-        where it is a function of time. "parameters": those of the model; start and control stay as
+        where it is a function of time, to which it is added. "parameters": those of the model; start and control stay as
         they are.
     parameters : array_like, shape (np,), or mapping of str to array_like, optional
         Values of the model's parameters, as for `simulate`. Default: nominal.
@@ -216,7 +218,7 @@ def sensitivities(  # noqa: PLR0913  those of a run, and what is asked of it
         model, state=request.start, control=request.control, t_end=request.t_end, step=request.step,
         save_every=CHUNK, energy_balance=False, verify=False, compiled=compiled, parameters=request.parameters, **common,
     )  # fmt: skip
-    grid = lay_run(
+    laid = lay_run(
         model,
         request.start,
         request.t_end,
@@ -225,7 +227,8 @@ def sensitivities(  # noqa: PLR0913  those of a run, and what is asked of it
         request.control,
         request.parameters,
     )
-    steps = Steps(model, scheme, correction, output if over == "run" else None)
+    grid, output = laid.inputs, laid.of_driven(output)
+    steps = Steps(laid.model, scheme, correction, output if over == "run" else None)
     owner = (
         _owners(request.control, grid) if by == "control" else np.zeros(grid.steps, dtype=np.intp)
     )
@@ -234,7 +237,7 @@ def sensitivities(  # noqa: PLR0913  those of a run, and what is asked of it
         "control": slice(0, model.nu),
         "parameters": slice(model.nu, model.nw),
     }[by]
-    task = Task(steps, run.states, grid, owner, entries)
+    task = Task(steps, laid.states(run.time, run.states), grid, owner, entries)
     rows, columns = output.size1_out(0), int(np.prod(task.shape))
     chosen = mode or ("forward" if columns <= _ADJOINT * rows else "adjoint")
     if run.time[-1] < request.t_end * (1 - 1e-9):
@@ -245,7 +248,10 @@ def sensitivities(  # noqa: PLR0913  those of a run, and what is asked of it
     else:
         _compare(request, run)
         found = _differentiate(task, output, run, chosen, compiled)
-    return replace(found, jacobian=found.jacobian[:, 0]) if by == "parameters" else found
+    if by == "control":
+        return found
+    inside = found.jacobian[:, : model.nx] if by == "state" else found.jacobian[:, 0]
+    return replace(found, jacobian=inside)  # by the state without a clock of the control's
 
 
 class _Request(NamedTuple):
@@ -367,7 +373,7 @@ def _owners(control: Any, grid: SampledControl) -> Indices:
                 "control.values is linear between its times: give one row for each interval, or a table"
             )
         return np.searchsorted(control.time, middle) - 1
-    if callable(control):
+    if callable(control) or isinstance(control, ControlFunction):
         return np.arange(grid.steps)
     table = 1 if control is None or np.ndim(control) < 2 else len(np.asarray(control))
     return np.minimum((middle / grid.t_end * table).astype(np.intp), table - 1)
@@ -394,7 +400,7 @@ def _differentiate(
     symbols = output.mx_in()
     slopes = [ca.densify(ca.jacobian(output(*symbols), symbol)) for symbol in symbols]
     at_end = ca.Function("at_end", symbols, [output(*symbols), *slopes])(
-        run.states[-1], np.append(run.control[-1], run.parameters)
+        task.states[-1], task.grid.window(task.grid.steps - 1, 1)[0]
     )
     value, by_z, by_w = (np.asarray(result.full()) for result in at_end)
     if steps.running is not None:  # the output is the last entry of z

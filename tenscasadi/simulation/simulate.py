@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -12,22 +11,14 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme, check_scheme
 from tenscasadi.integrators.stabilization import BarLengthCorrection, Correction, Projection
-from tenscasadi.scene.strings import RestLength
-from tenscasadi.simulation.control_input import (
-    ControlInput,
-    ControlProfile,
-    SampledControl,
-    append_constants,
-    sample_control,
-)
+from tenscasadi.simulation.control_input import ControlInput, ControlProfile
 from tenscasadi.simulation.engine.engine import Request, roll
 from tenscasadi.simulation.engine.step_code import Account
-from tenscasadi.simulation.time_grid import cut_at_changes
+from tenscasadi.simulation.time_grid import lay_run
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
 from tenscasadi.simulation.verdict import conclude
 from tenscasadi.util.compile import Compiled, Single
 from tenscasadi.util.validate import (
-    Array,
     finite_array,
     instance,
     positive_number,
@@ -35,7 +26,6 @@ from tenscasadi.util.validate import (
 )
 
 _ROWS = 1000  # rows kept when save_every is None
-_CLOCK_LOSS = 1e-6  # share of a step that rounding may take off the clock
 
 
 def simulate(  # noqa: PLR0913  the options of a run
@@ -65,8 +55,8 @@ def simulate(  # noqa: PLR0913  the options of a run
         End of the run, s.
     step : float, optional
         Largest step, s. The run takes equal steps, the fewest that end exactly at `t_end`; they are
-        cut where a table over time has its times and where a function of time jumps or has a pulse
-        that a step would not see. Schemes that control their error take any number of steps of
+        cut at the times of tables, at the `breakpoints` of functions of time, and where conditions
+        in these switch. Schemes that control their error take any number of steps of
         their own within each of these. Default: 1 ms, or a hundredth of `t_end` for schemes that
         control their error.
     scheme : Scheme, optional
@@ -76,9 +66,9 @@ def simulate(  # noqa: PLR0913  the options of a run
         State at the start. Default: `model.initial_state`.
     control : array_like or callable, optional
         Control: an array (nu,) is constant, an array (K, nu) is constant on each of K equal parts
-        of [0, t_end] (steps are shortened to fit the parts). A function t -> (nu,) is called with
-        the time at the start of each step, and its value is held during the step. Default:
-        `model.initial_control`.
+        of [0, t_end] (steps are shortened to fit the parts). A function t -> (nu,) of the time
+        since the start is evaluated by each stage of a step, as `ControlFunction` describes.
+        Default: `model.initial_control`.
     correction : Projection or BarLengthCorrection, optional
         Correction applied after every `correction.every`-th step, of the scheme's own where it
         controls its error. Default: none.
@@ -113,8 +103,8 @@ def simulate(  # noqa: PLR0913  the options of a run
         the keyboard ends early: `success` is False, and `message` says why. So it is for a run that
         reached its end but cannot be trusted: its start is off the bars and joints by more than a
         fifth of their lengths and speeds, its steps are above the stability limit for long enough
-        to make a vibration grow tenfold, or a function of time changes faster than 20 000 further
-        steps would see.
+        to make a vibration grow tenfold, or a function of time changes within steps more than their
+        stages see.
 
     Raises
     ------
@@ -155,24 +145,26 @@ def simulate(  # noqa: PLR0913  the options of a run
     start = np.array(
         model.start_at(p) if state is None else finite_array("state", state, (model.nx,))
     )
-    inputs = lay_run(model, start, t_end, step, scheme, control, p)
+    laid = lay_run(model, start, t_end, step, scheme, control, p)
+    inputs = laid.inputs
     every = (
         max(1, -(-inputs.steps // _ROWS))
         if save_every is None
         else whole_number("save_every", save_every, 1)
     )
     limit = np.inf if seconds is None else positive_number("seconds", seconds)
-    account = Account(energy_balance and model.power is not None, energy_balance and inputs.varies)
-    request = Request(model, scheme, correction, start, inputs, every, account, compiled)
+    driven = laid.model
+    account = Account(energy_balance and driven.power is not None, energy_balance and inputs.varies)
+    request = Request(driven, scheme, correction, laid.start, inputs, every, account, compiled)
     run = roll(request, limit, progress)
     supplied: Any = run.supplied if any(account) else 0.0
-    if not any(account) and (inputs.varies or model.power is not None):
+    if not any(account) and (inputs.varies or driven.power is not None):
         supplied = np.nan
     recorded = record_trajectory(
         model,
         run.time,
-        run.states,
-        run.controls,
+        run.states[:, : model.nx],
+        laid.controls(run.time, run.controls),
         step=run.step,
         message="",
         supplied=supplied,
@@ -180,6 +172,8 @@ def simulate(  # noqa: PLR0913  the options of a run
         observed=run.observed,
     )
     energy = run.energy
+    if driven.schedule is not None:  # what it adds to the energy of strings is supplied, too
+        energy = recorded.energy_parts[:, 0]
     recorded = replace(
         recorded,
         energy_error=energy - energy[0] - supplied,
@@ -189,7 +183,7 @@ def simulate(  # noqa: PLR0913  the options of a run
         attempts=run.attempts,
         interrupted=run.interrupted,
     )
-    return conclude(request, run, recorded, verify)
+    return conclude(model, request, run, recorded, verify)
 
 
 def _check_options(model: Any, scheme: Any, correction: Any, compiled: Any, **flags: Any) -> None:
@@ -206,69 +200,3 @@ def _check_options(model: Any, scheme: Any, correction: Any, compiled: Any, **fl
         instance("compiled", compiled, (bool, Single), "True or False, None or Single()")
     for name, flag in flags.items():
         instance(name, flag, bool, "True or False")
-
-
-def lay_run(
-    model: Model,
-    start: Array,
-    t_end: float,
-    step: float | None,
-    scheme: Scheme,
-    control: ControlInput | ControlProfile,
-    p: Array,
-) -> SampledControl:
-    """Choose the steps of a run and sample the control at each, with the parameters p below it."""
-    end = positive_number("t_end", t_end)
-    if step is None:
-        step = end / 100 if scheme.adaptive else 1e-3
-    positive = isinstance(model.scene.control, RestLength)
-
-    def sample(end: float, steps: int) -> SampledControl:
-        inputs = sample_control(control, model.control_at(p), end, steps, positive)
-        return append_constants(inputs, p) if model.np else inputs
-
-    return lay_grid(
-        model,
-        float(start[-1]) if model.scene.has_clock else 0.0,
-        end,
-        positive_number("step", step),
-        sample,
-        scheme.adaptive,
-    )
-
-
-def lay_grid(
-    model: Model,
-    first: float,
-    end: float,
-    step: float,
-    sample: Callable[[float, int], SampledControl],
-    adaptive: bool = False,
-) -> SampledControl:
-    """Lay steps over `end` s from the time `first` on, s, with what `sample` (end, steps) says of the control, and check what depends on time.
-
-    adaptive: see `cut_at_changes`. Raises ValueError.
-    """
-    n_steps = _count(end, step)
-    if model.scene.has_clock:
-        _check_clock(abs(first) + end, end / n_steps)
-    return cut_at_changes(model.scene.over_time, sample(end, n_steps), first, adaptive)
-
-
-def _count(t_end: float, step: float) -> int:
-    """Count the fewest equal steps that cover t_end, each at most `step` but for rounding."""
-    ratio = t_end / step
-    if ratio > 1e12:
-        raise ValueError(
-            f"step is {step:g}: t_end = {t_end:g} would take {ratio:.1g} steps, give a larger step or a smaller t_end"
-        )
-    nearest = round(ratio)
-    return max(1, nearest if abs(ratio - nearest) <= 1e-9 * ratio else int(np.ceil(ratio)))
-
-
-def _check_clock(latest: float, step: float) -> None:
-    """Each step is added to the clock: what rounding takes off it, the loads' time loses."""
-    if np.spacing(latest) > _CLOCK_LOSS * step:
-        raise ValueError(
-            f"state: the clock runs to {latest:g} s, where steps of {step:g} s drown in rounding: start it nearer to 0"
-        )

@@ -1,127 +1,321 @@
-"""Steps cut so that they see what functions of time and tables do."""
+"""Steps that end at breakpoints, and the check that they see all that functions of time do."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from contextvars import ContextVar
-from dataclasses import replace
-from functools import lru_cache
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
 
+import casadi as ca
 import numpy as np
 
-from tenscasadi.scene.over_time import OverTime
-from tenscasadi.scene.pulses import Resolution, find_jumps, find_pulses, is_finite
-from tenscasadi.scene.supports import SupportMotion
-from tenscasadi.scene.time_functions import clock_error
-from tenscasadi.simulation.control_input import SampledControl, cut_steps
-from tenscasadi.util.validate import Array, Indices
+from tenscasadi.dynamics.driven_model import DrivenModel
+from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.scheme import Scheme
+from tenscasadi.scene.breakpoints import clock_error
+from tenscasadi.scene.control_function import ControlFunction, build_schedule, read_function
+from tenscasadi.scene.strings import RestLength
+from tenscasadi.scene.time_functions import values_at
+from tenscasadi.simulation.control_input import (
+    ControlInput,
+    ControlProfile,
+    SampledControl,
+    append_constants,
+    cut_steps,
+    sample_control,
+)
+from tenscasadi.util.validate import Array, positive_number
 
-_RESOLUTION = {
-    False: Resolution(0.1, 1e-6),
-    True: Resolution(0.05, 1e-9),
-}  # of a step without and with control of the error
-_NARROWEST = 3.0  # errors of the clock to both sides of a jump: what lies between is stepped over
+_LEAST = 2048  # pieces of a run, at least, that are sampled at eight points each
+_AT_ONCE = 16384  # pieces that are sampled in one call
+UNSEEN = "changes within steps"  # in messages on functions of time that steps do not see
 
 
-_asked: ContextVar[Resolution | None] = ContextVar("resolution", default=None)
+@dataclass(frozen=True, eq=False)
+class LaidRun:
+    """A run that is laid out: its model, start and steps.
+
+    Attributes
+    ----------
+    model : Model
+        The model, driven by the control where that is a function of time.
+    start : ndarray, shape (nx,)
+        State of that model at the start.
+    inputs : SampledControl
+        The steps, with control and parameters in each.
+    first : float
+        Time of the clock at the start [s].
+    """
+
+    model: Model
+    start: Array
+    inputs: SampledControl
+    first: float
+
+    def controls(self, time: Array, held: Array) -> Array:
+        """Return control and parameters (T, nw) at times (T,) since the start, s, from those that steps hold."""
+        schedule = self.model.schedule
+        if schedule is None:
+            return held
+        total = held.copy()
+        total[:, : self.model.nu] += values_at(schedule.at, self.first + time)
+        return total
+
+    def states(self, time: Array, states: Array) -> Array:
+        """Return states of the model from those of the model without its schedule, at times since the start, s."""
+        if states.shape[1] == self.model.nx:
+            return states
+        return np.column_stack([states, self.first + time])
+
+    def of_driven(self, function: ca.Function) -> ca.Function:
+        """Return a Function of states and inputs without the schedule as one of the model's."""
+        if self.model.schedule is None:
+            return function
+        x, w = ca.MX.sym("x", self.model.nx), ca.MX.sym("w", self.model.nw)
+        time = self.model.split(x)[2]
+        value = function(x[: function.size1_in(0)], self.model.add_schedule(w, time))
+        return ca.Function(function.name(), [x, w], [ca.densify(value)])
 
 
-@contextmanager
-def resolving(resolution: Resolution) -> Iterator[None]:
-    """Let the steps of all runs within leave no more than this of a function of time unseen."""
-    before = _asked.set(resolution)
-    try:
-        yield
-    finally:
-        _asked.reset(before)
+def lay_run(
+    model: Model,
+    start: Array,
+    t_end: float,
+    step: float | None,
+    scheme: Scheme,
+    control: ControlInput | ControlProfile,
+    p: Array,
+) -> LaidRun:
+    """Choose the steps of a run and the control in each, with the parameters p below it."""
+    end = positive_number("t_end", t_end)
+    if step is None:
+        step = end / 100 if scheme.adaptive else 1e-3
+    positive = isinstance(model.scene.control, RestLength)
+    first = float(start[-1]) if model.has_clock else 0.0
+    if callable(control):
+        control = ControlFunction(control)
+    if isinstance(control, ControlFunction):
+        driven = _drive(model, control, first, end)
+        control = np.zeros(model.nu)
+        positive = False  # added to the schedule, which is checked
+        if driven.has_clock and not model.has_clock:
+            start = np.append(start, first)
+        model = driven
+
+    def sample(end: float, steps: int) -> SampledControl:
+        inputs = sample_control(control, model.control_at(p), end, steps, positive)
+        return append_constants(inputs, p) if model.np else inputs
+
+    inputs = lay_grid(model, first, end, positive_number("step", step), sample)
+    return LaidRun(model, start, inputs, first)
+
+
+def _drive(model: Model, control: ControlFunction, first: float, t_end: float) -> Model:
+    """Return the model driven by a control function; the one of the last run where it is the same."""
+    positive = isinstance(model.scene.control, RestLength)
+    if not model.nu:
+        read_function(control.function, 0, positive)(0.0)  # which has to return nothing, too
+        return model
+    key = (control.function, *control.breakpoints.tolist(), control.resolution, first, t_end)
+    if model.driven is None or model.driven[0] != key:
+        schedule = build_schedule(control, model.nu, first, t_end, positive)
+        model.driven = key, DrivenModel(model, schedule)
+    return model.driven[1]
+
+
+def lay_grid(
+    model: Model,
+    first: float,
+    end: float,
+    step: float,
+    sample: Callable[[float, int], SampledControl],
+) -> SampledControl:
+    """Lay steps over `end` s from the time `first` on, s, with the control that `sample` (end, steps) gives them."""
+    n_steps = _count(end, step)
+    if model.has_clock:
+        _check_clock(abs(first) + end, end / n_steps)
+    return cut_at_changes(model.over_time, sample(end, n_steps), first)
+
+
+def _count(t_end: float, step: float) -> int:
+    """Count the fewest equal steps that cover t_end, each at most `step` but for rounding."""
+    ratio = t_end / step
+    if ratio > 1e12:
+        raise ValueError(
+            f"step is {step:g}: t_end = {t_end:g} would take {ratio:.1g} steps, give a larger step or a smaller t_end"
+        )
+    nearest = round(ratio)
+    return max(1, nearest if abs(ratio - nearest) <= 1e-9 * ratio else int(np.ceil(ratio)))
+
+
+def _check_clock(latest: float, step: float) -> None:
+    """Each step is added to the clock: what rounding takes off it, the loads' time loses."""
+    if np.spacing(latest) > 1e-6 * step:
+        raise ValueError(
+            f"state: the clock runs to {latest:g} s, where steps of {step:g} s drown in rounding: start it nearer to 0"
+        )
+
+
+class Changing(Protocol):
+    """Part of a model that changes over time: a load, a motion of supports, or a control."""
+
+    @property
+    def field(self) -> str:
+        """Name of the quantity that changes, for messages."""
+
+    def check_run(self, first: float, last: float) -> None:
+        """Check the function between two times, s. Raises ValueError."""
+
+    def find_breakpoints(self, first: float, last: float, steps: int) -> Array:
+        """Find the times at which steps have to end, s."""
+
+    def changing(self) -> ca.Function | None:
+        """Build the function of time that steps have to follow; None: there is none."""
 
 
 def cut_at_changes(
-    changing: Sequence[OverTime | SupportMotion],
-    inputs: SampledControl,
-    first: float,
-    adaptive: bool,
+    changing: Sequence[Changing], inputs: SampledControl, first: float
 ) -> SampledControl:
-    """Cut the steps of a run at the times of tables, at jumps, and in pulses that a step would not see.
+    """Cut the steps of a run at the breakpoints of functions and tables of time.
 
     Parameters
     ----------
-    changing : sequence of OverTime or SupportMotion
-        The parts of a scene that change over time.
+    changing : sequence of Changing
+        The parts of a model that change over time.
     inputs : SampledControl
         Steps of the run, with the control in them.
     first : float
         Time of the clock at their beginning, s.
-    adaptive : bool
-        Whether the scheme controls its error: its steps then leave less unseen.
 
     Returns
     -------
     SampledControl
-        The steps, cut, and what no cuts let them see.
+        The steps, cut.
 
     Raises
     ------
     TypeError, ValueError
-        Where a function of time is not finite or moves supports by a jump, by its name.
+        A function of time is not finite or moves supports by a jump; the message names it.
     """
     if not changing:
         return inputs
-    last, resolution = first + inputs.t_end, _asked.get() or _RESOLUTION[adaptive]
-    for load in changing:
-        _check_functions(load, first, last)
-    steps, error = inputs.steps, clock_error(first, last, inputs.steps)
-    breaks = [load.find_breaks(first, last, steps) for load in changing]
+    last, steps = first + inputs.t_end, inputs.steps
+    for part in changing:
+        part.check_run(first, last)
+    error = clock_error(first, last, steps)
+    breaks = [part.find_breakpoints(first, last, steps) for part in changing]
     inputs = cut_steps(inputs, np.concatenate(breaks) - first)
     # A step that ends at a jump is cut just before it, too: its last stage is to see nothing of it.
+    functions = [part.changing() for part in changing]
     jumps = [
-        times[find_jumps(load, times, 2 * error, first, last)]
-        for load, times in zip(changing, breaks, strict=True)
+        times[_find_jumps(function, times, 2 * error, first, last)]
+        for function, times in zip(functions, breaks, strict=True)
+        if function is not None
     ]
-    inputs = cut_steps(inputs, np.concatenate(jumps) - first, error / 2)
-    cuts, unseen = _find_cuts(
-        changing, lambda rows: first + inputs.times(rows), inputs.steps, error, resolution
-    )
-    inputs = replace(cut_steps(inputs, cuts - first), unseen=unseen)
-    if all(is_finite(load, last + error) for load in changing):
+    inputs = cut_steps(inputs, np.concatenate([np.empty(0), *jumps]) - first, error / 2)
+    beyond = np.array([last + error])
+    if all(f is None or np.isfinite(values_at(f, beyond)).all() for f in functions):
         return inputs
-    # What is finite up to the end alone is not to be asked for a time beyond it, where rounding may
-    # take the clock.
+    # A function that is finite up to the end alone is not to be asked for a time beyond it, where
+    # rounding may take the clock.
     return replace(inputs, ends=inputs.times(np.arange(inputs.steps + 1)), early=error)
 
 
-def unseen_changes(
-    changing: Sequence[OverTime | SupportMotion],
-    first: float,
-    last: float,
-    steps: int,
-    resolution: Resolution,
+def _find_jumps(
+    function: ca.Function, times: Array, around: float, first: float, last: float
+) -> Array:
+    """Return whether a function jumps within `around` s of each of `times` (k,); a kink is no jump."""
+    before, after = values_at(function, times - around), values_at(function, times + around)
+    some = values_at(function, np.linspace(first, last, 65))
+    largest = max(abs(values).max(initial=0.0) for values in (some, before, after))
+    return np.asarray(abs(after - before).max(axis=1, initial=0.0) > 1e-6 * largest)
+
+
+def describe_unseen(
+    changing: Sequence[Changing], inputs: SampledControl, first: float, step: float, order: int
 ) -> str:
-    """Say what changes too fast for equal steps from `first` to `last`, s, and the cuts in them; "" where there is nothing."""
+    """Say which functions of time change within steps more than stages see, and the cure; "" for none.
 
-    def ends(rows: Indices) -> Array:
-        return np.asarray(first + (last - first) / steps * rows)
+    Each function is sampled at eight points of each step, or of its parts where steps are few.
+    Their quadrature is compared with one at as many points as the stages of a scheme of this order
+    have, ends included.
 
-    return _find_cuts(changing, ends, steps, clock_error(first, last, steps), resolution)[1]
+    Parameters
+    ----------
+    changing : sequence of Changing
+        The parts of a model that change over time.
+    inputs : SampledControl
+        The steps of the run.
+    first : float
+        Time of the clock at their beginning, s.
+    step : float
+        Mean length of a step that the scheme took, s.
+    order : int
+        Order of the scheme.
+
+    Returns
+    -------
+    str
+        A clause for each function, after a semicolon.
+    """
+    text = ""
+    for part in changing:
+        function = part.changing()
+        if function is None:
+            continue
+        ends = _refine(first + inputs.times(np.arange(inputs.steps + 1)), step)
+        unseen, size = _compare_quadratures(function, ends, order)
+        if unseen.sum() > 0.01 * size:  # of the impulse over the run
+            time = ends[int(unseen.argmax())]
+            text += (
+                f"; {part.field} {UNSEEN} near t = {time:.6g} s more than their stages see: "
+                "declare breakpoints=(…) there, or try a smaller step"
+            )
+    return text
 
 
-def _find_cuts(
-    changing: Sequence[OverTime | SupportMotion],
-    ends: Callable[[Indices], Array],
-    steps: int,
-    error: float,
-    resolution: Resolution,
-) -> tuple[Array, str]:
-    cuts, unseen = [np.empty(0)], ""
-    for load in changing:
-        pulses = find_pulses(load, ends, steps, _NARROWEST * error, resolution)
-        cuts.append(pulses.cuts)
-        if pulses.unresolved is not None:
-            unseen += f"; {load.field} changes within steps at t = {pulses.unresolved:g} s, more than they see: try a smaller step"
-    return np.concatenate(cuts), unseen
+def _refine(ends: Array, step: float) -> Array:
+    """Divide steps that are longer than `step`, s."""
+    parts = np.maximum(1, np.ceil(np.diff(ends) / step - 1e-9)).astype(int)
+    owner = np.repeat(np.arange(len(parts)), parts)
+    share = (np.arange(len(owner)) - np.repeat(np.cumsum(parts) - parts, parts)) / parts[owner]
+    return np.append(ends[owner] + share * np.diff(ends)[owner], ends[-1])
 
 
-@lru_cache(maxsize=32)  # many runs of one scene look once
-def _check_functions(load: OverTime | SupportMotion, first: float, last: float) -> None:
-    load.check_run(first, last)
+def _compare_quadratures(function: ca.Function, ends: Array, order: int) -> tuple[Array, float]:
+    """Integrate a function over each of K steps as stages do and finely.
+
+    Returns the differences (K,), and the integral of the function's size.
+    """
+    points, weights = np.polynomial.legendre.leggauss(8)
+    divisions = -(-_LEAST // (len(ends) - 1))
+    fine = ((np.arange(divisions)[:, None] + (1 + points) / 2) / divisions).ravel()
+    fine_weights = np.tile(weights / 2 / divisions, divisions)
+    coarse, coarse_weights = _lobatto(max(2, (order + 3) // 2))
+    unseen, size = [], 0.0
+    block = max(1, _AT_ONCE // divisions)
+    for begin in range(0, len(ends) - 1, block):
+        starts = ends[begin : begin + block + 1]
+        lengths = np.diff(starts)[:, None]
+        sampled = [
+            values_at(function, (starts[:-1, None] + lengths * places).ravel()).reshape(
+                len(lengths), len(places), -1
+            )
+            for places in (fine, coarse)
+        ]
+        exact, seen = (
+            np.einsum("kpm,p->km", values, w)
+            for values, w in zip(sampled, (fine_weights, coarse_weights), strict=True)
+        )
+        unseen.append((abs(exact - seen) * lengths).max(axis=1, initial=0.0))
+        average = np.einsum("kpm,p->km", abs(sampled[0]), fine_weights)
+        size += float((average * lengths).sum(axis=0).max(initial=0.0))
+    return np.concatenate(unseen), size
+
+
+def _lobatto(count: int) -> tuple[Array, Array]:
+    """Return the places in [0, 1] and the weights of a quadrature with both ends (Gauss-Lobatto)."""
+    inner = np.polynomial.legendre.Legendre.basis(count - 1).deriv().roots()
+    places = np.concatenate([[-1.0], np.sort(inner.real), [1.0]])
+    at = np.polynomial.legendre.Legendre.basis(count - 1)(places)
+    return (1 + places) / 2, 1 / (count * (count - 1) * at**2)

@@ -26,6 +26,7 @@ from tenscasadi.simulation.diagnosis import (
 from tenscasadi.simulation.engine.engine import FAULTS, Request, Run
 from tenscasadi.simulation.engine.request import KINETIC, STOPPED, SUPPLIED, WORST, Rolled
 from tenscasadi.simulation.engine.step_error import estimate_error
+from tenscasadi.simulation.time_grid import describe_unseen
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
 from tenscasadi.util.validate import Array
 
@@ -40,51 +41,62 @@ _MOST = 50
 _LIMIT = "stability limit"
 
 
-def conclude(request: Request, run: Run, recorded: Trajectory, verify: bool) -> Trajectory:
-    """Return a run with its verdict; verify: whether to take it again in other steps, which tells their error."""
-    model, scheme = request.model, request.scheme
+def conclude(
+    model: Model, request: Request, run: Run, recorded: Trajectory, verify: bool
+) -> Trajectory:
+    """Return a run of a model with its verdict.
+
+    The model of the request may be driven by a control function. verify: whether to take the run
+    again in other steps, which tells their error.
+    """
+    scheme = request.scheme
     if run.status in FAULTS and not run.failure:
-        return replace(recorded, success=False, message=_explain_loss(request, run, recorded))
+        return replace(
+            recorded, success=False, message=_explain_loss(model, request, run, recorded)
+        )
     if run.status:
-        at = f"t = {recorded.time[-1]:g} s"
+        last = recorded.time[-1]
         message = (
-            f"stopped after {at}: {run.failure}"
+            f"stopped after t = {last:g} s: {run.failure}"
             if run.failure
-            else f"interrupted from the keyboard, the last state kept is at {at}"
+            else f"interrupted from the keyboard, the last state kept is at t = {last:g} s"
         )
         return replace(recorded, success=False, message=message + run.note)
     doubts, trusted = describe_doubts(model, scheme, recorded, request.compiled)
-    message, success = f"finished {run.text}{request.inputs.unseen}{doubts}", trusted
-    success &= not request.inputs.unseen
-    error = np.nan
+    driven, error = request.model, np.nan
+    first = float(request.start[-1]) if driven.has_clock else 0.0
+    unseen = describe_unseen(driven.over_time, request.inputs, first, run.step, scheme.order)
+    message = f"finished {run.text}{doubts}{unseen}"
+    # The steps of a scheme that controls its error are not known: it may have followed.
+    success = trusted and (scheme.adaptive or not unseen)
     if verify and success:
         found = estimate_error(request, run, recorded.nodes)
         error = found.error
         if found.told and "try" not in message:
-            message += _describe_error(request, recorded, error)
+            message += _describe_error(model, scheme, recorded, error)
     return replace(
         recorded, success=success, message=message + run.note, error_estimate=float(error)
     )
 
 
-def _explain_loss(request: Request, run: Run, recorded: Trajectory) -> str:
+def _explain_loss(model: Model, request: Request, run: Run, recorded: Trajectory) -> str:
     fault, last = FAULTS[run.status], len(recorded.time) - 1
-    why = explain_divergence(request.model, request.scheme, recorded, last)
+    why = explain_divergence(model, request.scheme, recorded, last)
     return (
         f"diverged between t = {recorded.time[-1]:g} and {run.found:g} s: {fault}; {why}{run.note}"
     )
 
 
-def _describe_error(request: Request, run: Trajectory, error: float) -> str:
+def _describe_error(model: Model, scheme: Scheme, run: Trajectory, error: float) -> str:
     """Say how far steps put a run off, through which events, and the cure."""
-    scheme, off = request.scheme, f"put it off by some {error:.1g} m"
+    off = f"put it off by some {error:.1g} m"
     if scheme.adaptive:
         return f"; its tolerance {off}: try {type(scheme).__name__}(rtol={getattr(scheme, 'rtol', 0.0) / 100:.1g})"
     finer = run.step / 4  # errors at events fall about like the step
-    if not _meets_events(request.model, run):
+    if not _meets_events(model, run):
         return f"; its steps, too long for the fastest that moves, {off}: try step={finer:.2g}"
     events = "strings that go slack or taut"
-    events += " and contacts" if request.model.scene.grounds else ""
+    events += " and contacts" if model.scene.grounds else ""
     return (
         f"; {events} within its steps {off}: "
         f"try DormandPrince853(rtol=1e-6), which ends its steps there, or step={finer:.2g}"
@@ -123,7 +135,7 @@ class Runs(NamedTuple):
     times: Callable[[int], float]
     rows: Callable[[int], Array]
     result: Rolled
-    unseen: str = ""  # which functions of time change too fast for the steps
+    unseen: str = ""  # functions of time that change within steps more than stages see
 
 
 def judge(run: Runs) -> tuple[NDArray[np.bool_], NDArray[np.str_]]:
@@ -174,7 +186,7 @@ def judge(run: Runs) -> tuple[NDArray[np.bool_], NDArray[np.str_]]:
             f"; energy is off by {worst['energy_error'][k]:.2g} J where {moved[k]:.2g} J move: try a smaller step"
         )
     _look_closer(run, off, success, told)
-    if run.unseen:
+    if run.unseen and not run.scheme.adaptive:
         success[:] = False
     return success, np.array(told.tolist(), dtype=np.str_).reshape(n)
 

@@ -72,7 +72,7 @@ def over_time(value: st.SearchStrategy[Any], formula: Any) -> st.SearchStrategy[
     return st.one_of(
         value.map(lambda found: {"quantity": found}),
         table.map(lambda found: {"quantity": found, "times": [0.1 * k for k in range(len(found))]}),
-        st.just({"quantity": TimeFormula(formula, (("amount", 0.1),)), "breaks": [0.05]}),
+        st.just({"quantity": TimeFormula(formula, (("amount", 0.1),)), "breakpoints": [0.05]}),
     )
 
 

@@ -12,7 +12,7 @@ from tenscasadi.scene.strings import RestLength
 from tenscasadi.simulation.control_input import ControlProfile, SampledControl, sample_control
 from tenscasadi.simulation.engine.request import Intervals
 from tenscasadi.simulation.feedback import Feedback
-from tenscasadi.simulation.simulate import lay_grid
+from tenscasadi.simulation.time_grid import lay_grid
 from tenscasadi.util.validate import (
     SMALLEST,
     Array,
@@ -155,10 +155,14 @@ def count_motions(**rows: int) -> int:
     return next(iter(several.values()), 1)
 
 
+def first_time(model: Model, starts: Array) -> float:
+    """Return the time of the clock at the start, s; 0 where there is none."""
+    times = model.split(starts)[2]
+    return float(times[np.isfinite(times)][0]) if np.any(np.isfinite(times)) else 0.0
+
+
 def lay_steps(model: Model, starts: Array, t_end: float, step: float, plan: Plan) -> SampledControl:
     """Lay the steps; what is sampled at each is the number of the interval of control that it belongs to."""
-    times = model.split(starts)[2]
-    first = float(times[np.isfinite(times)][0]) if np.any(np.isfinite(times)) else 0.0
 
     def sample(end: float, steps: int) -> SampledControl:
         if plan.feedback is None:
@@ -182,7 +186,11 @@ def lay_steps(model: Model, starts: Array, t_end: float, step: float, plan: Plan
         )
 
     return lay_grid(
-        model, first, positive_number("t_end", t_end), positive_number("step", step), sample
+        model,
+        first_time(model, starts),
+        positive_number("t_end", t_end),
+        positive_number("step", step),
+        sample,
     )
 
 

@@ -106,6 +106,15 @@ def test_what_files_cannot_hold_is_refused_by_name(scene, words, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_earlier_name_of_breakpoints_is_read(tmp_path):
+    path = tmp_path / "old.toml"
+    path.write_text(
+        f"{HEAD}structure.shape = 'pendulum'\n"
+        "scene.gravity = {acceleration = [0, 0, '-t'], breaks = [0.5]}"
+    )
+    assert tuple(tc.load_scene(path).gravity.breakpoints) == (0.5,)
+
+
 def test_formulas_that_their_numbers_make_too_deep_are_not_written(tmp_path):
     path = tmp_path / "deep.toml"
     path.write_text(

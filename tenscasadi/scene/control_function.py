@@ -1,0 +1,271 @@
+"""Controls that are functions of time: expressions of it where CasADi can trace them, else piecewise cubics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from tenscasadi.scene.breakpoints import at_edges, find_breakpoints, probe_times
+from tenscasadi.scene.time_functions import as_numbers, express, is_same, values_at
+from tenscasadi.util.validate import (
+    SMALLEST,
+    Array,
+    call_user_function,
+    finite_array,
+    positive_number,
+    shown,
+)
+
+_ACCURACY = 1e-9  # of the largest value: error of piecewise cubics
+_FINEST = 1e-9  # of a run: shortest piece, where no resolution is given
+_MOST_PIECES = 20_000
+
+
+@dataclass(frozen=True, eq=False)
+class ControlFunction:
+    """Control as a function of time, evaluated by each stage of a step.
+
+    Where CasADi cannot trace the function, as with Python's ``if``, it is sampled and replaced by
+    piecewise cubics, which are halved until they agree with it. Steps of a simulation end at its
+    breakpoints.
+
+    Parameters
+    ----------
+    function : callable
+        Function of the time t since the start of the run [s] that returns the control (nu,).
+    breakpoints : array_like, shape (B,), optional
+        Times at which the function jumps, has a kink, or begins or ends a pulse [s], beside those
+        that its comparisons, signs and roundings show.
+    resolution : float, optional
+        Shortest piece [s] of a function that is sampled: faster changes are followed by a ramp of
+        this length. Default: a billionth of the run.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a field is wrong.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> model = tc.Model(tc.Scene(tc.shapes.prism(), control=tc.ForceDensity()))
+    >>> u = model.initial_control
+    >>> pull = tc.ControlFunction(lambda t: u if t < 0.02 else 1.1 * u, breakpoints=[0.02])
+    >>> tc.simulate(model, 0.05, control=pull, compiled=False).success
+    True
+    """
+
+    function: Callable[[Any], Any]
+    breakpoints: Any = ()
+    resolution: float | None = None
+
+    def __post_init__(self) -> None:
+        if not callable(self.function):
+            raise TypeError(
+                f"ControlFunction.function is {shown(self.function)}: give a function of time"
+            )
+        times = finite_array("ControlFunction.breakpoints", self.breakpoints, (None,))
+        object.__setattr__(self, "breakpoints", times)
+        if self.resolution is not None:
+            length = positive_number("ControlFunction.resolution", self.resolution)
+            object.__setattr__(self, "resolution", length)
+
+
+@dataclass(frozen=True, eq=False)
+class ControlSchedule:
+    """Control function of a run, as a CasADi Function of the clock.
+
+    Attributes
+    ----------
+    at : casadi.Function
+        t (s) → control (nu).
+    breakpoints : ndarray, shape (B,)
+        Times at which steps have to end [s], beside those that `at` shows.
+    """
+
+    at: ca.Function
+    breakpoints: Array
+    field: str = "control"
+
+    def check_run(self, first: float, last: float) -> None:
+        """Do nothing: values are checked where the schedule is built."""
+
+    def find_breakpoints(self, first: float, last: float, steps: int) -> Array:
+        """Find the times at which steps have to end: around each jump or kink of the control.
+
+        Parameters
+        ----------
+        first, last : float
+            Times at which the run begins and ends, s.
+        steps : int
+            Number of steps of the run.
+
+        Returns
+        -------
+        ndarray
+            Times, s, in order.
+        """
+        found = [self.breakpoints, find_breakpoints(self.at, first, last)]
+        return at_edges(np.concatenate(found), first, last, steps)
+
+    def changing(self) -> ca.Function:
+        """Return the function of time that steps have to follow.
+
+        Returns
+        -------
+        casadi.Function
+            `at`.
+        """
+        return self.at
+
+
+def build_schedule(
+    control: ControlFunction, nu: int, first: float, t_end: float, positive: bool
+) -> ControlSchedule:
+    """Build the schedule of a control function for a run.
+
+    Parameters
+    ----------
+    control : ControlFunction
+        The control over the time since the start of the run.
+    nu : int
+        Number of its entries.
+    first : float
+        Time of the clock at the start [s].
+    t_end : float
+        Duration of the run [s].
+    positive : bool
+        Whether the entries are lengths, greater than 0.
+
+    Raises
+    ------
+    ValueError
+        If the function raises, changes its answer, or returns numbers that are not finite or of
+        another shape; the message names the time.
+    """
+    sample = read_function(control.function, nu, positive)
+    t = ca.MX.sym("t")
+    traced = _trace(control.function, sample, nu, t_end)
+    inside = control.breakpoints[(control.breakpoints > 0) & (control.breakpoints < t_end)]
+    edges = inside
+    if traced is None:
+        shortest = _FINEST * t_end if control.resolution is None else control.resolution
+        traced, steep = _interpolate(sample, nu, t_end, inside, shortest)
+        edges = np.union1d(inside, steep)
+    times = np.union1d(probe_times(0.0, t_end), find_breakpoints(traced, 0.0, t_end))
+    for time, values in zip(times, values_at(traced, times), strict=True):
+        if not np.isfinite(values).all() or (positive and (values < SMALLEST).any()):
+            _check_values(values, nu, positive, time)
+    at = ca.Function("control", [t], [ca.densify(traced(t - first))])
+    return ControlSchedule(at, first + edges)
+
+
+def _check_values(given: Any, nu: int, positive: bool, time: float) -> Array:
+    field = f"control({time:g})"
+    values = finite_array(field, as_numbers(given), (nu,))
+    bad = np.flatnonzero(values < SMALLEST)
+    if positive and len(bad):
+        raise ValueError(
+            f"{field}[{bad[0]}] is {values[bad[0]]:g}: rest lengths (RestLength) must be greater than 0"
+        )
+    return values
+
+
+def read_function(
+    function: Callable[[Any], Any], nu: int, positive: bool
+) -> Callable[[float], Array]:
+    """Return the function with its results checked."""
+    hint = f"give a function of time, s, that returns ({nu},)"
+
+    def sample(time: float) -> Array:
+        given = call_user_function(f"control({time:g})", function, time, hint)
+        return _check_values(given, nu, positive, time)
+
+    return sample
+
+
+def _trace(
+    function: Callable[[Any], Any], sample: Callable[[float], Array], nu: int, t_end: float
+) -> ca.Function | None:
+    """Trace a function as a CasADi expression; None where it is none, or not the same as for numbers."""
+    t = ca.MX.sym("t")
+    known = [(time, sample(time)) for time in probe_times(0.0, t_end)[::1000].tolist()]
+    for time, values in known:
+        if not np.array_equal(again := sample(time), values):
+            raise ValueError(
+                f"control({time:g}) is {values} and then {again}: give the same values at each call"
+            )
+    try:
+        value = ca.vec(ca.MX(express("control", function, t)))
+    except ValueError:
+        return None
+    if value.numel() != nu:
+        return None
+    traced = ca.Function("control", [t], [ca.densify(value)])
+    same = all(is_same(values, traced(time).full().ravel()) for time, values in known)
+    return traced if same else None
+
+
+def _interpolate(
+    sample: Callable[[float], Array], nu: int, t_end: float, breakpoints: Array, shortest: float
+) -> tuple[ca.Function, Array]:
+    """Build the piecewise cubics of a function, and find the times where they are steep.
+
+    A piece is halved until it agrees with the function, or is as short as `shortest`, s.
+    """
+    known: dict[float, Array] = {}
+
+    def at(times: Array) -> Array:
+        for time in times.tolist():
+            if time not in known:
+                known[time] = sample(time)
+        return np.array([known[time] for time in times.tolist()]).reshape(len(times), nu)
+
+    around = 4 * np.spacing(t_end)
+    own = np.concatenate([breakpoints - around, breakpoints + around])
+    edges = np.union1d(np.linspace(0.0, t_end, 65), own)
+    waiting = list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))[::-1]
+    pieces, steep = [], []
+    while waiting:
+        low, high = waiting.pop()
+        nodes, between = (low + (high - low) * k / 6 for k in (_NODES, _BETWEEN))
+        bezier = _TO_BEZIER @ at(np.append(nodes[:-1], high))
+        largest = max(abs(values).max(initial=0.0) for values in known.values())
+        wrong = abs(_AT_BETWEEN @ bezier - at(between)).max(initial=0.0) > _ACCURACY * largest
+        if wrong and high - low > max(shortest, 4 * around):
+            middle = (low + high) / 2
+            waiting += [(middle, high), (low, middle)]
+        else:
+            pieces.append((low, high, bezier))
+            steep += [low, high] if wrong else []
+        if len(pieces) + len(waiting) > _MOST_PIECES:
+            raise ValueError(
+                f"control changes too fast near t = {low:g} s to be sampled: "
+                "give ControlFunction(function, breakpoints=(…), resolution=…), or CasADi's mathematics"
+            )
+    return _spline(pieces, nu), np.unique([time for time in steep if 0 < time < t_end])
+
+
+_NODES, _BETWEEN = np.array([0.0, 2.0, 4.0, 6.0]), np.array([1.0, 3.0, 5.0])  # sixths of a piece
+_TO_BEZIER = np.array([[6.0, 0, 0, 0], [-5, 18, -9, 2], [2, -9, 18, -5], [0, 0, 0, 6]]) / 6
+_AT_BETWEEN = np.array(
+    [[(1 - s) ** 3, 3 * s * (1 - s) ** 2, 3 * s**2 * (1 - s), s**3] for s in _BETWEEN / 6]
+)
+
+
+def _spline(pieces: list[tuple[float, float, Array]], nu: int) -> ca.Function:
+    """Build the Function of time of cubics in Bernstein's form, one after the other."""
+    ends = np.array([pieces[0][0], *(high for _, high, _ in pieces)])
+    knots = np.concatenate([ends[:1], np.repeat(ends, 3), ends[-1:]])
+    rows = np.concatenate([pieces[0][2][:1], *(bezier[1:] for _, _, bezier in pieces)])
+    spline = ca.Function.bspline(
+        "spline", [knots.tolist()], rows.ravel().tolist(), [3], nu, {"lookup_mode": ["binary"]}
+    )
+    t = ca.MX.sym("t")
+    inside = ca.fmin(ca.fmax(t, ends[0]), ends[-1])
+    # Inlined it could not be a part of scalar code.
+    return ca.Function("sampled", [t], [spline(inside)], {"never_inline": True})
