@@ -1,1 +1,1 @@
-"""The equations of motion: forces, constraint forces, state space, and the model that holds them."""
+"""Equations of motion: forces, constraint forces, state space, model."""

@@ -1,15 +1,15 @@
-"""Rigid bars and joints: the multipliers λ̂ and Ω, and what they do to accelerations, positions and velocities.
+"""Multipliers of rigid bars and joints, and their effects.
 
-One formula serves every class and both coordinates. With M⁻ the inverse mass matrix on the
-coordinates that can move, B = N C_bᵀ and X any 3×n matrix of accelerations (or displacements)
-before the constraints act, the constrained one is
+One formula applies to every class and to both coordinate sets. M⁻ is the inverse mass matrix on the
+free coordinates, and B = N C_bᵀ. Let X be a 3×n matrix of accelerations or displacements without
+constraints. The constrained one is
 
-    X + (B λ̂ C_b + Ω Pᵀ) M⁻,                                                    Eqs. 85-87 in the current bᵀb instead of l²
+    X + (B λ̂ C_b + Ω Pᵀ) M⁻                         (Eqs. 85-87 with the current bᵀb instead of l²)
 
-with λ̂ and Ω such that bᵢᵀ of its bar i is −rᵢ and its joints (times P) are −R. In "reduced"
-coordinates joints hold by construction, P has no columns and λ solves ((BᵀB) ∘ G) λ = −r with G =
-C_b M⁻ C_bᵀ (Eqs. 94-95); in "full" coordinates every bar has its own nodes, G is diagonal, λ̂ is
-eliminated bar by bar and Ω solves Eq. 103 (corrected, and symmetric).
+with λ̂ and Ω such that bᵢᵀ of its bar i is −rᵢ and its joints (times P) are −R. In reduced
+coordinates joints are satisfied by construction and P has no columns. λ solves ((BᵀB) ∘ G) λ = −r
+with G = C_b M⁻ C_bᵀ (Eqs. 94-95). In full coordinates every bar has its own nodes and G is
+diagonal. λ̂ is eliminated bar by bar, and Ω solves Eq. 103 (corrected, and symmetric).
 """
 
 from __future__ import annotations
@@ -39,20 +39,26 @@ from tenscasadi.util.linear_algebra import solve_semidefinite
 
 
 class RedundantConstraints(UserWarning):
-    """Bars and joints constrain the initial shape more often than once, or nearly.
+    """Redundant constraints of bars and joints in the initial shape.
 
-    Warned of when a `Model` is built. The motion is exact as long as the constraints stay
+    It is warned of when a `Model` is built. The motion is exact if the constraints remain
     consistent, but their multipliers are not unique. The message names the bars or joints.
     """
 
 
 def residuals(mech: Mechanism, N: Any, B: Any, D: Any) -> tuple[Any, Any]:
-    """Return ½(bᵀb − l²) of the bars (1×β), m², and N P − D of the joints (3×c), m: zero where the constraints hold."""
+    """Compute the residuals of bars and joints.
+
+    They are ½(bᵀb − l²) (1×β) [m²] and N P − D (3×c) [m].
+    """
     return (ca.sum1(B * B) - ca.DM(mech.lengths**2).T) / 2, ca.mtimes(N, sparse(mech.P)) - D
 
 
 def residual_rates(mech: Mechanism, V: Any, B: Any, Dd: Any) -> tuple[Any, Any]:
-    """Return bᵀḃ (1×β), m²/s, and V P − Ḋ (3×c), m/s: the rates of change of `residuals`."""
+    """Compute the rates of `residuals`.
+
+    They are bᵀḃ (1×β) [m²/s] and V P − Ḋ (3×c) [m/s].
+    """
     return ca.sum1(B * mech.bar_vectors(V)), ca.mtimes(V, sparse(mech.P)) - Dd
 
 
@@ -60,7 +66,10 @@ def residual_rates(mech: Mechanism, V: Any, B: Any, Dd: Any) -> tuple[Any, Any]:
 
 
 def assemble_system(mech: Mechanism, B: Any, r: Any, R: Any) -> tuple[Any, Any]:
-    """Return the symmetric system of the multipliers that are not eliminated and its right-hand side (Eq. 103, or (BᵀB) ∘ G)."""
+    """Assemble the symmetric linear system of the multipliers.
+
+    The matrix is that of Eq. 103, or (BᵀB) ∘ G. Returns matrix and right-hand side.
+    """
     if not mech.joints:
         return _reduced_matrix(mech, B), -r.T
     h = bar_scale(mech, B)
@@ -75,7 +84,10 @@ def assemble_system(mech: Mechanism, B: Any, r: Any, R: Any) -> tuple[Any, Any]:
 
 
 def recover_multipliers(mech: Mechanism, B: Any, r: Any, solution: Any) -> tuple[Any, Any]:
-    """Return λ (1×β) and Ω (3×c) from the solution of `assemble_system`, or bar by bar where nothing had to be solved (Eq. 87)."""
+    """Compute λ (1×β) and Ω (3×c) from the system's solution.
+
+    Uncoupled bars are solved one by one (Eq. 87).
+    """
     if mech.joints:
         Omega = ca.reshape(
             solution if mech.frames is None else ca.mtimes(mech.held_directions, solution),
@@ -88,7 +100,10 @@ def recover_multipliers(mech: Mechanism, B: Any, r: Any, solution: Any) -> tuple
 
 
 def nodal_forces(mech: Mechanism, B: Any, lam: Any, Omega: Any = None) -> Any:
-    """Return B λ̂ C_b + Ω Pᵀ (3×n): the forces of bars and, with Ω, of joints on the nodes."""
+    """Compute B λ̂ C_b + Ω Pᵀ (3×n).
+
+    These are the forces of bars and, with Ω, of joints on the nodes.
+    """
     force = weighted_product(B, lam, mech.C_b)
     return force if Omega is None or not mech.joints else force + ca.mtimes(Omega, sparse(mech.P.T))
 
@@ -97,7 +112,12 @@ def nodal_forces(mech: Mechanism, B: Any, lam: Any, Omega: Any = None) -> Any:
 
 
 def remove_residuals(mech: Mechanism, Z: Any, B: Any, r: Any, R: Any) -> Any:
-    """Return Z + (B λ̂ C_b + Ω Pᵀ) M⁻ with the multipliers that take away the residuals r (bars, 1×β) and R (joints, 3×c)."""
+    """Remove constraint residuals by a mass-weighted projection.
+
+    The result is Z + (B λ̂ C_b + Ω Pᵀ) M⁻.
+
+    The residuals are r of bars (1×β) and R of joints (3×c).
+    """
     solution: Any = ca.DM.zeros(0, 1)
     if mech.system_size:
         solution = solve_semidefinite(*call_weighted(mech, assemble_system, B, r, R))
@@ -107,7 +127,10 @@ def remove_residuals(mech: Mechanism, Z: Any, B: Any, r: Any, R: Any) -> Any:
 def call_weighted(
     mech: Mechanism, function: Callable[..., tuple[Any, ...]], *arguments: Any
 ) -> tuple[Any, ...]:
-    """Return function(mech, *arguments) as `call_as_sx` does, the masses of `mech` among the arguments where they are expressions."""
+    """Call function(mech, *arguments) as `call_as_sx` does.
+
+    Masses of `mech` are among the arguments if they are expressions.
+    """
     if mech.weights is None:
         return call_as_sx(mech.large, partial(function, mech), *arguments)
     return call_as_sx(
@@ -125,7 +148,10 @@ def _pushed(mech: Mechanism, Z: Any, B: Any, r: Any, solution: Any) -> tuple[Any
 
 
 def project_velocities(mech: Mechanism, N: Any, V: Any, Dd: Any) -> Any:
-    """Return the velocities closest to V (3×n), mass-weighted, with bᵀḃ = 0 and V P = Ḋ."""
+    """Find the closest velocities that satisfy the constraints.
+
+    The distance to V (3×n) is mass-weighted; the constraints are bᵀḃ = 0 and V P = Ḋ.
+    """
     if not mech.constrained:
         return V
     B = mech.bar_vectors(N)
@@ -133,18 +159,29 @@ def project_velocities(mech: Mechanism, N: Any, V: Any, Dd: Any) -> Any:
 
 
 def stretch_bars(mech: Mechanism, N: Any, B: Any, nu: Any) -> Any:
-    """Return N moved by impulses along B so that bars which stand alone become b + ν B (ν: 1×β)."""
+    """Scale uncoupled bars by impulses along them.
+
+    A bar b becomes b + ν b.
+
+    Returns N; ν is (1×β).
+    """
     return N + mech.with_inverse(nodal_forces(mech, B, nu / diagonal_row(mech.G[0])))
 
 
 def bar_scale(mech: Mechanism, B: Any) -> Any:
-    """Return h = bᵀb G_ii (1×β) of bars that stand alone; l² G_ii with the paper's constant length."""
+    """Compute h = bᵀb G_ii (1×β) of uncoupled bars.
+
+    It is l² G_ii with the paper's constant length.
+    """
     squared = ca.DM(mech.lengths**2).T if mech.constant_length else ca.sum1(B * B)
     return squared * diagonal_row(mech.G[0])
 
 
 def _reduced_matrix(mech: Mechanism, B: Any) -> Any:
-    """Σ over axes of (b bᵀ) ∘ G (β×β), on the pattern of G only."""
+    """Compute Σ over axes of (b bᵀ) ∘ G (β×β).
+
+    It has the sparsity of G.
+    """
     G = mech.G
     pattern = sp.coo_array(sum(abs(numbered(g)) for g in G) + sp.eye_array(mech.bars))
     order = np.lexsort((pattern.row, pattern.col))
@@ -163,7 +200,12 @@ def _reduced_matrix(mech: Mechanism, B: Any) -> Any:
 
 
 def _joint_matrix(mech: Mechanism, unit: Any) -> Any:
-    """(Pᵀ M⁻ P) ⊗ I − Σᵢ (kᵢ kᵢᵀ) ⊗ (uᵢ uᵢᵀ) (3c×3c), with kᵢ = Pᵀ M⁻ C_bᵢᵀ and uᵢ = bᵢ/√hᵢ: Eq. 103 with Eᵀ, columns combined to be symmetric."""
+    """Compute the symmetric matrix of Eq. 103 (3c×3c).
+
+    It is (Pᵀ M⁻ P) ⊗ I − Σᵢ (kᵢ kᵢᵀ) ⊗ (uᵢ uᵢᵀ).
+
+    Here kᵢ = Pᵀ M⁻ C_bᵢᵀ and uᵢ = bᵢ/√hᵢ. This is Eq. 103 with Eᵀ, made symmetric.
+    """
     c, K, active = (
         mech.joints,
         mech.K,
@@ -184,7 +226,7 @@ def _joint_matrix(mech: Mechanism, unit: Any) -> Any:
             values.append(ca.densify(block + direct[kept.tolist(), :] if a == b else block))
             rows.append(3 * n[kept] + a)
             columns.append(3 * j[kept] + b)
-    idle = np.flatnonzero(~active.T.ravel())  # a multiplier that constrains nothing is zero
+    idle = np.flatnonzero(~active.T.ravel())  # a multiplier without a constraint is zero
     rows.append(idle)
     columns.append(idle)
     values.append(ca.DM.ones(len(idle)))
@@ -198,7 +240,10 @@ def _joint_matrix(mech: Mechanism, unit: Any) -> Any:
 
 
 def check_mass_ratio(mech: Mechanism) -> None:
-    """Raise ValueError where a bar is more than `HEAVIEST` times as heavy as another, both with all that hangs on their ends' nodes."""
+    """Check that mass ratios of bars do not exceed `HEAVIEST`.
+
+    The masses include the nodes at the ends. Raises ValueError.
+    """
     for inverse in mech.inverse[::4] if len(mech.inverse) == 9 else mech.inverse:
         ends = sp.csr_array(abs(mech.C_b)) @ inverse.diagonal()  # 1/kg; zero where both are fixed
         moving = np.flatnonzero(ends > 0)
@@ -215,9 +260,9 @@ def check_mass_ratio(mech: Mechanism) -> None:
 
 
 def find_redundancy(mech: Mechanism) -> str | None:
-    """Return a message that names the bars and joints whose constraints depend on each other in the initial shape, or None.
+    """Describe redundant constraints of the initial shape, or return None.
 
-    Looks at the system that the multipliers solve, scaled to unit diagonal, up to 600 unknowns.
+    The system of the multipliers is scaled to unit diagonal and limited to 600 unknowns.
     """
     size = mech.system_size
     if not 0 < size <= 600:  # a dense eigenvalue problem

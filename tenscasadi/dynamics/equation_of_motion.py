@@ -1,4 +1,4 @@
-"""The equation of motion, read from the top down: forces, bar vectors, right-hand side, multipliers λ̂ and Ω, accelerations."""
+"""Equation of motion: forces, multipliers λ̂ and Ω, accelerations."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ from tenscasadi.util.linear_algebra import solve_semidefinite
 def forward_dynamics(
     space: StateSpace, N: Any, V: Any, u: Any, time: Any, mode: forces.Mode = forces.FREE
 ) -> tuple[Any, Any, Any]:
-    """Return accelerations and multipliers of nodes that move under given forces: N̈, λ and Ω.
+    """Compute accelerations N̈ and multipliers λ and Ω.
 
     Parameters
     ----------
     space : StateSpace
         Scene, mechanism and moved supports.
     N, V : casadi matrix, shape (3, n)
-        Nodes, m, and velocities, m/s, in the columns of the mechanism.
+        Nodes [m] and velocities [m/s], in the columns of the mechanism.
     u : casadi column, shape (nu + np,)
-        Control, and below it the parameters.
+        Control, followed by the parameters.
     time : casadi scalar
         Time, s.
     mode : Mode
-        Strings and contacts that are held as they are, for motion between two events.
+        Fixed modes of strings and contacts, between two events.
 
     Returns
     -------
@@ -47,8 +47,7 @@ def forward_dynamics(
 
     Notes
     -----
-    Up to sizes that are worth unrolling, both steps around the linear system are scalar code,
-    called once each.
+    In small models, the expressions before and after the linear system are scalar code.
     """
     mech = space.weighted(u)
     F, B, r, *system = call_weighted(mech, partial(_unconstrained, space, mode), N, V, u, time)
@@ -60,10 +59,11 @@ def forward_dynamics(
 def lifted_dynamics(
     space: StateSpace, N: Any, V: Any, u: Any, time: Any, solution: Any
 ) -> tuple[Any, Any, Any]:
-    """Return N̈ (3×n) as `forward_dynamics` does, from the solution of the multipliers' linear system, and that system: matrix, right-hand side.
+    """Compute N̈ with the multipliers' solution as an input.
 
-    solution: of `assemble_system`, or λ (β, 1) of bars that stand alone. The matrix times it is the
-    right-hand side. With a symbol in its place no linear system is unrolled.
+    Also returns the linear system: matrix and right-hand side. `solution` is that of
+    `assemble_system`, or λ (β, 1) of uncoupled bars. With a symbol in its place no linear system is
+    unrolled.
     """
     mech = space.weighted(u)
     F, B, r, *system = _unconstrained(space, forces.FREE, mech, N, V, u, time)
@@ -77,10 +77,13 @@ def lifted_dynamics(
 def _unconstrained(
     space: StateSpace, mode: forces.Mode, mech: Mechanism, N: Any, V: Any, u: Any, time: Any
 ) -> tuple[Any, ...]:
-    """F, B, the residuals r that forces alone leave along the bars, and the linear system of the multipliers where there is one."""
+    """Compute F, B, the bar residuals, and the linear system.
+
+    The residuals r are those without constraint forces. The system is absent if it has no unknowns.
+    """
     F, moved = applied_forces(space, N, V, u, time, mode, mech)  # 3×n, Eq. 67
     B, Bd = mech.bar_vectors(N), mech.bar_vectors(V)  # 3×β
-    Bdd = mech.with_inverse(F, mech.C_b.T) + mech.bar_vectors(moved)  # 3×β, while bars do not push
+    Bdd = mech.with_inverse(F, mech.C_b.T) + mech.bar_vectors(moved)  # 3×β, without bar forces
     r = ca.sum1(Bd * Bd) + ca.sum1(B * Bdd)  # 1×β: the constraint ḃᵀḃ + bᵀb̈ = 0, Eq. 28
     if not mech.system_size:
         return F, B, r
@@ -92,7 +95,7 @@ def _unconstrained(
 def _constrained(
     space: StateSpace, mech: Mechanism, F: Any, B: Any, r: Any, solution: Any, time: Any
 ) -> tuple[Any, ...]:
-    """N̈, λ and Ω from the solution of the linear system."""
+    """Compute N̈, λ and Ω from the linear system's solution."""
     lam, Omega = recover_multipliers(mech, B, r, solution)  # 1×β, Eq. 87; 3×c, Eq. 103
     return _accelerations(space, mech, F, B, lam, Omega, time), lam, Omega
 
@@ -100,7 +103,7 @@ def _constrained(
 def _accelerations(
     space: StateSpace, mech: Mechanism, F: Any, B: Any, lam: Any, Omega: Any, time: Any
 ) -> Any:
-    """N̈ (3×n), Eqs. 85-86."""
+    """Compute N̈ (3×n), Eqs. 85-86."""
     return mech.with_inverse(F + nodal_forces(mech, B, lam, Omega)) + space.support_accelerations(
         time
     )
@@ -115,10 +118,11 @@ def applied_forces(
     mode: forces.Mode = forces.FREE,
     mech: Mechanism | None = None,
 ) -> tuple[Any, Any]:
-    """Return the forces F of strings and loads less the inertia of moved supports (3×n), N, and the supports' accelerations (3×n), m/s².
+    """Compute applied forces F (3×n) [N] and support accelerations.
 
-    mode: see `forward_dynamics`; mech: the mechanism with the masses of u, where it is known.
-    F M⁻ plus those accelerations is the motion that no bar and no joint constrains.
+    F are the forces of strings and loads less the inertia of moving supports, whose accelerations
+    are (3×n) [m/s²]. F M⁻ plus these accelerations are the accelerations without constraints.
+    `mode`: see `forward_dynamics`. `mech`: the mechanism with the masses of u, if it is known.
     """
     moved, mech = space.support_accelerations(time), mech or space.weighted(u, inverse=False)
     u = space.add_schedule(u, time)
@@ -128,7 +132,10 @@ def applied_forces(
 
 
 def joint_forces(space: StateSpace, N: Any, V: Any, A: Any, lam: Any, u: Any, time: Any) -> Any:
-    """Return Ω (3×c) of reduced coordinates: the forces that the class-one nodes of Eq. 85 lack for the accelerations A that they have."""
+    """Compute Ω (3×c) in reduced coordinates.
+
+    These are the joint forces of Eq. 85 for the given accelerations A of the class-one nodes.
+    """
     full = scene_mechanism(space.scene, "full")
     if not full.joints:
         return ca.DM.zeros(3, 0)

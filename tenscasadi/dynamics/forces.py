@@ -1,7 +1,10 @@
-"""The forces of a scene on the columns of N: strings and loads, F = W − S γ̂ C_s (3×n, Eq. 67), and their potential energy.
+"""Forces on the columns of N (Eq. 67).
 
-Only what the scene has is built. In full coordinates loads act on the first copy of each physical
-node, unless another is given. Where the scene has parameters, u is followed by them: (nu + np).
+They are F = W − S γ̂ C_s.
+
+F (3×n) and its potential energy are built from the features that the scene has. In full coordinates
+loads act on the first copy of each physical node, unless another one is given. If the scene has
+parameters, they follow the control in u (nu + np).
 """
 
 from __future__ import annotations
@@ -22,7 +25,10 @@ from tenscasadi.util.validate import Array, Indices
 
 
 class Mode(NamedTuple):
-    """Which of the strings that switch pull (1×k) and which contacts push (1×c): 1 or 0, whatever length and depth; None: as these say."""
+    """Contact mode: taut strings (1×k) and active contacts (1×c).
+
+    Entries are 1 or 0, whatever the length or depth. None: they follow from length and depth.
+    """
 
     taut: Any
     touching: Any
@@ -41,17 +47,17 @@ def string_force_density(
     taut: Any = None,
     longest: Any = None,
 ) -> tuple[Any, Any]:
-    """Return γ (1×α), N/m, of the modelled strings under the control u, and their vectors S (3×α), m; taut: see `Mode`.
+    """Compute force densities γ (1×α) [N/m] and string vectors S.
 
-    longest (1×α), m: what rest lengths are at most, but for those of smooth strings, which keep
-    theirs.
+    S is (3×α) [m]. `taut`: see `Mode`. `longest` (1×α) [m]: upper bounds of rest lengths, which
+    smooth strings ignore.
     """
     scene, u = bind(scene, u)
     S = ca.mtimes(N, sparse(mech.C_s.T))  # 3×α, Eq. 66
     if isinstance(scene.control, ForceDensity):
         return _per_child(
             scene, u, 1 / scene.modelled.string_fraction
-        ), S  # equal tension along a straight parent
+        ), S  # the tension is constant along a straight parent string
     switching = scene.switching_strings
 
     def law_of(
@@ -76,7 +82,10 @@ def string_force_density(
 
 
 def string_gaps(scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any) -> Any:
-    """Return lengths (1×k), m, of the strings that switch: positive where they pull."""
+    """Compute gap lengths (1×k) of switching strings.
+
+    They are in m, positive if the string is taut.
+    """
     scene, u = bind(scene, u)
     inputs = _law_inputs(scene, mech, ca.mtimes(N, sparse(mech.C_s.T)), V, u, True)
     return _by_law(scene, lambda law, which, *rows: law.gap(*rows), inputs, switching=True)
@@ -85,7 +94,12 @@ def string_gaps(scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any) -> Any:
 def _law_inputs(
     scene: Scene, mech: Mechanism, S: Any, V: Any, u: Any, damped: bool
 ) -> tuple[Any, ...]:
-    """Return what laws of strings depend on, rows over the modelled strings: squared lengths, rest lengths, stiffness, rates, typical lengths."""
+    """Compute the inputs of string laws.
+
+    They are rows over modeled strings.
+
+    They are squared lengths, rest lengths, stiffness, rates, and typical lengths.
+    """
     s = scene.modelled
     rate = None
     if damped and is_damped(scene):
@@ -104,9 +118,10 @@ def _law_inputs(
 def _by_law(
     scene: Scene, evaluate: Callable[..., Any], rows: tuple[Any, ...], switching: bool = False
 ) -> Any:
-    """Return the row of what `evaluate` (law, its strings, their entries of `rows`) returns for each law, string by string.
+    """Evaluate a function per string law and join the rows.
 
-    switching: of the laws that switch alone.
+    `evaluate` has the arguments law, its strings, and their entries of `rows`. With `switching`,
+    only laws that switch are included.
     """
     laws = [(law, which) for law, which in scene.string_laws if law.switches or not switching]
     if len(scene.string_laws) == 1:
@@ -137,7 +152,10 @@ def _columns(row: Any, which: Indices) -> Any:
 
 
 def is_damped(scene: Scene) -> bool:
-    """Return whether any string damps: force densities that are commanded do not."""
+    """Return whether any string has damping.
+
+    Strings under force-density control have none.
+    """
     if isinstance(scene.control, ForceDensity):
         return False
     damping = scene.modelled.damping
@@ -145,14 +163,17 @@ def is_damped(scene: Scene) -> bool:
 
 
 def is_rough(scene: Scene) -> bool:
-    """Return whether any ground damps or rubs."""
+    """Return whether any ground has damping or friction."""
     return scene.has_parameter("ground_damping") or any(
         not ground.conservative for ground in scene.grounds
     )
 
 
 def contacts(scene: Scene, mech: Mechanism) -> list[tuple[Surface, list[int], slice]]:
-    """Return each ground with the columns of N that it acts on, one for each node, and their places among all contacts."""
+    """List each ground with its columns and contact indices.
+
+    There is one column of N for each node.
+    """
     found: list[tuple[Surface, list[int], slice]] = []
     count = 0
     for ground in scene.grounds:
@@ -162,14 +183,14 @@ def contacts(scene: Scene, mech: Mechanism) -> list[tuple[Surface, list[int], sl
 
 
 def string_forces(mech: Mechanism, gamma: Any, S: Any) -> Any:
-    """Return −S γ̂ C_s (3×n, Eq. 56), N."""
+    """Compute −S γ̂ C_s (3×n, Eq. 56) [N]."""
     return weighted_product(S, gamma, -mech.C_s)
 
 
 def terms(
     scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, time: Any, mode: Mode = FREE
 ) -> dict[str, Any]:
-    """Return the terms of F (3×n), N, by the name of their origin."""
+    """Compute the terms of F (3×n) [N] by name."""
     scene, u = bind(scene, u)
     first = mech.first.tolist()
     result: dict[str, Any] = {}
@@ -193,12 +214,15 @@ def terms(
 def total(
     scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, time: Any, mode: Mode = FREE
 ) -> Any:
-    """Return F (3×n), the sum of all `terms`, N."""
+    """Compute F (3×n) [N], the sum of all `terms`."""
     return sum(terms(scene, mech, N, V, u, time, mode).values(), start=ca.DM.zeros(*mech.N.shape))
 
 
 def potential_energy(scene: Scene, mech: Mechanism, N: Any, u: Any) -> tuple[Any, Any]:
-    """Return elastic energy (taut strings and the ground's springs) and gravity energy, J."""
+    """Compute elastic energy and gravity energy [J].
+
+    Elastic energy is that of taut strings and of the ground's springs.
+    """
     scene, u = bind(scene, u)
     s = scene.modelled
     elastic: Any = ca.DM(0)
@@ -227,14 +251,14 @@ def potential_energy(scene: Scene, mech: Mechanism, N: Any, u: Any) -> tuple[Any
 
 
 def _weights(scene: Any, mech: Mechanism, time: Any) -> Any:
-    """Weights (3×n) of the columns, N."""
+    """Compute the weights (3×n) of the columns [N]."""
     if is_expression(mech.M):
         return ca.mtimes(scene.gravity.at(time), mech.node_weight)
     return scene.gravity.forces(mech.node_weight, time)
 
 
 def is_conservative(scene: Scene) -> bool:
-    """Return whether no force outside the energies does work while the control stands still."""
+    """Return whether all forces are conservative under constant control."""
     driven = isinstance(scene.control, ForceDensity) and len(scene.modelled.strings) > 0
     loaded = scene.pressure is not None or scene.forces is not None or bool(scene.over_time)
     return not (driven or is_damped(scene) or is_rough(scene) or loaded)
@@ -250,14 +274,17 @@ def _rest(scene: Scene, u: Any) -> Any:
 
 
 def _per_child(scene: Scene, u: Any, factor: Array) -> Any:
-    """Return u per parent string as a row over the modelled strings, times `factor`."""
+    """Expand u to a row over modeled strings, times `factor`."""
     parent = scene.modelled.string_parent
     row = u.T if len(parent) == u.shape[0] else u[parent.tolist(), :].T
     return row if np.all(factor == 1) else row * ca.DM(factor).T
 
 
 def _ground_forces(scene: Scene, mech: Mechanism, N: Any, V: Any, touching: Any) -> Any:
-    """Return the forces of all grounds (3×n), N; touching (1×c): see `Mode`."""
+    """Compute the forces of all grounds (3×n) [N].
+
+    `touching` (1×c): see `Mode`.
+    """
     parts = [
         _on_columns(
             mech,
@@ -272,7 +299,10 @@ def _ground_forces(scene: Scene, mech: Mechanism, N: Any, V: Any, touching: Any)
 
 
 def _loaded_columns(scene: Scene, mech: Mechanism) -> list[int]:
-    """Return the column that takes the nodal force of each node: its first copy, or that of the bar that is given."""
+    """Select the column for the nodal force of each node.
+
+    It is the first copy, or that of the given bar.
+    """
     columns = mech.first[: len(scene.structure.nodes)].copy()
     for node, bar in (
         scene.forces.bars if scene.forces is not None and scene.forces.bars else {}
@@ -283,12 +313,15 @@ def _loaded_columns(scene: Scene, mech: Mechanism) -> list[int]:
 
 
 def _on_first(mech: Mechanism, W: Any) -> Any:
-    """Return loads on physical nodes (3×m; nodes inside strings, behind them, may be left out) as columns on the first copy of each."""
+    """Assign loads on physical nodes to their first copies.
+
+    W is (3×m) and may omit the last nodes, those inside strings.
+    """
     return _on_columns(mech, W, mech.first[: W.shape[1]].tolist())
 
 
 def _on_columns(mech: Mechanism, W: Any, columns: list[int]) -> Any:
-    """Return forces (3×m) on these columns of N (m) as 3×n."""
+    """Assign forces (3×m) on these columns to 3×n."""
     count, n = len(columns), mech.N.shape[1]
     if columns == list(range(n)):
         return W

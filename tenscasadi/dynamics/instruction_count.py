@@ -1,4 +1,4 @@
-"""The cost of expressions, counted in instructions of CasADi: of Functions, and of each term of a right-hand side."""
+"""Instruction counts of Functions and of right-hand-side terms."""
 
 from __future__ import annotations
 
@@ -15,12 +15,14 @@ from tenscasadi.scene.strings import ForceDensity
 
 
 class TermCounts(dict[str, int]):
-    """Instruction counts by the name of a term; prints as a table.
+    """Instruction counts by the name of a term.
+
+    It prints as a table.
 
     Attributes
     ----------
     advice : str
-        Which coordinates are cheaper, see `compare_coordinates`; "" where these are.
+        Recommended coordinates, see `compare_coordinates`; "" if the present ones are cheaper.
     """
 
     advice: str = ""
@@ -32,7 +34,7 @@ class TermCounts(dict[str, int]):
 
 
 def count_instructions(function: ca.Function) -> int:
-    """Return the instructions of a Function and, for each call in it, of the Functions that it calls."""
+    """Count the instructions of a Function, including called Functions."""
     count = int(function.n_instructions())
     if function.class_name() != "MXFunction":
         return count
@@ -43,7 +45,7 @@ def count_instructions(function: ca.Function) -> int:
 
 
 def count_terms(space: StateSpace, ode: ca.Function) -> TermCounts:
-    """Return the terms that the scene of `space` builds, each with the instructions that it adds to its right-hand side `ode`."""
+    """Count the instructions of each term of the right-hand side."""
     scene = space.scene
     x, u = space.symbols(not space.mechanism.large)
     mech = space.weighted(u, inverse=False)
@@ -67,11 +69,11 @@ def count_terms(space: StateSpace, ode: ca.Function) -> TermCounts:
     for name, expression in built.items():
         if (
             name == "string damping"
-        ):  # the whole string law; what it adds to elasticity is the damping
+        ):  # the entire string law, so that the difference to elasticity is the damping
             outputs.pop("string elasticity")
         outputs[name] = mech.local(ca.vec(expression))[
             mech.free_index.tolist()
-        ]  # what pulls at a pinned node is not needed
+        ]  # forces on pinned nodes are not needed
         count = ca.Function("terms", [x, u], ca.cse(list(outputs.values()))).n_instructions()
         counts[name] = count - before
         before = count
@@ -86,22 +88,22 @@ def count_terms(space: StateSpace, ode: ca.Function) -> TermCounts:
 
 
 def compare_coordinates(space: StateSpace) -> str:
-    """Say where full coordinates are cheaper than the reduced ones of `space`, else "".
+    """Recommend full coordinates if they are cheaper, else return "".
 
-    In reduced coordinates bars that hang together couple all their multipliers, as the inverse mass
-    matrix of a long chain is full; in full coordinates each joint couples with its neighbours
-    alone.
+    In reduced coordinates the multipliers of all connected bars are coupled, because the inverse
+    mass matrix of a long chain is full. In full coordinates each joint is coupled only to its
+    neighbors.
     """
     size = space.mechanism.system_size
     if (
         space.coordinates == "full" or not 50 <= size <= 3000
-    ):  # fewer cost little, more are slow to count
+    ):  # smaller systems are cheap; larger ones are slow to count
         return ""
     reduced, full = (
         _count_operations(build_mechanism(space.structure, coordinates))
         for coordinates in ("reduced", "full")
     )
-    if reduced < 4 * full:  # operations of full coordinates take longer
+    if reduced < 4 * full:  # operations in full coordinates are slower
         return ""
     return (
         f"multipliers: {reduced} operations in reduced coordinates, {full} in full ones, as many bars hang together: "
@@ -110,7 +112,10 @@ def compare_coordinates(space: StateSpace) -> str:
 
 
 def _count_operations(mech: Mechanism) -> int:
-    """Count the multiplications of a solution for the multipliers, and of a product with M⁻."""
+    """Count the multiplications of solving for the multipliers.
+
+    A product with M⁻ is included.
+    """
     if not mech.system_size:
         return 0
     matrix, _ = assemble_system(

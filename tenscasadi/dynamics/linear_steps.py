@@ -1,4 +1,7 @@
-"""Linear steps along a trajectory, from the first derivatives in the middles of intervals."""
+"""Linear steps along a trajectory.
+
+They use the first derivatives at the midpoints of intervals.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,9 @@ from tenscasadi.util.validate import Array
 def linear_steps(
     model: Model, starts: Array, ends: Array, controls: Array, lengths: Array
 ) -> Iterator[tuple[Array, Array]]:
-    """Yield L (nx, nx) and R (nx, nx + nu) with L δx⁺ = R (δx, δu) for each of K intervals.
+    """Yield linearized steps of K intervals.
+
+    A step is L δx⁺ = R (δx, δu), with L (nx, nx) and R (nx, nx + nu).
 
     They run from states `starts` (K, nx) to `ends` (K, nx) under controls (K, nu) in `lengths` (K,)
     [s]. Each is linearized exactly in its middle. The step is the (2, 2) Padé approximation of the
@@ -32,7 +37,9 @@ def linear_steps(
 def transitions(
     model: Model, starts: Array, ends: Array, controls: Array, lengths: Array, substeps: int = 1
 ) -> tuple[Array, Array]:
-    """Compute ∂x⁺/∂x (K, nx, nx) and ∂x⁺/∂u (K, nx, nu) of K spans of so many `linear_steps` each.
+    """Compute the state-transition matrices of K spans.
+
+    They are ∂x⁺/∂x (K, nx, nx) and ∂x⁺/∂u (K, nx, nu), from `substeps` linear steps each.
 
     The control is constant in a span.
     """
@@ -47,7 +54,7 @@ def transitions(
 
 
 def _middles(model: Model, starts: Array, ends: Array, lengths: Array) -> Array:
-    """Compute the states (K, nx) in the middles of intervals, on the cubics through their ends."""
+    """Compute the midpoint states (K, nx) by cubic interpolation."""
     result = (starts + ends) / 2
     q, v, _ = model.split(result)
     (q0, v0, _), (q1, v1, _) = model.split(starts), model.split(ends)

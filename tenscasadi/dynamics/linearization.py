@@ -1,4 +1,7 @@
-"""First derivatives of the equation of motion: M q̈ = F + Jᵀ μ, J q̈ + c = 0."""
+"""First derivatives of the equation of motion.
+
+It reads M q̈ = F + Jᵀ μ, J q̈ + c = 0.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +41,7 @@ class LinearDynamics:
     slopes : ndarray (K, ·)
         Entries of the derivatives of F + Jᵀ μ − M q̈ and J q̈ + c, at constant q̈ and μ.
     pattern : sparse array (nx + nw, nq + c)
-        Where these entries stand, row by row. The methods write into its data.
+        Sparsity of these entries, row by row. The methods write into its data.
     """
 
     model: Model
@@ -50,7 +53,10 @@ class LinearDynamics:
     pattern: sp.csr_array
 
     def tangent(self, k: int, changes: Array) -> Array:
-        """Compute the changes (nx, m) of the rates by changes (nx + nw, m) of state and input."""
+        """Compute changes (nx, m) of the rates.
+
+        The changes (nx + nw, m) are those of state and input.
+        """
         nq, result = self.model.nq, np.zeros((self.model.nx, changes.shape[1]))
         self.pattern.data = self.slopes[k]
         forces, kept = np.split(self.pattern.T @ changes, [nq])
@@ -60,7 +66,10 @@ class LinearDynamics:
         return result
 
     def adjoint(self, k: int, weights: Array) -> Array:
-        """Compute gradients (nx + nw, m) of weighted sums of the rates, weights (nx, m)."""
+        """Compute gradients (nx + nw, m) of weighted rates.
+
+        The weights are (nx, m).
+        """
         nq, forces = self.model.nq, weights[self.model.nq : 2 * self.model.nq]
         back = self.inverse[k] @ (self.weighted[k] @ forces)
         self.pattern.data = self.slopes[k]
@@ -70,11 +79,14 @@ class LinearDynamics:
         return np.asarray(result)
 
     def jacobian(self, k: int) -> Array:
-        """Compute the derivative (nx, nx + nw) of the rates with respect to state and input."""
+        """Compute the Jacobian (nx, nx + nw) of the rates.
+
+        It is with respect to state and input.
+        """
         return self.adjoint(k, np.eye(self.model.nx)).T
 
     def accelerations_by_control(self) -> Array:
-        """Compute the derivatives (K, nq, nu) of the accelerations with respect to the control."""
+        """Compute the control Jacobians (K, nq, nu) of the accelerations."""
         model, nq = self.model, self.model.nq
         controls = np.eye(model.nx + model.nw)[:, model.nx : model.nx + model.nu]
         ways = [self.tangent(k, controls)[nq : 2 * nq] for k in range(len(self.rates))]
@@ -127,7 +139,10 @@ class EquationDerivatives:
         return model.keep("equation derivatives", lambda: EquationDerivatives(model))
 
     def at(self, states: Array, controls: Array, parameters: Any = None) -> LinearDynamics:
-        """Linearize at states (K, nx) under controls (K, nu) and parameters (np,)."""
+        """Linearize at states (K, nx).
+
+        Controls are (K, nu) and parameters (np,).
+        """
         K, nq, c = len(states), self.model.nq, self.constraints
         p = self.model.parameters.values(parameters)
         inputs = np.column_stack([controls, np.tile(p, (K, 1))])
@@ -152,26 +167,38 @@ class EquationDerivatives:
         return LinearDynamics(self.model, rates, inverse_mass, weighted, inverse, slopes, pattern)
 
     def system_at(self, state: Array, inputs: Array) -> tuple[Any, Any, Array, Array]:
-        """Compute sparse M and J, and F and c, of one state (nx,) and its inputs (nw,)."""
+        """Compute sparse M and J, and F and c.
+
+        They are those of one state (nx,) and its inputs (nw,).
+        """
         values = self._values(state, inputs)
         force, bias, _, entries = (np.asarray(value.full()).ravel() for value in values)
         J = sp.csc_array((entries, self._places), shape=(self.constraints, self.model.nq))
         return self.mass(inputs[self.model.nu :]), J, force, bias
 
     def slopes_at(self, state: Array, inputs: Array, mu: Array, accelerations: Array) -> Any:
-        """Compute the sparse derivative of F + Jᵀ μ − M q̈ and J q̈ + c (nq + c, nx + nw)."""
+        """Compute the sparse derivative of the equations.
+
+        It is (nq + c, nx + nw), for F + Jᵀ μ − M q̈ and J q̈ + c.
+        """
         pattern = self._pattern.copy()
         pattern.data = self._slopes(state, inputs, mu, accelerations).full().ravel()
         return sp.csc_array(pattern.T)
 
     def mass(self, p: Array) -> Any:
-        """Compute the sparse mass matrix (nq, nq) of the free coordinates [kg] at parameters p."""
+        """Compute the sparse mass matrix (nq, nq) [kg].
+
+        It belongs to the free coordinates at parameters p.
+        """
         w = ca.DM(np.append(np.zeros(self.model.nu), p))
         M = self.model.weighted(w, inverse=False).free_mass
         return sp.csc_array(M.sparse() if is_expression(M) else M)
 
     def _inverse_mass(self, p: Array) -> Any:
-        """Invert the mass matrix, dense where sparse products would take longer."""
+        """Invert the mass matrix.
+
+        The inverse is dense if sparse products would be slower.
+        """
         if self._constant_inverse is not None:
             return self._constant_inverse
         mass, nq = self.mass(p), self.model.nq
@@ -185,7 +212,9 @@ class EquationDerivatives:
 
 
 def tangents(model: Model, state: Array) -> Array:
-    """Compute the changes of a state that bars and joints allow, as an orthonormal basis (nx, d).
+    """Compute an orthonormal basis (nx, d) of admissible state changes.
+
+    Bars and joints allow these changes.
 
     The clock does not change.
     """
@@ -193,18 +222,27 @@ def tangents(model: Model, state: Array) -> Array:
 
 
 def displacements(model: Model, state: Array) -> Array:
-    """Compute the displacements that bars and joints allow, as an orthonormal basis (nq, d)."""
+    """Compute an orthonormal basis (nq, d) of admissible displacements.
+
+    Bars and joints allow these displacements.
+    """
     count = model.mechanism.bars + int(model.mechanism.active.sum())
     return _free_directions(_constraint_jacobian(model, state)[:count, : model.nq])
 
 
 def _free_directions(J: Array) -> Array:
-    """Compute the null space of constraints; smaller singular values are of redundant rows."""
+    """Compute the null space of constraints.
+
+    Smaller singular values belong to redundant rows.
+    """
     return null_space(J, 1e-9 * float(np.linalg.norm(J)))
 
 
 def _constraint_jacobian(model: Model, state: Array) -> Array:
-    """Compute the derivatives of bars, joints, their rates, and the clock, in this order."""
+    """Compute the Jacobian of all constraints.
+
+    Its rows are bars, joints, their rates, and the clock.
+    """
 
     def build() -> ca.Function:
         x = _symbol_kind(model).sym("x", model.nx)
@@ -216,12 +254,18 @@ def _constraint_jacobian(model: Model, state: Array) -> Array:
 
 
 def _symbol_kind(model: Model) -> Any:
-    """Return SX where all forces are scalar code; functions of time may not be."""
+    """Return SX if all forces are scalar code, else MX.
+
+    Functions of time may not be scalar code.
+    """
     return ca.SX if not model.has_clock or model.ode.is_a("SXFunction") else ca.MX
 
 
 def _squared_length_error(model: Model, N: Any, w: Any) -> Any:
-    """Compute (bᵀb − l²)/l² G by which λ̂ with constant lengths misses each constraint, or 0."""
+    """Compute (bᵀb − l²)/l² G, or 0.
+
+    It is the constraint violation of λ̂ with constant lengths.
+    """
     mech, count = model.mechanism, model.mechanism.bars
     none = type(N).zeros(int(mech.active.sum()), 1)
     if not mech.constant_length:

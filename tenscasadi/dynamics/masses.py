@@ -1,4 +1,4 @@
-"""Masses that are parameters: the entries of the mass matrix and of its inverse as expressions of p."""
+"""Parametric masses: M and its inverse as expressions of p."""
 
 from __future__ import annotations
 
@@ -19,33 +19,38 @@ from tenscasadi.util.casadi_tools import matrix_with_pattern
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import Array, Indices
 
-# above so many unknowns, linear systems are solved by a routine instead of unrolled scalar code:
-# shorter derivatives
+# unknowns above which a linear system is solved by a routine, not unrolled: shorter derivatives
 UNROLL_SOLVE = 6
 
 
 @dataclass(frozen=True, eq=False)
 class Masses(ReadOnlyArrays):
-    """How the entries of M and of M⁻ follow from the parameters."""
+    """Dependence of M and M⁻ on the parameters."""
 
-    entries: Affine  # of M, column by column
-    pattern: ca.Sparsity  # of M, n×n
-    free: tuple[Any, ...]  # (n,) bool for each of M⁻: nodes that can move along its axes
-    held: Array  # (n,) inverse mass of columns whose own does not matter, 1/kg; 0: of all others
+    entries: Affine  # entries of M, column by column
+    pattern: ca.Sparsity  # sparsity of M, n×n
+    free: tuple[Any, ...]  # (n,) bool for each M⁻: nodes that can move along its axes
+    held: Array  # (n,) constant inverse mass of columns that never move [1/kg]; 0 for others
 
     @property
     def size(self) -> int:
-        """How many numbers tell M and M⁻."""
+        """Number of entries of M and M⁻."""
         return int(self.pattern.nnz()) + sum(pattern.nnz() for pattern, _ in self._inverses)
 
     def weigh(self, p: Any) -> Any:
-        """Return the entries of M and of M⁻, one below the other, for a CasADi column of parameters."""
+        """Compute the entries of M and M⁻ from CasADi parameters.
+
+        They are one below the other.
+        """
         entries = self._column(p)
         inverse = self._scalar_inverse if isinstance(p, ca.SX) else self._inverse
         return ca.vertcat(entries, *inverse.call([entries]))
 
     def matrices(self, weights: Any) -> tuple[Any, tuple[Any, ...]]:
-        """Return M and M⁻ (n×n; for each axis, or once for all three) with these entries."""
+        """Build M and M⁻ (n×n) from their entries.
+
+        There is one M⁻ for each axis, or one for all three.
+        """
         sizes = np.cumsum(
             [0, self.pattern.nnz(), *(pattern.nnz() for pattern, _ in self._inverses)]
         ).tolist()
@@ -57,12 +62,15 @@ class Masses(ReadOnlyArrays):
         return M, tuple(inverses)
 
     def mass_matrix(self, p: Any) -> Any:
-        """Return M alone."""
+        """Build M only."""
         return matrix_with_pattern(self.pattern, self._column(p))
 
     @cached_property
     def patterns(self) -> list[sp.csr_array]:
-        """A positive definite matrix on the pattern of each M⁻ in which nothing cancels, as it may for some masses."""
+        """Positive definite matrices with the sparsity of each M⁻.
+
+        No entries cancel in them, as they may for particular masses.
+        """
         generator, found = np.random.default_rng(0), []
         for pattern, _ in self._inverses:
             row, column = pattern.get_triplet()
@@ -86,7 +94,7 @@ class Masses(ReadOnlyArrays):
 
     @cached_property
     def _inverses(self) -> list[tuple[ca.Sparsity, list[Indices]]]:
-        """The pattern of each M⁻ and the blocks of nodes that bars join."""
+        """Sparsity of each M⁻, and blocks of joined nodes."""
         n = self.pattern.size1()
         linked = sp.csr_array(
             (np.ones(self.pattern.nnz()), self.pattern.get_triplet()), shape=(n, n)
@@ -107,13 +115,13 @@ class Masses(ReadOnlyArrays):
 
     @cached_property
     def _inverse(self) -> ca.Function:
-        """Function of the entries of M → those of each M⁻."""
+        """Function from the entries of M to those of M⁻."""
         small = all(len(block) <= UNROLL_SOLVE for _, blocks in self._inverses for block in blocks)
         return self._scalar_inverse if small else self._write_inverse(ca.MX)
 
     @cached_property
     def _scalar_inverse(self) -> ca.Function:
-        """`_inverse` as scalar code, whatever the blocks."""
+        """`_inverse` as scalar code for all block sizes."""
         return self._write_inverse(ca.SX)
 
     def _write_inverse(self, kind: Any) -> ca.Function:
@@ -135,7 +143,10 @@ class Masses(ReadOnlyArrays):
 
 
 def _invert(block: Any, held: Array) -> Any:
-    """Return the inverse of a symmetric positive definite matrix, dense; a single node's may be `held` constant."""
+    """Invert a symmetric positive definite matrix, dense.
+
+    The inverse mass of a single node may be `held` constant.
+    """
     n = block.shape[0]
     if n == 1:
         return ca.DM(held[0]) if held[0] else 1 / block
@@ -152,10 +163,10 @@ def _invert(block: Any, held: Array) -> Any:
 def read_masses(
     scene: Any, physical: Indices, inverse: tuple[Any, ...], layout: Layout | None
 ) -> Masses | None:
-    """Return how the parameters of a scene make the masses of a mechanism; None where they do not.
+    """Read the parametric masses of a mechanism; None if constant.
 
-    inverse: M⁻ at the nominal values, as the mechanism has it. layout: of full coordinates; None:
-    reduced.
+    `inverse` is the nominal M⁻ of the mechanism. `layout` is that of full coordinates, None for
+    reduced ones.
     """
     quantities = scene.layout.quantities
     if not quantities.keys() & set(MASSES):
@@ -183,7 +194,7 @@ def read_masses(
     pattern = ca.Sparsity.triplet(n, n, (code % n).tolist(), (code // n).tolist())
     free = tuple(np.asarray(matrix.diagonal() > 0) for matrix in inverse)
     held = np.zeros(n)
-    if layout is not None:  # a pinned node of no bar may have no mass: it never moves
+    if layout is not None:  # a pinned node without bars may have no mass, because it never moves
         pinned = structure.fixed.all(axis=1)[physical]
         pinned[columns] = False
         held[pinned] = inverse[0].diagonal()[pinned]
@@ -195,7 +206,7 @@ def _bar_masses(scene: Any) -> Affine:
 
 
 def _node_masses(scene: Any) -> Affine:
-    """Masses of the modelled nodes, with those of strings that are cut into segments."""
+    """Compute the masses of modeled nodes, including those of segments."""
     structure, n = scene.structure, len(scene.modelled.nodes)
     points = scene.layout.quantities.get("node_mass") or _constant(scene, structure.node_mass)
     points = points.then(sp.eye_array(n, len(structure.nodes)))
@@ -205,7 +216,7 @@ def _node_masses(scene: Any) -> Affine:
 
 
 def _string_shares(structure: Structure, scene: Any) -> sp.csr_array:
-    """Return how much of each string's mass each modelled node carries (n×α)."""
+    """Compute the fraction of each string's mass per node (n×α)."""
     n, count = len(structure.nodes), len(structure.strings)
     found = sp.lil_array((len(scene.modelled.nodes), count))
     modelled, new = scene.modelled, n

@@ -1,4 +1,4 @@
-"""The constant matrices of a structure in reduced or full coordinates: connectivity, mass, joints."""
+"""Constant matrices of a structure in reduced or full coordinates."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ from tenscasadi.util.casadi_tools import (
 from tenscasadi.util.read_only import ReadOnlyArrays, read_only
 from tenscasadi.util.validate import Array, Indices
 
-# above, expressions stay vector operations (MX loops): generated C does not grow with the structure
+# members above which expressions remain MX, so that generated C does not grow with the structure
 UNROLL_MEMBERS = 300
-UNROLL_UNKNOWNS = 60  # the same for the unknowns of the multipliers' system
+UNROLL_UNKNOWNS = 60  # the same limit for the unknowns of the multipliers' system
 
 Coordinates = Literal["reduced", "full"]
 BarLength = Literal["current", "constant"]
 
 
 class Multipliers(NamedTuple):
-    """Multipliers that keep the lengths of bars, the joints and the pins.
+    """Multipliers of bars, joints and pins.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class Multipliers(NamedTuple):
 
     Examples
     --------
-    A bar of 1 kg and 2 m stands on a pin, which carries its weight of 10 N:
+    A bar of 1 kg and 2 m stands on a pin, which supports its weight of 10 N:
 
     >>> import tenscasadi as tc
     >>> mast = tc.Structure([(0, 0, 0), (0, 0, 2)], bars=[(0, 1)], pinned=(0,))
@@ -64,9 +64,11 @@ class Multipliers(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Mechanism(ReadOnlyArrays):
-    """The constant matrices of a structure in one of the two coordinates. Columns: physical nodes (reduced) or class-one nodes (full).
+    """Constant matrices of a structure in one coordinate set.
 
-    Where masses are parameters M and M⁻ are nominal, and CasADi's in what `weighted` returns.
+    Columns are physical nodes in reduced coordinates, and class-one nodes in full coordinates. If
+    masses are parameters, M and M⁻ have nominal values, and are CasADi expressions in the result of
+    `weighted`.
     """
 
     N: Array  # 3×n initial nodes
@@ -78,60 +80,62 @@ class Mechanism(ReadOnlyArrays):
     M: Any  # n×n
     inverse: tuple[
         Any, ...
-    ]  # M⁻ (n×n) for each axis, once for all three, or for each pair of axes where rollers couple them
+    ]  # M⁻ (n×n), one for all axes, one per axis, or one per pair of axes coupled by rollers
     P: sp.csr_array  # n×c, no columns in reduced coordinates
     D: Array  # 3×c
-    # 3×c bool: axes that a column of P constrains (all, but for per-axis supports), or directions
-    # of its frame
+    # 3×c bool: axes that a column of P constrains, or directions of its frame
     active: Any
     lengths: Array  # (β,)
-    constant_length: bool  # λ̂ divides by l² as Eqs. 46-87 print it, instead of by the current bᵀb
-    # (c, 3, 3): the directions of each column's frame, as columns, of which `active` are held;
-    # None: the axes
+    constant_length: bool  # λ̂ divides by l² as in Eqs. 46-87, not by the current bᵀb
+    # (c, 3, 3): frame of each column, whose `active` directions are constrained; None: the axes
     frames: Any = None
     turn: sp.csr_array | None = (
-        # 3n×3n: from local coordinates, along and across rollers, to those of N; None: they are the
-        # same
+        # 3n×3n: from local coordinates, along and across rollers, to those of N; None: identity
         None
     )
-    masses: Masses | None = None  # how M and M⁻ follow from parameters; None: they are constant
+    masses: Masses | None = None  # dependence of M and M⁻ on parameters; None: constant
     weights: Any = None  # entries of M and M⁻, a CasADi column, where they are expressions
 
     @property
     def bars(self) -> int:
-        """How many bars there are."""
+        """Number of bars."""
         return len(self.lengths)
 
     @property
     def joints(self) -> int:
-        """How many columns P has."""
+        """Number of columns of P."""
         return int(self.P.shape[1])
 
     @property
     def constrained(self) -> bool:
-        """Whether there is anything to keep."""
+        """Whether there are constraints."""
         return self.bars > 0 or self.joints > 0
 
     @property
     def large(self) -> bool:
-        """Whether expressions are kept as vector operations instead of unrolled scalars."""
+        """Whether expressions remain vector operations instead of scalar code."""
         return bool(
             self.bars + self.C_s.shape[0] > UNROLL_MEMBERS or self.system_size > UNROLL_UNKNOWNS
         )
 
     @property
     def unrolled(self) -> bool:
-        """Whether the solution for the multipliers is kept as scalar code, too."""
+        """Whether the multipliers are also solved in scalar code."""
         return not self.large and self.system_size <= UNROLL_SOLVE
 
     @cached_property
     def free_index(self) -> Indices:
-        """Places (nq,) of the free coordinates in N (or its `local` ones), column by column: 3 · column + axis."""
+        """Indices (nq,) of the free coordinates.
+
+        An index is 3 · column + axis.
+
+        They refer to N, or to its `local` coordinates.
+        """
         return read_only(np.flatnonzero(self.free.ravel()))  # type: ignore[no-any-return]
 
     @property
     def coordinate_names(self) -> list[str]:
-        """The names of the free coordinates, such as "node 2 z"."""
+        """Names of the free coordinates, such as "node 2 z"."""
         turned = (
             set() if self.turn is None else set(np.flatnonzero(np.diff(self.turn.indptr) > 1) // 3)
         )
@@ -142,7 +146,10 @@ class Mechanism(ReadOnlyArrays):
 
     @property
     def frames_of_nodes(self) -> Array:
-        """Directions (n, 3, 3), as columns, of the `local` coordinates of each column of N; none where these are x, y and z."""
+        """Directions (n, 3, 3) of the `local` coordinates, as columns.
+
+        Empty if these are x, y and z.
+        """
         if self.turn is None:
             return np.zeros((0, 3, 3))
         columns = self.N.shape[1]
@@ -153,16 +160,20 @@ class Mechanism(ReadOnlyArrays):
         )
 
     def local(self, vector: Any) -> Any:
-        """Return coordinates along and across rollers of vectors in the axes of N: columns (3n) of CasADi's, arrays (…, 3n)."""
+        """Convert vectors from the axes of N to local coordinates.
+
+        Local coordinates are along and across rollers. Vectors are CasADi columns (3n) or arrays
+        (…, 3n).
+        """
         return vector if self.turn is None else _turned(self.turn.T, vector)
 
     def world(self, vector: Any) -> Any:
-        """Return vectors in the axes of N of their `local` coordinates."""
+        """Convert vectors from local coordinates to the axes of N."""
         return vector if self.turn is None else _turned(self.turn, vector)
 
     @cached_property
     def free_mass(self) -> Any:
-        """The mass matrix (nq×nq) of the free coordinates, kg."""
+        """Mass matrix (nq×nq) of the free coordinates [kg]."""
         if not is_expression(self.M):
             return _free_mass(self.M, self.turn, self.free_index)
         wide = sp.csc_array(
@@ -178,11 +189,14 @@ class Mechanism(ReadOnlyArrays):
 
     @property
     def node_weight(self) -> Any:
-        """Mass that each column carries, kg: the row sums (n,) of M, or a CasADi row (1×n)."""
+        """Mass of each column [kg]: the row sums of M.
+
+        It is an array (n,), or a CasADi row (1×n).
+        """
         return ca.sum1(self.M) if is_expression(self.M) else self.M.sum(axis=1)
 
     def weighted(self, weights: Any) -> Mechanism:
-        """Return the mechanism whose M and M⁻ have these entries, of `masses.weigh`."""
+        """Insert the entries of M and M⁻ from `masses.weigh`."""
         if self.masses is None:
             return self
         M, inverse = self.masses.matrices(weights)
@@ -190,12 +204,15 @@ class Mechanism(ReadOnlyArrays):
 
     @property
     def active_mask(self) -> ca.DM:
-        """`active` as numbers (3×c): 1 along the axes that a column of P constrains, 0 along others."""
+        """`active` as numbers (3×c)."""
         return ca.DM(self.active.astype(float))
 
     @cached_property
     def held_directions(self) -> Any:
-        """Block-diagonal matrix (3c×3c) of the directions that each column of P constrains; without entries along others."""
+        """Block-diagonal matrix (3c×3c) of the constrained directions.
+
+        Other directions have no entries.
+        """
         return sparse(
             sp.block_diag(
                 [frame * active for frame, active in zip(self.frames, self.active.T, strict=True)]
@@ -203,7 +220,7 @@ class Mechanism(ReadOnlyArrays):
         )
 
     def along_held(self, gap: Any) -> Any:
-        """Return the part of vectors (3×c) along the directions that the columns of P constrain."""
+        """Project vectors (3×c) onto the constrained directions."""
         if self.frames is None:
             return gap * self.active_mask
         return ca.reshape(
@@ -213,11 +230,17 @@ class Mechanism(ReadOnlyArrays):
         )
 
     def bar_vectors(self, Z: Any) -> Any:
-        """Z C_bᵀ (3×β): the bar vectors B where Z is N, their rates where Z is V."""
+        """Compute Z C_bᵀ (3×β): bar vectors, or their rates.
+
+        They are B if Z is N, and Ḃ if Z is V.
+        """
         return ca.mtimes(Z, sparse(self.C_b.T))
 
     def with_inverse(self, X: Any, then: Any = None) -> Any:
-        """X M⁻ (3×n), or X M⁻ `then` (a constant matrix of n rows)."""
+        """Compute X M⁻ (3×n), or X M⁻ `then`.
+
+        `then` is a constant matrix of n rows.
+        """
         factors = [
             sparse(inverse if then is None else product(inverse, then)) for inverse in self.inverse
         ]
@@ -234,20 +257,26 @@ class Mechanism(ReadOnlyArrays):
 
     @cached_property
     def G(self) -> tuple[Any, ...]:
-        """C_b M⁻ C_bᵀ (β×β) for each axis, once, or for each pair of axes."""
+        """C_b M⁻ C_bᵀ (β×β) for each entry of `inverse`."""
         return tuple(product(self.C_b, inverse, self.C_b.T) for inverse in self.inverse)
 
     @cached_property
     def K(self) -> Any:
-        """Pᵀ M⁻ C_bᵀ (c×β), of full coordinates: how bar forces accelerate what joints hold."""
+        """Pᵀ M⁻ C_bᵀ (c×β): joint accelerations due to bar forces.
+
+        It is defined in full coordinates.
+        """
         return product(self.P.T, self.inverse[0], self.C_b.T)
 
     @cached_property
     def system_size(self) -> int:
-        """Unknowns of the linear system that has to be solved: 0 where every bar stands alone."""
+        """Number of unknowns of the multipliers' linear system.
+
+        It is 0 if no bars are coupled.
+        """
         if self.joints:
             return 3 * self.joints
-        if self.masses is not None:  # whatever the masses
+        if self.masses is not None:  # for all values of the masses
             G = [product(self.C_b, pattern, self.C_b.T) for pattern in self.masses.patterns]
         else:
             G = list(self.G)
@@ -258,7 +287,10 @@ class Mechanism(ReadOnlyArrays):
 def scene_mechanism(
     scene: Scene, coordinates: Coordinates, bar_length: BarLength = "current"
 ) -> Mechanism:
-    """Return the matrices of a scene's modelled structure, with `masses` where these are parameters."""
+    """Build the matrices of a scene's modeled structure.
+
+    They include `masses` if these are parameters.
+    """
     mechanism = build_mechanism(scene.modelled, coordinates, bar_length)
     layout = scene.modelled._layout if coordinates == "full" else None
     if mechanism.turn is not None and scene.layout.quantities.keys() & set(MASSES):
@@ -272,7 +304,10 @@ def scene_mechanism(
 def build_mechanism(
     structure: Structure, coordinates: Coordinates, bar_length: BarLength = "current"
 ) -> Mechanism:
-    """Return the matrices of a structure in "reduced" or "full" coordinates; `bar_length`: what λ̂ divides by."""
+    """Build the matrices of a structure in one coordinate set.
+
+    `bar_length` selects the denominator of λ̂.
+    """
     constant = bar_length == "constant"
     if coordinates == "reduced":
         n = len(structure.nodes)
@@ -307,8 +342,7 @@ def build_mechanism(
     n = split.N.shape[1]
     first = np.unique(split.physical, return_index=True)[1]
     free = np.ones((n, 3), dtype=bool)
-    # Supports that NP = D cannot say: a column each, for some axes, then one for each roller along
-    # other directions.
+    # Supports that N P = D cannot express have a column each: single axes, then inclined rollers.
     fixed, inclined = structure.fixed, np.array(list(structure.rollers), dtype=np.intp)
     partly = np.flatnonzero(fixed.any(axis=1) & ~fixed.all(axis=1))
     held = np.concatenate([partly, inclined])
@@ -329,7 +363,7 @@ def build_mechanism(
         else None
     )
     C_b = sp.csr_array(split.C_b @ split.C_nb)
-    # A pinned string node may have no mass; it never moves, so any mass gives the same motion.
+    # A pinned string node may have no mass. It never moves, so any mass is equivalent.
     diagonal = split.M_s.diagonal()
     inverse = (
         block_inverse(
@@ -358,7 +392,10 @@ def build_mechanism(
 
 
 def _across_rollers(structure: Structure) -> tuple[Any, sp.csr_array]:
-    """Return which local coordinates are free (n, 3), those across rollers are not, and the matrix `Mechanism.turn`."""
+    """Find the free local coordinates (n, 3) and `Mechanism.turn`.
+
+    Coordinates across rollers are not free.
+    """
     free, frames = ~structure.fixed, [np.eye(3)] * len(structure.nodes)
     for node, normals in structure.rollers.items():
         free[node], frames[node] = np.arange(3) >= len(normals), _frame(normals)
@@ -371,7 +408,10 @@ def _free_mass(M: Any, turn: Any, index: Indices) -> sp.csr_array:
 
 
 def _coupled_inverse(M: Any, turn: sp.csr_array, index: Indices) -> tuple[sp.csr_array, ...]:
-    """Return M⁻ for each pair of axes, on the free local coordinates."""
+    """Compute M⁻ for each pair of axes.
+
+    It acts on the free local coordinates.
+    """
     inner = _free_mass(M, turn, index)
     free = sp.csr_array(turn[:, index])
     wide = drop_rounding(free @ block_inverse(inner, np.ones(len(index), bool)) @ free.T)
@@ -385,6 +425,9 @@ def _turned(matrix: Any, vector: Any) -> Any:
 
 
 def _frame(normals: Normals) -> Array:
-    """Return an orthonormal basis (3×3), as columns, that begins with one or two orthonormal directions."""
+    """Complete one or two orthonormal directions to a basis (3×3).
+
+    The basis vectors are its columns.
+    """
     directions = np.array(normals)
     return np.column_stack([*directions, *np.linalg.svd(directions)[2][len(directions) :]])

@@ -1,4 +1,4 @@
-"""A scene as CasADi Functions: equation of motion, power and multipliers."""
+"""Model: a scene as CasADi Functions."""
 
 from __future__ import annotations
 
@@ -23,37 +23,37 @@ from tenscasadi.util.compile import compile_function
 class Model(Observations):
     """The equations of motion of a `Scene` as CasADi Functions.
 
-    The state x holds positions and velocities, each node by node, and a clock where loads depend on
-    time. The control u has one entry for each parent string (`ForceDensity`, N/m, or `RestLength`,
-    m), or none.
+    The state x contains positions and velocities, each node by node, and a clock if loads depend on
+    time. The control u has one entry for each parent string (`ForceDensity` [N/m] or `RestLength`
+    [m]), or none.
 
     Parameters
     ----------
     scene : Scene
         Structure, control and loads.
     coordinates : {"reduced", "full"}
-        Coordinates of the state. "reduced": physical nodes that are free to move, so that joints
-        and pins cannot drift. "full": the paper's class-one nodes, whose joints and pins are kept
+        Coordinates of the state. "reduced": free coordinates of physical nodes, so that joints and
+        pins cannot drift. "full": the paper's class-one nodes, whose joints and pins are enforced
         by the multipliers Ω.
     bar_length : {"current", "constant"}
-        The square that λ̂ divides by. "current": bᵀb. "constant": l² as the paper prints it, for
-        comparison; errors of length then grow exponentially.
+        Squared length in the denominator of λ̂. "current": bᵀb. "constant": l² as in the paper, for
+        comparison; length errors then grow exponentially.
 
     Raises
     ------
     TypeError
         If `scene` is no `Scene`.
     ValueError
-        If an option is unknown, `bar_length` is "constant" where bars meet or are pinned in reduced
-        coordinates, or a bar is more than 1e12 times as heavy as another, or nothing depends on one
-        of the scene's parameters.
+        If an option is unknown, a bar is more than 1e12 times as heavy as another, or a parameter
+        has no effect; or if `bar_length` is "constant" in reduced coordinates and bars meet or are
+        pinned.
 
     Warns
     -----
     RedundantConstraints
-        If bars and joints constrain the initial shape more often than once.
+        If the constraints of bars and joints are redundant in the initial shape.
     UserWarning
-        If a parameter does no more than set the default control, such as the stiffness under
+        If a parameter only affects the default control, such as the stiffness under
         ``control=ForceDensity()``.
 
     See Also
@@ -62,16 +62,16 @@ class Model(Observations):
 
     Notes
     -----
-    The equations are Eqs. 58-95 of the paper. Reduced coordinates couple all bars that hang
-    together: long chains of joined bars, from a hundred on, are cheaper in full coordinates.
+    The equations are Eqs. 58-95 of the paper. Reduced coordinates couple all connected bars. Chains
+    of about a hundred connected bars or more are cheaper in full coordinates.
 
-    Where the scene has `Parameters`, all Functions take their values p as one more input after u:
-    they are (x, u, p). `parameters` names the entries of p, and `stacked` gives Functions in the
-    form (x, w), w = (u, p), that integrators use.
+    If the scene has `Parameters`, all Functions have their values p as an additional input after u:
+    they are (x, u, p). `parameters` names the entries of p. `stacked` converts Functions to the
+    form (x, w) with w = (u, p), which integrators use.
 
     Sizes are `nx` (state), `nq` (positions in it), `nu` (control), `np` (parameters) and `nw` =
-    `nu` + `np`; `structure` is the structure with its strings subdivided as the scene says,
-    `mechanism` holds its constant matrices.
+    `nu` + `np`. `structure` is the structure with subdivided strings, and `mechanism` contains its
+    constant matrices.
 
     Examples
     --------
@@ -96,7 +96,7 @@ class Model(Observations):
             check_parameters(self)
 
     def fixed(self, parameters: Any = None) -> Model:
-        """Return the model without parameters whose scene has their values as its constants.
+        """Fix the parameters as constants of a copy.
 
         Parameters
         ----------
@@ -106,7 +106,7 @@ class Model(Observations):
         Returns
         -------
         Model
-            The same equations, built anew and compiled on their own.
+            The same equations, with Functions of its own.
         """
         p = self.parameters.values(parameters)
         if not self.np:
@@ -119,8 +119,7 @@ class Model(Observations):
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # Copies and other processes build the Functions anew: these are larger than the scene that
-        # they come from.
+        # Copies and other processes rebuild the Functions, which are larger than the scene.
         return _rebuild, (
             type(self),
             self.scene,
@@ -132,16 +131,16 @@ class Model(Observations):
 
     @cached_property
     def ode(self) -> ca.Function:
-        """Right-hand side of the equation of motion: Function "ode" (x, u) → xdot, or (x, u, p) → xdot where there are parameters.
+        """Right-hand side of the equation of motion.
 
-        It is self-contained and differentiable: any CasADi tool can use it.
+        Function "ode" (x, u) → xdot, or (x, u, p) → xdot with parameters. It is self-contained and
+        differentiable, so any CasADi tool can use it.
         """
         x, u = self.symbols(self.mechanism.unrolled)
         N, V, time = self.unpack(x)
         A, _, _ = forward_dynamics(self, N, V, u, time)
         rate = [self.pack(V, A, 1)]
-        # Of vector operations cse would share the zeros too that each product starts from, and copy
-        # them.
+        # In vector expressions cse would also share the initial zeros of products, and copy them.
         return self._function(
             "ode", x, u, ca.cse(rate) if self.mechanism.unrolled else rate, ["xdot"]
         )
@@ -163,9 +162,10 @@ class Model(Observations):
 
     @cached_property
     def power(self) -> ca.Function | None:
-        """Power of all forces that `energy` does not hold: Function "power" (x, u) → W; None where there are none.
+        """Power of all forces that are not in `energy`.
 
-        A jump of the control changes the energy at once, which is not in the power.
+        Function "power" (x, u) → power [W]; None if there are no such forces. A jump of the control
+        changes the energy instantly, which is not included.
         """
         if self.conservative:
             return None
@@ -174,7 +174,7 @@ class Model(Observations):
         mech = self.weighted(u, inverse=False)
         if self._supports is None:
             push = forces.total(self.scene, mech, N, V, self.add_schedule(u, time), time)
-        else:  # with the reactions of the supports, which work too: all that moves the mass
+        else:  # total force including support reactions, which also do work
             push = ca.mtimes(forward_dynamics(self, N, V, u, time)[0], sparse(mech.M))
         slope = ca.DM(0)
         if self.schedule is None:
@@ -187,7 +187,12 @@ class Model(Observations):
 
     @cached_property
     def multiplier_function(self) -> ca.Function:
-        """Multipliers of bars and joints: Function "multipliers" (x, u) → λ (β), N/m, and Ω (3×c), N; see `multipliers`."""
+        """CasADi Function of the multipliers.
+
+        "multipliers" (x, u) → λ (β) [N/m] and Ω (3×c) [N].
+
+        λ belongs to bars, Ω to joints; see `multipliers`.
+        """
         x, u = self.symbols(self.mechanism.unrolled)
         N, V, time = self.unpack(x)
         A, lam, omega = forward_dynamics(self, N, V, u, time)
@@ -204,7 +209,7 @@ class Model(Observations):
     # --- numbers in, numbers out ---
 
     def multipliers(self, x: Any, u: Any = None, parameters: Any = None) -> Multipliers:
-        """Return the force densities of bars and the forces in joints and pins.
+        """Compute the force densities of bars and the joint forces.
 
         Parameters
         ----------
@@ -220,12 +225,12 @@ class Model(Observations):
         Multipliers
             λ̂ and Ω in the paper's signs (Eqs. 85, 87). The columns of Ω are those of
             `structure.class_one().P`, then one for each node that is pinned along some axes only,
-            then one for each roller along other directions. CasADi (MX) where x or u is.
+            then one for each inclined roller. They are CasADi (MX) if x or u is.
 
         Notes
         -----
-        Where constraints are redundant many multipliers give the same motion: these are the
-        smallest, in scaled rows.
+        With redundant constraints the multipliers are not unique. These have the smallest norm in
+        scaled rows.
         """
         arguments = self.arguments(x, u, parameters)
         if any(
@@ -242,14 +247,14 @@ class Model(Observations):
         )
 
     def describe(self) -> TermCounts:
-        """Count the instructions that each term of the scene adds to the right-hand side.
+        """Count the instructions of each term of the right-hand side.
 
         Returns
         -------
         TermCounts
-            A dictionary from the name of a term to its instructions, with their ``"total"``; prints
-            as a table. Its `advice` tells where the multipliers of long chains of joined bars cost
-            less in full coordinates.
+            Dictionary from the name of a term to its instructions, with their ``"total"``; prints
+            as a table. Its `advice` states whether full coordinates are cheaper, as for long chains
+            of bars.
         """
         return count_terms(self, self.ode)
 
@@ -257,7 +262,7 @@ class Model(Observations):
 def _rebuild(
     kind: type[Model], scene: Scene, coordinates: Coordinates, bar_length: BarLength
 ) -> Model:
-    """Build a model that was built before, and warned then."""
+    """Build a copy of a model without repeating its warnings."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return kind(scene, coordinates, bar_length)

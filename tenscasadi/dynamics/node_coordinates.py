@@ -1,4 +1,4 @@
-"""Conversion between states and nodes: how x holds the columns of N and V."""
+"""Conversion between states x and nodes N, V."""
 
 from __future__ import annotations
 
@@ -14,9 +14,12 @@ from tenscasadi.util.validate import Array, finite_array, rows_of_size
 
 
 class NodeCoordinates:
-    """Positions, velocities and clock in a state, and the motion of supports.
+    """Positions, velocities and clock in a state; support motion.
 
-    Attributes: nq and nx are the sizes of the positions and of the state.
+    Attributes
+    ----------
+    nq, nx : int
+        Sizes of the positions and of the state.
     """
 
     schedule: ControlSchedule | None = None  # control over time that u is added to
@@ -38,14 +41,16 @@ class NodeCoordinates:
     # --- numbers ---
 
     def state(self, nodes: Any, velocities: Any = None) -> Array:
-        """Return the state of given nodes and velocities; its clock is 0.
+        """Build the state of given nodes and velocities.
+
+        Its clock is 0.
 
         Parameters
         ----------
         nodes : array_like, shape (n, 3)
-            Positions of the physical nodes, those inside subdivided strings included, m.
+            Positions of the physical nodes, including those inside subdivided strings [m].
         velocities : array_like, shape (n, 3), optional
-            Their velocities, m/s; at rest if None. Moved supports keep their own motion.
+            Velocities [m/s]; at rest if None. Moving supports keep their own velocities.
 
         Returns
         -------
@@ -55,7 +60,7 @@ class NodeCoordinates:
         Raises
         ------
         ValueError
-            If a pinned coordinate is elsewhere or moves.
+            If a pinned coordinate is displaced or moves.
         """
         n = len(self.structure.nodes)
         positions = finite_array("nodes", nodes, (n, 3))
@@ -66,7 +71,7 @@ class NodeCoordinates:
         )
         if self._supports is not None:
             speeds = speeds.copy()
-            speeds[self._moved] = self._supports(0.0)[1].full().T  # theirs, whatever is given
+            speeds[self._moved] = self._supports(0.0)[1].full().T  # supports override
         self._check_supports(positions, speeds)
         columns = self.mechanism.physical
         x = np.zeros(self.nx)
@@ -78,7 +83,7 @@ class NodeCoordinates:
         return x
 
     def _check_supports(self, positions: Array, speeds: Array) -> None:
-        """Raise ValueError where nodes (n, 3) or velocities (n, 3) leave pins or rollers."""
+        """Check that nodes and velocities (n, 3) satisfy the supports."""
         structure, fixed = self.structure, self.structure.fixed.copy()
         fixed[self._moved] = False
         size = np.ptp(structure.nodes, axis=0).max(initial=0.0)
@@ -99,7 +104,7 @@ class NodeCoordinates:
                     )
 
     def nodes(self, x: Any) -> Any:
-        """Return the positions of physical nodes.
+        """Compute the positions of physical nodes.
 
         Parameters
         ----------
@@ -114,7 +119,7 @@ class NodeCoordinates:
         return self._physical(x, 0, self.mechanism.N.T)
 
     def velocities(self, x: Any) -> Any:
-        """Return the velocities of physical nodes.
+        """Compute the velocities of physical nodes.
 
         Parameters
         ----------
@@ -131,14 +136,21 @@ class NodeCoordinates:
     # --- expressions ---
 
     def split(self, x: Any) -> tuple[Any, Any, Any]:
-        """Return positions (nq), velocities (nq) and clock (1 or 0) of states: views of arrays (…, nx), rows of CasADi matrices (nx, …)."""
+        """Split states into positions, velocities and clock.
+
+        Their sizes are nq, nq, and 1 or 0. They are views of arrays (…, nx), or rows of CasADi
+        matrices (nx, …).
+        """
         parts = slice(self.nq), slice(self.nq, 2 * self.nq), slice(2 * self.nq, self.nx)
         if isinstance(x, np.ndarray):
             return x[..., parts[0]], x[..., parts[1]], x[..., parts[2]]
         return x[parts[0], :], x[parts[1], :], x[parts[2], :]
 
     def unpack(self, x: Any) -> tuple[Any, Any, Any]:
-        """Return N, m, and V, m/s, (3×n, the columns of `mechanism`) and the time, s, of a CasADi state."""
+        """Compute N, V and time of a CasADi state.
+
+        N and V are (3×n), in the columns of `mechanism`.
+        """
         start, (q, v, clock) = self.mechanism.N.T, self.split(x)
         time = clock if self.has_clock else 0
         N, V = self._place(q, start), self._place(v, np.zeros_like(start))
@@ -147,7 +159,12 @@ class NodeCoordinates:
         return N, V, time
 
     def targets(self, time: Any) -> tuple[Any, Any, Any]:
-        """Return D of N P = D, m, and its first two rates (3×c) at a time, s: joints, pins and moved supports of full coordinates."""
+        """Compute D of N P = D and its rates.
+
+        Units are m, m/s and m/s².
+
+        They are (3×c), for joints, pins, and moving supports in full coordinates.
+        """
         mech = self.mechanism
         still = ca.DM.zeros(*mech.D.shape)
         if self._supports is None or not mech.joints:
@@ -155,7 +172,7 @@ class NodeCoordinates:
         held = mech.P.toarray()
         alone = (np.count_nonzero(held, axis=0) == 1) & mech.active.all(
             axis=0
-        )  # columns of P that pin one of a node's copies alone
+        )  # columns of P that pin a single copy of a node
         pinned = mech.physical[abs(held).argmax(axis=0)]
         columns = [int(np.flatnonzero(alone & (pinned == node))[0]) for node in self._moved]
         sign = ca.DM(held[:, columns].sum(axis=0)).T
@@ -178,7 +195,12 @@ class NodeCoordinates:
         return ca.reshape(self.mechanism.world(vector), 3, len(elsewhere))
 
     def pack(self, upper: Any, lower: Any, clock: Any) -> Any:
-        """Return the state (nx) of two 3×n matrices and, where there is a clock, its entry: the inverse of `unpack`, also for rates of change."""
+        """Build the state (nx) of two matrices and clock.
+
+        The matrices are 3×n.
+
+        It is the inverse of `unpack`, also for rates of change.
+        """
         free = self._free.tolist()
         parts = [
             self.mechanism.local(ca.vec(matrix))[free]
@@ -189,9 +211,12 @@ class NodeCoordinates:
         return ca.densify(ca.vertcat(*parts, *([clock] if self.has_clock else [])))
 
     def support_accelerations(self, time: Any) -> Any:
-        """Return the accelerations (3×n), m/s², of supports that are moved in reduced coordinates, where P does not hold them; else zero."""
+        """Compute the accelerations (3×n) of moving supports [m/s²].
+
+        They are zero in full coordinates, where P holds the supports.
+        """
         if self._supports is None or self.coordinates == "full":
-            return ca.DM(*self.mechanism.N.shape)  # without entries: adds no instructions
+            return ca.DM(*self.mechanism.N.shape)  # sparse zero: adds no instructions
         moved = type(time).zeros(*self.mechanism.N.shape)
         moved[:, self._moved] = self._supports(time)[2]
         return moved
@@ -215,7 +240,7 @@ class NodeCoordinates:
 
 
 def check_column(name: str, value: Any, size: int) -> Any:
-    """Check a column of CasADi's, or convert an array (size,) to one."""
+    """Check a CasADi column, or convert an array (size,)."""
     if not isinstance(value, (ca.SX, ca.MX)):
         return ca.DM(finite_array(name, value, (size,)))
     if value.shape != (size, 1):

@@ -1,4 +1,4 @@
-"""Quantities of a state: nodes, forces of strings, energies, errors of constraints."""
+"""Observable quantities of a state: nodes, forces, energies, constraint errors."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ class Energy(NamedTuple):
     Attributes
     ----------
     kinetic : float
-        Energy of motion, J.
+        Kinetic energy [J].
     elastic : float
-        Energy of taut strings and of the ground's springs, J.
+        Energy of taut strings and of the ground's springs [J].
     gravity : float
-        Energy in gravity, J; zero with all mass at the origin, and where gravity changes over time.
+        Potential energy of gravity [J]; zero with all mass at the origin, or if gravity varies.
 
     Examples
     --------
@@ -40,7 +40,7 @@ class Energy(NamedTuple):
 
     @property
     def total(self) -> float:
-        """The sum of all three, J."""
+        """Sum of all three [J]."""
         return self.kinetic + self.elastic + self.gravity
 
 
@@ -49,15 +49,15 @@ def _kinetic_energy(mech: Mechanism, V: Any) -> Any:
 
 
 class Observations(StateSpace):
-    """Quantities of a state as CasADi Functions, and in numbers."""
+    """Observable quantities as CasADi Functions and as numbers."""
 
     @cached_property
     def observe(self) -> ca.Function:
-        """All that can be observed at a state: Function "observe" (x, u) → seven outputs.
+        """Function "observe" (x, u) → seven observable quantities.
 
-        They are ``nodes``, m, and ``velocities``, m/s, (3n, node by node), ``force_density``, N/m,
-        and ``tension``, N, of the modelled strings (α), ``energy`` (kinetic, elastic, gravity, J),
-        ``bar_length_error`` and ``joint_error``, m.
+        They are ``nodes`` [m] and ``velocities`` [m/s] (3n, node by node), ``force_density`` [N/m]
+        and ``tension`` [N] of the modeled strings (α), ``energy`` (kinetic, elastic, gravity [J]),
+        ``bar_length_error``, and ``joint_error`` [m].
         """
         x, u = self.symbols(not self.mechanism.large)
         N, V, time = self.unpack(x)
@@ -81,7 +81,7 @@ class Observations(StateSpace):
 
     @cached_property
     def energy_function(self) -> ca.Function:
-        """Total energy: Function "energy" (x, u) → J, without the rest of `observe`."""
+        """Function "energy" (x, u) → total energy [J]."""
         x, u = self.symbols(not self.mechanism.large)
         energy = ca.sum1(self.stacked(self.observe)(x, u)[self.observe.index_out("energy")])
         return self._function("energy", x, u, [energy], ["energy"])
@@ -89,7 +89,7 @@ class Observations(StateSpace):
     # --- numbers in, numbers out ---
 
     def force_density(self, x: Any, u: Any = None, parameters: Any = None) -> Any:
-        """Return the force densities γ of the modelled strings.
+        """Compute the force densities γ of the modeled strings.
 
         Parameters
         ----------
@@ -103,12 +103,12 @@ class Observations(StateSpace):
         Returns
         -------
         ndarray, shape (α,), or CasADi column
-            Tension divided by length, N/m (Eq. 99); CasADi where x or u is.
+            Tension divided by length [N/m] (Eq. 99); CasADi if x or u is.
         """
         return self._observed("force_density", x, u, parameters)
 
     def tension(self, x: Any, u: Any = None, parameters: Any = None) -> Any:
-        """Return the tensions of the modelled strings.
+        """Compute the tensions of the modeled strings.
 
         Parameters
         ----------
@@ -122,12 +122,12 @@ class Observations(StateSpace):
         Returns
         -------
         ndarray, shape (α,), or CasADi column
-            Tensions, N; CasADi where x or u is.
+            Tensions [N]; CasADi if x or u is.
         """
         return self._observed("tension", x, u, parameters)
 
     def energy(self, x: Any, u: Any = None, parameters: Any = None) -> Energy:
-        """Return kinetic, elastic and gravity energy.
+        """Compute kinetic, elastic and gravity energy.
 
         Parameters
         ----------
@@ -141,13 +141,13 @@ class Observations(StateSpace):
         Returns
         -------
         Energy
-            The three energies, J; CasADi where x or u is. Strings driven by force density store
-            none.
+            The three energies [J]; CasADi if x or u is. Strings under force-density control store
+            no energy.
         """
         return Energy(*self._scalars("energy", x, u, parameters))
 
     def bar_length_error(self, x: Any) -> Any:
-        """Return the largest relative error of a bar's length.
+        """Compute the largest relative error of bar lengths.
 
         Parameters
         ----------
@@ -157,12 +157,12 @@ class Observations(StateSpace):
         Returns
         -------
         float, or CasADi scalar
-            The largest | |b| − l | / l over the bars; 0 is exact.
+            Maximum of | |b| − l | / l over the bars.
         """
         return self._scalars("bar_length_error", x)[0]
 
     def joint_error(self, x: Any) -> Any:
-        """Return the largest distance of a joint or pin from its place.
+        """Compute the largest position error of joints and pins.
 
         Parameters
         ----------
@@ -172,13 +172,13 @@ class Observations(StateSpace):
         Returns
         -------
         float, or CasADi scalar
-            The largest entry of | N P − D |, m; 0 in reduced coordinates.
+            Maximum of | N P − D | [m]; 0 in reduced coordinates.
         """
         return self._scalars("joint_error", x)[0]
 
     @property
     def conservative(self) -> bool:
-        """Whether no force outside `energy` does work while the control stands still."""
+        """Whether all forces are conservative under constant control."""
         return self.schedule is None and forces.is_conservative(self.scene)
 
     # --- expressions ---

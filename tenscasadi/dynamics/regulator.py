@@ -1,4 +1,4 @@
-"""Linear-quadratic regulators along a trajectory, by Riccati's recursion."""
+"""Linear-quadratic regulators along a trajectory, by the Riccati recursion."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from tenscasadi.util.validate import Array
 def plan_gains(
     model: Model, states: Array, controls: Array, lengths: Array, together: Array
 ) -> Array:
-    """Compute gains G (K, m, nx) of the feedback together (α, m) @ (c − G δx) along a trajectory.
+    """Compute gains G (K, m, nx) along a trajectory.
 
-    It keeps to states (K + 1, nx) under controls (K, α) in intervals of `lengths` (K,) [s]. A
-    departure of a hundredth of the structure's size costs as much as one of a tenth of the mean
-    control, and as ten such in the duration. Raises LinAlgError or ValueError where departures
-    grow too fast.
+    The control is together (α, m) @ (c − G δx). It tracks states (K + 1, nx) under controls (K, α)
+    in intervals of `lengths` (K,) [s]. The weights follow Bryson's rule: deviations of 1 % of the
+    structure's size, of ten such per duration, and of a tenth of the mean control cost the same.
+    Raises LinAlgError or ValueError if deviations grow too fast.
     """
     size = 0.01 * float(np.linalg.norm(np.ptp(model.structure.nodes, axis=0)))
     position, speed, clock = model.split(np.ones(model.nx))
@@ -37,10 +37,11 @@ def plan_gains(
 def riccati_gains(
     A: Array, B: Array, Z: Sequence[Array], C: Sequence[Array], P: Array, R: Array
 ) -> Array:
-    """Compute the feedback (K, α, nx) of the least Σ |C Zᵀδx|² + δuᵀ R δu plus terminal cost P.
+    """Compute LQR gains (K, α, nx) by the Riccati recursion.
 
-    A, B (K, ·, ·): steps. Z (K + 1): bases of the changes of a state that are allowed. C (K + 1):
-    weighted outputs, in these coordinates.
+    They minimize Σ |C Zᵀδx|² + δuᵀ R δu plus the terminal cost P. A, B (K, ·, ·) are the steps, Z
+    (K + 1) bases of the admissible changes of a state, and C (K + 1) weighted outputs in these
+    bases.
     """
     gains = np.zeros((len(A), B.shape[2], A.shape[1]))
     for k in reversed(range(len(A))):

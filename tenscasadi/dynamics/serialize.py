@@ -1,4 +1,7 @@
-"""A model as arrays by name, as files hold them, and back; functions of time cannot be stored."""
+"""Conversion of models to named arrays, and back.
+
+Functions of time cannot be stored.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +35,7 @@ _MORE_INDICES = ["grounds", "ground.nodes", "rollers.nodes", "forces.bars"]
 _TEXTS = dict.fromkeys(["ends", "functions", "slack.laws", "parameters"], "U")
 _KINDS = (
     dict.fromkeys([*_INDICES.split(), *_MORE_INDICES], "i") | {"fixed": "b"} | _TEXTS
-)  # NumPy's letters; others: real numbers
+)  # NumPy's kinds; all others are real numbers
 _DIMENSIONS = {"fixed": 2, "bars": 2, "strings": 2, "layout.physical": 1, "layout.tied": 0}
 _LATER = (
     "grounds",
@@ -41,13 +44,16 @@ _LATER = (
     "pressure.times",
     "forces.bars",
     "parameters",
-)  # of a scene: not in files of version 0.1
+)  # fields of a scene that files of version 0.1 lack
 _CONTROLS = {type(control).__name__: control for control in (ForceDensity(), RestLength(), None)}
-_NOTHING = np.zeros(0)  # stands for None
+_NOTHING = np.zeros(0)  # represents None
 
 
 def structure_to_arrays(structure: Structure) -> dict[str, Array]:
-    """Return all that tells a structure, by name, also what `subdivide` and `from_matrices` leave in it."""
+    """Convert a structure to named arrays.
+
+    They include the results of `subdivide` and `from_matrices`.
+    """
     layout = structure._layout
     ties = layout.P.tocoo()
     content = {
@@ -67,7 +73,10 @@ def structure_to_arrays(structure: Structure) -> dict[str, Array]:
 
 
 def structure_from_arrays(content: Content) -> Structure:
-    """Return the structure of `structure_to_arrays`; files from before there were layouts have the default one. Raises ValueError."""
+    """Restore the structure of `structure_to_arrays`. Raises ValueError.
+
+    Old files without a layout have the default one.
+    """
     given = _checked(Fields(content).within("structure."))
     pinned = {
         int(node): "".join(np.array(list("xyz"))[axes])
@@ -112,7 +121,10 @@ def structure_from_arrays(content: Content) -> Structure:
 
 
 def model_to_arrays(model: Model, times: Array) -> dict[str, Array]:
-    """Return all that the motion under force densities or rest lengths depends on, by name; of functions of time their values at `times` (K,), s."""
+    """Convert a model to named arrays.
+
+    Functions of time are sampled at `times` (K,) [s].
+    """
     scene = model.scene
     gravity, pressure, forces, supports = (
         scene.gravity,
@@ -172,16 +184,17 @@ def model_to_arrays(model: Model, times: Array) -> dict[str, Array]:
 
 
 def model_from_arrays(content: Content) -> Model | None:
-    """Return the model of `model_to_arrays`, under force densities in files of older versions, None where it has functions of time or is not there.
+    """Restore the model of `model_to_arrays`. Raises ValueError.
 
-    Raises ValueError.
+    Older files have force-density control. Returns None if there are functions of time, or no
+    model.
     """
     if "model.coordinates" not in content or content["scene.functions"].size:
         return None
     told = _checked(Fields(content).within("scene."))
     for name in (
         _LATER if any(name in told for name in _LATER) else ()
-    ):  # what has lost a field must not pass for an older file
+    ):  # a file with a missing field must not count as an older one
         told[name]
 
     def some(name: str, build: Callable[[Any], Any]) -> Any:
@@ -225,7 +238,10 @@ def model_from_arrays(content: Content) -> Model | None:
 
 
 def find_differences(content: Content, model: Model) -> list[str]:
-    """Return in what `model` differs from the one of `model_to_arrays`, such as "Structure.bar_mass"; of older files in what they hold."""
+    """List fields in which a model differs from stored arrays.
+
+    An example is "Structure.bar_mass". Fields that older files lack are ignored.
+    """
     own = model_to_arrays(model, content.get("scene.clock", _NOTHING))
     told = own.keys() & content.keys() - {"scene.clock", "scene.functions"}
     return [
@@ -262,7 +278,7 @@ def _parameters_from_text(lines: list[str]) -> Parameters:
 
 
 def _checked(given: Fields) -> Fields:
-    """Return the same, once every field is known to hold numbers, indices, flags or text, as it should. Raises ValueError."""
+    """Check the types of all fields. Raises ValueError."""
     for name, value in given.items():
         if value.shape != _NOTHING.shape or name in _DIMENSIONS:
             known = re.sub(r"^ground\d+\.", "ground.", name)
@@ -278,7 +294,7 @@ def _ground_to_arrays(prefix: str, ground: Surface | None) -> dict[str, Any]:
 
 
 def _grounds_from_arrays(told: Fields) -> list[Surface]:
-    """Return the grounds; files from before there could be several do not tell how many there are."""
+    """Restore the grounds; older files have at most one."""
     grounds: list[Surface] = []
     for k in range(
         told["grounds"].item() if "grounds" in told else int(told["ground.stiffness"].size > 0)
@@ -305,7 +321,10 @@ def _indices(name: str, given: Content, shape: tuple[int, ...], count: int) -> I
 
 
 def _laws_to_array(scene: Scene) -> list[str] | None:
-    """Return the law of each string as text; None where one of the kinds that older files know holds for all."""
+    """Convert the law of each string to text.
+
+    Returns None if one law that older files support applies to all strings.
+    """
     laws = (
         (scene.slack,) * len(scene.structure.strings)
         if isinstance(scene.slack, StringLaw)
@@ -341,7 +360,10 @@ def _pressure(faces: Any, values: Array, times: Array | None) -> Pressure:
 def _load_to_arrays(
     name: str, load: OverTime | None, shape: tuple[int, ...], times: Array
 ) -> dict[str, Any]:
-    """Return the values of a load, or those that its function has at `times` (K,), and the times of its table."""
+    """Sample a load at `times` (K,).
+
+    The result includes the times of its table.
+    """
     if load is None:
         return {name: None, f"{name}.times": None}
     values = load.quantity

@@ -1,4 +1,4 @@
-"""States and inputs of a scene: initial values, checks, constraints."""
+"""States and inputs of a scene."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ Kept = TypeVar("Kept")
 
 
 class Constraints(NamedTuple):
-    """Residuals of the constraints at a state, and their rates of change: zero where bars and joints are kept.
+    """Constraint residuals at a state, and their rates.
 
     Attributes
     ----------
     bars : ndarray, shape (β,), or CasADi column
-        (bᵀb − l²)/(2 l) of each bar, m: how much it is too long, to first order.
+        (bᵀb − l²)/(2 l) of each bar [m]: its excess length to first order.
     bar_rates : ndarray, shape (β,), or CasADi column
         bᵀḃ/l of each bar, m/s.
     joints : ndarray, shape (k,), or CasADi column
-        N P − D along each axis that a joint or pin holds, m; empty in reduced coordinates.
+        N P − D along each constrained axis of joints and pins [m]; empty in reduced coordinates.
     joint_rates : ndarray, shape (k,), or CasADi column
         V P − Ḋ along the same axes, m/s.
 
@@ -59,7 +59,7 @@ class Constraints(NamedTuple):
 
 
 class StateSpace(NodeCoordinates):
-    """States and controls of a scene in one of the two coordinates."""
+    """States and controls of a scene in one coordinate set."""
 
     def __init__(
         self, scene: Scene, coordinates: Coordinates = "reduced", bar_length: BarLength = "current"
@@ -85,7 +85,10 @@ class StateSpace(NodeCoordinates):
 
     @cached_property
     def initial_state(self) -> Array:
-        """State (nx,) of the structure's nodes at rest, or at the velocities nearest to rest that moved supports leave possible."""
+        """State (nx,) of the structure's nodes at rest.
+
+        With moving supports, the velocities are the smallest that satisfy the constraints.
+        """
         inputs = np.concatenate([self.initial_control, self.parameters.nominal])
         return read_only(self._at_rest(inputs))  # type: ignore[no-any-return]
 
@@ -99,11 +102,14 @@ class StateSpace(NodeCoordinates):
 
     @cached_property
     def initial_control(self) -> Array:
-        """Control (nu,) that leaves the strings as the structure has them: its rest lengths, m, or their force densities, N/m."""
+        """Control (nu,) that keeps the structure's rest lengths.
+
+        It consists of rest lengths [m], or of the corresponding force densities [N/m].
+        """
         return read_only(self.control_at(self.parameters.nominal))  # type: ignore[no-any-return]
 
     def control_at(self, p: Array) -> Array:
-        """Return the initial control (nu,) of the structure that parameters (np,) make."""
+        """Compute the initial control (nu,) for parameters (np,)."""
         s = self.scene.structure
         if isinstance(self.scene.control, RestLength):
             return self.parameters.item_values("rest_length", p, s.rest_length)
@@ -116,20 +122,26 @@ class StateSpace(NodeCoordinates):
         return np.zeros(0)
 
     def held(self, u: Any = None, parameters: Any = None) -> Array:
-        """Return the held input w (nw,): the control u (nu; None: the initial one), and below it the parameters (None: nominal), checked."""
+        """Stack control and parameters to the checked input w (nw,).
+
+        If they are None, the initial control and nominal parameters are used.
+        """
         p = self.parameters.values(parameters)
         return np.concatenate(
             [self.control_at(p) if u is None else finite_array("u", u, (self.nu,)), p]
         )
 
     def start_at(self, p: Array) -> Array:
-        """Return the initial state (nx,) of the structure that parameters (np,) make: masses share out how moved supports pull."""
+        """Compute the initial state (nx,) for parameters (np,).
+
+        Masses affect the initial velocities if supports move.
+        """
         if self._supports is None or self.mechanism.masses is None:
             return self.initial_state
         return self._at_rest(np.concatenate([self.control_at(p), p]))
 
     def constraints(self, x: Any) -> Constraints:
-        """Return the residuals of bars and joints, and their rates of change.
+        """Compute the constraint residuals and their rates.
 
         Parameters
         ----------
@@ -139,13 +151,13 @@ class StateSpace(NodeCoordinates):
         Returns
         -------
         Constraints
-            Arrays, or CasADi columns where x is CasADi.
+            Arrays, or CasADi columns if x is CasADi.
 
         Notes
         -----
-        ``ca.vertcat(*model.constraints(x))`` are the rows that a free start has to satisfy in a
-        tool for optimal control. Every motion keeps them: imposed at later times too they are
-        redundant, and their gradients linearly dependent with those of the dynamics.
+        In a tool for optimal control, impose ``ca.vertcat(*model.constraints(x))`` on a free
+        initial state only. The dynamics preserve these constraints. At later times they are
+        redundant, and their gradients depend linearly on those of the dynamics.
         """
         value = self.arguments(x, None)[0]
         N, V, time = self.unpack(value)
@@ -165,9 +177,12 @@ class StateSpace(NodeCoordinates):
         return Constraints(*(row.full().ravel() if isinstance(row, ca.DM) else row for row in rows))
 
     def arguments(self, x: Any, u: Any, parameters: Any = None) -> tuple[Any, ...]:
-        """Return x (nx), u (nu; None: the initial control) and, where there are any, p (np; None: nominal) as CasADi values.
+        """Convert state, control and parameters to CasADi values.
 
-        Raises TypeError or ValueError where they are no such.
+        Their sizes are nx, nu and np.
+
+        If they are None, the initial control and nominal parameters are used; p is omitted in
+        models without parameters. Raises TypeError, ValueError.
         """
         symbolic = isinstance(parameters, (ca.SX, ca.MX))
         p = parameters if symbolic else self.parameters.values(parameters)
@@ -198,22 +213,23 @@ class StateSpace(NodeCoordinates):
 
     @property
     def nw(self) -> int:
-        """Size of the held input w: the control u, and below it the parameters p."""
+        """Size of the input w: control u, then parameters p."""
         return self.nu + self.np
 
     # --- CasADi Functions ---
 
     def keep(self, key: Hashable, build: Callable[[], Kept]) -> Kept:
-        """Return a value derived from this model, built at the first call with its key."""
+        """Return the stored value of a key, building it once."""
         if key not in self.functions:
             self.functions[key] = build()
         value: Kept = self.functions[key]
         return value
 
     def stacked(self, function: ca.Function) -> ca.Function:
-        """Return a Function (x, u, p) of this model as one of (x, w), with w the control u and below it the parameters p.
+        """Convert a Function of (x, u, p) to (x, w).
 
-        Integrators know one held input. Without parameters it is the Function itself.
+        Here w is the control u followed by the parameters p. Integrators have one input. Without
+        parameters it is the Function itself.
 
         Parameters
         ----------
@@ -235,13 +251,16 @@ class StateSpace(NodeCoordinates):
             names = ["x", "w"], function.name_out()
             return function, ca.Function(function.name(), [x, w], outputs, *names)
 
-        # Its hash is its place in memory, which no other one may have: the Function is kept, too.
+        # The hash is a memory address. The Function is kept, too, so that the address stays unique.
         return self.keep(("stacked", hash(function)), build)[1]
 
     def _function(
         self, name: str, x: Any, w: Any, outputs: list[Any], names: list[str]
     ) -> ca.Function:
-        """Return the Function (x, u) → outputs, or (x, u, p) where there are parameters, of expressions of x and w."""
+        """Build a Function of x and w with public inputs.
+
+        The inputs are (x, u), or (x, u, p) with parameters.
+        """
         if not self.np:
             return ca.Function(name, [x, w], outputs, ["x", "u"], names)
         stacked = ca.Function(name, [x, w], outputs, ["x", "w"], names)
@@ -259,7 +278,12 @@ class StateSpace(NodeCoordinates):
     # --- expressions ---
 
     def weighted(self, w: Any, inverse: bool = True) -> Mechanism:
-        """Return the mechanism with the masses of the parameters in w = (u, p), a CasADi column; its M⁻ only where `inverse`."""
+        """Insert the masses of w into the mechanism.
+
+        w is (u, p).
+
+        w is a CasADi column. M⁻ is computed only if `inverse`.
+        """
         mechanism, masses = self.mechanism, self.mechanism.masses
         if masses is None:
             return mechanism
@@ -268,6 +292,9 @@ class StateSpace(NodeCoordinates):
         return replace(mechanism, M=masses.mass_matrix(w[self.nu :]), inverse=())
 
     def symbols(self, scalar: bool) -> tuple[Any, Any]:
-        """Return symbols of x and of the held input w, see `nw`: scalars (SX) that unroll, or vectors (MX)."""
+        """Create symbols of x and w.
+
+        They are scalars (SX) or vectors (MX).
+        """
         kind = ca.SX if scalar else ca.MX
         return kind.sym("x", self.nx), kind.sym("u", self.nw)

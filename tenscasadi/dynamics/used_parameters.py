@@ -1,4 +1,4 @@
-"""Parameters on which no motion depends, which are refused by name, or which do no more than set the default control."""
+"""Check that every parameter affects the motion."""
 
 from __future__ import annotations
 
@@ -16,7 +16,10 @@ _BY_CONTROL: dict[type, tuple[tuple[str, ...], str]] = {
 
 
 def check_parameters(model: Any) -> None:
-    """Warn of quantities among a model's parameters that set its default control alone; raise ValueError for those that nothing depends on."""
+    """Reject parameters without effect.
+
+    Warns of parameters that only set the default control. Raises ValueError for others.
+    """
     unused = _unused(model)
     inside, commanded = _BY_CONTROL.get(type(model.scene.control), ((), ""))
     for name in unused:
@@ -34,7 +37,7 @@ def check_parameters(model: Any) -> None:
 
 
 def _unused(model: Any) -> list[str]:
-    """Return the quantities of which no entry of p has a place in the ode."""
+    """Find the quantities that do not enter the ode."""
     places = model.parameters.places
     x, u, one = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu), ca.MX.sym("one", len(places))
     p = ca.vertcat(
