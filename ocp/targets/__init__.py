@@ -1,1 +1,1 @@
-"""The state and the rows that goals lead to, without what bars and momentum keep already."""
+"""Target states of goals, and the constraints that impose them."""

@@ -15,21 +15,31 @@ from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.linear_algebra import independent_rows
 from tenscasadi.util.validate import Array, Indices
 
-# of the strongest direction: below it a row of the goal is not controlled to first order, or by
-# errors of the scheme only
+# relative to the strongest direction: below it a goal row is not controllable to first order, or
+# only through errors of the scheme
 REACHED = 1e-5
-HARDLY_REACHED = 1e-9  # the same, for a second attempt
+HARDLY_REACHED = 1e-9  # the same for a second attempt
 
 
 class ControlSensitivities:
-    """Derivatives of goal rows with respect to the controls of `count` intervals.
+    """Derivatives of goal rows with respect to piecewise constant controls.
 
     They are those of steps of the classical Runge-Kutta method.
 
-    grouping: E (nu, groups) of ones, γ of all strings from those of their control groups
-    (`ocp.transcription.mesh`); None: each string has its own. spans (count,): the span of constant
-    control of each interval, numbered from 0; None: each interval has its own. Given controls are
-    averaged within groups and spans.
+    Parameters
+    ----------
+    model : Model
+        The model.
+    free_duration : bool
+        Whether the duration is a decision variable.
+    substeps : int
+        Steps per interval.
+    grouping : ndarray, shape (nu, groups), or None
+        Matrix E of ones that maps control groups to strings (`ocp.transcription.mesh`). None: each
+        string has its own control.
+    spans : ndarray of int, shape (count,), or None
+        Number of the span of constant control that contains each interval. None: each interval is a
+        span. Given controls are averaged within groups and spans.
     """
 
     def __init__(
@@ -50,7 +60,7 @@ class ControlSensitivities:
         return ArrayFunction(self._model.ode)
 
     def rollout(self, start: Array, controls: Array, duration: float) -> Array:
-        """Simulate the motion under controls (count, nu); NaN from where it diverges.
+        """Simulate under controls (count, nu); NaN after divergence.
 
         Returns the states (count + 1, nx) at the ends of intervals.
         """
@@ -65,16 +75,19 @@ class ControlSensitivities:
         duration: float,
         at: int | None = None,
     ) -> Array:
-        """Compute the gradient (m, spans·groups [+ 1]) of weights (m, ·) @ rows(x).
+        """Compute the gradient of weights @ rows(x).
 
-        It is with respect to all controls, and to the duration where it is free. rows are taken
-        after `at` intervals from `start`, None: all. NaN where the motion diverges.
+        Its shape is (m, spans·groups [+ 1]).
+
+        It is with respect to all controls, and to the duration if it is free. weights are (m, ·).
+        The rows are evaluated after `at` intervals from `start`, or after all if None. NaN if the
+        simulation diverges.
         """
         count, length, groups = len(controls), duration / len(controls), self._grouping.shape[1]
         by_control, by_length = np.zeros((count, len(weights), groups)), np.zeros(len(weights))
         held = self._averaged(controls)[:at]
         states, points = self._simulate(start, held, length)
-        if np.all(np.abs(states) <= 1e20):  # else it has diverged
+        if np.all(np.abs(states) <= 1e20):  # otherwise it has diverged
             last = weights @ _jacobian(rows, states[-1])
             own, by_length = self._sweep_back(last, points, held, length)
             by_control[: len(held)] = own @ self._grouping
@@ -96,7 +109,7 @@ class ControlSensitivities:
         at: int | None = None,
         least: float = REACHED,
     ) -> Array:
-        """Find orthonormal combinations (rank, m) of the rows that the controls can change."""
+        """Find orthonormal combinations (rank, m) of the controllable rows."""
         return independent_rows(self.gradient(rows, weights, start, controls, duration, at), least)
 
     def _averaged(self, controls: Array) -> Array:
@@ -107,10 +120,10 @@ class ControlSensitivities:
         return np.asarray(controls @ self._average)
 
     def _simulate(self, start: Array, controls: Array, length: float) -> tuple[Array, Array]:
-        """Simulate in steps, `substeps` an interval.
+        """Simulate with `substeps` steps per interval.
 
-        Returns the states (count + 1, nx) at the ends of intervals, and the points
-        (4 count substeps, nx) of all stages.
+        Returns the states (count + 1, nx) at the ends of intervals, and the points (4 count
+        substeps, nx) of all stages.
         """
         h, n = length / self._substeps, self._substeps
         points: list[Array] = []
@@ -119,7 +132,7 @@ class ControlSensitivities:
         states[0] = start
         for k, u in enumerate(np.repeat(controls, n, axis=0)):
             x = states[k]
-            for stage in range(4):  # each depends on the one before it only
+            for stage in range(4):  # each stage depends only on the previous one
                 points.append(
                     x if stage == 0 else x + h * CLASSICAL.a[stage][stage - 1] * rates[-1]
                 )
@@ -132,7 +145,7 @@ class ControlSensitivities:
     def _sweep_back(
         self, last: Array, points: Array, controls: Array, length: float
     ) -> tuple[Array, Array]:
-        """Sweep the gradient `last` (m, nx) of the final state back to the controls.
+        """Propagate the final gradient (m, nx) back to the controls.
 
         Returns the derivatives (count, m, nu) with respect to the control of each interval, and
         (m,) with respect to the length of all intervals.
@@ -156,7 +169,7 @@ class ControlSensitivities:
 
 
 def _jacobian(rows: ca.Function, x: Array) -> Array:
-    """Compute the Jacobian (m, nx) of the rows of a Function of x."""
+    """Compute the Jacobian (m, nx) of a Function of x."""
     symbol: Any = (ca.SX if rows.is_a("SXFunction") else ca.MX).sym("x", len(x))
     return np.asarray(
         ca.Function("jacobian", [symbol], [ca.jacobian(rows(symbol), symbol)])(x).full()
@@ -164,6 +177,6 @@ def _jacobian(rows: ca.Function, x: Array) -> Array:
 
 
 def _sum_spans(values: Array, spans: Indices) -> Array:
-    """Sum values (…, count, m) over the intervals of each span."""
+    """Sum values (…, count, m) over each span's intervals."""
     first = np.unique(spans, return_index=True)[1]
     return np.asarray(np.add.reduceat(values, first, axis=-2))

@@ -1,4 +1,4 @@
-"""The rows of a target that the strings can move along a motion."""
+"""Selection of the controllable rows of a target."""
 
 from __future__ import annotations
 
@@ -16,8 +16,11 @@ def drop_uncontrollable_rows(
     duration: float,
     least: float = REACHED,
 ) -> Target:
-    """Return the target without the rows that the strings cannot move, to first order, along the motion under force densities (K, α)."""
-    if not count_rows(target) or target.free_start is not None:  # a free start moves them too
+    """Drop the rows that the controls cannot change.
+
+    The test is to first order along the trajectory under force densities (K, α).
+    """
+    if not count_rows(target) or target.free_start is not None:  # a free start can change them, too
         return target
     intervals = len(force_density)
 
@@ -37,5 +40,5 @@ def drop_uncontrollable_rows(
 
 
 def count_rows(target: Target) -> int:
-    """Count the rows that are imposed at the end and on the way."""
+    """Count the rows imposed at the end and at waypoints."""
     return sum(part.count for _, part, _ in target.instants)

@@ -1,4 +1,8 @@
-"""Distances of nodes in place of lengths that are singular: they fix the shape of a prestressed structure, which its lengths do to second order."""
+"""Distance rows in place of singular length rows.
+
+At a prestressed equilibrium, lengths determine the shape only to second order. Other distances
+determine it to first order.
+"""
 
 from __future__ import annotations
 
@@ -11,12 +15,15 @@ from tenscasadi.util.validate import Array, Indices
 
 
 def all_pairs(count: int) -> Indices:
-    """Return all pairs (m, 2) of so many nodes."""
+    """List all pairs (m, 2) of nodes."""
     return np.column_stack(np.triu_indices(count, 1))
 
 
 def neighbours(structure: Structure) -> Indices:
-    """Return the pairs (m, 2) of nodes that one member joins, or two in a row."""
+    """List pairs of nodes at most two members apart.
+
+    The result is (m, 2).
+    """
     n, members = len(structure.nodes), np.concatenate([structure.bars, structure.strings])
     one = sp.coo_array((np.ones(len(members)), (members[:, 0], members[:, 1])), shape=(n, n))
     steps = sp.csr_array(one + one.T)
@@ -24,7 +31,10 @@ def neighbours(structure: Structure) -> Indices:
 
 
 def squared_distances(nodes: Array, pairs: Indices) -> Array:
-    """Return the squared distances (m,) of pairs (m, 2) of nodes (n, 3)."""
+    """Compute the squared distances (m,) of pairs of nodes.
+
+    Pairs are (m, 2), nodes (n, 3).
+    """
     apart = nodes[pairs[:, 0]] - nodes[pairs[:, 1]]
     return np.asarray((apart * apart).sum(axis=1))
 
@@ -32,10 +42,11 @@ def squared_distances(nodes: Array, pairs: Indices) -> Array:
 def feel(
     nodes: Array, moves: sp.csr_array, directions: Array, pairs: Indices
 ) -> tuple[Array, Array, Indices]:
-    """Find rows that feel directions (ny, k) and no rigid motion, from the distances of pairs (m, 2) or, where these do not tell, of all nodes.
+    """Find distance rows that depend on given directions (ny, k).
 
-    moves: derivative (3n, ny) of the nodes (n, 3). Returns combinations (j, m) of squared
-    distances, their gradients (j, ny), and the pairs.
+    The rows are invariant to rigid motions. They use pairs (m, 2), or all nodes if these are not
+    sufficient. `moves` is the derivative (3n, ny) of the nodes (n, 3). Returns combinations (j, m)
+    of squared distances, their gradients (j, ny), and the pairs.
     """
     moved = (moves @ directions).reshape(len(nodes), 3, -1)
     every = all_pairs(len(nodes))
@@ -55,7 +66,10 @@ def feel(
 
 
 def _felt(nodes: Array, moved: Array, pairs: Indices) -> tuple[Array, Array]:
-    """Return twice the vectors (m, 3) between pairs of nodes, and how fast their squared distances change in each direction (k, m)."""
+    """Compute the derivatives of squared distances along directions.
+
+    Returns twice the vectors (m, 3) between pairs of nodes, and the derivatives (k, m).
+    """
     apart = 2 * (nodes[pairs[:, 0]] - nodes[pairs[:, 1]])
     return apart, np.einsum("ma,mak->km", apart, moved[pairs[:, 0]] - moved[pairs[:, 1]])
 

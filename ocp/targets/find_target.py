@@ -1,4 +1,7 @@
-"""The state that the goals ask for: found before planning, so that what cannot be reached is refused by name."""
+"""Search for the state that meets the goals.
+
+It precedes planning, so that infeasible goals are rejected by name.
+"""
 
 from __future__ import annotations
 
@@ -26,8 +29,8 @@ from tenscasadi.dynamics.linearization import EquationDerivatives
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array, Indices
 
-# of the structure's size: goals given to four digits are met as nearly as the bars allow, beyond
-# they are refused
+# relative to the structure's size: goals of four digits may differ that much from bar lengths;
+# larger violations are rejected
 ROUNDED = 2e-4
 RIGID = ("bar", "joint", "clock")
 
@@ -35,9 +38,11 @@ RIGID = ("bar", "joint", "clock")
 def find_target(
     problem: Problem, scales: Scales, near: Callable[[float], Array] | None = None
 ) -> Target:
-    """Return the target of a problem: the state that meets the goals, nearest to its start or to a motion at the same share of the duration.
+    """Find the target of a problem.
 
-    Raises `InfeasibleGoalError`, naming the goal's row, what stands against it and by how much.
+    It is the state that meets the goals, nearest to the initial state or to `near` at the same
+    fraction of the duration. Raises `InfeasibleGoalError`, which names the goal's row, the reason
+    and the violation.
     """
     waypoints = []
     for share, part in problem.waypoints:
@@ -50,7 +55,7 @@ def find_target(
     if problem.start_goals:
         closed = any(
             goal.shift == (0.0, 0.0, 0.0) for goal in problem.repeating
-        )  # the start is the end
+        )  # the initial state is also the final one
         try:
             _find_end(
                 replace(
@@ -69,7 +74,10 @@ def find_target(
 
 
 def _find_end(problem: Problem, scales: Scales, near: Array | None = None) -> Target:
-    """Find the target at the end of a problem, without its waypoints, from the start or from a state near it."""
+    """Find the target at the end, without waypoints.
+
+    The search starts at the initial state, or at a state near the target.
+    """
     model, start = problem.model, problem.first_state
     finder = _Finder(problem, start, scales)
     if finder.goals.names:
@@ -82,7 +90,10 @@ def _find_end(problem: Problem, scales: Scales, near: Array | None = None) -> Ta
 
 
 def _check_time(problem: Problem, target: Target, seconds: float) -> None:
-    """Refuse a target farther off, by far, than force densities within their limits move nodes in that time."""
+    """Reject targets that the duration and force limits cannot reach.
+
+    Only goals that are much too far away are rejected.
+    """
     model, start = problem.model, problem.first_state
     _, most = problem.force_density_limits
     if (
@@ -97,7 +108,7 @@ def _check_time(problem: Problem, target: Target, seconds: float) -> None:
     fastest = np.max(np.abs(free) + np.abs(by_control) @ most)
     reach = (np.abs(model.split(start)[1]).max() + fastest * seconds) * seconds
     away = np.abs(model.split(target.state - start)[0])
-    if away.max() > 100 * reach:  # accelerations may grow, but not by as much
+    if away.max() > 100 * reach:  # accelerations may increase, but not by this factor
         way = f"{model.mechanism.coordinate_names[np.argmax(away)]} has to move by {away.max():.2g} m in {seconds:.2g} s"
         raise InfeasibleGoalError(
             f"{way}, in which force densities within their limits move it by about {reach:.2g} m: give more time"
@@ -105,7 +116,10 @@ def _check_time(problem: Problem, target: Target, seconds: float) -> None:
 
 
 class _Finder:
-    """The goals and invariants of a problem as rows of y = (x, duration), and the way to a y that meets them."""
+    """Search for y that meets goals and invariants.
+
+    y is (x, duration).
+    """
 
     def __init__(self, problem: Problem, start: Array, scales: Scales) -> None:
         model, self.problem, self.start, self.scales = problem.model, problem, start, scales
@@ -114,7 +128,7 @@ class _Finder:
         self.scale = np.append(scales.state, scales.time)
         N, V, structure = model.nodes(self.x), model.velocities(self.x), model.scene.structure
         self.goals = stack(goal.rows(structure, N, V) for goal in problem.final_goals)
-        # from a free start all momenta can be had
+        # a free start can have any momentum
         self.invariants = [
             rows
             for rows in invariants(model, start, self.x, duration)
@@ -130,7 +144,10 @@ class _Finder:
     # --- the state ---
 
     def find_state(self, near: Array) -> tuple[Array, float]:
-        """Find y at the target near a state, and by how much goals had to be adjusted (m), 0 when they are met."""
+        """Find the target y near a state.
+
+        Also returns the adjustment of goals [m], 0 if they are met.
+        """
         y = np.append(near, self.problem.typical_duration)
         rigid = [k for k, rows in enumerate(self.invariants) if rows.kind in RIGID]
         goals, miss = len(self.goals.names), 0.0
@@ -141,7 +158,7 @@ class _Finder:
         ):
             count = goals + sum(
                 len(self.invariants[k].units) for k in active
-            )  # rigid ones come first
+            )  # rigid directions come first
             y = self.search.find_nearest(self.rows.select(slice(count)), goals, y)
             miss = self._miss(y)
             if miss > ROUNDED:
@@ -156,11 +173,14 @@ class _Finder:
         return float(np.abs(self.goal(y)[0]).max(initial=0.0))
 
     def _allowed(self, y: Array) -> Array:
-        """Return y with a duration that the problem allows."""
+        """Clip the duration in y to the problem's limits."""
         return np.append(y[:-1], np.clip(y[-1], self.problem.shortest, self.problem.longest))
 
     def _deforming(self, step: Array) -> Array:
-        """Keep of a change of y what moves nodes; where none is pinned, relative to their mean."""
+        """Remove the rigid translation from a change of y.
+
+        Structures with pinned nodes have none.
+        """
         nq = self.problem.model.nq
         result = np.where(np.arange(len(step)) < nq, step, 0.0)
         if not self.problem.model.structure.held.any():
@@ -168,12 +188,15 @@ class _Finder:
         return result
 
     def _straightened(self, y: Array) -> Array | None:
-        """Put nodes inside strings, which no goal places, back on the line between the string's ends; None where there are none."""
+        """Move nodes inside strings to the line between the ends.
+
+        Returns None if there are none.
+        """
         model, s = self.problem.model, self.problem.model.structure
         parent = s.string_parent
         inner = np.flatnonzero(
             parent[:-1] == parent[1:]
-        )  # children follow each other from first to second node
+        )  # segments are ordered from first to second node
         if not inner.size:
             return None
         nodes = model.nodes(y[:-1]).copy()
@@ -186,9 +209,14 @@ class _Finder:
         return np.append(x, y[-1])
 
     def _refuse(self, y: Array, active: list[int]) -> None:
-        """Name the row that misses most, and the invariant that holds it: the one with the largest multiplier."""
+        """Reject the goal row of the largest violation.
+
+        The message names the invariant with the largest multiplier.
+        """
         r, H = self.goal(y)
-        worst = int(np.argmax(np.abs(r) > (1 - 1e-6) * np.abs(r).max()))  # the first of equals
+        worst = int(
+            np.argmax(np.abs(r) > (1 - 1e-6) * np.abs(r).max())
+        )  # the first of equal violations
         size, unit = abs(r[worst]) * self.goal.row_scale[worst], self.goals.units[worst]
         reason = "the goals contradict each other: leave one out"
         rows = [
@@ -201,10 +229,10 @@ class _Finder:
                 np.linalg.lstsq((A / np.maximum(norms, 1e-9)[:, None]).T, H.T @ r, rcond=RANK)[0]
             )
             later = np.array([kind not in RIGID for kind, _ in rows])
-            if later.any():  # bars alone have been tried before, and let the goals be met
+            if later.any():  # the goals satisfy the bar constraints, as an earlier step has checked
                 push = push * later + 1e-9 * later * np.arange(
                     len(rows)
-                )  # where nothing pushes, the last stands in the way: it is the plane
+                )  # without multipliers the last invariant is the reason: the plane
             kind, name = rows[int(np.argmax(push))]
             if push.max() > 1e-2 * np.abs(r).max() or later.any():
                 reason = f"{name}{_CURES[kind]}"
@@ -215,7 +243,7 @@ class _Finder:
     # --- the rows ---
 
     def impose(self, y: Array, adjusted: float) -> Target:
-        """Return the target at y with the rows that can be imposed there."""
+        """Build the target at y from independent rows."""
         values, H = self.goal(y)
         directions, _, _ = soft_directions(self.rows, y, NEARLY_SINGULAR)
         weights, gradient, near = self._shape_rows(y, directions)
@@ -261,32 +289,42 @@ class _Finder:
         )
 
     def _shape_rows(self, y: Array, directions: Array) -> tuple[Array, Array, Indices]:
-        """Find rows that feel `directions` and no rigid motion: combinations (k, m) of m squared distances, their gradients, and the pairs (m, 2)."""
+        """Find rows that depend on directions, not rigid motions.
+
+        Returns combinations (k, m) of m squared distances, their gradients, and the pairs (m, 2).
+        """
         structure, nodes = self.problem.model.scene.structure, self._nodes(y)
         placed = ca.jacobian(ca.vec(self.problem.model.nodes(self.x)[:, : len(nodes)]), self.y)
         by_y = ca.DM(ca.Function("moves", [self.y], [placed])(y)).sparse()
         moves = sp.csr_array(sp.csr_array(by_y) * (self.scale / self.scales.length))
-        # clock and duration alone change no distance
+        # clock and duration do not change distances
         directions = directions[:, np.linalg.norm(moves @ directions, axis=0) > RANK]
         if not directions.shape[1]:
             return np.zeros((0, 0)), np.zeros((0, len(y))), np.zeros((0, 2), dtype=np.intp)
         return feel(nodes / self.scales.length, moves, directions, neighbours(structure))
 
     def _nodes(self, y: Array) -> Array:
-        """Return the nodes (n, 3), before strings are cut into segments."""
+        """Compute the nodes (n, 3), without those inside strings."""
         return np.asarray(
             self.problem.model.nodes(y[:-1])[: len(self.problem.model.scene.structure.nodes)]
         )
 
     def _squared(self, pairs: Indices) -> Any:
-        """Return the squared distances of pairs (m, 2) of nodes, relative to the structure's size, as rows of x."""
+        """Compute the squared distances of pairs (m, 2) as rows.
+
+        They are functions of x, relative to the structure's size.
+        """
         N = self.problem.model.nodes(self.x)
         d = N[:, pairs[:, 0].tolist()] - N[:, pairs[:, 1].tolist()]
         return ca.sum1(d * d).T / self.scales.length**2
 
 
 def _metric(model: Model) -> Array:
-    """Return the mass matrix on positions and velocities, relative to its mean, and one for clock and duration, and for pinned nodes without mass."""
+    """Compute the mass metric on positions and velocities.
+
+    It is relative to the mean mass, and 1 for the clock, the duration, and pinned nodes without
+    mass.
+    """
     mass = model.mechanism.free_mass.toarray()
     mass = mass / np.diag(mass).mean()
     mass += np.diag((np.diag(mass) == 0).astype(float))

@@ -1,8 +1,8 @@
-"""A start that is found with the plan: rows that keep its bars, and rows of a motion that ends as it began.
+"""Rows of a free start and of a periodic motion.
 
-Bars are kept by the motion once the start keeps them: their rows are imposed there alone. Where
-both ends keep them, and what strings cannot change is the same at both, the rows of "end = start"
-repeat each other: with Z a basis of what bars and momenta leave free, Zᵀ (x − x₀) is left.
+The dynamics preserve bar lengths, so their rows are imposed at the start only. If both ends satisfy
+them, and the invariants agree, the rows of "end = start" are redundant. With Z a basis of the
+directions that bars and momenta leave free, only Zᵀ (x − x₀) is imposed.
 """
 
 from __future__ import annotations
@@ -24,11 +24,18 @@ from tenscasadi.util.validate import Array
 
 @dataclass(frozen=True, eq=False)
 class FreeStartRows:
-    """Rows of a free start x₀ and of the end x.
+    """Rows of a free start x₀ and end x.
 
-    start: Function x₀ → independent rows: bars, and what the start has to meet. repeats: Function
-    (x₀, x) → independent rows, zero where the end repeats the start. misfit: Function (x₀, x) →
-    (metres, metres per second) of each of the goals' rows. reduction: what `repeats` consists of.
+    Attributes
+    ----------
+    start : casadi.Function
+        x₀ → independent rows of bars and initial goals.
+    repeats : casadi.Function
+        (x₀, x) → independent rows, zero if the end repeats the start.
+    misfit : casadi.Function
+        (x₀, x) → (distance [m], speed [m/s]) of each goal row.
+    reduction : Reduction
+        Composition of `repeats`.
     """
 
     start: ca.Function
@@ -38,9 +45,11 @@ class FreeStartRows:
 
 
 def find_free_start(problem: Problem, scales: Scales) -> FreeStartRows | None:
-    """Return the rows of a free start, None where it is given.
+    """Build the rows of a free start.
 
-    Raises `InfeasibleGoalError` where the motion cannot repeat, as all of the structure falls.
+    Returns None if the start is fixed.
+
+    Raises `InfeasibleGoalError` if the motion cannot be periodic, as in free fall.
     """
     if not problem.free_start:
         return None
@@ -61,7 +70,7 @@ def find_free_start(problem: Problem, scales: Scales) -> FreeStartRows | None:
     if "momentum" in kept and problem.repeating:
         momentum = kept["momentum"].select(
             "m/s", "m²/s"
-        )  # places of the centre of mass follow from its speed at the start
+        )  # the path of the center of mass follows from its initial velocity
         _check_momentum(momentum, first, near, scales)
         known.append(("momentum", _gradient(momentum, first, near, scales)))
     before = N0[:, : len(structure.nodes)].T, V0[:, : len(structure.nodes)].T
@@ -90,10 +99,10 @@ def _combined(reduction: Reduction, rows: Rows, scales: Scales) -> Any:
 
 
 def _check_momentum(momentum: Rows, x: Any, near: Array, scales: Scales) -> None:
-    """Refuse to repeat a motion in which momenta change whatever the strings do."""
+    """Reject periodic motions with momentum changes that strings cannot prevent."""
     scaled = momentum.value / ca.DM(momentum.sizes(scales.units))
     change = np.abs(np.asarray(ca.Function("change", [x], [scaled])(near).full()).ravel())
-    if change.max(initial=0.0) > 1e-6:  # of typical momenta: no rounding
+    if change.max(initial=0.0) > 1e-6:  # relative to typical momenta: above rounding errors
         name = momentum.names[int(np.argmax(change))]
         raise InfeasibleGoalError(
             f"Periodic cannot be met, as {name} whatever the strings do: give a scene with a ground, or pin a node"

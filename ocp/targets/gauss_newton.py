@@ -1,4 +1,7 @@
-"""The nearest state that meets goals and constraints: Gauss-Newton, with a quadratic equation where gradients vanish."""
+"""Gauss-Newton search for the nearest state that meets the goals.
+
+A quadratic equation replaces the linear one if gradients vanish.
+"""
 
 from __future__ import annotations
 
@@ -12,26 +15,26 @@ from ocp.targets.row_reduction import RANK, RowFunction, soft_directions
 from tenscasadi.util.linear_algebra import separate_parts
 from tenscasadi.util.validate import Array
 
-STRIDE = 0.1  # of the structure's size: how far a step may move nodes relative to each other
+STRIDE = 0.1  # relative to the structure's size: largest relative displacement of nodes in a step
 STEPS = 100
-NEARLY_SINGULAR = (
-    3e-2  # as RANK, where Newton's steps become too long and a quadratic equation takes over
-)
-# a step that leaves less than this share of the residual is taken without looking at others
+NEARLY_SINGULAR = 3e-2  # rank tolerance below which a quadratic equation replaces Newton's step
+# a step that leaves less than this fraction of the residual is accepted without alternatives
 QUICK = 0.9
-CRAWL, PATIENCE = 0.99, 5  # so many steps that leave more than this share lead nowhere
+CRAWL, PATIENCE = (
+    0.99,
+    5,
+)  # the search stops after 5 steps that each leave more than 99 % of the residual
 DONE = 1e-13
-STARTS = (
-    4  # directions, the most curved ones, along which a quadratic equation is tried from both sides
-)
+STARTS = 4  # directions of largest curvature for which both roots of the quadratic are tried
 
 
 class GaussNewton:
-    """Moves y by the smallest steps in the sense of a metric (ny, ny) on scaled unknowns.
+    """Gauss-Newton method with the smallest steps in a metric.
 
-    In that of the mass matrix such steps neither turn nor shift a free structure. `allowed` maps a
-    y to the nearest that is allowed. `deforming` leaves of a scaled step what moves nodes relative
-    to each other: in all else rows are nearly linear, and steps may be long.
+    The metric (ny, ny) applies to scaled unknowns. With the mass matrix, steps neither rotate nor
+    translate a free structure. `allowed` projects y onto the admissible values. `deforming` keeps
+    the part of a scaled step that moves nodes relative to each other. Rows are nearly linear in the
+    rest, so that steps may be long there.
     """
 
     def __init__(
@@ -44,10 +47,13 @@ class GaussNewton:
         self._scale, self._allowed, self._deforming = scale, allowed, deforming
         self._basis = np.linalg.inv(
             np.linalg.cholesky(metric)
-        ).T  # columns of length one in the metric
+        ).T  # columns of unit length in the metric
 
     def find_nearest(self, rows: RowFunction, goals: int, y: Array) -> Array:
-        """Find y where the first rows, those of `goals`, are as small as the others, which are zero there, let them be."""
+        """Find y with the smallest goal rows.
+
+        The first `goals` rows are minimized; the others are zero at y.
+        """
         crawling = 0
         for _ in range(STEPS):
             best, least = None, rows.size(y)
@@ -66,7 +72,7 @@ class GaussNewton:
         kept, before = rows.select(slice(goals, len(rows.row_scale))), np.inf
         for _ in range(
             STEPS
-        ):  # what cannot give comes last: the goal's residual shows what is missing
+        ):  # rigid rows come last, so that the goal's residual shows the violation
             size = kept.size(y)
             if size < DONE or size > CRAWL * before:
                 break
@@ -74,7 +80,10 @@ class GaussNewton:
         return y
 
     def _trials(self, rows: RowFunction, y: Array) -> Iterator[Array]:
-        """Shortened steps that come nearer: along regular directions, along all, and along those that only second order feels."""
+        """Yield shortened steps that reduce the rows.
+
+        They are along regular directions, along all directions, and along those of second order.
+        """
         for step in self._steps(rows, y, NEARLY_SINGULAR, RANK):
             yield from self._shortened(rows, y, step, follow=False)
         soft = self._soft_step(rows, y)
@@ -82,7 +91,11 @@ class GaussNewton:
             yield from self._shortened(rows, y, soft, follow=True)
 
     def _shortened(self, rows: RowFunction, y: Array, step: Array, follow: bool) -> Iterator[Array]:
-        """Move y by the largest of step, step/2, … that makes the rows smaller; `follow`: after regular directions have followed."""
+        """Yield y after the largest successful of step, step/2, ….
+
+        A step is successful if it reduces the rows. With `follow`, regular directions are corrected
+        first.
+        """
         size = rows.size(y)
         for halvings in range(8):
             trial = self._moved(y, step * 0.5**halvings)
@@ -96,7 +109,10 @@ class GaussNewton:
         return next(self._steps(rows, y, rank_tolerance))
 
     def _steps(self, rows: RowFunction, y: Array, *rank_tolerances: float) -> Iterator[Array]:
-        """Yield −J⁺ r in scaled unknowns for each tolerance: directions that are more singular stay where they are."""
+        """Yield −J⁺ r in scaled unknowns for each rank tolerance.
+
+        More singular directions are omitted.
+        """
         r, J = rows(y)
         inverse = self._pseudoinverse(J)
         for tolerance in rank_tolerances:
@@ -104,16 +120,18 @@ class GaussNewton:
             wanted = y + step * self._scale
             allowed = self._allowed(wanted)
             held = allowed != wanted
-            if held.any():  # what is at its limit goes no further, and the others do without it
+            if held.any():  # unknowns at their limits are fixed for the others
                 fixed = np.where(held, (allowed - y) / self._scale, 0.0)
                 step = fixed - self._pseudoinverse(np.where(held, 0.0, J))(r + J @ fixed, tolerance)
             yield self._strided(step)
 
     def _pseudoinverse(self, J: Array) -> Callable[[Array, float], Array]:
-        """Return (r, tolerance) → J⁺ r, the shortest in the metric, without singular values below the tolerance times the largest.
+        """Build the pseudoinverse in the metric.
 
-        By the eigenvectors of A Aᵀ or Aᵀ A, the smaller: tolerances are far above the root of
-        rounding.
+        It is (r, tolerance) → J⁺ r, with the shortest result.
+
+        Singular values below the tolerance times the largest are dropped. The smaller of A Aᵀ and
+        Aᵀ A is decomposed, because tolerances are far above the square root of rounding.
         """
         A = np.asarray(sp.csr_array(J) @ self._basis)
         parts = []
@@ -141,7 +159,10 @@ class GaussNewton:
         return solve
 
     def _soft_step(self, rows: RowFunction, y: Array) -> Array | None:
-        """Return a step d to second order: c + b d + ½ dᵀ K d = 0 for the combinations of rows that have (nearly) no gradient."""
+        """Compute a second-order step d.
+
+        It solves c + b d + ½ dᵀ K d = 0 for the combinations of rows with (nearly) zero gradient.
+        """
         directions, W, K = soft_directions(rows, y, NEARLY_SINGULAR)
         if not directions.shape[1]:
             return None

@@ -1,40 +1,40 @@
-"""The error of goals that cannot be met."""
+"""Error for infeasible goals."""
 
 from __future__ import annotations
 
 
 class InfeasibleGoalError(ValueError):
-    """Goals that cannot be met, found before anything is solved.
+    """Infeasible goals, found before the problem is solved.
 
-    `solve` raises it, and so does `Mpc` where it holds the goals without a plan. The message names
-    the row of the goal that misses most, by how much, and what stands against it. A state that
-    meets the goals is looked for from the start, by Gauss-Newton steps that keep what is listed
-    here. Refused are goals
+    `solve` raises it, and `Mpc` if it tracks goals without a plan. The message names the goal row
+    with the largest violation, its amount, and the constraint that prevents it. The search for a
+    state that meets the goals starts at the initial state. It uses Gauss-Newton steps that satisfy
+    the constraints below. A goal is rejected
 
-    - of which the nearest state that is found misses one by more than 2·10⁻⁴ of the structure's
-    size (or, for velocities, of size per longest
-      duration), because they contradict each other, the lengths of bars, joints, or a clock;
-    - that contradict momentum: where the scene has neither ground, pressure, given forces nor moved
-    supports, strings do not change the path
-      and speed of the centre of mass of each part that hangs together, along axes and about axes
-      that no pin holds, whatever the duration within its limits;
-    - that contradict the plane (or line) in which nodes, velocities and gravity of the start lie,
-    in such scenes;
-    - farther off, by a factor of 100, than force densities at their upper limits move nodes within
-    the longest duration, as accelerations at
-      the start tell: where all these limits are finite and the scene has no clock;
-    - of a `Waypoint`, by the same tests from the start to that instant, each waypoint for itself;
-    - of a `FreeStart`: where its own goals (and those of the end, if it repeats the start in its
-    place) contradict each other, bars or joints;
-      and `Periodic` ones where the centre of mass falls, or some momentum is bound to change.
-      Momenta, plane and distance are not asked of other goals of such problems.
+    - if it contradicts other goals, the lengths of bars, joints, or a clock: the nearest state
+      violates it by more than 2·10⁻⁴ of the structure's size, or of this size per longest duration
+      for velocities;
+    - if it contradicts momentum. Without ground, pressure, nodal forces and moving supports,
+      strings do not change the path of the center of mass of each connected part along free axes.
+      Nor do they change its angular momentum about free axes;
+    - if it contradicts the plane or line of the initial nodes, velocities and gravity in such
+      scenes;
+    - if it is too far away by a factor of 100. The distance that force densities at their upper
+      limits can cover in the longest duration follows from the initial accelerations. All these
+      limits must be finite, and the scene must have no clock;
+    - if it belongs to a `Waypoint` and fails the same tests from the start to that instant;
+    - if it belongs to a `FreeStart` and contradicts its other goals, bars or joints. Goals of the
+      end count if it repeats the start;
+    - if it is `Periodic` and the center of mass falls, or a momentum must change. Momentum, plane
+      and distance are not checked for other goals of such problems.
 
-    Not refused, as nothing here tests it, are goals that need more force or time than there is, but
-    for the factor above; that path constraints or contact forbid; or that no string moves to first
-    order, such as a speed that only the wind changes. Such a problem gets a plan with ``success``
-    False, and a message that says what is missing. Fewer force densities than rows of goals, and
-    limits that leave none at the start, are a plain ValueError of `solve`. As the search is local,
-    goals may be refused although a state far from the start meets them.
+    Other infeasible goals are not detected. Examples are goals that need more force or time than
+    available, up to the factor above, or that path constraints or contact forbid. A goal that no
+    string affects to first order is another, such as a speed that only the wind changes. The plan
+    of such a problem has ``success`` False and a message with the violation. With fewer force
+    densities than goal rows, or without admissible controls at the start, `solve` raises a
+    ValueError. Because the search is local, a goal may be rejected although a distant state meets
+    it.
 
     Examples
     --------
@@ -45,6 +45,6 @@ class InfeasibleGoalError(ValueError):
     >>> ocp.solve(away)
     Traceback (most recent call last):
         ...
-    ocp.targets.infeasible_goal.InfeasibleGoalError: NodePositions: node ... misses its goal by 1 m at
-    best, as the centre of mass ...
+    ocp.targets.infeasible_goal.InfeasibleGoalError: NodePositions: node ... misses its goal by 1 m
+    at best, as the centre of mass ...
     """

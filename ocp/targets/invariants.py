@@ -1,8 +1,8 @@
-"""Invariants of every motion of a model, whatever its strings do: bar lengths, joints, momenta, the plane it lies in.
+"""Invariants of a model: bar lengths, joints, momenta, plane.
 
-Rows of a goal that repeat these have linearly dependent gradients with the dynamics, so that no
-solver can impose them: they are left out (`ocp.targets.row_reduction`), after a check that they
-hold by themselves.
+No string force changes them. Goal rows that repeat them have gradients that depend linearly on
+those of the dynamics, so that no solver can impose them. Such rows are dropped
+(`ocp.targets.row_reduction`) after a check that they are satisfied.
 """
 
 from __future__ import annotations
@@ -27,9 +27,10 @@ Flags = NDArray[np.bool_]
 
 
 def invariants(model: Model, start: Array, x: Any, time: Any) -> list[Rows]:
-    """Return the rows that vanish at the symbolic state x (nx), `time` seconds after `start` (nx,), by what keeps them.
+    """Build the rows that vanish in every motion, by kind.
 
-    Kinds: "bar", "joint", "clock", "momentum", "plane"; those that a model lacks are left out.
+    They are functions of the symbolic state x (nx), `time` seconds after `start` (nx,). Kinds are
+    "bar", "joint", "clock", "momentum" and "plane", if the model has them.
     """
     N, V, clock = model.unpack(x)
     N0, V0 = (np.asarray(Z).T for Z in _numbers(model, start))
@@ -55,7 +56,7 @@ def invariants(model: Model, start: Array, x: Any, time: Any) -> list[Rows]:
 
 
 def _numbers(model: Model, start: Array) -> tuple[Array, Array]:
-    """Columns of N and V as rows."""
+    """Compute N and V as rows."""
     x = ca.SX.sym("x", model.nx)
     N, V, _ = model.unpack(x)
     values = ca.Function("columns", [x], [N, V])(start)
@@ -63,7 +64,10 @@ def _numbers(model: Model, start: Array) -> tuple[Array, Array]:
 
 
 def rigid_rows(model: Model, x: Any) -> list[Rows]:
-    """Return the rows of bars and joints at the symbolic state x (nx)."""
+    """Build the rows of bars and joints.
+
+    They are functions of the symbolic state x (nx).
+    """
     mech, rows = model.mechanism, model.constraints(x)
     groups = []
     if mech.bars:
@@ -94,7 +98,10 @@ def rigid_rows(model: Model, x: Any) -> list[Rows]:
 
 
 def _plane(N: Any, V: Any, N0: Array, V0: Array, gravity: Array) -> list[Rows]:
-    """Return rows that keep a flat start in its plane (or on its line): all forces act along members or gravity."""
+    """Build rows that keep a flat structure in its plane.
+
+    They apply if all forces act along members or gravity. A straight structure is kept on its line.
+    """
     size = np.ptp(N0, axis=1).max(initial=1e-300)
     speeds = np.column_stack([V0, gravity])
     reach = np.column_stack([(N0 - N0[:, :1]) / size, speeds / max(np.abs(speeds).max(), 1e-300)])
@@ -116,7 +123,10 @@ def _plane(N: Any, V: Any, N0: Array, V0: Array, gravity: Array) -> list[Rows]:
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A part of the structure that no other part can push: its nodes that move, and the motions that nothing holds (see `free_motions`)."""
+    """Part of the structure without forces from other parts.
+
+    It has its moving nodes and its free motions, see `free_motions`.
+    """
 
     nodes: Indices
     along: Flags
@@ -125,7 +135,10 @@ class Body:
 
 
 def bodies(structure: Structure, gravity: Array) -> list[Body]:
-    """Return the parts that hang together by members that do not meet in a pinned node."""
+    """Find the parts connected by members.
+
+    Members that meet in a pinned node are not connected there.
+    """
     pinned: Flags = np.asarray(structure.fixed.all(axis=1), dtype=bool).reshape(-1)
     pairs = np.concatenate([structure.bars, structure.strings])
     at_pin: Flags = pinned[pairs[:, 0]] | pinned[pairs[:, 1]]
@@ -147,11 +160,12 @@ def bodies(structure: Structure, gravity: Array) -> list[Body]:
 def free_motions(
     nodes: Array, fixed: Flags, gravity: Array
 ) -> tuple[Flags, list[tuple[Array, Array]]]:
-    """Return the axes (3,) bool along which nothing holds a body's nodes (n, 3), and the rotations (t, ω) whose momentum is kept.
+    """Find the free translations and conserved rotations of a body.
 
-    A rotation moves node r by t + ω×(r − c), c the centre of mass along the free axes: its momentum
-    is conserved when it moves no `fixed` (n, 3) coordinate, wherever the nodes are, and no weight
-    (Noether's theorem). A single pin leaves three rotations, two pins one.
+    Returns the free axes (3,) of its nodes (n, 3), and the rotations (t, ω) with conserved
+    momentum. A rotation moves node r by t + ω×(r − c), with c the center of mass along the free
+    axes. Its momentum is conserved if it moves no `fixed` (n, 3) coordinate and no weight, wherever
+    the nodes are (Noether's theorem). A single pin leaves three rotations, and two pins leave one.
     """
     along: Flags = np.logical_not(np.asarray(fixed.any(axis=0)))
     origin = nodes.mean(axis=0)
@@ -192,10 +206,10 @@ def _momentum_rows(
     gravity: Array,
     time: Any,
 ) -> tuple[Any, tuple[str, ...], tuple[str, ...]]:
-    """Return rows of the path and speed of the centre of mass, and of the angular momentum per mass.
+    """Build the rows of linear and angular momentum per mass.
 
-    now: N and V (3×n), expressions of the state x (nx), of the motion `time` seconds after its
-    start (nx,).
+    They include the path of the center of mass. `now` is N and V (3×n) as expressions of the state
+    x (nx), `time` seconds after its start (nx,).
     """
     c, v, spin = _momenta(body, mech, *now)
     c0, v0, spin0 = ca.Function("begun", [x], [c, v, spin])(start)
@@ -218,9 +232,9 @@ def _momentum_rows(
 
 
 def _momenta(body: Body, mech: Mechanism, N: Any, V: Any) -> tuple[Any, Any, Any]:
-    """Return the centre of mass, its velocity, and the momenta of the rotations per mass.
+    """Compute center of mass, its velocity, and angular momenta.
 
-    Pinned nodes do not move and have no part in them.
+    Momenta are per mass. Pinned nodes are excluded.
     """
     own = np.isin(mech.physical, body.nodes)
     weight = np.asarray(mech.M.sum(axis=1)).ravel() * own

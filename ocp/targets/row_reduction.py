@@ -1,9 +1,9 @@
-"""Rows of a goal that a solver can impose: those that the dynamics do not repeat already, and a shape in place of singular lengths.
+"""Selection of independent goal rows that a solver can impose.
 
-With A the gradients of the invariants at the target and Z a basis of null(A), a goal with gradient
-H can be moved in range(H Z) only. The other combinations of its rows hold by themselves at a target
-that can be reached; imposed as well, they make the gradients of the optimal control problem
-linearly dependent, and solvers fail.
+Let A be the gradients of the invariants at the target and Z a basis of null(A). A goal with
+gradient H can be changed in range(H Z) only. The other combinations of its rows are satisfied at
+every feasible target. If they are imposed, the constraint gradients of the optimal control problem
+are linearly dependent and solvers fail. Singular lengths are replaced by rows of the shape.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.linear_algebra import null_space, separated_svd
 from tenscasadi.util.validate import Array, Indices
 
-# smallest singular value, relative to rows of norm one, that counts: below it a row has two
-# solutions closer than a plan resolves
+# smallest singular value that counts, for rows of norm 1: below it a row has two solutions closer
+# than the resolution of a plan
 RANK = 1e-3
 
 
 class RowFunction:
-    """CasADi rows of y, with numbers for value, gradient and curvature in scaled rows and scaled unknowns.
+    """CasADi rows of y with numerical values, gradients and curvatures.
 
-    Groups of rows are differentiated one by one: a few that depend on everything make derivatives
-    of all others slow.
+    Rows and unknowns are scaled. Groups of rows are differentiated one by one, because a few rows
+    that depend on all unknowns would slow down the derivatives of the others.
     """
 
     def __init__(self, y: Any, groups: Sequence[Any], row_scale: Array, scale: Array) -> None:
@@ -48,28 +48,32 @@ class RowFunction:
         )
 
     def select(self, rows: slice) -> RowFunction:
-        """Select some of the rows, from the same code. Only those of all rows."""
+        """Select some of all rows, with shared code."""
         part = copy.copy(self)
         part.row_scale, part._rows = self.row_scale[rows], rows
         return part
 
     def __call__(self, y: Array) -> tuple[Array, Array]:
-        """Scaled rows (m,) and their gradient (m, ny) in scaled unknowns."""
+        """Compute scaled rows (m,) and their gradient (m, ny)."""
         value, gradient = self._code.first(y)
         return value.ravel()[self._rows], gradient.T[self._rows] * self.scale
 
     def size(self, y: Array) -> float:
-        """Return the norm of the scaled rows."""
+        """Compute the norm of the scaled rows."""
         return float(np.linalg.norm(self._code.value(y)[0].ravel()[self._rows]))
 
     def curvatures(self, y: Array, weights: Array, basis: Array) -> Array:
-        """Return second derivatives (j, k, k) of wᵀ rows along scaled directions (ny, k), for each column w of `weights` (m, j)."""
+        """Compute second derivatives (j, k, k) of combinations of rows.
+
+        They are those of wᵀ rows along scaled directions (ny, k), for each column w of `weights`
+        (m, j).
+        """
         code, k = self._code.second, basis.shape[1]
         entries = code.function(y)[0].ravel()[code.order] * self.scale[code.other]
         slopes = (
             sp.csr_array((entries, code.other, code.pointers), shape=(len(code.one), len(y)))
             @ basis
-        )  # of the gradient's entries
+        )  # derivatives of the gradient's entries
         along = basis[code.one] * self.scale[code.one, None]
         used = along.any(axis=1) & slopes.any(axis=1)
         along, slopes, row = along[used], slopes[used], code.row[used]
@@ -83,10 +87,11 @@ class RowFunction:
 
 
 class _Curvature(NamedTuple):
-    """Second derivatives of rows: y → their entries; those with `order` make a sparse matrix.
+    """Sparse second derivatives of rows.
 
-    It has a row for each entry of the rows' gradient, that of `row` by the unknown `one`, and a
-    column for each unknown.
+    The Function y → entries gives, in the given order, a sparse matrix. It has a row for each entry
+    of the rows' gradient, that of `row` with respect to the unknown `one`, and a column for each
+    unknown.
     """
 
     function: ArrayFunction
@@ -111,7 +116,7 @@ class _Code:
 
     @cached_property
     def second(self) -> _Curvature:
-        """The second derivatives."""
+        """Second derivatives."""
         jacobian = ca.vertcat(*self._slopes).T  # by rows
         curvature = ca.vertcat(
             *(ca.jacobian(ca.densify(slopes.T.nz[:]), self._y) for slopes in self._slopes)
@@ -128,10 +133,18 @@ class _Code:
 
 @dataclass(frozen=True, eq=False)
 class Reduction:
-    """Independent combinations (rank, m) of m named rows, each divided by its size (m,): m, m/s, or 1 of what was added for the shape.
+    """Independent combinations (rank, m) of m named rows.
 
-    repeated: how many combinations of the rows are left out, by what repeats them: a kind of
-    invariant, or "another" row.
+    Attributes
+    ----------
+    combinations : ndarray, shape (rank, m)
+        The combinations of rows divided by their sizes.
+    names : tuple of str
+        Names of the rows.
+    sizes : ndarray, shape (m,)
+        Sizes of the rows [m or m/s], 1 for shape rows.
+    repeated : dict of str to int
+        Number of dropped combinations by reason: a kind of invariant, or "another" row.
     """
 
     combinations: Array
@@ -140,14 +153,14 @@ class Reduction:
     repeated: dict[str, int] = field(default_factory=dict)
 
     def keep(self, kept: Array, reason: str) -> Reduction:
-        """Return the combinations `kept` (k, rank) of the combinations; the others are left out for a reason."""
+        """Keep the combinations `kept` (k, rank), and count the others."""
         missing = len(self.combinations) - len(kept)
         return replace(
             self, combinations=kept @ self.combinations, repeated={**self.repeated, reason: missing}
         )
 
     def join(self, other: Reduction) -> Reduction:
-        """Return the combinations of both sets of rows."""
+        """Join the combinations of two sets of rows."""
         own, more = self.repeated, other.repeated
         return Reduction(
             scipy.linalg.block_diag(self.combinations, other.combinations),
@@ -163,7 +176,10 @@ def reduce_rows(
     names: tuple[str, ...] = (),
     sizes: Array | None = None,
 ) -> Reduction:
-    """Return independent combinations of rows with gradient H (m, ny), given the invariants' gradients by kind (each (·, ny))."""
+    """Find independent combinations of rows with gradient H (m, ny).
+
+    The gradients of the invariants are given by kind, each (·, ny).
+    """
     norms = np.linalg.norm(H, axis=1)
     rows = H / np.maximum(norms, 1e-12)[:, None]
     left, values, _ = separated_svd(rows)
@@ -183,11 +199,12 @@ def reduce_rows(
 def soft_directions(
     rows: RowFunction, y: Array, rank_tolerance: float = RANK
 ) -> tuple[Array, Array, Array]:
-    """Find where first order says nothing but second order does: at a prestressed equilibrium lengths fix the shape, their gradients do not.
+    """Find directions that the rows constrain only to second order.
 
-    Returns scaled unit directions D (ny, k) that the rows' gradients leave free but whose curvature
-    some combination w of the rows (W (m, j), zero gradient) feels, and the curvatures (j, k, k) of
-    these combinations on D.
+    At a prestressed equilibrium, lengths determine the shape but their gradients do not. Returns
+    scaled unit directions D (ny, k) outside the range of the gradients. Some combination of rows
+    with zero gradient (W (m, j)) has curvature along each of them. Also returns the curvatures (j,
+    k, k) of these combinations on D.
     """
     _, J = rows(y)
     norms = np.linalg.norm(J, axis=1)

@@ -1,4 +1,4 @@
-"""Where the goals of a problem lead, and the rows that impose them."""
+"""Target state of the goals, and its rows."""
 
 from __future__ import annotations
 
@@ -16,16 +16,32 @@ from tenscasadi.util.validate import Array
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """Where the goals lead, and the rows that impose them.
+    """Target state of the goals, and its rows.
 
-    start: x₀ (nx,) on the constraints. state: the nearest state (nx,) that meets the goals, or None
-    without goals. weights (count, m): independent combinations of the m rows of single, a Function
-    x → rows, all zero at the goal; they are dense, and apart from the rows, whose derivatives are
-    sparse. misfit: Function x → (metres, metres per second), the distance from the goals in each of
-    `names` (first those in metres). reduction: what `rows` consist of; its last `shape` rows are
-    added because string lengths are singular at the target. adjusted: by how much goals are moved
-    to fit the bars, m. waypoints: what is to be met on the way. free_start: rows of a free start,
-    near which `start` is.
+    Attributes
+    ----------
+    start : ndarray, shape (nx,)
+        Initial state x₀ on the constraints.
+    state : ndarray, shape (nx,), or None
+        Nearest state that meets the goals; None without goals.
+    single : casadi.Function
+        x → m rows, all zero at the goal. Their derivatives are sparse.
+    weights : ndarray, shape (count, m)
+        Independent combinations of these rows, dense.
+    misfit : casadi.Function
+        x → (distance [m], speed [m/s]) from each goal.
+    names : tuple of str
+        Names of the goals, those in meters first.
+    reduction : Reduction
+        Composition of the rows.
+    shape : int
+        Number of final rows that replace singular string lengths.
+    adjusted : float
+        Adjustment of goals to the bar lengths [m].
+    waypoints : tuple of WaypointTarget
+        Targets of waypoints.
+    free_start : FreeStartRows or None
+        Rows of a free start, near which `start` is.
     """
 
     start: Array
@@ -42,30 +58,39 @@ class Target:
 
     @property
     def count(self) -> int:
-        """Rows that are imposed."""
+        """Number of imposed rows."""
         return len(self.weights)
 
     @property
     def instants(self) -> list[tuple[float, Target, str]]:
-        """When something is to be met, as a share of the duration; what; and what names of its goals begin with: first the end."""
+        """Fractions of the duration, targets and name prefixes.
+
+        The first entry is the end.
+        """
         return [(1.0, self, ""), *((one.share, one.target, one.label) for one in self.waypoints)]
 
     @property
     def rows(self) -> ca.Function:
-        """Function x → the rows that are imposed, zero at the goal."""
+        """Function x → imposed rows, zero at the goal."""
         x = ca.MX.sym("x", self.single.size1_in(0))
         return ca.Function(
             "goal", [x], [ca.mtimes(ca.DM(self.weights), self.single(x))], ["x"], ["rows"]
         )
 
     def keep(self, kept: Array, reason: str) -> Target:
-        """Return the target with the combinations `kept` (k, count) of its rows; the others are left out for a reason."""
+        """Keep the combinations `kept` (k, count) of rows.
+
+        The others are counted with a reason.
+        """
         return replace(
             self, weights=kept @ self.weights, reduction=self.reduction.keep(kept, reason)
         )
 
     def begin_at(self, start: Array) -> Target:
-        """Return the target of a motion from a free start that has been found, whose rows and misfit include those of repeating it."""
+        """Build the target for a start that was found.
+
+        Its rows and misfit include those of a periodic motion.
+        """
         free = self.free_start
         if free is None:
             return self
@@ -95,7 +120,10 @@ class Target:
         )
 
     def describe(self) -> str:
-        """Return the count of rows, such as "36 → 21 rows: 6 bar, 9 momentum"."""
+        """Describe the rows in one line.
+
+        An example is "36 → 21 rows: 6 bar, 9 momentum".
+        """
         given = len(self.reduction.names) - self.shape
         if not given:
             return (
@@ -112,12 +140,12 @@ class Target:
 
 
 class WaypointTarget(NamedTuple):
-    """The target of a waypoint, at a share of the duration."""
+    """Target of a waypoint, at a fraction of the duration."""
 
     share: float
     target: Target
 
     @property
     def label(self) -> str:
-        """The words that names of its goals begin with."""
+        """Prefix of the names of its goals."""
         return f"waypoint at {self.share:.3g} of the duration, "
