@@ -169,12 +169,6 @@ BAD = {
         ),
         "RestLengthLimits leave string 0",
     ),
-    "condensed": (
-        lambda: ocp.solve(
-            ocp.Problem(MODEL, goals=GOALS), ocp.Variational(8), ocp.CondensedNewton()
-        ),
-        "rest lengths are decided",
-    ),
     "few intervals": (
         lambda: planned(transcription=ocp.Variational(1)),
         "9 rest lengths in each cannot meet 18 rows",
