@@ -121,8 +121,9 @@ def _own(variables: Mapping[str, Any]) -> Trajectory:
     content["pinned"] = read_indices("pinned_nodes", variables["pinned_nodes"], count)
     sizes = {"T": np.size(history["t"]), "n": count, "3": 3, "α": len(content["strings"])}
     for name, letters in LETTERS.items():
-        if name not in content:
-            value = history[HISTORY.get(name, name)]
+        entry = HISTORY.get(name, name)
+        if name not in content and not (name in _ADDED and entry not in history):
+            value = history[entry]
             if not letters:
                 content[name] = (
                     value if isinstance(value, str) else _KINDS[name](np.asarray(value).item())
@@ -196,7 +197,9 @@ _KINDS: dict[str, Any] = {
     "attempts": int,
     "step": float,
     "seconds": float,
+    "error_estimate": float,
 }
+_ADDED = ("error_estimate",)  # fields that files of earlier versions do not have
 
 
 def _record(model: Model, motion: Motion, parameters: Any, path: str) -> Trajectory:

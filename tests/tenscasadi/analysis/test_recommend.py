@@ -199,17 +199,15 @@ def test_single_precision_is_recommended_within_its_floor():
         )
 
 
-@pytest.mark.parametrize(
-    ("compiled", "cheapest"), [(False, tc.DormandPrince853()), (None, tc.RungeKutta4())]
-)
-def test_steps_that_a_block_computes_in_vain_count(compiled, cheapest):
-    """Few steps of order 8 are less work than more of order 4, but machine code computes 32 of either."""
+@pytest.mark.parametrize("compiled", [False, None])
+def test_few_steps_of_high_order_are_recommended(compiled):
+    """Few steps of order 8 are less work than more of order 4."""
     model, start = pendulum()
     schemes = (tc.DormandPrince853(), tc.RungeKutta4())
     advice = tc.recommend(
         model, 0.5, 1e-3, start, schemes=schemes, corrections=[None], compiled=compiled
     )
-    assert advice.scheme == cheapest
+    assert advice.scheme == tc.DormandPrince853()
     assert advice.error <= 1e-3
     assert round(0.5 / advice.step) <= 32
 
