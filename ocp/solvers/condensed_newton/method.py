@@ -106,7 +106,7 @@ class CondensedNewton(NamedSolver, kind="CondensedNewton"):
                 of = CondensedProgram(program)
                 u, s = program.first[of.u], program.first[of.s]
                 # off points without derivatives, such as the center of an obstacle
-                s = s + 1e-4 * np.random.default_rng(0).uniform(-1.0, 1.0, len(s))
+                s = s + 1e-5 * np.random.default_rng(0).uniform(-1.0, 1.0, len(s))
                 first = Expansion(of, u, s)
                 if not first.growth() < MAX_GROWTH:
                     return unsolved
