@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Sequence
 from functools import reduce
 from operator import matmul
@@ -198,6 +199,7 @@ class ArrayFunction:
     def __init__(self, function: ca.Function) -> None:
         self._buffer: Any
         self._buffer, self._evaluate = function.buffer()
+        self._lock = threading.Lock()  # values kept by a model are shared by threads
         self._shapes = [
             (function.size2_out(k), function.size1_out(k))
             if function.sparsity_out(k).is_dense()
@@ -209,15 +211,16 @@ class ArrayFunction:
         """Evaluate the Function and return its outputs. Raises RuntimeError where it fails."""
         arrays = [np.ascontiguousarray(value, dtype=float) for value in inputs]
         results = [np.empty(shape) for shape in self._shapes]
-        for k, array in enumerate(arrays):
-            if array.size:
-                self._buffer.set_arg(k, array.data)
-        for k, result in enumerate(results):
-            if result.size:
-                self._buffer.set_res(k, result.data)
-        self._evaluate()
-        if self._buffer.ret():
-            raise RuntimeError("CasADi could not evaluate a function")
+        with self._lock:
+            for k, array in enumerate(arrays):
+                if array.size:
+                    self._buffer.set_arg(k, array.data)
+            for k, result in enumerate(results):
+                if result.size:
+                    self._buffer.set_res(k, result.data)
+            self._evaluate()
+            if self._buffer.ret():
+                raise RuntimeError("CasADi could not evaluate a function")
         return results
 
     def stats(self) -> dict[str, Any]:
