@@ -230,15 +230,15 @@ def test_controls_change_on_the_grid_and_their_work_is_no_error() -> None:
         compiled=False,
     )
     assert waves.success, waves.message  # strings of equal length change their mode together
-    held = simulate(
+    fixed = simulate(
         model,
         0.3,
-        1e-3,
+        1e-4,
         DormandPrince853(),
         control=lambda t: table[0] * (1 + 0.1 * np.sin(20 * t)),
         compiled=False,
     )
-    assert abs(waves.nodes - held.nodes).max() < 2e-5
+    assert abs(waves.nodes[-1] - fixed.nodes[-1]).max() < 2e-6
     unknown = simulate(
         model, 0.3, 0.1, DormandPrince54(1e-6), control=table, compiled=False, energy_balance=False
     )

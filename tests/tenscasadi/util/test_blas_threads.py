@@ -67,20 +67,14 @@ def test_a_limit_that_another_thread_sets_meanwhile_stays():
     assert set(threads()) == {2}
 
 
-def test_planning_takes_one(monkeypatch):
+def test_planning_takes_one():
     seen = []
-    monkeypatch.setattr(
-        ocp.Plan,
-        "replay",
-        lambda self, *args, **kwargs: seen.append(threads()) or replay(self, *args, **kwargs),
-    )
     model = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()))
     goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()]
     assert ocp.solve(
-        ocp.Problem(model, goals=goals, costs=[ocp.Effort()]), ocp.Variational(10)
+        ocp.Problem(model, goals=goals, costs=[ocp.Effort()]),
+        ocp.Variational(10),
+        ocp.Ipopt(watch=lambda progress: seen.append(threads())),
     ).success
     assert set(seen[0]) == {1}
     assert set(threads()) == {2}
-
-
-replay = ocp.Plan.replay
