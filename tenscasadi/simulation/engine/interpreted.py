@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from functools import reduce
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from tenscasadi.integrators.adaptive import Control, Memory, build_attempt
@@ -25,6 +27,7 @@ from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.validate import Array
 
 _BLOCK = 256  # motions that go through time together
+_FOLDED = 32  # steps in one call: a call from Python costs as much as a step of a ball
 _CHECKED = 64  # trial steps from one look at their lengths to the next
 _REST, _NEXT = (Memory._fields.index(name) for name in ("rest", "step"))
 _LOW = [4, 6]  # of `WORST`, which are least values
@@ -44,6 +47,8 @@ class Interpreted:
             functions["attempt"] = build_attempt(control, program.tableau)
         elif program.tableau is not None:
             functions["step"] = build_step(program.tableau, functions.pop("ode"))
+        if "step" in functions:
+            functions["folded"] = _fold(functions["step"])
         self._functions = functions
         self._mapped: dict[tuple[str, int], ArrayFunction] = {}
 
@@ -70,18 +75,22 @@ class Interpreted:
         """Return the measures (T, M) of states (T, nx) under inputs (T, nw)."""
         return self.evaluate("measure", states, inputs)[0]
 
-    def steps(self, loop: Loop, interval: int) -> Iterator[int]:
-        """Take the steps of an interval; yield after each the code of what went wrong."""
+    def steps(self, loop: Loop, interval: int) -> Iterator[tuple[int, int]]:
+        """Take the steps of an interval; yield a failure code and a number of steps."""
         q, sizes = loop.q, self.sizes
         length = float(q["length"][interval])
         n, numbers = len(loop.z), np.tile(q["numbers"], (len(loop.z), 1))
-        h = np.full((n, 1), length)
-        for _ in range(q["count"][interval]):
+        h, left = np.full((n, 1), length), int(q["count"][interval])
+        while left:
             if self.has("attempt"):
-                yield self._control_error(loop, length)
+                left -= 1
+                yield self._control_error(loop, length), 1
                 continue
+            fold = not self.has("project") and min(left, loop.unobserved) >= _FOLDED
+            taken = _FOLDED if fold else 1
+            left -= taken
             given = [loop.z, loop.w, h, numbers][: self._functions["step"].n_in()]
-            loop.z = self.evaluate("step", *given)[0]
+            loop.z = self.evaluate("folded" if fold else "step", *given)[0]
             if self.has("project") and (loop.step + 1) % q["correct_every"] == 0:
                 x = loop.x
                 corrected = self.evaluate("project", x, loop.w)[0]
@@ -90,7 +99,7 @@ class Interpreted:
                     q["corrected"][loop.motions, loop.pending] = effect
                     loop.pending = None
                 loop.z = np.hstack([corrected, loop.z[:, sizes["nx"] :]])
-            yield FINISHED
+            yield FINISHED, taken
 
     def _control_error(self, loop: Loop, length: float) -> int:
         """Try steps up to the end of a step of the grid; one that is given up leaves z where it began."""
@@ -145,6 +154,13 @@ class Loop:
         return np.ascontiguousarray(self.z[:, : self.sizes["nx"]])
 
     @property
+    def unobserved(self) -> int:
+        """Number of steps up to the next one that is saved or looked at."""
+        q = self.q
+        periods = [period for period in (q["save_every"], q["look_every"]) if period]
+        return int(min([q["total"] - self.step, *(each - self.step % each for each in periods)]))
+
+    @property
     def supplied(self) -> Array:
         """Energy supplied (n,), J."""
         nx = self.sizes["nx"]
@@ -178,11 +194,11 @@ class Loop:
 
     def _march(self, interval: int) -> None:
         q, steps = self.q, self.backend.steps(self, interval)
-        for code in _until_failure(steps):
+        for code, taken in _until_failure(steps):
             if code:
                 self._mark(np.full(len(self.z), code))
                 return
-            self.step += 1
+            self.step += taken
             last = self.step == q["total"]
             save = q["save_every"] and (self.step % q["save_every"] == 0 or last)
             if save or last or (q["look_every"] and self.step % q["look_every"] == 0):
@@ -270,9 +286,16 @@ class Loop:
         q["carry"][motions] = np.hstack([head, self.memory, self.w])
 
 
-def _until_failure(steps: Iterator[int]) -> Iterator[int]:
-    """Yield the codes of steps; UNSOLVED where CasADi cannot evaluate one."""
+def _fold(step: ca.Function) -> ca.Function:
+    """Build the Function of several steps under the same inputs."""
+    given = [ca.MX.sym(step.name_in(k), step.sparsity_in(k)) for k in range(step.n_in())]
+    z = reduce(lambda z, _: step.call([z, *given[1:]])[0], range(_FOLDED), given[0])
+    return ca.Function("folded", given, [z])
+
+
+def _until_failure(steps: Iterator[tuple[int, int]]) -> Iterator[tuple[int, int]]:
+    """Yield codes and numbers of steps; UNSOLVED if CasADi cannot evaluate a step."""
     try:
         yield from steps
     except RuntimeError:
-        yield UNSOLVED
+        yield UNSOLVED, 0

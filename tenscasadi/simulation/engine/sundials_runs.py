@@ -79,25 +79,25 @@ class SundialsRuns(Interpreted):
         if self._stop["stop"][0]:
             raise Stopped
 
-    def steps(self, loop: Loop, interval: int) -> Iterator[int]:
-        """Take the steps of an interval; yield after each the code of what went wrong."""
+    def steps(self, loop: Loop, interval: int) -> Iterator[tuple[int, int]]:
+        """Take the steps of an interval; yield a failure code and a number of steps."""
         left, length = int(loop.q["count"][interval]), float(loop.q["length"][interval])
         while left:
             count = min(left, self._most - loop.step % self._most)
             try:
                 rows = self._take(loop.z[0], loop.w[0], length, count)
             except Stopped:
-                yield STOPPED
+                yield STOPPED, 0
                 return
             except RuntimeError as error:
                 self.failure = str(error)
-                yield UNSOLVED
+                yield UNSOLVED, 0
                 return
             corrected = np.arange(loop.step + 1, loop.step + count + 1) % self._every == 0
             self._correct(rows, loop.w[0], corrected)
             for row in rows:
                 loop.z = row[None].copy()
-                yield FINISHED
+                yield FINISHED, 1
             left -= count
 
     def _take(self, z: Array, w: Array, length: float, count: int) -> Array:
