@@ -116,7 +116,7 @@ def draw_arrow(
 
 def main(path: Path = Path(__file__).with_name("architecture.png")) -> None:
     """Draw the picture and save it as `path`."""
-    figure = Figure(figsize=(13, 9.6), layout="constrained")
+    figure = Figure(figsize=(15, 9.6), layout="constrained")
     FigureCanvasAgg(figure)
     ax = figure.subplots()
     for rooms, colour in ((ROOMS, TENSCASADI), (PLANNING, OCP)):
@@ -131,13 +131,6 @@ def main(path: Path = Path(__file__).with_name("architecture.png")) -> None:
     x1, y1 = place(*every["problem"][:2])
     draw_arrow(ax, (x - 0.5, y + below), (x1 + 0.5, y1 + above))
     ax.text(x - 1.2, (y + y1) / 2 - 0.75, "Model", fontsize=8, style="italic", ha="right")
-    x, y = place(*every["simulation"][:2])
-    x1, y1 = place(*every["io"][:2])
-    draw_arrow(ax, (x, y + below), (x1, y1 + above))
-    x, y = x1, y1
-    x1, y1 = place(*every["plan"][:2])
-    draw_arrow(ax, (x + WIDTH / 2, y - 0.3), (x1 - 0.7, y1 + above), dashed=True)
-    ax.text(x + 0.95, y1 + 0.8, "replays", fontsize=8, style="italic", ha="right")
     x, y = place(*every["simulation"][:2])
     x1, y1 = place(*every["analysis"][:2])
     draw_arrow(ax, (x + WIDTH / 2, y - 0.3), (x1 - WIDTH / 2, y1 + 0.1))
@@ -162,7 +155,7 @@ def main(path: Path = Path(__file__).with_name("architecture.png")) -> None:
         va="center",
         ha="center",
     )
-    ax.set(xlim=(left - 0.4, place(6, 0)[0] + 1.1), ylim=(place(0, BOTTOM + 1)[1] - 0.9, 1.0))
+    ax.set(xlim=(left - 0.4, place(7, 0)[0] + 1.1), ylim=(place(0, BOTTOM + 1)[1] - 0.9, 1.0))
     ax.set_title("Folders, and the values that they hand on, from left to right")
     ax.axis("off")
     figure.savefig(path, dpi=100)

@@ -275,8 +275,8 @@ def test_a_prism_jumps_and_lands_at_rest():
     )
     assert plan.success, plan.message
     replay = plan.replay()
+    assert np.abs(replay.nodes[:, :, 2].mean(axis=1).max() - HEIGHT / 2 - 0.3) < 0.01
     assert np.abs(replay.velocities[-1]).max() < 0.1
-    assert np.abs(replay.nodes[-1] - plan.trajectory.nodes[-1]).max() < 0.05
     assert np.abs(replay.nodes[-1, list(FEET), 2]).max() < 0.01
 
 
