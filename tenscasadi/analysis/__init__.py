@@ -1,1 +1,1 @@
-"""Cost and errors of simulations, the scheme that suits a tolerance, and natural modes."""
+"""Accuracy and cost of simulations, and natural modes."""

@@ -1,4 +1,7 @@
-"""A certified end of a motion: two tight solutions by different schemes and steps, and how closely they agree."""
+"""Reference solutions with an error estimate.
+
+Two tight solutions by different schemes and steps are compared at the end.
+"""
 
 from __future__ import annotations
 
@@ -37,12 +40,15 @@ _FASTER = 10.0  # compiled code against the virtual machine
 
 
 class NoReference(ValueError):
-    """Raised where two tight solutions do not agree: the motion is chaotic, unstable or too stiff for errors to be measured."""
+    """Error for a reference whose two solutions disagree.
+
+    The motion is chaotic, unstable or too stiff for errors to be measured.
+    """
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """Places of a structure's nodes at the end of a motion, with their error.
+    """Final node positions with an error estimate.
 
     Attributes
     ----------
@@ -86,7 +92,9 @@ def certify(
     parameters: Any = None,
     seconds: float | None = None,
 ) -> Reference:
-    """Compute where a motion ends, with an estimate of the error, from two schemes whose steps are refined until both agree.
+    """Compute a reference solution with an error estimate.
+
+    Two schemes refine their steps until their final nodes agree.
 
     The schemes are `DormandPrince853` and `DormandPrince54`. Refinement ends when they agree within
     `enough`, when finer steps do not bring them closer, or when the next solution would cost more
@@ -195,7 +203,10 @@ def certify(
 
 
 class _Pairs:
-    """Pairs of solutions, the best so far, and how far the last pair ends apart (infinite when one fails)."""
+    """Best pair of solutions, and the last pair's difference.
+
+    The difference is infinite if one of the two fails.
+    """
 
     def __init__(
         self, model: Model, t_end: float, deadline: float, options: dict[str, Any]
@@ -208,7 +219,7 @@ class _Pairs:
 
     @property
     def error(self) -> float:
-        """Error of the best pair, m; infinite when there is none."""
+        """Error of the best pair [m]; infinite without one."""
         return np.inf if self.best is None else self.best.error
 
     @property
@@ -217,7 +228,11 @@ class _Pairs:
         return time.perf_counter() > self._deadline
 
     def try_steps(self, count: int) -> None:
-        """Solve with `count` steps of order 8 and four times as many of order 5; no multiple: they meet events at different places of a step."""
+        """Solve with both schemes.
+
+        Order 8 takes `count` steps and order 5 about four times as many. The number is no
+        multiple, so the two meet events at different places of a step.
+        """
         finer = _FINER * count + 1
         self._try(
             f"DormandPrince853 with {count} steps and DormandPrince54 with {finer}",
@@ -235,7 +250,9 @@ class _Pairs:
         )
 
     def _round_clock(self) -> float:
-        """Bound what the rounding of the clock does to the end, m: functions and tables of time are asked for a time that is off by it.
+        """Bound the error from the rounding of the clock [m].
+
+        Functions and tables of time are evaluated at a time with this rounding error.
 
         Their changes act as accelerations from the start on, each by so much too late or too early.
         """
@@ -315,7 +332,10 @@ class _Pairs:
 def _step_counts(
     model: Model, t_end: float, state: Any, work: float, parameters: Array
 ) -> Iterator[int]:
-    """Yield numbers of steps of order 8, from what is stable at the start to what `work` allows; at least one pair."""
+    """Yield numbers of steps of order 8, at least one.
+
+    They grow from the stability limit at the start to the number that `work` allows.
+    """
     limits = [
         stable_step(model, state, None, scheme, parameters=parameters)
         for scheme in (DormandPrince853(), DormandPrince54())
@@ -334,10 +354,13 @@ def _step_counts(
 
 
 def end_nodes(model: Model, trajectory: Trajectory) -> Array:
-    """Return the last nodes (n, 3) of the scene's structure; segments' nodes come after them and are left out."""
+    """Select the final nodes (n, 3) of the scene's structure.
+
+    The nodes of segments come after them and are left out.
+    """
     return trajectory.nodes[-1, : len(model.scene.structure.nodes)]
 
 
 def distance(nodes: Array, others: Array) -> float:
-    """Return the largest distance of a node from its other self, m."""
+    """Compute the largest distance between corresponding nodes [m]."""
     return float(np.linalg.norm(nodes - others, axis=1).max(initial=0.0))

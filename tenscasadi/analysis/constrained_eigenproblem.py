@@ -1,4 +1,7 @@
-"""The lowest eigenvalues of K v = λ M v among the v with J v = 0, for large sparse matrices: shift-invert Lanczos, counted by inertia."""
+"""Lowest eigenvalues of large sparse constrained problems.
+
+K v = λ M v among the v with J v = 0: shift-invert Lanczos, counted by inertia.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,9 @@ from tenscasadi.util.validate import Array
 
 
 class SaddlePoint:
-    """Factors of the symmetric [[A, Jᵀ], [J, 0]]: solves A v + Jᵀ μ = f, J v = g, also where rows of J repeat each other.
+    """Factors of the symmetric matrix [[A, Jᵀ], [J, 0]].
+
+    They solve A v + Jᵀ μ = f, J v = g, also with redundant rows of J.
 
     Raises LinAlgError where the factors are too far off for the refinement.
     """
@@ -46,7 +51,7 @@ class SaddlePoint:
             raise np.linalg.LinAlgError(str(error)) from None
 
     def solve(self, f: Array, g: Array | None = None) -> tuple[Array, Array]:
-        """Return v and μ."""
+        """Solve for v and μ."""
         target = np.concatenate([f, np.zeros((self.rows, *f.shape[1:])) if g is None else g])
         scale = self.scale.reshape(-1, *[1] * (f.ndim - 1))
         target = target * scale
@@ -64,14 +69,19 @@ class SaddlePoint:
         return x[: self.size], x[self.size :]
 
     def count_negative(self) -> int:
-        """Return how many eigenvalues A has below zero among the v with J v = 0: Sylvester's law of inertia."""
+        """Count the negative constrained eigenvalues of A.
+
+        The v satisfy J v = 0. Sylvester's law of inertia.
+        """
         if not np.array_equal(self.factors.perm_r, self.factors.perm_c):
             raise np.linalg.LinAlgError("a pivot left the diagonal")
         return int((self.factors.U.diagonal() < 0.0).sum()) - self.rows
 
 
 def lowest_eigenpairs(K: Any, M: Any, J: Any, left_out: Array, count: int) -> tuple[Array, Array]:
-    """Compute the lowest eigenvalues of K v = λ M v with J v = 0 and v orthogonal to `left_out`.
+    """Compute the lowest constrained eigenvalues and their vectors.
+
+    K v = λ M v with J v = 0 and v orthogonal to `left_out`.
 
     Parameters
     ----------
@@ -143,7 +153,10 @@ def lowest_eigenpairs(K: Any, M: Any, J: Any, left_out: Array, count: int) -> tu
 
 
 def fastest_rate(K: Any, M: Any) -> float:
-    """Return about the largest |λ| of K v = λ M v without constraints, by the diagonal of M; 1 where K is zero."""
+    """Estimate the largest |λ| without constraints.
+
+    K v = λ M v with the diagonal of M; 1 if K is zero.
+    """
     weight = (
         M.diagonal() ** -0.5
         if np.all(M.diagonal() > 0.0)

@@ -21,7 +21,9 @@ def mode_motion(
     rows: int = 41,
     parameters: Any = None,
 ) -> Trajectory:
-    """Return one period of a natural mode about the model's initial shape as a trajectory, for plots and animations.
+    """Compute one period of a natural mode.
+
+    The trajectory, about the model's initial shape, is for plots and animations.
 
     Nodes move in straight lines, so bar lengths are off in the second order of the amplitude;
     `bar_length_error` says by how much. An unstable mode gets the period that its rate of growth

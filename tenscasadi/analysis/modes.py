@@ -28,7 +28,9 @@ NEUTRAL = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Linearization(ReadOnlyArrays):
-    """A model's equations to first order about a state and control: ẋ ≈ ode(x₀, u₀) + A (x − x₀) + B (u − u₀).
+    """First-order model about a state and control.
+
+    ẋ ≈ ode(x₀, u₀) + A (x − x₀) + B (u − u₀).
 
     Attributes
     ----------
@@ -61,7 +63,9 @@ class Linearization(ReadOnlyArrays):
 
 @dataclass(frozen=True, eq=False)
 class Modes(ReadOnlyArrays):
-    """Natural modes about an equilibrium, without the rigid-body motions that nothing restores.
+    """Natural modes about an equilibrium.
+
+    Rigid-body motions without a restoring force are left out.
 
     Attributes
     ----------
@@ -90,7 +94,9 @@ class Modes(ReadOnlyArrays):
 
 
 def linearize(model: Model, x: Any = None, u: Any = None, parameters: Any = None) -> Linearization:
-    """Compute the exact derivatives of a model's equations at a state and control.
+    """Linearize a model's equations at a state and control.
+
+    The derivatives are exact.
 
     A and B act on all coordinates of the state. Only perturbations along `tangent` keep the bars'
     lengths and the joints closed.
@@ -146,7 +152,9 @@ def linearize(model: Model, x: Any = None, u: Any = None, parameters: Any = None
 def modes(
     model: Model, x: Any = None, u: Any = None, count: int | None = None, parameters: Any = None
 ) -> Modes:
-    """Compute the natural modes of small undamped vibrations about an equilibrium at rest.
+    """Compute the natural modes about an equilibrium.
+
+    The modes are small undamped vibrations about an equilibrium at rest.
 
     Strings act with their stiffness and prestress, bars with the force that they carry. A
     `ForceDensity` control is held constant.
@@ -236,13 +244,19 @@ def modes(
 
 
 def _numbers(model: Model, x: Any, u: Any, parameters: Any) -> tuple[Array, Array]:
-    """Check a state (nx,) and its inputs (nw,); None: the initial ones."""
+    """Check a state (nx,) and its inputs (nw,).
+
+    None stands for the initial values.
+    """
     state = model.initial_state if x is None else finite_array("x", x, (model.nx,))
     return state, model.held(u, parameters)
 
 
 def _reject_degenerate(model: Model, state: Array, *values: Any) -> None:
-    """Raise ValueError unless all values are finite, naming the member without length."""
+    """Raise ValueError unless all values are finite.
+
+    The message names the member without length.
+    """
     if all(np.all(np.isfinite(value)) for value in values):
         return
     structure, nodes = model.structure, model.nodes(state)
@@ -306,7 +320,10 @@ def _lowest_modes(
 
 
 def _stiffness(model: Model, state: Array, inputs: Array) -> tuple[Any, Any, Any, Array]:
-    """Compute sparse K, M (nq×nq) and J (m×nq) of K v = ω² M v, J v = 0, and accelerations."""
+    """Compute the sparse eigenproblem and the accelerations.
+
+    K, M (nq×nq) and J (m×nq) define K v = ω² M v, J v = 0.
+    """
     derivatives = EquationDerivatives.of(model)
     M, J, force, bias = derivatives.system_at(state, inputs)
     _reject_degenerate(model, state, J.data, force, bias)
@@ -318,7 +335,10 @@ def _stiffness(model: Model, state: Array, inputs: Array) -> tuple[Any, Any, Any
 
 
 def _neutral(K: Array, motions: Array) -> Array:
-    """Return an orthonormal basis of the combinations of `motions` (columns) that K leaves without restoring force."""
+    """Find the combinations of motions without a restoring force.
+
+    The result is an orthonormal basis; `motions` are columns.
+    """
     basis = scipy.linalg.orth(motions) if motions.size else motions
     _, size, right = np.linalg.svd(K @ basis)
     free = np.ones(basis.shape[1], dtype=bool)
@@ -327,7 +347,10 @@ def _neutral(K: Array, motions: Array) -> Array:
 
 
 def _supported_motions(model: Model, state: Array) -> Array:
-    """Return an orthonormal basis (nq, ≤ 6) of the rigid-body motions that leave pinned coordinates where they are."""
+    """Find the rigid-body motions that pinned coordinates allow.
+
+    The result is an orthonormal basis (nq, ≤ 6).
+    """
     mech = model.mechanism
     columns = model.nodes(state)[mech.physical]
     fields = [np.broadcast_to(axis, columns.shape) for axis in np.eye(3)] + [
@@ -340,7 +363,10 @@ def _supported_motions(model: Model, state: Array) -> Array:
 
 
 def _allowed(motions: Array, outside: Array) -> Array:
-    """Return the combinations of rigid-body motions that the constraints allow, given what of each they stop: pins of full coordinates."""
+    """Find the rigid-body motions that the constraints allow.
+
+    The constraints are the parts of each motion that pins of full coordinates stop.
+    """
     return (
         np.asarray(motions @ scipy.linalg.null_space(outside, rcond=1e-9))
         if np.abs(outside).max(initial=0.0) > 1e-9

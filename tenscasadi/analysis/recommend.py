@@ -1,4 +1,7 @@
-"""Which scheme and step to take for a wanted accuracy, found by measuring the motion itself."""
+"""Recommended scheme and step for an accuracy.
+
+The recommendation rests on measured runs of the motion itself.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +61,9 @@ class NoScheme(ValueError):
 
 @dataclass(frozen=True)
 class Recommendation:
-    """A way to reach a tolerance at the least cost: ``tc.simulate(model, t_end, **recommendation.options)``.
+    """Cheapest options that reach a tolerance.
+
+    Use them as ``tc.simulate(model, t_end, **recommendation.options)``.
 
     Attributes
     ----------
@@ -111,7 +116,9 @@ def recommend(
     seconds: float = 60.0,
     parameters: Any = None,
 ) -> Recommendation:
-    """Find the scheme, step and correction that reach a position error at the end for the least work.
+    """Find the cheapest options for a position error.
+
+    The options are the scheme, step and correction; the error is that of the final nodes.
 
     The motion is solved once to a tenth of the tolerance by `certify`. Then the largest step, or
     `rtol`, that serves is looked for with each scheme, which is left out as soon as it costs more
@@ -221,7 +228,11 @@ def recommend(
 
 @dataclass(frozen=True, eq=False)
 class _Goal:
-    """Nodes (n, 3) to reach within `wanted` m by the time `deadline` of the clock, s, which is `seconds` after the start."""
+    """Position error to reach, and the deadline.
+
+    The nodes (n, 3) are to be within `wanted` m. The search ends at the time `deadline` of the
+    clock [s], `seconds` after its start.
+    """
 
     nodes: Array
     wanted: float
@@ -229,13 +240,16 @@ class _Goal:
     seconds: float
 
     def check_time(self, expected: float, best: _Choice | None) -> None:
-        """Raise _OutOfTime where a run that is expected to take so many seconds would not end in time."""
+        """Raise _OutOfTime if a run would end after the deadline."""
         if time.perf_counter() + expected > self.deadline:
             raise _OutOfTime(best)
 
 
 class _OutOfTime(Exception):
-    """Raised where a search ends before it is through; `best` is what it has found."""
+    """Exception for an expired deadline.
+
+    `best` is the best result so far.
+    """
 
     def __init__(self, best: _Choice | None) -> None:
         super().__init__()
@@ -243,7 +257,7 @@ class _OutOfTime(Exception):
 
 
 def _find_cheapest(ways: Sequence[Case], goal: _Goal) -> tuple[_Choice | None, list[str]]:
-    """Find the cheapest way that serves, and why others were left out.
+    """Find the cheapest candidate, and why others were rejected.
 
     Explicit schemes come first: implicit ones are measured against them. Steps that miss events
     serve only when they are tiny: schemes that locate them say beforehand how few may be tried.
@@ -291,14 +305,19 @@ def _find_cheapest(ways: Sequence[Case], goal: _Goal) -> tuple[_Choice | None, l
 
 @dataclass(frozen=True)
 class _Price:
-    """Price of a run in instructions: `step` for each step that is tried, `second` for each second of wall time."""
+    """Price of a run in instructions.
+
+    `step` counts for each trial step, `second` for each second of wall time.
+    """
 
     step: float
     second: float
 
 
 def _find_option(case: Case, speed: float, goal: _Goal, most: float) -> _Choice | None:
-    """Find about the cheapest step or rtol that serves; None: none for less than `most`.
+    """Find about the cheapest sufficient step or rtol.
+
+    None: no option costs less than `most`.
 
     `speed`: instructions in a second, where they are not counted.
     """
@@ -321,7 +340,10 @@ def _find_option(case: Case, speed: float, goal: _Goal, most: float) -> _Choice 
 
 @dataclass(frozen=True, eq=False)
 class _Choice:
-    """A way that serves, or does not: `steps` of at most `step` s end in the state `end` (nx,), `error` m off, and cost so many instructions.
+    """Measured candidate, sufficient or not.
+
+    Its `steps` of at most `step` s lead to the state `end` (nx,) with an error of `error` m, and
+    cost that many instructions.
 
     The run took `seconds` s of wall time, as machine code or not.
     """
@@ -344,7 +366,11 @@ class _Choice:
 
 
 def _measure(case: Case, step: float, price: _Price, goal: _Goal, uncompiled: bool) -> _Choice:
-    """Run once; the error is infinite when that fails. `uncompiled`: in the virtual machine, where there is a choice."""
+    """Run once and measure the error.
+
+    The error is infinite if the run fails. `uncompiled`: use the virtual machine if there is a
+    choice.
+    """
     swift = replace(case, compiled=False) if uncompiled and case.compiled is None else case
 
     def run(**options: Any) -> Trajectory:
@@ -365,7 +391,10 @@ def _measure(case: Case, step: float, price: _Price, goal: _Goal, uncompiled: bo
 
 
 def _find_loosest(case: Case, price: _Price, goal: _Goal, most: float) -> _Choice | None:
-    """Find about the largest rtol whose error is at most `wanted`; None when that costs `most` or more."""
+    """Find about the largest sufficient rtol.
+
+    Its error is at most `wanted`; None if it costs `most` or more.
+    """
     best: _Choice | None = None
     wanted, expected = goal.wanted, 0.0
     least = 1e-6 if isinstance(case.compiled, Single) else 1e-15
@@ -395,7 +424,10 @@ def _find_loosest(case: Case, price: _Price, goal: _Goal, most: float) -> _Choic
 
 
 def _find_fewest(case: Case, price: _Price, goal: _Goal, most: float) -> _Choice | None:
-    """Find about the fewest equal steps whose error is at most `wanted`; None when that costs `most` or more."""
+    """Find about the fewest equal steps that suffice.
+
+    Their error is at most `wanted`; None if they cost `most` or more.
+    """
     wanted = goal.wanted
     limit = np.ceil(most / price.step) - 1 if price.step else np.inf
     steps = int(max(1, min(_count_coarsest(case), limit)))  # from there on downwards
@@ -427,7 +459,10 @@ def _find_fewest(case: Case, price: _Price, goal: _Goal, most: float) -> _Choice
 
 
 def _count_coarsest(case: Case, state: Array | None = None) -> int:
-    """Count the steps at the limit of stability of the start, and of `state`."""
+    """Count the steps at the stability limit.
+
+    The limit is that of the start and of `state`.
+    """
     if case.scheme.implicit:
         return _FEW
     states = [case.state] if state is None else [case.state, state]

@@ -1,4 +1,7 @@
-"""Speed against accuracy, measured: a grid of schemes, steps, corrections and models against a certified reference."""
+"""Trade-off studies of speed and accuracy.
+
+A grid of schemes, steps, corrections and models is compared with a reference solution.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +60,9 @@ def tradeoff(
     progress: bool = False,
     parameters: Any = None,
 ) -> Tradeoff:
-    """Measure what accuracy costs: run every scheme with every step, correction, model and way to run.
+    """Measure the cost of accuracy in a trade-off study.
+
+    Every scheme runs with every step, correction, model and way to run.
 
     A run that diverges, and a scheme that cannot serve a model, give rows with `success` False and
     the reason in `message`. Ctrl-C ends the study and returns the rows so far, with `complete`
@@ -171,7 +176,7 @@ def tradeoff(
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """All that a way to compute a motion consists of but for the step."""
+    """Options of a run except its step."""
 
     model: Model
     scheme: Scheme
@@ -183,7 +188,7 @@ class Case:
     parameters: Any = None
 
     def run(self, step: float, **options: Any) -> Trajectory:
-        """Simulate the motion; raise KeyboardInterrupt where `simulate` returns what it has."""
+        """Simulate the motion; raise KeyboardInterrupt after an interrupted run."""
         options = {
             "t_end": self.t_end,
             "control": self.control,
@@ -206,11 +211,17 @@ class Case:
 
     @property
     def even(self) -> bool:
-        """Whether all steps cost the same: none is repeated, and none solves equations by iteration."""
+        """Return whether all steps cost the same.
+
+        None is repeated, and none solves equations by iteration.
+        """
         return not (self.scheme.adaptive or self.scheme.implicit)
 
     def instructions(self) -> int:
-        """Count the instructions of one step with its share of the correction; 0 where they are not known: implicit schemes iterate."""
+        """Count the instructions of one step and its correction.
+
+        0 for implicit schemes, which iterate an unknown number of times.
+        """
         if self.scheme.implicit:
             return 0
         project = None if self.correction is None else self.correction.step(self.model)
@@ -222,7 +233,10 @@ class Case:
         return round(count_instructions(self.scheme.advance(self.model)) + extra)
 
     def seconds_per_step(self, step: float, repeats: int) -> float:
-        """Measure the wall time of a step, s: the median of `repeats` runs that are long enough for the clock, and hardly leave the start.
+        """Measure the wall time of a step [s].
+
+        It is the median of `repeats` runs that are long enough for the clock and stay near the
+        start.
 
         A run over [0, t_end] with coarse steps is too short to be timed, and all steps cost the
         same.
@@ -246,13 +260,16 @@ class Case:
         return median(seconds(steps) for _ in range(repeats))
 
     def _held(self) -> ControlInput:
-        """Return the control where it is constant: others are not for the short time of a timed run."""
+        """Select a control that is constant over a timed run."""
         over_time = callable(self.control) or isinstance(self.control, ControlFunction)
         return None if over_time or np.ndim(np.asarray(self.control)) != 1 else self.control
 
 
 def start_of(model: Model, state: State) -> Array | None:
-    """Return the start (nx,) that `state` means for this model. Raises TypeError, ValueError."""
+    """Find the start (nx,) that `state` means for this model.
+
+    Raises TypeError, ValueError.
+    """
     value = (
         call_user_function(
             "state", state, model, "give a function of a model that returns its start"
@@ -266,7 +283,10 @@ def start_of(model: Model, state: State) -> Array | None:
 def _measure_rows(
     case: Case, name: str, lengths: Sequence[float], reference: Reference, repeats: int
 ) -> Iterable[Row]:
-    """Yield a row for each step; the time of a step and the set-up are measured once."""
+    """Yield a row for each step.
+
+    The time of a step and the set-up are measured once.
+    """
     empty = Row(
         case.scheme,
         np.nan,
@@ -362,7 +382,10 @@ def _check_models(named: dict[str, Model], schemes: Any, corrections: Any) -> No
 
 
 def check_ways(schemes: Any, corrections: Any) -> None:
-    """Raise TypeError or ValueError unless these are sequences of schemes and of corrections, each with one at least."""
+    """Check the sequences of schemes and corrections.
+
+    Raises TypeError or ValueError unless each has at least one entry.
+    """
     for i, scheme in enumerate(_check_sequence("schemes", schemes)):
         check_scheme(scheme, f"schemes[{i}]")
     for correction in _check_sequence("corrections", corrections):

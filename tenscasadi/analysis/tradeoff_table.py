@@ -1,4 +1,4 @@
-"""Measured runs as a table: what each costs, how wrong it is, and which are worth their time."""
+"""Table of measured runs with their cost and errors."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Cost = Literal["seconds", "work"]
 
 @dataclass(frozen=True)
 class Row:
-    """One run of a trade-off study: how it was computed, what it cost and how wrong it is.
+    """Cost and errors of one run of a trade-off study.
 
     Attributes
     ----------
@@ -92,7 +92,11 @@ class Row:
 
     @property
     def work(self) -> float:
-        """Instructions of the whole run, a cost that no other load of the machine changes; NaN where they are not known (implicit schemes)."""
+        """Instructions of the whole run.
+
+        The cost does not depend on other loads of the machine. It is NaN for implicit schemes,
+        whose instructions are not known.
+        """
         return float(self.instructions) * self.steps if self.instructions else float("nan")
 
     @property
@@ -102,7 +106,10 @@ class Row:
 
     @property
     def curve(self) -> str:
-        """Name that rows share which differ only in step or tolerance."""
+        """Common name of rows.
+
+        They differ only in step or tolerance.
+        """
         swept = "rtol" if np.isnan(self.step) else ""
         return ", ".join(
             [abbreviate(self.scheme, swept) + (f" with {swept}" if swept else ""), *self._variant()]
@@ -116,7 +123,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Tradeoff:
-    """The result of a trade-off study: cost and errors of all its runs.
+    """Result of a trade-off study.
 
     Attributes
     ----------
@@ -157,7 +164,9 @@ class Tradeoff:
         _check_kinds(self)
 
     def pareto(self, cost: Cost = "seconds") -> tuple[Row, ...]:
-        """Return the rows that no other beats in both cost and position error.
+        """Select the rows on the Pareto front.
+
+        No other row is better in both cost and position error.
 
         Errors below that of the reference are not told apart.
 
@@ -183,7 +192,9 @@ class Tradeoff:
         return tuple(front)
 
     def cheapest(self, tolerance: float, cost: Cost = "seconds") -> Row:
-        """Return the cheapest row within a position error, that of the reference included.
+        """Find the cheapest row within a position error.
+
+        The error of the reference is included.
 
         Parameters
         ----------
@@ -220,7 +231,9 @@ class Tradeoff:
         )
 
     def summary(self) -> str:
-        """Return the table as lines of text, in which rows that no other beats are marked.
+        """Format the table as text.
+
+        A mark shows the rows on the Pareto front.
 
         Returns
         -------
@@ -267,7 +280,9 @@ class Tradeoff:
         return "\n".join([*lines, self.message] if self.message else lines)
 
     def plot(self, path: str | os.PathLike[str] | None = None, title: str = "") -> Any:
-        """Draw a work-precision diagram: seconds per simulated second over position error.
+        """Draw a work-precision diagram.
+
+        It shows seconds per simulated second over position error.
 
         Parameters
         ----------
@@ -290,7 +305,7 @@ class Tradeoff:
         return work_precision(curves, front, self.reference_error, title=title, path=path)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the study to a compressed .npz file of NumPy arrays.
+        """Write the study to a compressed .npz file.
 
         Parameters
         ----------
@@ -322,7 +337,9 @@ class Tradeoff:
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Tradeoff:
-        """Read a study that `save` wrote. No code in the file is ever run.
+        """Read a study that `save` wrote.
+
+        No code in the file is ever run.
 
         Parameters
         ----------
@@ -348,7 +365,10 @@ class Tradeoff:
         return [row for row in self.rows if row.success]
 
     def _sorted_by(self, cost: Cost) -> list[Row]:
-        """Return the successful rows whose cost is known, from the cheapest; of equal ones the more accurate comes first."""
+        """Sort the successful rows of known cost, cheapest first.
+
+        Of rows of equal cost the more accurate comes first.
+        """
         if not isinstance(cost, str) or cost not in ("seconds", "work"):
             raise ValueError(f'cost is {shown(cost)}: give "seconds" or "work"')
         known = [row for row in self._successful() if not np.isnan(getattr(row, cost))]
@@ -356,7 +376,10 @@ class Tradeoff:
 
 
 def abbreviate(value: Any, without: str = "") -> str:
-    """Return a frozen value as text, with only the options that are not the default, and not that of the name `without`."""
+    """Format a frozen value with its non-default options.
+
+    The option named `without` is left out.
+    """
     own = (
         [(field.name, getattr(value, field.name), field.default) for field in fields(value)]
         if is_dataclass(value)
@@ -371,7 +394,10 @@ def abbreviate(value: Any, without: str = "") -> str:
 
 
 def _check_kinds(value: Row | Tradeoff) -> None:
-    """Raise TypeError or ValueError naming the first field that is no number, no text or no truth value, as it should be."""
+    """Check the types of the fields.
+
+    Raises TypeError or ValueError with the name of the first wrong field.
+    """
     for field in fields(value):
         name, given = f"{type(value).__name__}.{field.name}", getattr(value, field.name)
         if field.type == "float" and real_array(name, given, "a number").ndim:
@@ -417,12 +443,19 @@ def _from_arrays(content: archive.Fields) -> Tradeoff:
 
 
 def _kinds(field: Field[Any]) -> str:
-    """Return NumPy's letters of what a field holds; schemes and corrections are stored as text."""
+    """Return NumPy's kind letters of a field.
+
+    Schemes and corrections are stored as text.
+    """
     return {"float": "fi", "int": "i", "bool": "b"}.get(str(field.type), "U")
 
 
 def _check_values(columns: Mapping[str, Any], own: Mapping[str, Any]) -> None:
-    """ValueError naming the first field whose numbers no study can have; NaN is what was not measured."""
+    """Check the values of the fields.
+
+    Raises ValueError with the name of the first wrong field. NaN stands for a value that was not
+    measured.
+    """
     if not 0 < own["t_end"] < np.inf:
         raise ValueError(f"field 't_end' is {own['t_end']:g}: it must be finite and greater than 0")
     if not own["reference_error"] >= 0:
@@ -448,7 +481,10 @@ def _number(value: float, form: str) -> str:
 
 
 def _value(text: str) -> Any:
-    """Return the scheme or correction that `repr` wrote: a registered class with plain options."""
+    """Read a scheme or correction from its `repr`.
+
+    Only registered classes with plain options are read.
+    """
     try:
         tree = ast.parse(text, mode="eval").body
     except SyntaxError:
