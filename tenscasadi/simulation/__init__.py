@@ -1,1 +1,1 @@
-"""From a model and a scheme to a trajectory that carries its own errors."""
+"""Simulation of a model to a trajectory with errors."""

@@ -1,4 +1,7 @@
-"""Controls over time: a constant, a table, or a profile on a mesh, sampled at the steps of a run."""
+"""Controls over time, sampled at the steps of a run.
+
+A control is a constant, a table, or a profile on a mesh.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,9 @@ ControlInput = ArrayLike | Callable[[float], ArrayLike] | ControlFunction | None
 
 @dataclass(frozen=True, eq=False)
 class ControlProfile:
-    """A control on a mesh of intervals of any lengths, from time 0 to the end of a run.
+    """Control on a mesh of intervals of any lengths.
+
+    The mesh covers a run from time 0 to its end.
 
     Parameters
     ----------
@@ -63,7 +68,10 @@ class SampledControl:
         return self.step if self.ends is None else float(np.diff(self.ends).max())
 
     def window(self, first: int, count: int) -> Array:
-        """Return the control (count, nu) of the steps from `first` on; past the end of the run the last one is held."""
+        """Return the control (count, nu) from step `first` on.
+
+        Past the end of the run the last one is held.
+        """
         inside = self.sample(first, max(0, min(count, self.steps - first)))
         if len(inside) == count:
             return inside
@@ -71,7 +79,10 @@ class SampledControl:
         return np.concatenate([inside, np.repeat(last, count - len(inside), axis=0)])
 
     def lengths(self, first: int, count: int) -> Array:
-        """Return the lengths (count,) of the steps from `first` on, s; past the end of the run those of the last one."""
+        """Return the step lengths (count,) from `first` on [s].
+
+        Past the end of the run the last length is repeated.
+        """
         if self.ends is None:
             return np.full(count, self.step)
         indices = np.minimum(np.arange(first, first + count), self.steps - 1)
@@ -91,7 +102,10 @@ def sample_control(
     steps: int,
     positive: bool = False,
 ) -> SampledControl:
-    """Lay `control` (see `simulate`) over [0, t_end] s in at least `steps` equal steps, in more where the intervals of a table or mesh need it.
+    """Sample a control over [0, t_end] at equal steps.
+
+    There are at least `steps` steps, and more if the intervals of a table or mesh need it. See
+    `simulate` for `control`.
 
     `default` (nu,) is used for None; `positive`: these are lengths, greater than 0.
 
@@ -134,7 +148,9 @@ def append_constants(inputs: SampledControl, values: Array) -> SampledControl:
 
 
 def cut_steps(inputs: SampledControl, breaks: Array, near: float | None = None) -> SampledControl:
-    """Cut the steps at `breaks`, s after the start; the control of a step is held in its parts.
+    """Cut the steps at `breaks` [s] after the start.
+
+    The control of a step is held in its parts.
 
     near: distance, s, from an end of a step below which a break is there already; by default 1e-9
     of the step.
@@ -216,7 +232,7 @@ def _array(control: Any, nu: int) -> Array:
 
 
 def _check_lengths(field: str, values: Array, positive: bool) -> Array:
-    """Return `values`, where they are lengths each greater than 0."""
+    """Check that `values` are lengths greater than 0."""
     bad = np.argwhere(values < SMALLEST)
     if positive and len(bad):
         place = tuple(int(i) for i in bad[0])

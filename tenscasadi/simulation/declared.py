@@ -1,4 +1,4 @@
-"""A simulation as a value: a scene, its start, and how it is integrated."""
+"""Declared simulations: scene, start and integration options."""
 
 from __future__ import annotations
 
@@ -44,7 +44,9 @@ MOST_KEPT = 2.5e8  # numbers in the rows of states that a run keeps: 2 GB
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """A scene with its start and the options of `simulate`: what a file tells from [scene] to [simulation].
+    """Scene with its start and the options of `simulate`.
+
+    A scene file describes it in the sections from [scene] to [simulation].
 
     Parameters
     ----------
@@ -173,7 +175,10 @@ class Simulation:
         return np.array(state)
 
     def check(self) -> None:
-        """Build the model, and raise TypeError or ValueError unless start, control and parameters fit it."""
+        """Build the model and check the values against it.
+
+        Raises TypeError or ValueError unless start, control and parameters fit the model.
+        """
         if len(self.start) != self.model.nx:
             raise ValueError(
                 f"state has {len(self.start)} entries: give the {self.model.nx} of the model, or nodes and velocities"
@@ -222,7 +227,7 @@ class Simulation:
         )
 
     def _rows(self, name: str) -> Array:
-        """Return positions or velocities of the structure's nodes, or of all that are modelled."""
+        """Select positions or velocities of the structure's or modelled nodes."""
         rows = finite_array(f"Simulation.{name}", getattr(self, name), (None, 3))
         counts = {len(self.scene.structure.nodes), len(self.scene.modelled.nodes)}
         if len(rows) not in counts:
@@ -232,7 +237,10 @@ class Simulation:
         return rows
 
     def _modelled(self, rows: Array) -> Array:
-        """Return rows for all modelled nodes: those inside strings lie, and move, on the line between its ends."""
+        """Interpolate rows for all modelled nodes.
+
+        Those inside strings lie, and move, on the line between the ends of the string.
+        """
         structure = self.scene.structure
         if len(rows) == len(self.scene.modelled.nodes):
             return rows

@@ -1,4 +1,7 @@
-"""Diagnosis of a run, for its message: why it broke down, what in one that finished is not to be trusted, and the cure."""
+"""Diagnosis of a run for its message.
+
+It gives the cause of a failure, the doubts about a finished run, and the cure.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +48,10 @@ _EPSILON = 64 * float(
 
 
 def explain_divergence(model: Model, scheme: Scheme, run: Trajectory, last: int) -> str:
-    """Say why a run diverged after row `last`, as far as the start and the linearised motion tell, and what to do."""
+    """Explain the divergence of a run after row `last`.
+
+    The start and the linearized motion give the cause and the cure.
+    """
     step, name = run.step, type(scheme).__name__
     if off := off_constraints(model, run.states[0], OFF):
         return f"the start is {off}"
@@ -132,7 +138,10 @@ def describe_doubts(
 
 
 def _find_coarse_damping(model: Model, scheme: Scheme, run: Trajectory, looks: list[_Look]) -> str:
-    """Say that steps are too long to follow damped strings that go slack, though they are stable, and the cure; "" where they are not."""
+    """Report steps too long for damped strings that go slack.
+
+    Such steps may be stable. The text names the cure; "" if the steps are short enough.
+    """
     clamped = model.scene.clamped_strings
     damped = clamped[_string_values(model, run, "damping")[clamped] > 0]
     if (
@@ -167,7 +176,10 @@ def _find_coarse_damping(model: Model, scheme: Scheme, run: Trajectory, looks: l
 def _find_growth(
     model: Model, scheme: Scheme, run: Trajectory, looks: list[_Look]
 ) -> tuple[float, float, float]:
-    """Find by how much the steps of a run amplified a mode that they should not: its log, the stability limit, s, and a time, s, of it."""
+    """Find the spurious amplification of a mode.
+
+    The result is its logarithm, the stability limit [s], and a time at which it occurs [s].
+    """
     steps, ends = (
         max(1.0, float(run.time[-1]) / run.step),
         (0, len(run.time) - 1),
@@ -258,7 +270,10 @@ def _stretched(model: Model, run: Trajectory, states: Array) -> NDArray[np.bool_
 
 
 def _string_values(model: Model, run: Trajectory, name: str) -> Array:
-    """Return stiffness, damping or rest length (α,) of the modelled strings, with the parameters of a run."""
+    """Evaluate stiffness, damping or rest length (α,).
+
+    The modelled strings have the parameters of the run.
+    """
     s = model.structure
     if not model.scene.has_parameter(name):
         return np.asarray(getattr(s, name))
@@ -280,7 +295,10 @@ def _finer(model: Model, scheme: Scheme, run: Trajectory) -> str:
 
 
 def off_constraints(model: Model, state: Array, tolerance: float) -> str:
-    """Say by how much a state (nx,) is off its bars and joints, and the cure; "" where `constraint_violation` is within `tolerance`."""
+    """Describe the constraint residual of a state and the cure.
+
+    "" if `constraint_violation` of the state (nx,) is within `tolerance`.
+    """
     violation = constraint_violation(model, state)
     if violation <= tolerance:
         return ""
@@ -291,7 +309,9 @@ def off_constraints(model: Model, state: Array, tolerance: float) -> str:
 
 
 def constraint_violation(model: Model, state: Array) -> float:
-    """Return by how much a state is off its bars and joints, beyond rounding, as a share of lengths and speeds.
+    """Compute the relative constraint violation of a state.
+
+    It is a share of lengths and speeds, beyond rounding.
 
     Parameters
     ----------

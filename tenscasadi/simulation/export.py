@@ -1,4 +1,8 @@
-"""A model as C that needs nothing but the C library: equations, derivatives, one step, and a program that runs them."""
+"""Export of a model as C without dependencies.
+
+The code holds equations, derivatives, one step, and a program that runs them. It needs only the C
+library.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +30,9 @@ def export_c(
     precision: Single | None = None,
     parameters: Any = None,
 ) -> list[Path]:
-    """Write a model as C code that needs nothing but the C library.
+    """Export a model as C without dependencies.
+
+    The code needs only the C library.
 
     Parameters
     ----------
@@ -100,7 +106,11 @@ def export_c(
 
 
 def _jacobian(model: Model) -> ca.Function:
-    """Write dense derivatives: one directional derivative in C, looped over the directions, so that code and compile time stay small."""
+    """Write dense derivatives in C.
+
+    One directional derivative is looped over the directions, so that code and compile time stay
+    small.
+    """
     given = _inputs(model)
     symbols, seeds = (
         list(given.values()),

@@ -1,4 +1,4 @@
-"""State feedback along a plan, as a value: controls that correct what a motion departs from."""
+"""State feedback along a plan."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ from tenscasadi.util.validate import Array, finite_array, real_array, shown
 
 @dataclass(frozen=True, eq=False)
 class Feedback:
-    """Controls that keep to a plan, u = u_k − G_k (x − x_k) within limits, decided at the times of the plan and held between them.
+    """State feedback along a plan.
+
+    The controls u = u_k − G_k (x − x_k), within limits, are updated at the times of the plan and
+    constant between them.
 
     After the plan its last gain goes on to hold its last state, decided as often as in its last
     interval.

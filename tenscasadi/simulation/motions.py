@@ -1,4 +1,4 @@
-"""Results of rollouts: motions side by side, with their errors and how each ended, kept in .npz files."""
+"""Results of rollouts, with errors, in .npz files."""
 
 from __future__ import annotations
 
@@ -22,7 +22,9 @@ _TOLD = 3  # kinds of ends that a summary names
 
 @dataclass(frozen=True, eq=False)
 class Rollouts(Viewable, ReadOnlyArrays):
-    """Motions of one model side by side: n of them, at T saved times; `rollouts` returns them. All arrays are read-only.
+    """Rollouts of one model at T saved times.
+
+    `rollouts` returns n of them. All arrays are read-only.
 
     Attributes
     ----------
@@ -118,7 +120,7 @@ class Rollouts(Viewable, ReadOnlyArrays):
 
     @property
     def final(self) -> Array:
-        """States (n, nx) at the end; NaN where a motion did not reach it."""
+        """Final states (n, nx); NaN for lost motions."""
         return self.states[:, -1]
 
     def path(self, node: int) -> Array:
@@ -142,7 +144,7 @@ class Rollouts(Viewable, ReadOnlyArrays):
         return node_positions(self, [node_index("node", node, len(self.place))])[:, :, 0]
 
     def summary(self) -> str:
-        """Return a few lines of text: how the motions ended, their errors and their speed.
+        """Format endings, errors and speed of the motions.
 
         Returns
         -------
@@ -173,7 +175,7 @@ class Rollouts(Viewable, ReadOnlyArrays):
         return "\n".join(lines)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the rollouts to a compressed .npz file, which holds NumPy arrays only.
+        """Write the rollouts to a compressed .npz file.
 
         Parameters
         ----------
@@ -198,7 +200,9 @@ class Rollouts(Viewable, ReadOnlyArrays):
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Rollouts:
-        """Read rollouts that `save` has written. No code in the file is ever run.
+        """Read rollouts that `save` has written.
+
+        No code in the file is ever run.
 
         Parameters
         ----------
@@ -224,7 +228,7 @@ class Rollouts(Viewable, ReadOnlyArrays):
 
 
 def node_positions(rollouts: Rollouts, nodes: Any, motions: Any = slice(None)) -> Array:
-    """Return the positions (m, T, k, 3) of some nodes in some motions, m."""
+    """Compute positions (m, T, k, 3) of selected nodes [m]."""
     place, given, states = rollouts.place[nodes], rollouts.given[:, nodes], rollouts.states[motions]
     found = np.repeat(given[None], len(states), axis=0)
     free = place >= 0
@@ -255,7 +259,10 @@ def _from_arrays(content: dict[str, Any]) -> Rollouts:
 
 
 def _check(content: dict[str, Any]) -> None:
-    """ValueError naming the first field whose kind, shape or indices do not fit the others."""
+    """Check the kinds, shapes and indices of the fields.
+
+    Raises ValueError with the name of the first wrong field.
+    """
     sizes: dict[str, int] = {"2": 2, "3": 3}
     for name, (letters, kind) in _SHAPES.items():
         value = np.asarray(content[name])
@@ -282,7 +289,11 @@ def _check(content: dict[str, Any]) -> None:
 
 
 def _check_values(content: dict[str, Any]) -> None:
-    """ValueError naming the first field whose numbers no run can have; what is not finite belongs to motions that failed."""
+    """Check the values of the fields.
+
+    Raises ValueError with the name of the first wrong field. Only motions that failed may hold
+    values that are not finite.
+    """
     time = np.asarray(content["time"])
     if not np.all(np.isfinite(time)) or np.any(np.diff(time) <= 0):
         raise ValueError("field 'time' does not increase")

@@ -1,4 +1,4 @@
-"""Many motions of one model at once: starts, controls and parameters become motions with their errors."""
+"""Rollouts: batches of runs of one model."""
 
 from __future__ import annotations
 
@@ -48,7 +48,9 @@ def rollouts(
     *,
     progress: bool = False,
 ) -> Rollouts:
-    """Simulate many motions of one model, which differ in start, control and parameters, from time 0 on.
+    """Simulate a batch of runs of one model.
+
+    The runs start at time 0 and differ in start, control and parameters.
 
     Parameters
     ----------
@@ -179,7 +181,7 @@ def rollouts(
 
 
 def _check_memory(n: int, rows: int, nx: int) -> None:
-    """Raise ValueError where what is to be kept does not fit into memory."""
+    """Raise ValueError if the results do not fit into memory."""
     needed = 8.0 * n * rows * (2 * nx + len(MEASURED) + 2)  # with what is computed from it
     free = _free_memory()
     if needed > free:
@@ -188,7 +190,7 @@ def _check_memory(n: int, rows: int, nx: int) -> None:
 
 
 def _free_memory() -> float:
-    """Return the bytes of memory that are free, inf where nobody says."""
+    """Read the free memory in bytes; inf if unknown."""
     try:
         told = Path("/proc/meminfo").read_text(encoding="ascii")
         return 1024.0 * float(told.split("MemAvailable:")[1].split()[0])

@@ -1,4 +1,7 @@
-"""Sensitivities: exact derivatives of what a run ends in, by its start, its control or the parameters."""
+"""Exact derivatives of the outputs of a run.
+
+They are taken with respect to the start, the control or the parameters.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +55,9 @@ _ADJOINT = 2.0  # cost of a gradient in tangents
 
 @dataclass(frozen=True, eq=False)
 class Sensitivities(ReadOnlyArrays):
-    """Derivatives of what a run ends in, which `sensitivities` returns. Arrays are read-only.
+    """Derivatives of the outputs of a run.
+
+    `sensitivities` returns them. Arrays are read-only.
 
     Attributes
     ----------
@@ -116,7 +121,9 @@ def sensitivities(  # noqa: PLR0913  those of a run, and what is asked of it
     mode: Mode | None = None,
     compiled: bool | None = None,
 ) -> Sensitivities:
-    """Compute exact derivatives of what a run ends in, by its start, its control or the parameters.
+    """Compute exact derivatives of the outputs of a run.
+
+    They are taken with respect to the start, the control or the parameters.
 
     Parameters
     ----------
@@ -334,7 +341,10 @@ def _check(model: Model, scheme: Any, over: Any, by: Any, mode: Any, compiled: A
 
 
 def _output(model: Model, of: Any) -> ca.Function:
-    """Return the output as a Function (x, w) → dense column. Raises TypeError, ValueError."""
+    """Build the output Function (x, w) → dense column.
+
+    Raises TypeError, ValueError.
+    """
     sizes = [model.nx, model.nu, *([model.np] if model.np else [])]
     x, w = ca.MX.sym("x", model.nx), ca.MX.sym("w", model.nw)
     arguments = [x, w[: model.nu], w[model.nu :]][: len(sizes)]
@@ -364,7 +374,10 @@ def _output(model: Model, of: Any) -> ca.Function:
 
 
 def _owners(control: Any, grid: SampledControl) -> Indices:
-    """Return the interval of the control that each step lies in: of a table, a profile, or a step of its own."""
+    """Find the control interval of each step.
+
+    The interval is that of a table or a profile, or the step itself.
+    """
     ends = grid.times(np.arange(grid.steps + 1))
     middle = (ends[:-1] + ends[1:]) / 2
     if isinstance(control, ControlProfile):

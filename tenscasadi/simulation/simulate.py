@@ -1,4 +1,4 @@
-"""Simulation: a model, a scheme and a control become a trajectory."""
+"""Simulation of a model to a trajectory."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The time loop with its derivatives: tangents forward and gradients backward through many steps a call, as CasADi Functions."""
+"""Time loop with tangents and adjoints as CasADi Functions.
+
+A call takes many steps.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,10 @@ class Steps(NamedTuple):
 
 
 def choose_width(model: Model, directions: int) -> int:
-    """Choose how many directions go through the loop at once: they share what does not depend on them, and the compiler's time grows with them."""
+    """Choose the number of directions per call.
+
+    Directions share common terms, but the compile time grows with their number.
+    """
     return int(
         np.clip(_LONG // max(count_instructions(model.ode), 1), 1, min(_WIDEST, max(directions, 1)))
     )
@@ -148,7 +154,7 @@ def _corrected(steps: Steps) -> ca.Function | None:
 
 
 def _pushed(function: ca.Function, inputs: list[Any], tangents: list[Any]) -> tuple[Any, Any]:
-    """Return a Function's value and its derivative along tangents of its inputs."""
+    """Build a Function's value and its tangents."""
     value = function(*inputs)
     return value, function.forward(tangents[0].shape[1])(*inputs, value, *tangents)
 

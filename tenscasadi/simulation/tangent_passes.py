@@ -1,4 +1,7 @@
-"""Passes over a run, many steps a call: tangents of its inputs forward, gradients of its outputs backward."""
+"""Tangent and adjoint passes over a run.
+
+Tangents of its inputs go forward, gradients of its outputs backward, many steps a call.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Trajectories: motion, forces, energies and errors over time, computed from a model's states and kept in .npz files."""
+"""Trajectories with forces, energies and errors, in .npz files."""
 
 from __future__ import annotations
 
@@ -25,7 +25,9 @@ _FORMAT = "tenscasadi trajectory 1"
 
 @dataclass(frozen=True, eq=False)
 class Trajectory(Tabular, Viewable, ReadOnlyArrays):
-    """Motion of n nodes, β bars and α strings at T saved times, with the errors of the numerics.
+    """Trajectory of a structure with its numerical errors.
+
+    It holds n nodes, β bars and α strings at T saved times.
 
     `simulate` and the plans of `ocp` return it. All arrays are read-only.
 
@@ -140,7 +142,7 @@ class Trajectory(Tabular, Viewable, ReadOnlyArrays):
         return f"Trajectory({len(self.time)} rows, {self.nodes.shape[1]} nodes, t = {self.time[0]:g} … {self.time[-1]:g} s, success={self.success})"
 
     def summary(self) -> str:
-        """Return a few lines of text on the run: how it ended, its errors and its speed.
+        """Format the ending, errors and speed of the run.
 
         Returns
         -------
@@ -174,7 +176,7 @@ class Trajectory(Tabular, Viewable, ReadOnlyArrays):
         return "\n".join(lines)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the trajectory to a compressed .npz file, which holds NumPy arrays only.
+        """Write the trajectory to a compressed .npz file.
 
         Parameters
         ----------
@@ -194,7 +196,7 @@ class Trajectory(Tabular, Viewable, ReadOnlyArrays):
         return archive.save(path, _FORMAT, self._content())
 
     def to_bytes(self) -> bytes:
-        """Return what `save` writes.
+        """Encode the trajectory as the content of a file.
 
         Returns
         -------
@@ -231,7 +233,9 @@ class Trajectory(Tabular, Viewable, ReadOnlyArrays):
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Trajectory:
-        """Read a trajectory that `save` has written. No code in the file is ever run.
+        """Read a trajectory that `save` has written.
+
+        No code in the file is ever run.
 
         Parameters
         ----------
@@ -294,7 +298,10 @@ class Trajectory(Tabular, Viewable, ReadOnlyArrays):
 
 
 def observe_states(model: Model, states: Array, controls: Array) -> dict[str, Array]:
-    """Evaluate `model.observe` on states (T, nx) and controls (T, nw), with the parameters: its outputs by name, each (T, size)."""
+    """Evaluate `model.observe` on states and controls.
+
+    States (T, nx) and controls (T, nw) with the parameters give outputs by name, each (T, size).
+    """
     rows = len(states)
     mapped = model.stacked(model.observe).map(rows)
     results = mapped.call([ca.DM(states.T), ca.DM(controls.T) if model.nw else ca.DM(0, rows)])
@@ -367,7 +374,7 @@ def record_trajectory(
 
 
 def first_rows(trajectory: Trajectory, count: int) -> Trajectory:
-    """Return a trajectory of the first `count` rows."""
+    """Select the first `count` rows of a trajectory."""
     return replace(
         trajectory,
         **{
@@ -393,7 +400,10 @@ _FINITE = [name for name, (_, kind) in _SHAPES.items() if kind == "f" and name n
 
 
 def _check(content: dict[str, Any]) -> None:
-    """ValueError naming the first field whose kind, shape or indices do not fit the others."""
+    """Check the kinds, shapes and indices of the fields.
+
+    Raises ValueError with the name of the first wrong field.
+    """
     sizes: dict[str, int] = {"2": 2, "3": 3}
     for name, (letters, kind) in _SHAPES.items():
         value = _as_array(name, content[name])
@@ -426,7 +436,11 @@ def _as_array(name: str, value: Any) -> NDArray[Any]:
 
 
 def _check_values(content: dict[str, Any]) -> None:
-    """ValueError naming the first field whose numbers no run can have; what is not finite belongs to runs that failed."""
+    """Check the values of the fields.
+
+    Raises ValueError with the name of the first wrong field. Only runs that failed may hold values
+    that are not finite.
+    """
     time = np.asarray(content["time"])
     if (bad := np.flatnonzero(np.diff(time) <= 0)).size:
         raise ValueError(
