@@ -15,7 +15,7 @@ import numpy as np
 from ocp.transcription.stage_functions import Places, Slopes, end_curve, stage_curve
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.collocation import Collocation
-from tenscasadi.integrators.runge_kutta import ExplicitRungeKutta, needed_stages
+from tenscasadi.integrators.runge_kutta import ExplicitRungeKutta, select_stages
 from tenscasadi.util.validate import Array
 
 NEWTON = 30  # most iterations for the stages of implicit steps
@@ -38,7 +38,7 @@ class Nystrom(NamedTuple):
             a, b = scheme.coefficients
         else:
             tableau = scheme.tableau
-            kept, s = sorted(needed_stages(tableau)), len(tableau.b)
+            kept, s = sorted(select_stages(tableau)), len(tableau.b)
             a = np.array([[*row, *[0.0] * (s - len(row))] for row in tableau.a]).reshape(s, s)[
                 np.ix_(kept, kept)
             ]

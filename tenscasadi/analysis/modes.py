@@ -285,9 +285,9 @@ def _all_modes(model: Model, state: Array, inputs: Array) -> tuple[Array, Array,
     L = scipy.linalg.cholesky(T.T @ M @ T, lower=True)
     T = scipy.linalg.solve_triangular(L, T.T, lower=True).T  # M-orthonormal
     K = -T.T @ M @ linear.A[nq : 2 * nq, :nq] @ T
-    motions = _supported_motions(model, state)
+    motions = _find_rigid_motions(model, state)
     outside = motions - linear.tangent @ (linear.tangent.T @ motions)
-    rigid = _neutral(K, T.T @ M @ _allowed(motions, outside))
+    rigid = _neutral(K, T.T @ M @ _project_motions(motions, outside))
     if rigid.shape[1]:
         elastic = scipy.linalg.null_space(rigid.T)
         K, T = elastic.T @ K @ elastic, T @ elastic
@@ -304,8 +304,8 @@ def _lowest_modes(
     Raises LinAlgError where the matrices are too badly conditioned.
     """
     K, M, J, acceleration = _stiffness(model, state, inputs)
-    motions = _supported_motions(model, state)
-    motions = _allowed(motions, J @ motions)
+    motions = _find_rigid_motions(model, state)
+    motions = _project_motions(motions, J @ motions)
     if motions.shape[1]:
         motions = motions @ np.linalg.inv(np.linalg.cholesky(motions.T @ (M @ motions))).T
         restored, _ = SaddlePoint(M, J).solve(
@@ -346,7 +346,7 @@ def _neutral(K: Array, motions: Array) -> Array:
     return np.asarray(basis @ right.T[:, free])
 
 
-def _supported_motions(model: Model, state: Array) -> Array:
+def _find_rigid_motions(model: Model, state: Array) -> Array:
     """Find the rigid-body motions that pinned coordinates allow.
 
     The result is an orthonormal basis (nq, ≤ 6).
@@ -362,7 +362,7 @@ def _supported_motions(model: Model, state: Array) -> Array:
     return np.asarray(allowed[mech.free_index])
 
 
-def _allowed(motions: Array, outside: Array) -> Array:
+def _project_motions(motions: Array, outside: Array) -> Array:
     """Find the rigid-body motions that the constraints allow.
 
     The constraints are the parts of each motion that pins of full coordinates stop.

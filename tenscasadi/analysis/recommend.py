@@ -72,7 +72,7 @@ class Recommendation:
     step : float
         Step, s; the largest where the scheme controls its error.
     correction : Projection, BarLengthCorrection or None
-        What keeps bars and joints.
+        Correction of bars and joints.
     error : float
         Largest position error to expect at the end, m, that of the reference included.
     seconds : float
@@ -80,7 +80,7 @@ class Recommendation:
     work : float
         Instructions of the run without those of error control; NaN for implicit schemes.
     message : str
-        What was compared.
+        Comparison of the schemes.
 
     Examples
     --------
@@ -120,16 +120,15 @@ def recommend(
 
     The options are the scheme, step and correction; the error is that of the final nodes.
 
-    The motion is solved once to a tenth of the tolerance by `certify`. Then the largest step, or
-    `rtol`, that serves is looked for with each scheme, which is left out as soon as it costs more
-    than the best so far. That takes some twenty runs like the one recommended. Where strings go
-    slack or nodes meet the ground, schemes that control their error come first: they locate these
-    events.
+    `certify` solves the motion once to a tenth of the tolerance. A search then finds the largest
+    sufficient step or `rtol` of each scheme, and drops a scheme that costs more than the best so
+    far. That takes about twenty runs of the recommended kind. If strings go slack or nodes meet the
+    ground, schemes with error control come first, since they locate these events.
 
     Parameters
     ----------
     what : Scene or Model
-        What moves.
+        Scene or model to simulate.
     t_end : float
         Duration of the motion, s.
     tolerance : float
@@ -146,16 +145,16 @@ def recommend(
     compiled : bool or Single, optional
         How to run, as for `simulate`.
     seconds : float
-        Wall time for the search, s. A run that would not end in time is not begun; the best found
-        so far is then returned, and `message` names the schemes that there was no time for. Up to
-        as many seconds go before that into the reference.
+        Time limit of the search [s], and of the reference before it. Runs that would exceed it are
+        not started. The result is then the best so far, and `message` names the schemes without a
+        run.
     parameters : array_like, shape (np,), or mapping, optional
         Values of the model's parameters, see `ParameterLayout.values`; nominal if None.
 
     Returns
     -------
     Recommendation
-        The cheapest that serves, of those that there was time for.
+        Cheapest sufficient options within the time limit.
 
     Raises
     ------
@@ -168,10 +167,10 @@ def recommend(
 
     Notes
     -----
-    Costs are instructions times steps, so the answer does not depend on what else the machine does.
-    Machine code computes equal steps in blocks of up to 32, which count whole. Implicit schemes are
-    looked at where stability, not accuracy, bounds the steps of the best explicit one; how often
-    they iterate is not known, so the clock decides.
+    Costs are instructions times steps, so the load of the machine does not matter. Machine code
+    computes equal steps in blocks of up to 32; incomplete blocks count as complete. Implicit
+    schemes are tested only if stability, not accuracy, limits the steps of the best explicit one.
+    Their number of iterations is unknown, so wall time decides.
 
     Examples
     --------
@@ -198,7 +197,7 @@ def recommend(
     ]
     best, told = _find_cheapest(
         ways,
-        _Goal(
+        _AccuracyTarget(
             reference.nodes,
             _MARGIN * tolerance - reference.error,
             time.perf_counter() + seconds,
@@ -227,7 +226,7 @@ def recommend(
 
 
 @dataclass(frozen=True, eq=False)
-class _Goal:
+class _AccuracyTarget:
     """Position error to reach, and the deadline.
 
     The nodes (n, 3) are to be within `wanted` m. The search ends at the time `deadline` of the
@@ -256,7 +255,7 @@ class _OutOfTime(Exception):
         self.best = best
 
 
-def _find_cheapest(ways: Sequence[Case], goal: _Goal) -> tuple[_Choice | None, list[str]]:
+def _find_cheapest(ways: Sequence[Case], goal: _AccuracyTarget) -> tuple[_Choice | None, list[str]]:
     """Find the cheapest candidate, and why others were rejected.
 
     Explicit schemes come first: implicit ones are measured against them. Steps that miss events
@@ -314,7 +313,7 @@ class _Price:
     second: float
 
 
-def _find_option(case: Case, speed: float, goal: _Goal, most: float) -> _Choice | None:
+def _find_option(case: Case, speed: float, goal: _AccuracyTarget, most: float) -> _Choice | None:
     """Find about the cheapest sufficient step or rtol.
 
     None: no option costs less than `most`.
@@ -365,7 +364,9 @@ class _Choice:
         return self.case.seconds_per_step(self.step, _REPEATS) * self.steps
 
 
-def _measure(case: Case, step: float, price: _Price, goal: _Goal, uncompiled: bool) -> _Choice:
+def _measure(
+    case: Case, step: float, price: _Price, goal: _AccuracyTarget, uncompiled: bool
+) -> _Choice:
     """Run once and measure the error.
 
     The error is infinite if the run fails. `uncompiled`: use the virtual machine if there is a
@@ -390,7 +391,7 @@ def _measure(case: Case, step: float, price: _Price, goal: _Goal, uncompiled: bo
     return _Choice(case, step, first.attempts, error, first.states[-1], cost, first.seconds)
 
 
-def _find_loosest(case: Case, price: _Price, goal: _Goal, most: float) -> _Choice | None:
+def _find_loosest(case: Case, price: _Price, goal: _AccuracyTarget, most: float) -> _Choice | None:
     """Find about the largest sufficient rtol.
 
     Its error is at most `wanted`; None if it costs `most` or more.
@@ -423,7 +424,7 @@ def _find_loosest(case: Case, price: _Price, goal: _Goal, most: float) -> _Choic
     return best
 
 
-def _find_fewest(case: Case, price: _Price, goal: _Goal, most: float) -> _Choice | None:
+def _find_fewest(case: Case, price: _Price, goal: _AccuracyTarget, most: float) -> _Choice | None:
     """Find about the fewest equal steps that suffice.
 
     Their error is at most `wanted`; None if they cost `most` or more.

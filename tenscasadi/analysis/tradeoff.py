@@ -248,7 +248,7 @@ class Case:
                 self.run(
                     fine,
                     t_end=fine * steps,
-                    control=self._held(),
+                    control=self._choose_control(),
                     energy_balance=False,
                     save_every=steps,
                 ).seconds
@@ -259,7 +259,7 @@ class Case:
         steps = 2 ** int(np.log2(steps))  # what the loop does in one call divides it
         return median(seconds(steps) for _ in range(repeats))
 
-    def _held(self) -> ControlInput:
+    def _choose_control(self) -> ControlInput:
         """Select a control that is constant over a timed run."""
         over_time = callable(self.control) or isinstance(self.control, ControlFunction)
         return None if over_time or np.ndim(np.asarray(self.control)) != 1 else self.control

@@ -32,7 +32,7 @@ class Row:
     step : float
         Largest step, s; NaN for a scheme that takes steps of its own.
     correction : Projection, BarLengthCorrection or None
-        What kept bars and joints.
+        Correction of bars and joints.
     fidelity : str
         Name of the model.
     compiled : bool
@@ -59,7 +59,7 @@ class Row:
     success : bool
         Whether the run reached the end.
     message : str
-        Why not, or what to beware of.
+        Reason for the failure, or a warning.
 
     Examples
     --------
@@ -186,7 +186,7 @@ class Tradeoff:
             If there is no such cost.
         """
         front: list[Row] = []
-        for row in self._sorted_by(cost):
+        for row in self._sort_by(cost):
             if not front or row.position < front[-1].position > self.reference_error:
                 front.append(row)
         return tuple(front)
@@ -214,7 +214,7 @@ class Tradeoff:
             If an argument is wrong, or no row is within the tolerance.
         """
         tolerance = positive_number("tolerance", tolerance)
-        for row in self._sorted_by(cost):
+        for row in self._sort_by(cost):
             if row.position + self.reference_error <= tolerance:
                 return row
         if tolerance <= self.reference_error < np.inf:
@@ -364,7 +364,7 @@ class Tradeoff:
     def _successful(self) -> list[Row]:
         return [row for row in self.rows if row.success]
 
-    def _sorted_by(self, cost: Cost) -> list[Row]:
+    def _sort_by(self, cost: Cost) -> list[Row]:
         """Sort the successful rows of known cost, cheapest first.
 
         Of rows of equal cost the more accurate comes first.

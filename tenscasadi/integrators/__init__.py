@@ -1,4 +1,4 @@
-"""Steps in time: schemes, step-size control, events, and what keeps bars and joints. The names here are all schemes and all corrections."""
+"""Integration schemes and corrections of constraint drift."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Control of the error as CasADi Functions: which step to try, and whether it is accepted; events located."""
+"""Step-size control and event location as CasADi Functions."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import casadi as ca
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.events import (
-    build_held_ode,
     build_hidden,
+    build_mode_ode,
     build_potential,
     build_root,
     build_switching,
@@ -19,57 +19,59 @@ from tenscasadi.integrators.scheme import equations
 from tenscasadi.integrators.stabilization import Correction, correct
 from tenscasadi.integrators.tableaux import Tableau
 
-_LARGEST, _SMALLEST, _SAFETY = (
-    8.0,
-    0.2,
-    0.9,
-)  # change of the step from one attempt to the next: Hairer, Nørsett, Wanner I, (II.4.13)
-_EVENT_SHARE = (
-    0.1  # of the tolerance that a step may lose by ending after an event instead of at it
-)
-_SHORTEST = 1e-9  # of the largest step: events that are over after less are not looked for
-_HALVING = 6  # trials of a bracket after which it is halved, whatever the interpolation says
+EVENT_SHARE = 0.1  # × tolerance: error of a step by ending after an event instead of at it
+SHORTEST_EVENT = 1e-9  # × largest step: shorter events are ignored
+MAX_INTERPOLATIONS = 6  # trials in a bracket before bisection
 
 
 class Memory(NamedTuple):
-    """Numbers that attempts hand on beside the state."""
+    """State of the step-size control between attempts."""
 
-    rest: Any  # s, until the time at which the attempts end
-    step: Any  # s, to try next
-    low: Any  # s, a step without an event in it, and
-    high: Any  # s, one with an event; 0: no event has been seen
-    aim: Any  # s, the step to try in that bracket
-    allowed: Any  # s, by which it may overshoot the event
-    trials: Any  # of that bracket
-    accepted: Any  # steps
-    rejected: Any  # attempts with too large an error
-    located: Any  # attempts to locate events
-    events: Any  # modes that changed
+    rest: Any  # time left in the grid step, s
+    step: Any  # next trial step, s
+    low: Any  # step without an event, s
+    high: Any  # step with an event, s; 0: no event is bracketed
+    aim: Any  # trial step in the bracket, s
+    allowed: Any  # allowed overshoot of the event, s
+    trials: Any  # number of trials in the bracket
+    accepted: Any  # number of accepted steps
+    rejected: Any  # number of attempts with too large an error
+    located: Any  # number of attempts to locate events
+    events: Any  # number of mode changes
 
 
-class Limits(NamedTuple):
-    """Bounds that attempts keep to: inputs, so that one compiled Function serves all tolerances."""
+class StepTolerances(NamedTuple):
+    """Tolerances of the step-size control.
 
-    longest: Any  # s, of a step
+    They are inputs, so one compiled Function serves all tolerances.
+    """
+
+    longest: Any  # largest step, s
     rtol: Any
     atol: Any  # m and m/s
 
 
 class Events(NamedTuple):
-    """Events that a trial has met, one number each: zeros where the scene has no events."""
+    """Events within a trial step, one number each.
 
-    changed: Any  # modes at its end that are not those at its start
-    located: Any  # whether it ends so shortly after the first of these changes that nothing is lost
-    hidden: Any  # the fraction of it at which its interpolation is in another mode; 0: nowhere
-    root: Any  # s, after which the first change comes
-    jump: Any  # of the slope in these changes, relative to the tolerance
+    All are zero if the scene has no events.
+    """
+
+    changed: Any  # number of modes that differ between start and end
+    located: Any  # whether the overshoot of the first change is negligible
+    hidden: Any  # fraction at which the interpolation is in another mode; 0: none
+    root: Any  # time of the first change, s
+    jump: Any  # slope change relative to the tolerance
 
 
-class Control(NamedTuple):
-    """Functions of a trial step, with `Memory` and `Limits` as columns, and v = (u, modes).
+class ErrorControl(NamedTuple):
+    """Functions of a trial step.
 
-    ode (z, v) -> zdot. prepare (z, memory, u) -> (length, v). decide (z, memory, u, limits, length,
-    v, z after, errors, slope, slope after) -> (z, memory).
+    - ode (z, v) → ż, with v = (u, modes)
+    - prepare (z, memory, u) → (length, v)
+    - decide (z, memory, u, limits, length, v, z after, errors, slope, slope after) → (z, memory)
+
+    The columns memory and limits hold a `Memory` and `StepTolerances`.
     """
 
     ode: ca.Function
@@ -77,8 +79,11 @@ class Control(NamedTuple):
     decide: ca.Function
 
 
-def build_attempt(control: Control, tableau: Tableau) -> ca.Function:
-    """Return one trial step: Function "attempt" (z, memory, u, limits) -> (z, memory)."""
+def build_attempt(control: ErrorControl, tableau: Tableau) -> ca.Function:
+    """Build one trial step.
+
+    Function "attempt" (z, memory, u, limits) → (z, memory).
+    """
     decide = control.decide
     arguments: Any = [ca.MX.sym(decide.name_in(i), *decide.size_in(i)) for i in range(4)]
     z, memory, u, _ = arguments
@@ -89,11 +94,14 @@ def build_attempt(control: Control, tableau: Tableau) -> ca.Function:
 
 def build_control(
     model: Model, scheme: EmbeddedRungeKutta, correction: Correction | None, power: bool
-) -> Control:
-    """Build the Functions of a model's trial steps; power: whether z has an entry for the energy supplied, J."""
+) -> ErrorControl:
+    """Build the Functions of a model's trial steps.
+
+    With `power`, z has one more entry, the energy supplied [J].
+    """
     gaps = build_switching(model)
     if gaps is not None:
-        ode = build_held_ode(model, power)
+        ode = build_mode_ode(model, power)
     else:
         ode = equations(
             model, model.stacked(model.power) if power and model.power is not None else None
@@ -106,7 +114,7 @@ def build_control(
     prepare = ca.Function(
         "prepare", [z, packed, u], [trial, held], ["z", "memory", "u"], ["h", "v"]
     )
-    return Control(ode, prepare, _build_decision(model, scheme, correction, power, gaps, ode))
+    return ErrorControl(ode, prepare, _build_decision(model, scheme, correction, power, gaps, ode))
 
 
 def _build_decision(
@@ -121,7 +129,7 @@ def _build_decision(
         "z": model.nx + power,
         "memory": len(Memory._fields),
         "u": model.nw,
-        "limits": len(Limits._fields),
+        "limits": len(StepTolerances._fields),
         "h": 1,
         "v": ode.size1_in(1),
         "after": model.nx + power,
@@ -134,7 +142,7 @@ def _build_decision(
         for name, size in sizes.items()
     }
     z, packed, u, limits, trial, held, after, errors, slope, end_slope = symbols.values()
-    m, (longest, rtol, atol) = Memory(*ca.vertsplit(packed)), Limits(*ca.vertsplit(limits))
+    m, (longest, rtol, atol) = Memory(*ca.vertsplit(packed)), StepTolerances(*ca.vertsplit(limits))
     x, mode = z[: model.nx], held[model.nw :]
     if gaps is not None and power:
         stored = build_potential(model)
@@ -161,7 +169,10 @@ def _build_decision(
 
 
 def _norm(errors: list[Any]) -> Any:
-    """Return the root mean square of one scaled error; of two, Hairer's mixture for DOP853: as small as the better, warned by the worse."""
+    """Compute the scaled error norm of a step.
+
+    One estimate gives its root mean square. Two give Hairer's combination for DOP853.
+    """
     squared = [ca.sumsqr(error) for error in errors]
     n = max(errors[0].shape[0], 1)
     if len(squared) == 1:
@@ -179,7 +190,10 @@ def _find_events(
     scale: Any,
     longest: Any,
 ) -> Events:
-    """Find the events of a trial; path: see `build_root`; after: z at its end; scale: of errors."""
+    """Find the events of a trial step.
+
+    See `build_root` for `path`. `after` is the final z; errors are divided by `scale`.
+    """
     _, _, end, _, u, trial, mode = path
     mode_after = gaps(end, u) > 0
     changed = ca.sum1(mode_after != mode)
@@ -188,7 +202,7 @@ def _find_events(
     )
     bracket = ca.if_else(changed > 0, m.low, trial), ca.if_else(changed > 0, trial, m.high)
     root = build_root(gaps, model)(*path, *bracket, ca.logic_or(changed > 0, m.high > 0))
-    negligible = ca.logic_or((trial - root) * jump <= _EVENT_SHARE, trial - root <= 1e-15 * longest)
+    negligible = ca.logic_or((trial - root) * jump <= EVENT_SHARE, trial - root <= 1e-15 * longest)
     return Events(
         changed, ca.logic_and(changed > 0, negligible), build_hidden(gaps, model)(*path), root, jump
     )
@@ -197,13 +211,14 @@ def _find_events(
 def _decide(
     m: Memory, trial: Any, error: Any, events: Events, order: int, longest: Any
 ) -> tuple[Any, Any]:
-    """Tell whether to try again, and the memory for the next attempt."""
-    growth = ca.fmin(_LARGEST, ca.fmax(_SMALLEST, _SAFETY * ca.fmax(error, 1e-300) ** (-1 / order)))
-    passed, bracketed, zero = error <= 1, m.high > 0, ca.MX(0)  # passed: not for NaN
+    """Decide whether to repeat a step, and update the memory."""
+    # Step-size factor of Hairer, Nørsett, Wanner I, (II.4.13).
+    growth = ca.fmin(8.0, ca.fmax(0.2, 0.9 * ca.fmax(error, 1e-300) ** (-1 / order)))
+    passed, bracketed, zero = error <= 1, m.high > 0, ca.MX(0)  # NaN does not pass
     crossing = ca.logic_and(events.changed > 0, ca.logic_not(events.located))
     early = ca.logic_and(bracketed, ca.logic_and(events.changed == 0, trial < m.high))
     unseen = ca.logic_and(
-        events.hidden > 0, ca.logic_and(events.changed == 0, trial > _SHORTEST * longest)
+        events.hidden > 0, ca.logic_and(events.changed == 0, trial > SHORTEST_EVENT * longest)
     )
     suspect = ca.logic_and(unseen, ca.logic_not(bracketed))
 
@@ -211,9 +226,9 @@ def _decide(
         step=trial * growth, low=zero, high=zero, trials=zero, rejected=m.rejected + 1
     )
     inspected = m._replace(step=trial * events.hidden, located=m.located + 1)
-    allowed = _EVENT_SHARE / ca.fmax(events.jump, 1e-300)
-    shortened = _aimed(m._replace(high=trial, allowed=allowed, located=m.located + 1), events.root)
-    lengthened = _aimed(m._replace(low=trial, located=m.located + 1), events.root)
+    allowed = EVENT_SHARE / ca.fmax(events.jump, 1e-300)
+    shortened = _aim(m._replace(high=trial, allowed=allowed, located=m.located + 1), events.root)
+    lengthened = _aim(m._replace(low=trial, located=m.located + 1), events.root)
     grown = ca.fmin(
         longest, ca.if_else(trial < m.step, ca.fmax(m.step, trial * growth), trial * growth)
     )
@@ -240,15 +255,23 @@ def _decide(
     return again, memory
 
 
-def _aimed(m: Memory, root: Any) -> Memory:
-    """Aim the next trial in a bracket: where an interpolation has its root, and half of what is allowed beyond; the middle where that is no help."""
+def _aim(m: Memory, root: Any) -> Memory:
+    """Choose the next trial step within a bracket.
+
+    It ends half the allowed overshoot after the interpolated root, or in the middle if that is
+    outside or converges slowly.
+    """
     aim = root + m.allowed / 2
-    inside = ca.logic_and(ca.logic_and(aim > m.low, aim < m.high), m.trials < _HALVING)
+    inside = ca.logic_and(ca.logic_and(aim > m.low, aim < m.high), m.trials < MAX_INTERPOLATIONS)
     return m._replace(aim=ca.if_else(inside, aim, (m.low + m.high) / 2), trials=m.trials + 1)
 
 
 def _jump(ode: ca.Function, moving: int) -> ca.Function:
-    """(z, w, w_after, scale, changed) -> norm of the change of slope where the mode has changed, else 0 at no cost."""
+    """Build the norm of the slope change between two modes.
+
+    Function (z, w, w_after, scale, changed) → norm. It evaluates nothing and returns 0 if no mode
+    has changed.
+    """
     z, w, after = (
         ca.MX.sym("z", ode.sparsity_in(0)),
         ca.MX.sym("w", ode.sparsity_in(1)),

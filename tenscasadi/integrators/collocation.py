@@ -1,4 +1,4 @@
-"""Implicit Runge-Kutta methods: collocation at Gauss's or Radau's points, for stiff strings and large steps."""
+"""Collocation methods for stiff strings and large steps."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ _TOLERANCE = 1e-10  # m and m/s
 
 @dataclass(frozen=True)
 class Collocation(NamedScheme, kind="Collocation"):
-    """Collocation: implicit Runge-Kutta methods at Gauss's or Radau's points, for stiff strings and large steps.
+    """Implicit Runge-Kutta methods at Gauss's or Radau's points.
 
-    A polynomial satisfies the equations of motion at `degree` points of each step. No step is too
-    large for stability. Where a step passes the end of a string's slack or a contact the order is
-    lost, as with all fixed steps.
+    They suit stiff strings and large steps. A polynomial satisfies the equations of motion at
+    `degree` points of each step. Stability does not limit the step. A step across an event, such
+    as a slack string or a contact, loses the order, as with all fixed steps.
 
     Parameters
     ----------
     degree : int
-        Points in a step, 1 to 9.
+        Number of points in a step, 1 to 9.
     points : {"gauss", "radau"}
-        "gauss": order 2·degree, symplectic, vibrations keep their amplitude. "radau": order 2·degree − 1, the fastest vibrations die out
-        within a step.
+        "gauss": order 2·degree, symplectic, without damping of vibrations. "radau": order
+        2·degree − 1, which damps the fastest vibrations within a step.
     tolerance : float
-        Iterations end when they move no state by more than this, m and m/s.
+        Iterations end when no state changes by more than this [m and m/s].
     iterations : int
-        Largest number of iterations. Where the equations do not hold then, the next state is NaN,
-        which ends a run with a message.
+        Largest number of iterations. A step that has not converged is NaN, which ends the run
+        with a message.
 
     Raises
     ------
@@ -45,12 +45,11 @@ class Collocation(NamedScheme, kind="Collocation"):
 
     Notes
     -----
-    Steps of a model up to degree 4 are found stage by stage (triangular iteration), which takes 15
-    to 20 iterations with stiff strings and fails where bars turn by more than about a radian in a
-    step. Friction is met with its secant while nodes still slow down, and with its slope then.
-    Where strings can go slack or nodes meet the ground, a step that is not found is taken in two
-    halves, and these likewise, down to a 1024th: impacts with friction need that. Steps of other
-    equations and degrees are found by Newton's method for all stages at once.
+    Up to degree 4, triangular iteration solves the stages of a model one by one. It takes 15 to 20
+    iterations with stiff strings and fails if bars turn by more than about a radian in a step. The
+    iteration uses the secant of friction while nodes slow down, then its derivative. In scenes with
+    slack strings or contacts, a step that fails is split into halves, down to a 1024th. Impacts
+    with friction need that. Newton's method for all stages solves other equations and degrees.
 
     References
     ----------
@@ -84,24 +83,32 @@ class Collocation(NamedScheme, kind="Collocation"):
 
     @property
     def order(self) -> int:
-        """Order of convergence: 2·degree for Gauss's points, one less for Radau's."""
+        """Order of convergence.
+
+        It is 2·degree for Gauss's points, one less for Radau's.
+        """
         return 2 * self.degree - (self.points == "radau")
 
     @property
     def coefficients(self) -> tuple[Array, Array]:
-        """A (s, s) and b (s,) of the Runge-Kutta method: integrals of Lagrange's polynomials, (IV.5.6)."""
+        """Coefficients A (s, s) and b (s,) of the method.
+
+        They are integrals of Lagrange's polynomials, (IV.5.6).
+        """
         c = np.array(
             ca.collocation_points(self.degree, "legendre" if self.points == "gauss" else "radau")
         )
         powers = np.arange(self.degree)
         inverse = np.linalg.inv(
             c[:, None] ** powers
-        ).T  # row j: the coefficients of the polynomial that is 1 at point j
+        ).T  # row j: coefficients of the polynomial that is 1 at point j
         A = (c[:, None] ** (powers + 1) / (powers + 1)) @ inverse.T
         return A, inverse @ (1 / (powers + 1))
 
     def step(self, ode: ca.Function) -> ca.Function:
-        """Build one step of any ordinary differential equation with its control held.
+        """Build one step of an ordinary differential equation.
+
+        The control is constant over the step.
 
         Parameters
         ----------
@@ -111,27 +118,33 @@ class Collocation(NamedScheme, kind="Collocation"):
         Returns
         -------
         casadi.Function
-            Function "step" (x, u, h) → x_next, with h the length of the step, s.
+            Function "step" (x, u, h) → x_next with the step h [s].
 
         Raises
         ------
         TypeError
             If `ode` is no casadi.Function.
         ValueError
-            If its inputs and outputs are others.
+            If its inputs and outputs differ from these.
         """
         check_ode(ode)
         return self._close(self._newton(ode), "x")
 
     def _close(self, step: ca.Function, name: str) -> ca.Function:
-        """Return the Function (x, u, h) of a Function (x, u, h, tolerance)."""
+        """Insert the tolerance into a step Function.
+
+        (x, u, h, tolerance) becomes (x, u, h).
+        """
         symbols = [ca.MX.sym(step.name_in(i), step.size1_in(i)) for i in range(3)]
         return ca.Function(
             "step", symbols, [step(*symbols, self.tolerance)], [name, "u", "h"], [f"{name}_next"]
         )
 
     def _newton(self, ode: ca.Function) -> ca.Function:
-        """Return (x, u, h, tolerance) → x_next, by Newton's method for all stages at once."""
+        """Build a step by Newton's method for all stages.
+
+        Function (x, u, h, tolerance) → x_next.
+        """
         A, b = self.coefficients
         nx, s = ode.size1_in(0), self.degree
         x, u, h, Z = (
@@ -141,12 +154,14 @@ class Collocation(NamedScheme, kind="Collocation"):
             ca.MX.sym("Z", nx * s),
         )
         tolerance = ca.MX.sym("tolerance")
-        scale = tolerance / _TOLERANCE  # of the unknowns: the solver's own tolerance is a constant
+        scale = (
+            tolerance / _TOLERANCE
+        )  # of the unknowns, since the solver's own tolerance is a constant
         columns = ca.horzsplit(ca.reshape(scale * Z, nx, s))
         slopes = ca.horzcat(*(ode(x + column, u) for column in columns))
         residual = scale * Z - h * ca.vec(
             ca.mtimes(slopes, ca.DM(A.T))
-        )  # in increments of the state, (IV.8.2): well scaled however stiff
+        )  # in increments of the state, (IV.8.2), for a good scaling at any stiffness
         inputs = ca.vertcat(x, u, h, tolerance)
         problem: Any = {"x": Z, "p": inputs, "g": residual}
         options: Any = {
@@ -163,7 +178,7 @@ class Collocation(NamedScheme, kind="Collocation"):
             found, x, u, h, tolerance
         )
         found = scale * found
-        # Generated code does not tell; stiff forces magnify the error of the last step.
+        # Generated code does not report convergence. Stiff forces amplify the last error.
         solved = left <= 1e-5 * (ca.norm_inf(x) + ca.norm_inf(found))
         after = x + ca.mtimes(ca.reshape(found, nx, s), ca.DM(np.linalg.solve(A.T, b)))  # (IV.8.2b)
         return ca.Function(
@@ -175,21 +190,22 @@ class Collocation(NamedScheme, kind="Collocation"):
         )
 
     def advance(self, model: Model, power: ca.Function | None = None) -> ca.Function:
-        """Build one step of a model with its control held: that of `step(model.ode)`, found in a fraction of the time.
+        """Build one step of a model with constant control.
+
+        It equals `step(model.ode)` at a fraction of the cost.
 
         Parameters
         ----------
         model : Model
             Model whose state is advanced.
         power : casadi.Function, optional
-            Function (x, u) → power, W, whose work is integrated beside the state; None: no work.
+            Function (x, u) → power [W] whose work is integrated; None: no work.
 
         Returns
         -------
         casadi.Function
-            Function "step" (z, u, h) → z_next, with h the length of the step, s. z is the state x
-            (nx,); with `power` it holds one entry more, the work done, J. Below the control, u
-            holds the parameters, if there are any.
+            Function "step" (z, u, h) → z_next with the step h [s]. z is the state x (nx,); with
+            `power`, one more entry is the work done [J]. u is the control followed by parameters.
 
         Raises
         ------
@@ -199,7 +215,9 @@ class Collocation(NamedScheme, kind="Collocation"):
         return self._close(self.advance_within(model, power), "z")
 
     def advance_within(self, model: Model, power: ca.Function | None = None) -> ca.Function:
-        """Build the step of `advance` with the tolerance as an input, so that one compiled loop serves all tolerances.
+        """Build the step of `advance` with the tolerance as input.
+
+        One compiled loop then serves all tolerances.
 
         Parameters
         ----------
@@ -222,11 +240,14 @@ class Collocation(NamedScheme, kind="Collocation"):
         if self.degree > 4 or model.nq == 0:  # sweeps converge slowly
             step = self._newton(equations(model, power))
         else:
-            step = self._swept(model, power)
+            step = self._advance_by_sweeps(model, power)
         return _halve_unsolved(step) if any(count_switches(model)) else step
 
-    def _swept(self, model: Model, power: ca.Function | None) -> ca.Function:
-        """Return (z, u, h, tolerance) → z_next, by sweeps through the stages."""
+    def _advance_by_sweeps(self, model: Model, power: ca.Function | None) -> ca.Function:
+        """Build a step by sweeps through the stages.
+
+        Function (z, u, h, tolerance) → z_next.
+        """
         A, b = self.coefficients
         nx = model.nx
         z, u, h = ca.MX.sym("z", nx + (power is not None)), ca.MX.sym("u", model.nw), ca.MX.sym("h")
@@ -253,7 +274,9 @@ class Collocation(NamedScheme, kind="Collocation"):
         )
 
     def amplification(self, z: Complex) -> Complex:
-        """Compute the factor by which one step multiplies y when y' = λ y.
+        """Compute the amplification factor of one step.
+
+        It multiplies y where y' = λ y.
 
         Parameters
         ----------
@@ -276,11 +299,13 @@ class Collocation(NamedScheme, kind="Collocation"):
 
 
 def _halve_unsolved(whole: ca.Function) -> ca.Function:
-    """Return a step (z, u, h, tolerance) → z_next that is taken in two halves where `whole` gives no finite state, and these likewise.
+    """Build a step that halves itself if `whole` fails.
 
-    Near an impact the modes of strings and contacts, or sliding and sticking, may change in turns
-    from iteration to iteration; in a short enough step the forces hardly change, and the iterations
-    of each converge. Other steps cost as much as before.
+    Function (z, u, h, tolerance) → z_next. The halves are halved likewise, up to ten times.
+
+    Near an impact the modes of strings and contacts, or sticking and sliding, may alternate
+    between iterations. In a short step the forces hardly change and each iteration converges.
+    Other steps cost as much as before.
     """
     symbols = [ca.MX.sym(whole.name_in(i), whole.size1_in(i)) for i in range(4)]
     z, u, h, tolerance = symbols
@@ -293,7 +318,7 @@ def _halve_unsolved(whole: ca.Function) -> ca.Function:
         found = whole(*symbols)
         good = ca.logic_or(
             ca.fabs(found[0]) < np.inf, ca.logic_not(ca.fabs(z[0]) < np.inf)
-        )  # after a failure nothing is tried
+        )  # no trials after a failure
         chosen = ca.Function.if_else("whole_or_halves", kept, halves)(good, *symbols, found)
         step = ca.Function("step", symbols, [chosen], whole.name_in(), whole.name_out())
     return step

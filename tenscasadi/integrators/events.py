@@ -1,8 +1,8 @@
-"""Events: strings that go slack or taut and nodes that meet or leave the ground, and the smooth motion between two events.
+"""Events and the smooth motion between them.
 
-A mode says of each string whether it pulls, and of each contact of a node with a ground whether it
-pushes (1 or 0). Within a mode all forces are smooth; where a switching function changes its sign,
-the mode changes.
+Strings go slack or taut, and nodes meet or leave the ground. A mode is 1 for each taut string and
+each closed contact, else 0. Within a mode all forces are smooth. The mode changes at sign changes
+of its switching functions.
 """
 
 from __future__ import annotations
@@ -19,7 +19,11 @@ from tenscasadi.util.casadi_tools import hermite_cubic, sparse
 
 
 def build_switching(model: Model) -> ca.Function | None:
-    """Return (x, u) -> g (k,), m: positive where the mode is 1; strings first, then contacts. None where the scene has no events."""
+    """Build the switching functions of a model.
+
+    Function (x, u) → g (k,) [m], positive where the mode is 1. Strings come first, then contacts.
+    None if the scene has no events.
+    """
     scene, mech = model.scene, model.mechanism
     strings, contacts = count_switches(model)
     if strings + contacts == 0:
@@ -36,16 +40,16 @@ def build_switching(model: Model) -> ca.Function | None:
     )
 
 
-def build_held_ode(model: Model, work: bool = False) -> ca.Function:
-    """Return (z, w) -> zdot: the motion in the mode of w = (u, mode (k,)), whatever the switching functions say; z is x.
+def build_mode_ode(model: Model, work: bool = False) -> ca.Function:
+    """Build the equations of motion in a fixed mode.
 
-    With `work`, z has one entry more: the work of all forces, J. `potential` tells how much of it
-    comes out of the model's energy: that has kinks of its own, where a damped string lets go while
-    it is still stretched, and would spoil the order as an integrand.
+    Function (z, w) → ż with z = x and w = (u, mode (k,)), whatever the switching functions are.
+
+    With `work`, z has one more entry, the work of all forces [J]. `build_potential` gives its part
+    from stored energy. That part has kinks where a stretched, damped string goes slack, so
+    integrating it would lose the order.
     """
-    kind: Any = (
-        ca.MX if model.mechanism.large else ca.SX
-    )  # no calls of staged functions: they would not know the mode
+    kind: Any = ca.MX if model.mechanism.large else ca.SX  # staged functions have no mode input
     z, w = kind.sym("z", model.nx + work), kind.sym("w", model.nw + sum(count_switches(model)))
     N, V, time = model.unpack(z[: model.nx])
     u, mode = split_mode(model, w)
@@ -55,7 +59,7 @@ def build_held_ode(model: Model, work: bool = False) -> ca.Function:
         mech = model.weighted(u, inverse=False)
         if model.scene.supports is None:
             push = forces.total(model.scene, mech, N, V, model.add_schedule(u, time), time, mode)
-        else:  # reactions of moved supports work too
+        else:  # reactions of moving supports do work
             push = ca.mtimes(acceleration, sparse(mech.M))
         parts.append(ca.sum2(ca.sum1(push * V)))
     return ca.Function(
@@ -64,7 +68,10 @@ def build_held_ode(model: Model, work: bool = False) -> ca.Function:
 
 
 def split_mode(model: Model, w: Any) -> tuple[Any, forces.Mode]:
-    """Return u (nw,), the control and the parameters, and the mode in w = (u, mode (k,))."""
+    """Split w = (u, mode (k,)) into input and mode.
+
+    The input u (nw,) is the control and the parameters.
+    """
     nu, (strings, contacts) = model.nw, count_switches(model)
     return w[:nu], forces.Mode(
         w[nu : nu + strings].T if strings else None, w[nu + strings :].T if contacts else None
@@ -72,7 +79,10 @@ def split_mode(model: Model, w: Any) -> tuple[Any, forces.Mode]:
 
 
 def build_potential(model: Model) -> ca.Function:
-    """Return (x, u) -> elastic and gravity energy, J, that `Model.power` leaves out; 0 under a schedule."""
+    """Build the energy that `Model.power` leaves out.
+
+    Function (x, u) → elastic and gravity energy [J]; 0 under a control schedule.
+    """
     x, u = model.symbols(not model.mechanism.large)
     if model.schedule is not None:
         return ca.Function("potential", [x, u], [ca.DM(0)], ["x", "u"], ["potential"])
@@ -82,14 +92,18 @@ def build_potential(model: Model) -> ca.Function:
 
 
 def count_switches(model: Model) -> tuple[int, int]:
-    """Count the strings that can go slack and the contacts that nodes can have with grounds."""
+    """Count the strings and contacts that can switch."""
     scene = model.scene
     contacts = forces.contacts(scene, model.mechanism)
     return len(scene.switching_strings), contacts[-1][2].stop if contacts else 0
 
 
 def build_hidden(gaps: ca.Function, model: Model) -> ca.Function:
-    """Return the earliest quarter of a step, as a fraction, at which its cubic interpolation is in another mode; 0 when none is."""
+    """Build a search for mode changes within a step.
+
+    The Function returns the first quarter of the step, as a fraction, at which its cubic
+    interpolation is in another mode, else 0. See `_path` for the inputs.
+    """
     x, slope, after, end, u, h, mode = path = _path(gaps, model)
     found = ca.MX(0)
     for t in (0.75, 0.5, 0.25):
@@ -100,7 +114,11 @@ def build_hidden(gaps: ca.Function, model: Model) -> ca.Function:
 
 
 def build_root(gaps: ca.Function, model: Model) -> ca.Function:
-    """Return (a step, low, high, wanted) -> time, s, of the first event that its cubic interpolation meets in between; at no cost unless wanted."""
+    """Build a search for the first event in a bracket.
+
+    Function (*path, low, high, wanted) → time [s] at which the cubic interpolation of a step
+    switches. It evaluates nothing unless `wanted`.
+    """
     x, slope, after, end, u, h, mode = path = _path(gaps, model)
     low, high, t = ca.MX.sym("low"), ca.MX.sym("high"), ca.MX.sym("t")
     sign = 2 * mode - 1
@@ -141,6 +159,9 @@ def build_root(gaps: ca.Function, model: Model) -> ca.Function:
 
 
 def _path(gaps: ca.Function, model: Model) -> list[ca.MX]:
-    """Symbols for a step: x and its slope, where it ends and the slope there, u, the step's length, s, and the mode."""
+    """Create the symbols of a step.
+
+    They are x and its slope, the final x and its slope, u, the length [s] and the mode.
+    """
     ends = [ca.MX.sym(name, model.nx) for name in ("x", "slope", "after", "end")]
     return [*ends, ca.MX.sym("u", model.nw), ca.MX.sym("h"), ca.MX.sym("mode", gaps.size1_out(0))]

@@ -1,4 +1,4 @@
-"""Rattle: the symplectic scheme that keeps bars and joints exactly and energy for ever."""
+"""Rattle, a symplectic scheme with exact constraints."""
 
 from __future__ import annotations
 
@@ -23,9 +23,7 @@ from tenscasadi.integrators.scheme import Complex, NamedScheme
 from tenscasadi.integrators.tableaux import CLASSICAL, MIDPOINT, Tableau
 from tenscasadi.util.validate import instance, shown, whole_number
 
-_OUTER = (
-    1 / (4 - 4 ** (1 / 3))
-)  # Suzuki's five steps of order 4: Hairer, Lubich, Wanner, Geometric Numerical Integration, (II.4.5)
+_OUTER = 1 / (4 - 4 ** (1 / 3))  # Suzuki's composition of order 4, (II.4.5) of [2] of `Rattle`
 _FRACTIONS: dict[int, tuple[float, ...]] = {
     2: (1.0,),
     4: (_OUTER, _OUTER, 1 - 4 * _OUTER, _OUTER, _OUTER),
@@ -35,20 +33,20 @@ _KICKS = {2: MIDPOINT, 4: CLASSICAL}
 
 @dataclass(frozen=True)
 class Rattle(NamedScheme, kind="Rattle"):
-    """Rattle: symplectic and reversible steps that keep bars and joints to rounding, of order 2 or 4.
+    """Symplectic, reversible scheme with exact bars and joints.
 
-    A step drifts half its length without forces, kicks the velocities by the forces at its middle,
-    and drifts again. Without damping and friction the energy stays within a band that shrinks like
-    step² (step⁴), however long the run. It is stable for step · ω_max < 2 (order 4: 2.72, for five
-    times the work), with ω_max the fastest vibration, rad/s, and while no bar turns by 90° in half
-    a step.
+    The order is 2 or 4. A step drifts for half its length without forces, kicks the velocities by
+    the forces at its middle, and drifts again. Without damping and friction, the energy error
+    stays bounded by a multiple of step² (step⁴) for any duration. The scheme is stable for step ·
+    ω_max < 2 (order 4: 2.72, at five times the work), with ω_max the highest angular frequency
+    [rad/s]. No bar may turn by 90° in half a step.
 
     Parameters
     ----------
     order : int
-        2, or 4 by composition of five steps.
+        2, or 4 as a composition of five steps.
     iterations : int
-        Newton's iterations for bars that meet; bars that stand alone need none.
+        Newton's iterations for bars that share nodes; other bars need none.
 
     Raises
     ------
@@ -57,24 +55,25 @@ class Rattle(NamedScheme, kind="Rattle"):
 
     Notes
     -----
-    Drifts are the step of [1]_ without forces: bars and joints hold to rounding after each,
-    positions by impulses along the bars as they were before, velocities by impulses along the bars
-    as they are after. A bar that stands alone takes the root of a quadratic and a division. Bars
-    that meet take Newton's method with the matrix of the drift's start, whose error falls by about
-    the angle that bars turn in half a step each time, and a few iterations with that of its end,
-    which matter where bars fold into a line. Moved supports are where they belong after each drift.
+    A drift is the step of [1]_ without forces. It satisfies bars and joints to rounding, by
+    impulses along the initial bars for positions and along the final bars for velocities. A
+    separate bar needs the root of a quadratic and a division. Bars that share nodes need Newton's
+    method with the matrix at the start of the drift. Each iteration reduces the error by about the
+    angle that bars turn in half a step. Further iterations with the matrix at the end serve bars
+    that align. Moving supports are at their prescribed positions after each drift.
 
-    Kicks are the flow of V' = F(N, V) M⁻ on the tangent space at the middle of the step: exact,
-    with one evaluation of the forces, where no force depends on velocity [2]_. String damping and
-    the ground's damping and friction are integrated within the kick by the explicit midpoint rule
-    (order 4: the classical Runge-Kutta method), two (four) evaluations. That keeps the order but is
+    A kick is the flow of V' = F(N, V) M⁻ on the tangent space at the middle of the step. It is
+    exact with one evaluation of the forces if no force depends on velocity [2]_. The explicit
+    midpoint rule (order 4: the classical Runge-Kutta method) integrates string damping, ground
+    damping and friction within the kick, with two (four) evaluations. That keeps the order but is
     not symplectic.
 
     References
     ----------
     .. [1] H. C. Andersen, Rattle: a "velocity" version of the Shake algorithm, Journal of
-    Computational Physics 52, 1983, 24-34. .. [2] E. Hairer, C. Lubich, G. Wanner, Geometric
-    Numerical Integration, sections VII.1, IX.3 and IX.5.
+       Computational Physics 52, 1983, 24-34.
+    .. [2] E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, sections VII.1, IX.3
+       and IX.5.
 
     Examples
     --------
@@ -100,7 +99,9 @@ class Rattle(NamedScheme, kind="Rattle"):
         whole_number("Rattle.iterations", self.iterations, 1)
 
     def step(self, ode: ca.Function) -> ca.Function:
-        """Refuse an ordinary differential equation: it does not tell bars and forces apart.
+        """Reject an ordinary differential equation.
+
+        It does not separate bars from forces.
 
         Parameters
         ----------
@@ -129,14 +130,13 @@ class Rattle(NamedScheme, kind="Rattle"):
         model : Model
             Model whose state is advanced.
         power : casadi.Function, optional
-            Function (x, u) → power, W, whose work is integrated beside the state; None: no work.
+            Function (x, u) → power [W] whose work is integrated; None: no work.
 
         Returns
         -------
         casadi.Function
-            Function "step" (z, u, h) → z_next, with h the length of the step, s. z is the state x
-            (nx,); with `power` it holds one entry more, the work done, J. Below the control, u
-            holds the parameters, if there are any.
+            Function "step" (z, u, h) → z_next with the step h [s]. z is the state x (nx,); with
+            `power`, one more entry is the work done [J]. u is the control followed by parameters.
 
         Raises
         ------
@@ -152,7 +152,7 @@ class Rattle(NamedScheme, kind="Rattle"):
         return ca.Function("step", [start, u, h], [z], ["z", "u", "h"], ["z_next"])
 
     def amplification(self, z: Complex) -> Complex:
-        """Compute the largest factor by which one step multiplies a vibration.
+        """Compute the largest amplification of a vibration in one step.
 
         Parameters
         ----------
@@ -162,8 +162,8 @@ class Rattle(NamedScheme, kind="Rattle"):
         Returns
         -------
         ndarray of complex
-            Largest |eigenvalue| of the step of q'' = −ω² q − c q', whose roots are λ and its
-            conjugate (or 0, where λ is real), of the shape of z.
+            Largest |eigenvalue| of the step of q'' = −ω² q − c q', of the shape of z. The roots of
+            this equation are λ and its conjugate, or 0 for a real λ.
         """
         z = np.asarray(z, dtype=complex)
         total = np.broadcast_to(np.eye(2), (*z.shape, 2, 2))
@@ -173,7 +173,10 @@ class Rattle(NamedScheme, kind="Rattle"):
 
 
 def _swing(z: Complex, fraction: float, kick: Tableau) -> Any:
-    """Return the matrix (…, 2, 2) by which a leap of `fraction` of the step h moves (q, h v), for z = h λ."""
+    """Compute the amplification matrix of a leap.
+
+    It is (…, 2, 2) and acts on (q, h v). The leap takes `fraction` of the step h, and z = h λ.
+    """
     damping = fraction * np.where(z.imag == 0, -z.real, -2 * z.real)
     squared = fraction * np.where(z.imag == 0, 0.0, np.abs(z) ** 2)
     # v' = −c v − ω² q with q held: R(−c) v − ω² q (R(−c) − 1)/(−c)
@@ -187,7 +190,7 @@ def _swing(z: Complex, fraction: float, kick: Tableau) -> Any:
 
 
 def _leap(model: Model, power: ca.Function | None, kick: Tableau, iterations: int) -> ca.Function:
-    """Drift, kick, drift: Function "leap" (z, u, h) -> z_next."""
+    """Build drift, kick and drift: (z, u, h) → z_next."""
     kind: Any = ca.SX if model.mechanism.unrolled else ca.MX
     z, u, h = kind.sym("z", model.nx + (power is not None)), kind.sym("u", model.nw), kind.sym("h")
     mech, scene = model.weighted(u), model.scene
@@ -195,12 +198,12 @@ def _leap(model: Model, power: ca.Function | None, kick: Tableau, iterations: in
 
     def drift(N: Any, V: Any, time: Any) -> tuple[Any, Any, Any]:
         later = time + h / 2
-        free = placed(N + h / 2 * V, V, later)[0]
-        moved = _constrained(mech, free, N, model.targets(later)[0], iterations)
-        return placed(moved, V + (moved - free) / (h / 2), later)
+        free = place_nodes(N + h / 2 * V, V, later)[0]
+        moved = _constrain(mech, free, N, model.targets(later)[0], iterations)
+        return place_nodes(moved, V + (moved - free) / (h / 2), later)
 
-    def placed(N: Any, V: Any, time: Any) -> tuple[Any, Any, Any]:
-        """With moved supports where they are at that time."""
+    def place_nodes(N: Any, V: Any, time: Any) -> tuple[Any, Any, Any]:
+        """Move supports to their positions at that time."""
         return model.unpack(model.pack(N, V, time))
 
     def tangent(N: Any, V: Any, time: Any) -> Any:
@@ -217,9 +220,9 @@ def _leap(model: Model, power: ca.Function | None, kick: Tableau, iterations: in
     if rough:
         slopes: list[Any] = []
         for row in kick.a:
-            stage = tangent(N, V + h * _weighted(row, slopes), time) if any(row) else V
+            stage = tangent(N, V + h * _weighted_sum(row, slopes), time) if any(row) else V
             slopes.append(call_weighted(mech, acceleration, N, stage, u, time)[0])
-        V = tangent(N, V + h * _weighted(kick.b, slopes), time)
+        V = tangent(N, V + h * _weighted_sum(kick.b, slopes), time)
     else:
         V = tangent(N, V + h * call_weighted(mech, acceleration, N, V, u, time)[0], time)
     supplied = (
@@ -231,12 +234,15 @@ def _leap(model: Model, power: ca.Function | None, kick: Tableau, iterations: in
     return ca.Function("leap", [z, u, h], ca.cse([end]), ["z", "u", "h"], ["z_next"])
 
 
-def _weighted(weights: tuple[float, ...], slopes: list[Any]) -> Any:
+def _weighted_sum(weights: tuple[float, ...], slopes: list[Any]) -> Any:
     return sum(weight * slope for weight, slope in zip(weights, slopes, strict=True) if weight)
 
 
-def _constrained(mech: Mechanism, free: Any, N: Any, D: Any, iterations: int) -> Any:
-    """Return positions with the bars' lengths and joints, from the `free` ones by impulses along the bars of N."""
+def _constrain(mech: Mechanism, free: Any, N: Any, D: Any, iterations: int) -> Any:
+    """Find positions that satisfy bars and joints.
+
+    Impulses along the bars of N correct the `free` positions.
+    """
     if not mech.constrained:
         return free
     B, lengths = mech.bar_vectors(N), ca.DM(mech.lengths).T
@@ -250,11 +256,10 @@ def _constrained(mech: Mechanism, free: Any, N: Any, D: Any, iterations: int) ->
 
 
 def _newton(mech: Mechanism, free: Any, B: Any, D: Any, iterations: int) -> Any:
-    """Return the same by Newton's method.
+    """Find positions that satisfy coupled constraints, by Newton's method.
 
-    Where bars come to lie in a line, those impulses tell some of them no longer apart, and the
-    iteration would diverge: it keeps the best it had, and the rest is taken away by impulses along
-    the bars as they are.
+    Where bars align, the impulses become dependent and the iteration would diverge. It keeps its
+    best iterate; impulses along the current bars remove the rest.
     """
 
     def residual(N: Any) -> tuple[Any, Any, Any]:

@@ -1,4 +1,4 @@
-"""Explicit Runge-Kutta methods: the schemes, and the step that a tableau makes."""
+"""Explicit Runge-Kutta methods and the steps of a tableau."""
 
 from __future__ import annotations
 
@@ -43,7 +43,9 @@ class ExplicitRungeKutta(NamedScheme):
         return False
 
     def step(self, ode: ca.Function) -> ca.Function:
-        """Build one step of any ordinary differential equation with its control held.
+        """Build one step of an ordinary differential equation.
+
+        The control is constant over the step.
 
         Parameters
         ----------
@@ -53,34 +55,33 @@ class ExplicitRungeKutta(NamedScheme):
         Returns
         -------
         casadi.Function
-            Function "step" (x, u, h) → x_next, with h the length of the step, s.
+            Function "step" (x, u, h) → x_next with the step h [s].
 
         Raises
         ------
         TypeError
             If `ode` is no casadi.Function.
         ValueError
-            If its inputs and outputs are others.
+            If its inputs and outputs differ from these.
         """
         check_ode(ode)
         return build_step(self.tableau, ode)
 
     def advance(self, model: Model, power: ca.Function | None = None) -> ca.Function:
-        """Build one step of a model with its control held.
+        """Build one step of a model with constant control.
 
         Parameters
         ----------
         model : Model
             Model whose state is advanced.
         power : casadi.Function, optional
-            Function (x, u) → power, W, whose work is integrated beside the state; None: no work.
+            Function (x, u) → power [W] whose work is integrated; None: no work.
 
         Returns
         -------
         casadi.Function
-            Function "step" (z, u, h) → z_next, with h the length of the step, s. z is the state x
-            (nx,); with `power` it holds one entry more, the work done, J. Below the control, u
-            holds the parameters, if there are any.
+            Function "step" (z, u, h) → z_next with the step h [s]. z is the state x (nx,); with
+            `power`, one more entry is the work done [J]. u is the control followed by parameters.
 
         Raises
         ------
@@ -91,7 +92,9 @@ class ExplicitRungeKutta(NamedScheme):
         return self.step(equations(model, power))
 
     def amplification(self, z: Complex) -> Complex:
-        """Compute the factor by which one step multiplies y when y' = λ y.
+        """Compute the amplification factor of one step.
+
+        It multiplies y where y' = λ y.
 
         Parameters
         ----------
@@ -109,7 +112,7 @@ class ExplicitRungeKutta(NamedScheme):
 
     @property
     def imaginary_limit(self) -> float:
-        """Largest stable step · ω of an undamped vibration at ω, rad/s."""
+        """Largest stable step · ω of an undamped vibration."""
         return float(stability_limit(self, np.array([1j]))[0])  # type: ignore[arg-type]
 
     @property
@@ -123,7 +126,7 @@ class RungeKutta4(ExplicitRungeKutta, kind="RungeKutta4"):
     """Classical explicit Runge-Kutta method of order 4.
 
     A step takes four evaluations of the equations of motion. It is stable for step · ω_max < 2.83,
-    with ω_max the fastest vibration, rad/s.
+    with ω_max the highest angular frequency [rad/s].
 
     See Also
     --------
@@ -150,7 +153,10 @@ class RungeKutta4(ExplicitRungeKutta, kind="RungeKutta4"):
 
 @dataclass(frozen=True)
 class EmbeddedRungeKutta(ExplicitRungeKutta):
-    """Explicit methods with an estimate of their error: fixed steps, or steps of their own size when `rtol` is given."""
+    """Explicit methods with an error estimate.
+
+    They take fixed steps, or choose their steps if `rtol` is given.
+    """
 
     rtol: float | None = None
     atol: float | None = None
@@ -171,11 +177,14 @@ class EmbeddedRungeKutta(ExplicitRungeKutta):
 
     @property
     def adaptive(self) -> bool:
-        """Whether steps are of the scheme's own size: where `rtol` is given."""
+        """Whether the scheme chooses its steps, as with `rtol`."""
         return self.rtol is not None
 
     def tolerances(self, model: Model) -> tuple[float, float]:
-        """Return rtol and atol for a model: atol in m and m/s. Raises TypeError, ValueError for fixed steps."""
+        """Return rtol and atol [m and m/s] for a model.
+
+        Raises TypeError, and ValueError for fixed steps.
+        """
         if self.rtol is None:
             raise ValueError(
                 f"{type(self).__name__}.rtol is None: give a tolerance for control of the error"
@@ -187,19 +196,18 @@ class EmbeddedRungeKutta(ExplicitRungeKutta):
 class DormandPrince54(EmbeddedRungeKutta, kind="DormandPrince54"):
     """Dormand and Prince's explicit Runge-Kutta method of order 5.
 
-    A step takes six evaluations of the equations of motion. Fixed steps are stable for step · ω_max
-    < 1 (vibrations at ω_max, rad/s) and step · rate < 3.3 (overdamped motion).
+    A step takes six evaluations of the equations of motion. Fixed steps are stable for step ·
+    ω_max < 1 (vibrations at ω_max [rad/s]) and step · rate < 3.3 (overdamped motion).
 
     Parameters
     ----------
     rtol : float, optional
-        Largest error of a step relative to each entry of the state, 1e-15 ≤ rtol < 1; None: fixed
-        steps without control of the error.
+        Largest error of a step relative to each state entry, 1e-15 ≤ rtol < 1. None: fixed steps
+        without error control.
     atol : float, optional
-        Error that is allowed in addition, m and m/s; None: `rtol` times the structure's extent.
+        Additional error [m and m/s]; None: `rtol` times the structure's extent.
     max_attempts : int
-        Attempts, accepted or not, between two times of the grid that `simulate` lays, before the
-        run is given up.
+        Largest number of attempts, accepted or not, within a grid step of `simulate`.
 
     Raises
     ------
@@ -213,9 +221,9 @@ class DormandPrince54(EmbeddedRungeKutta, kind="DormandPrince54"):
     Notes
     -----
     With `rtol` the scheme chooses its steps. Errors are root mean squares over all coordinates and
-    velocities. After many steps the motion is off by more than one step's error, by a factor that
-    depends on the motion. Steps end where strings go slack or taut and where nodes meet or leave
-    the ground, so that the order is kept across such events.
+    velocities. Over many steps they accumulate, by a factor that depends on the motion. Steps end
+    where strings go slack or taut and where nodes meet or leave the ground. This keeps the order
+    across such events.
 
     References
     ----------
@@ -237,21 +245,21 @@ class DormandPrince54(EmbeddedRungeKutta, kind="DormandPrince54"):
 
 @dataclass(frozen=True)
 class DormandPrince853(EmbeddedRungeKutta, kind="DormandPrince853"):
-    """Dormand and Prince's explicit Runge-Kutta method of order 8, with the error estimate of DOP853.
+    """Dormand and Prince's explicit Runge-Kutta method of order 8.
 
-    A step takes twelve evaluations of the equations of motion. Fixed steps are stable for step ·
-    ω_max < 5.96, with ω_max the fastest vibration, rad/s.
+    The error estimate is that of DOP853. A step takes twelve evaluations of the equations of
+    motion. Fixed steps are stable for step · ω_max < 5.96, with ω_max the highest angular
+    frequency [rad/s].
 
     Parameters
     ----------
     rtol : float, optional
-        Largest error of a step relative to each entry of the state, 1e-15 ≤ rtol < 1; None: fixed
-        steps without control of the error.
+        Largest error of a step relative to each state entry, 1e-15 ≤ rtol < 1. None: fixed steps
+        without error control.
     atol : float, optional
-        Error that is allowed in addition, m and m/s; None: `rtol` times the structure's extent.
+        Additional error [m and m/s]; None: `rtol` times the structure's extent.
     max_attempts : int
-        Attempts, accepted or not, between two times of the grid that `simulate` lays, before the
-        run is given up.
+        Largest number of attempts, accepted or not, within a grid step of `simulate`.
 
     Raises
     ------
@@ -260,7 +268,7 @@ class DormandPrince853(EmbeddedRungeKutta, kind="DormandPrince853"):
 
     See Also
     --------
-    DormandPrince54 : Order 5, cheaper for rough runs, and how errors are controlled.
+    DormandPrince54 : Order 5, cheaper for rough runs, with notes on error control.
 
     References
     ----------
@@ -281,18 +289,22 @@ class DormandPrince853(EmbeddedRungeKutta, kind="DormandPrince853"):
 
 
 def build_step(tableau: Tableau, ode: ca.Function) -> ca.Function:
-    """Return one step of the method: Function "step" (x, u, h) -> x_next that calls `ode` once a stage that counts."""
+    """Build one step of a Runge-Kutta method.
+
+    Function "step" (x, u, h) → x_next.
+    """
     x, u, h = ca.MX.sym("x", ode.sparsity_in(0)), ca.MX.sym("u", ode.sparsity_in(1)), ca.MX.sym("h")
-    slopes = _slopes(tableau, ode, x, u, h, needed_stages(tableau))
+    slopes = _slopes(tableau, ode, x, u, h, select_stages(tableau))
     return ca.Function(
         "step", [x, u, h], [_advance(x, h, tableau.b, slopes)], ["x", "u", "h"], ["x_next"]
     )
 
 
 def build_trial(tableau: Tableau, ode: ca.Function) -> ca.Function:
-    """Return one step with its estimated errors: Function "trial" (x, u, h) -> (x_next, errors, slope, slope_next).
+    """Build one step with error estimates.
 
-    errors (nx, rows of `tableau.errors`); the slopes are those at x and x_next.
+    Function "trial" (x, u, h) → (x_next, errors, slope, slope_next). The errors are (nx, rows of
+    `tableau.errors`). The slopes are those at x and x_next.
     """
     x, u, h = ca.MX.sym("x", ode.sparsity_in(0)), ca.MX.sym("u", ode.sparsity_in(1)), ca.MX.sym("h")
     slopes = _slopes(tableau, ode, x, u, h, set(range(len(tableau.b))))
@@ -306,23 +318,29 @@ def build_trial(tableau: Tableau, ode: ca.Function) -> ca.Function:
 
 
 def repeats_last(tableau: Tableau) -> bool:
-    """Return whether the last stage lies at the end of the step ("first same as last")."""
+    """Return whether the method is "first same as last".
+
+    Its last stage is then the first one of the next step.
+    """
     return tableau.a[-1] == tableau.b[:-1] and tableau.b[-1] == 0
 
 
 def _slopes(
     tableau: Tableau, ode: ca.Function, x: ca.MX, u: ca.MX, h: ca.MX, needed: set[int]
 ) -> list[ca.MX]:
-    # Calls instead of inlined copies: code stays as small as ode's, and compiles and runs faster
-    # than one unrolled graph.
+    # Calls keep the code as small as that of `ode`. It compiles and runs faster than an unrolled
+    # graph.
     slopes: list[ca.MX] = []
     for i, row in enumerate(tableau.a):
         slopes.append(ode(_advance(x, h, row, slopes), u) if i in needed else ca.MX(x.shape[0], 1))
     return slopes
 
 
-def needed_stages(tableau: Tableau) -> set[int]:
-    """Stages on which the result depends: the last one of a pair with "first same as last" serves its error alone."""
+def select_stages(tableau: Tableau) -> set[int]:
+    """Find the stages that the result depends on.
+
+    The last stage of a "first same as last" pair serves its error estimate alone.
+    """
     needed: set[int] = set()
     for i in reversed(range(len(tableau.a))):
         if any(row[i] for row in (tableau.b, *(tableau.a[k] for k in needed))):
@@ -331,7 +349,11 @@ def needed_stages(tableau: Tableau) -> set[int]:
 
 
 def _advance(x: ca.MX, h: ca.MX, weights: tuple[float, ...], slopes: list[ca.MX]) -> ca.MX:
-    """Return x + h Σ weight · slope, with slopes of equal weight added first: each product is a pass over the state. Many are one product."""
+    """Compute x + h Σ weight · slope.
+
+    Slopes of equal weight are added first, since each product is a pass over the state. Many
+    weights become one matrix product.
+    """
     used = {
         weight: reduce(add, (slopes[k] for k in equal))
         for weight, equal in equal_weights(weights).items()
@@ -344,7 +366,7 @@ def _advance(x: ca.MX, h: ca.MX, weights: tuple[float, ...], slopes: list[ca.MX]
 
 
 def equal_weights(weights: tuple[float, ...]) -> dict[float, list[int]]:
-    """Return the stages of each weight that is not 0."""
+    """Group the stages by their nonzero weight."""
     return {
         weight: [k for k, own in enumerate(weights) if own == weight]
         for weight in weights

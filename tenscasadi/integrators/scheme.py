@@ -1,4 +1,7 @@
-"""Integration schemes as values: each turns a model, or x' = ode(x, u), into one step x⁺ = step(x, u, h), a CasADi Function."""
+"""Interface and stability of integration schemes.
+
+A scheme turns a model, or x' = ode(x, u), into one step x⁺ = step(x, u, h), a CasADi Function.
+"""
 
 from __future__ import annotations
 
@@ -16,45 +19,66 @@ Complex = NDArray[np.complex128]
 
 
 class NamedScheme(Value):
-    """Scheme that files know by its kind."""
+    """Scheme that files identify by its kind."""
 
 
 @runtime_checkable
 class Scheme(Protocol):
-    """Members of every integration scheme. A scheme is a frozen value: it holds options, never state."""
+    """Interface of integration schemes.
+
+    A scheme is a frozen value that holds options, never state.
+    """
 
     @property
     def order(self) -> int:
-        """Order p of convergence: the error after a fixed time falls like step^p."""
+        """Order p of convergence.
+
+        The error after a fixed time is proportional to step^p.
+        """
 
     @property
     def adaptive(self) -> bool:
-        """Whether the scheme takes steps of its own size between the times of the grid that `simulate` lays."""
+        """Whether the scheme chooses its own steps.
+
+        They subdivide those of the grid of `simulate`.
+        """
 
     @property
     def implicit(self) -> bool:
-        """Whether each step solves equations that hold forces, by iterations of unknown number: stability bounds no step then."""
+        """Whether a step iterates on equations with forces.
+
+        Stability then does not limit the step.
+        """
 
     def advance(self, model: Model, power: ca.Function | None = None) -> ca.Function:
-        """Build one step of a model with u held: Function "step" (z, u, h) -> z_next, z = x.
+        """Build one step of a model with constant input.
 
-        Where the model has parameters, u is the control and below it these, `model.nw` entries.
-        With `power` (x, u) -> W, z holds one entry more: the work that it has done, J. TypeError
-        for anything but a Model.
+        Function "step" (z, u, h) → z_next with z = x. If the model has parameters, u (nw,) is the
+        control followed by these. With `power` (x, u) → W, z has one more entry, the work done
+        [J]. TypeError unless `model` is a Model.
         """
 
     def step(self, ode: ca.Function) -> ca.Function:
-        """Build one step of any x' = ode(x, u) with u held: Function "step" (x, u, h) -> x_next. TypeError where the scheme needs a model."""
+        """Build one step of an ode with constant u.
+
+        Function "step" (x, u, h) → x_next. TypeError if the scheme needs a model.
+        """
 
     def amplification(self, z: Complex) -> Complex:
-        """Compute R(z): the factor by which one step multiplies y when y' = λ y and z = step · λ."""
+        """Compute the amplification factor R(z) of one step.
+
+        One step multiplies y by R(z) where y' = λ y and z = step · λ.
+        """
 
 
 _MEMBERS = ("order", "adaptive", "implicit", "advance", "step", "amplification")
 
 
 def check_relative_tolerance(field: str, value: Any) -> float:
-    """Return `value` as a float, 1e-15 or more and less than 1. Raises TypeError, ValueError."""
+    """Check that a relative tolerance is in [1e-15, 1).
+
+    Raises TypeError, ValueError.
+    """
     rtol = positive_number(field, value)
     if rtol < 1e-15 or rtol >= 1:
         raise ValueError(
@@ -64,13 +88,21 @@ def check_relative_tolerance(field: str, value: Any) -> float:
 
 
 def extent(model: Model) -> float:
-    """Return the largest distance along an axis between two nodes of the structure, m; 1 where there is one node. Raises TypeError."""
+    """Compute the extent of the structure [m].
+
+    It is the largest distance between two nodes along an axis, 1 for a single node. Raises
+    TypeError.
+    """
     instance("model", model, Model, "a tenscasadi.Model")
     return float(np.ptp(model.structure.nodes, axis=0).max()) or 1.0
 
 
 def add_work(ode: ca.Function, power: ca.Function) -> ca.Function:
-    """Return (z, u) -> zdot: the ode with the work of `power` (x, u) -> W as one more state, so that a scheme integrates both alike."""
+    """Append the work of `power` to an ode.
+
+    `power` is (x, u) → W. The result is (z, u) → ż, so the scheme integrates the work like a
+    state.
+    """
     x, u, work = ca.MX.sym("x", ode.size1_in(0)), ca.MX.sym("u", ode.size1_in(1)), ca.MX.sym("work")
     return ca.Function(
         "ode_and_work",
@@ -82,13 +114,20 @@ def add_work(ode: ca.Function, power: ca.Function) -> ca.Function:
 
 
 def equations(model: Model, power: ca.Function | None) -> ca.Function:
-    """Return the model's ode (x, w) -> xdot, w the control and below it the parameters; with `power` (x, w) -> W as `add_work` does."""
+    """Build the model's ode (x, w) → ẋ.
+
+    The input w is the control followed by the parameters. `power` (x, w) → W adds a state, see
+    `add_work`.
+    """
     ode = model.stacked(model.ode)
     return ode if power is None else add_work(ode, power)
 
 
 def check_ode(ode: ca.Function) -> None:
-    """Raise TypeError or ValueError unless `ode` is a CasADi Function (x, u) -> xdot with columns x and xdot of one length."""
+    """Raise TypeError, ValueError unless `ode` is (x, u) → ẋ.
+
+    The columns x and ẋ must have the same length.
+    """
     instance("ode", ode, ca.Function, "a casadi.Function (x, u) -> xdot")
     if (
         ode.n_in() != 2
@@ -102,7 +141,10 @@ def check_ode(ode: ca.Function) -> None:
 
 
 def check_scheme(scheme: Any, field: str = "scheme") -> None:
-    """Raise TypeError unless `scheme` is a scheme (and not, for instance, the class without parentheses)."""
+    """Raise TypeError unless `scheme` is an integration scheme.
+
+    A class without parentheses is not one.
+    """
     if isinstance(scheme, type) or not isinstance(scheme, Scheme):
         lacks = [name for name in _MEMBERS if not hasattr(scheme, name)]
         why = (
@@ -116,16 +158,18 @@ def check_scheme(scheme: Any, field: str = "scheme") -> None:
 
 
 def stability_limit(scheme: Scheme, direction: Complex, reach: float = 50.0) -> Array:
-    """Return the largest r such that |R(s z)| ≤ 1 for 0 ≤ s ≤ r, along each `direction` z; infinite where that holds up to r |z| = `reach`.
+    """Compute the extent of the stability region along directions.
 
-    `direction` is an array (k,) of non-zero complex numbers, for instance eigenvalues: r is then
-    the largest stable step. A direction that grows by itself (real part > 0) counts as one on the
-    imaginary axis: growth of the motion is no instability of the scheme.
+    For each `direction` z, it is the largest r with |R(s z)| ≤ 1 for 0 ≤ s ≤ r, and infinite
+    beyond r |z| = `reach`.
+
+    `direction` (k,) are nonzero complex numbers, for instance eigenvalues; r is then the largest
+    stable step. A growing direction (real part > 0) is replaced by one on the imaginary axis,
+    since growth of the motion itself is no instability of the scheme.
     """
     z = np.where(direction.real > 0, 1j * np.abs(direction), direction)
     unit = z / np.abs(z)
-    # The neutral tolerance admits rounding, and methods whose |R| exceeds one on the imaginary axis
-    # by less than any run would notice.
+    # 1e-9 admits rounding, and negligible growth on the imaginary axis.
     grid = np.linspace(0, reach, 2001)
     unstable = np.abs(scheme.amplification(np.multiply.outer(unit, grid))) > 1 + 1e-9
     first = np.argmax(unstable, axis=1)

@@ -1,4 +1,4 @@
-"""How large a step may be: the rates of the linearized motion against the stability region of a scheme."""
+"""Largest stable steps of a scheme for the linearized motion."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from tenscasadi.integrators.scheme import Complex, Scheme, check_scheme, stabili
 from tenscasadi.util.validate import Array, finite_array, instance, positive_number
 
 DENSE = 400  # states up to which all eigenvalues are computed
-_HALF_DISC = np.append(
-    1j * np.linspace(0, 1, 101), np.exp(1j * np.linspace(np.pi / 2, np.pi, 100))
-)  # edge of its upper half
+# edge of the upper half of the left unit half-disc
+_HALF_DISC = np.append(1j * np.linspace(0, 1, 101), np.exp(1j * np.linspace(np.pi / 2, np.pi, 100)))
 
 
 def fastest_rate(model: Model, x: Any = None, u: Any = None, parameters: Any = None) -> float:
-    """Compute ω_max, rad/s: the largest |eigenvalue| of ∂ode/∂x at state `x` (nx,) and control `u` (nu,); None: the model's initial ones.
+    """Compute the fastest rate ω_max of the motion [rad/s].
 
-    Above 400 states it is found by Arnoldi's method to about 1 %. NaN where the linearization is
-    not finite. Raises TypeError, ValueError.
+    It is the largest |eigenvalue| of ∂ode/∂x at state `x` (nx,) and control `u` (nu,), by default
+    the initial ones. Above 400 states Arnoldi's method finds it to about 1 %. NaN if the
+    linearization is not finite. Raises TypeError, ValueError.
     """
     return float(np.abs(_rates(model, x, u, parameters)).max(initial=0.0))
 
@@ -39,10 +39,11 @@ def stable_step(
     safety: float = 0.9,
     parameters: Any = None,
 ) -> float:
-    """Compute the largest step at which a scheme is stable for the motion linearized at a state.
+    """Compute the largest stable step of a scheme.
 
-    A larger step makes vibrations grow until the run breaks down; a much smaller one is a matter of
-    accuracy. Strings that go taut and bars that spin faster later on change the limit.
+    The motion is linearized at a state. With a larger step, vibrations grow until the run fails; a
+    much smaller one only affects accuracy. Strings that go taut and bars that spin faster later on
+    change the limit.
 
     Parameters
     ----------
@@ -62,7 +63,7 @@ def stable_step(
     Returns
     -------
     float
-        Step, s; infinite where nothing limits it, NaN where the linearization is not finite.
+        Step [s]; infinite if nothing limits it, NaN if the linearization is not finite.
 
     Raises
     ------
@@ -76,8 +77,8 @@ def stable_step(
 
     Notes
     -----
-    The limit is where the amplification |R(step · λ)| passes 1 for an eigenvalue λ of ∂ode/∂x.
-    Above 400 states the largest eigenvalues are found by Arnoldi's method, to about 1 %.
+    At the limit, |R(step · λ)| = 1 for an eigenvalue λ of ∂ode/∂x. Above 400 states, Arnoldi's
+    method finds the largest eigenvalues to about 1 %.
 
     Examples
     --------
@@ -98,7 +99,10 @@ def stable_step(
 
 
 def contact_rate(model: Model) -> float:
-    """Compute how fast, rad/s, the lightest node bounces on the grounds of the scene, or is damped by them; 0 without one."""
+    """Compute the fastest rate of ground contact [rad/s].
+
+    The lightest node bounces or is damped at this rate. 0 without a ground.
+    """
     m = lightest_mass(model)
     return max(
         (max(float(np.sqrt(g.stiffness / m)), float(g.damping) / m) for g in model.scene.grounds),
@@ -107,10 +111,10 @@ def contact_rate(model: Model) -> float:
 
 
 def contact_step(model: Model) -> float:
-    """Compute the step, s, that follows what happens where nodes touch the grounds of the scene; infinite without one.
+    """Compute a step that resolves ground contact [s].
 
-    It resolves bouncing and damping, and how fast friction of a third of the weight stops a node
-    that slips, up to a tenth of the step that the former need.
+    It resolves bouncing, damping and, up to a tenth of the step for these, the stop of a slipping
+    node by friction of a third of the weight. Infinite without a ground.
     """
     rate = contact_rate(model)
     if not rate:
@@ -131,11 +135,12 @@ def contact_step(model: Model) -> float:
 
 
 def lightest_mass(model: Model) -> float:
-    """Compute the least mass, kg, that a force on one free node moves, were it not for bars: 1/max diag M⁻¹."""
+    """Compute the smallest effective mass of a node [kg].
+
+    It is 1/max diag M⁻¹, without bars.
+    """
     mech = model.mechanism
-    if (
-        model.coordinates == "full"
-    ):  # pinned nodes without mass are free there, and held by Ω: M⁻ has masses for them that do not matter
+    if model.coordinates == "full":  # massless pinned nodes have arbitrary masses in M⁻
         return float(1 / mech.inverse[0].diagonal().max())
     return float(1 / np.linalg.inv(np.asarray(mech.free_mass.toarray())).diagonal().max())
 
@@ -150,35 +155,42 @@ def log_growth(
     bound: float,
     parameters: Any = None,
 ) -> float:
-    """Compute log |R| of the mode of the motion linearized at a state that one step, s, of a scheme amplifies most; 0 where none grows.
+    """Compute log |R| of the most amplified mode.
 
-    Growth of the motion itself is none of the scheme. What the `rate_bound` leaves below `ignored`
-    is returned as 0.
+    The motion is linearized at a state, and one step of `step` s is taken. Growth of the motion
+    itself does not count. The result is 0 if no mode grows, or if `bound` limits the growth to
+    `ignored`.
     """
     if (
         _largest_log(scheme, step * bound * _HALF_DISC) <= ignored
-    ):  # R is analytic: it is largest on the edge
+    ):  # an analytic R is largest on the boundary
         return 0.0
     rates = _rates(model, x, u, parameters)
     return _largest_log(scheme, step * np.where(rates.real > 0, 1j * np.abs(rates), rates))
 
 
-def fastest_damped(model: Model, x: Any, u: Any, parameters: Any = None) -> float:
-    """Compute the fastest rate, 1/s, at which damping slows a mode of the motion linearized at a state down rather than lets it swing; 0: none."""
+def fastest_decay(model: Model, x: Any, u: Any, parameters: Any = None) -> float:
+    """Compute the fastest decay rate of an overdamped mode [1/s].
+
+    The motion is linearized at a state. 0 if no mode is overdamped.
+    """
     rates = _rates(model, x, u, parameters)
     return float(-rates.real[-rates.real > np.abs(rates.imag)].min(initial=0.0))
 
 
 def _largest_log(scheme: Scheme, z: NDArray[Any]) -> float:
     if not np.isfinite(z).all():
-        return 0.0  # not known
+        return 0.0  # unknown
     with np.errstate(all="ignore"):
         largest = float(np.abs(scheme.amplification(z)).max(initial=1.0))
     return float(np.log(largest)) if largest > 1 + 1e-9 else 0.0
 
 
 def rate_bound(model: Model, x: Any, u: Any, parameters: Any = None) -> float:
-    """Return a bound on ω_max, rad/s, that costs little: from λ² q = (λ C + K) q; for large models an estimate that is rather too high."""
+    """Compute a cheap upper bound of ω_max [rad/s].
+
+    It follows from λ² q = (λ C + K) q. For large models it is an estimate, likely too high.
+    """
     w = model.held(u, parameters)
     if model.nx > DENSE:
         along, v, size = _directional(model), np.random.default_rng(0).normal(size=model.nx), 1.0
@@ -187,8 +199,10 @@ def rate_bound(model: Model, x: Any, u: Any, parameters: Any = None) -> float:
             v = along(x, w, v / size if size else v).full().ravel()
             size = float(np.linalg.norm(v))
             sizes.append(size)
-        pairs = np.sqrt(np.multiply(sizes[1:], sizes[:-1]))  # positions and velocities by turns
-        return 3.0 * float(pairs[-1])  # few products find less than the largest
+        pairs = np.sqrt(
+            np.multiply(sizes[1:], sizes[:-1])
+        )  # the growth alternates between positions and velocities
+        return 3.0 * float(pairs[-1])  # few products underestimate the largest
     jacobian, n = _jacobian(model, x, w), model.nq
     K, C = (
         min(abs(block).sum(axis=0).max(initial=0.0), abs(block).sum(axis=1).max(initial=0.0))
@@ -205,7 +219,10 @@ def _jacobian(model: Model, x: Any, w: Any) -> Array:
 
 
 def _directional(model: Model) -> ca.Function:
-    """Build (x, w, v) -> ∂ode/∂x v, which takes large models less than their Jacobian."""
+    """Build (x, w, v) → ∂ode/∂x v.
+
+    For large models it is cheaper than the Jacobian.
+    """
 
     def build() -> ca.Function:
         X, W, V = ca.MX.sym("x", model.nx), ca.MX.sym("w", model.nw), ca.MX.sym("v", model.nx)
@@ -216,16 +233,22 @@ def _directional(model: Model) -> ca.Function:
 
 
 def step_limit(scheme: Scheme, rates: Complex) -> float:
-    """Return the largest step, s, at which `scheme` is stable for these eigenvalues; infinite when nothing limits it, NaN when one is not finite."""
+    """Compute the largest stable step for these eigenvalues [s].
+
+    Infinite if nothing limits it, NaN if an eigenvalue is not finite.
+    """
     if not np.all(np.isfinite(rates)):
         return float("nan")
     size = np.abs(rates)
-    moving = rates[size > 1e-9 * size.max(initial=0.0)]  # the others are zero but for rounding
+    moving = rates[size > 1e-9 * size.max(initial=0.0)]  # the others are zero up to rounding
     return float(stability_limit(scheme, moving).min(initial=np.inf))
 
 
 def _rates(model: Model, x: Any, u: Any, parameters: Any) -> Complex:
-    """Eigenvalues of ∂ode/∂x: all of them for small models, the largest for others."""
+    """Compute eigenvalues of ∂ode/∂x.
+
+    Small models have all of them, others the largest.
+    """
     instance("model", model, Model, "a tenscasadi.Model")
     state = model.initial_state if x is None else finite_array("x", x, (model.nx,))
     inputs = model.held(u, parameters)
@@ -244,7 +267,7 @@ def _eigenvalues(matrix: Any) -> Complex:
 
 def _largest_eigenvalues(model: Model, state: Array, control: Array) -> Complex:
     along = _directional(model)
-    start = np.random.default_rng(0).normal(size=model.nx)  # fixed: the same answer every time
+    start = np.random.default_rng(0).normal(size=model.nx)  # fixed seed: reproducible results
     if not np.all(np.isfinite(along(state, control, start).full())):
         return np.array([complex(np.nan)])
     operator = LinearOperator(
@@ -260,6 +283,6 @@ def _largest_eigenvalues(model: Model, state: Array, control: Array) -> Complex:
         found = []
     if len(found):
         return np.asarray(found, dtype=complex)
-    # Undamped motion has |eigenvalue|² at most ‖A²‖: a bound, on the safe side.
+    # Undamped motion has |eigenvalue|² ≤ ‖A²‖, a safe bound.
     jacobian = _jacobian(model, state, control)
     return np.array([1j * np.sqrt(abs(jacobian @ jacobian).sum(axis=1).max())])

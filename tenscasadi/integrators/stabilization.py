@@ -1,4 +1,4 @@
-"""Stabilisation: corrections of a state that has left its constraints, and what they do to a motion."""
+"""Corrections of constraint drift, and their effect on a run."""
 
 from __future__ import annotations
 
@@ -34,18 +34,18 @@ class Correction(Value):
 
 @dataclass(frozen=True)
 class Projection(Correction, kind="Projection"):
-    """Projection of a state onto all bars and joints at once, by the smallest movement in the sense of the mass matrix.
+    """Projection of a state onto all bars and joints.
 
-    It keeps linear and angular momentum; energy is not kept exactly. Unlike `BarLengthCorrection`
-    it also serves closed loops of bars and string nodes.
+    It is the smallest movement in the norm of the mass matrix. It conserves linear and angular
+    momentum; energy changes slightly. Unlike `BarLengthCorrection`, it handles closed loops of
+    bars and string nodes.
 
     Parameters
     ----------
     every : int
-        Steps of a run from one correction to the next.
+        Number of steps between corrections.
     iterations : int
-        Newton's iterations in position where bars meet; bars that stand alone need one, in closed
-        form.
+        Newton's iterations for positions of bars that share nodes. Other bars have a closed form.
 
     Raises
     ------
@@ -58,8 +58,8 @@ class Projection(Correction, kind="Projection"):
 
     Notes
     -----
-    Positions follow from Newton's method on ½(bᵀb − l²) = 0 and N P = D, velocities from one linear
-    solution of bᵀḃ = 0 and Ṅ P = Ḋ.
+    Newton's method finds positions with ½(bᵀb − l²) = 0 and N P = D. One linear system gives
+    velocities with bᵀḃ = 0 and Ṅ P = Ḋ.
 
     Examples
     --------
@@ -83,13 +83,13 @@ class Projection(Correction, kind="Projection"):
         Parameters
         ----------
         model : Model
-            Model whose bars and joints are kept.
+            Model with the bars and joints.
 
         Returns
         -------
         casadi.Function or None
-            Function (x) → x corrected, both (nx,), or (x, p) where the model has parameters; None
-            where it has nothing to keep.
+            Function (x) → corrected x, both (nx,), or (x, p) with parameters. None without
+            constraints.
 
         Raises
         ------
@@ -102,17 +102,18 @@ class Projection(Correction, kind="Projection"):
 
 @dataclass(frozen=True)
 class BarLengthCorrection(Correction, kind="BarLengthCorrection"):
-    """Correction of each bar's length and rate alone, then of joints: the paper's Appendix C.
+    """Correction of each bar, then of joints (Appendix C).
 
-    In closed loops of bars joints stay open by about half of what the bars were wrong, for the
-    existence condition, Eq. 143, does not hold: prefer `Projection` there.
+    Bars are corrected one by one in length and rate. In closed loops of bars, joints stay open by
+    about half the error of the bars, since the existence condition, Eq. 143, does not hold. Use
+    `Projection` there.
 
     Parameters
     ----------
     weight : float
         Weight q of positions against velocities, 1/s².
     every : int
-        Steps of a run from one correction to the next.
+        Number of steps between corrections.
 
     Raises
     ------
@@ -121,9 +122,9 @@ class BarLengthCorrection(Correction, kind="BarLengthCorrection"):
 
     Notes
     -----
-    A bar's vector moves by p and its rate by r such that q‖p‖² + ‖r‖² is least (Eq. 119). The
-    largest root of Eq. 121 is found by Newton's method from q l ‖b‖, which also serves bars that do
-    not turn. Joints then close by moving centres of mass and string nodes (Eqs. 134-149).
+    The changes p of a bar vector and r of its rate minimize q‖p‖² + ‖r‖² (Eq. 119). Newton's method
+    finds the largest root of Eq. 121 from q l ‖b‖, also for bars that do not turn. Joints then
+    close by movements of centers of mass and string nodes (Eqs. 134-149).
 
     Examples
     --------
@@ -149,20 +150,20 @@ class BarLengthCorrection(Correction, kind="BarLengthCorrection"):
         Parameters
         ----------
         model : Model
-            Model whose bars and joints are kept.
+            Model with the bars and joints.
 
         Returns
         -------
         casadi.Function or None
-            Function (x) → x corrected, both (nx,), or (x, p) where the model has parameters; None
-            where it has nothing to keep.
+            Function (x) → corrected x, both (nx,), or (x, p) with parameters. None without
+            constraints.
 
         Raises
         ------
         TypeError
             If `model` is no Model.
         ValueError
-            If bars meet or are pinned in reduced coordinates, where nodes cannot move apart.
+            If bars share nodes or are pinned in reduced coordinates.
         """
         instance("model", model, Model, "a tenscasadi.Model")
         if not model.mechanism.constrained:
@@ -175,20 +176,21 @@ class BarLengthCorrection(Correction, kind="BarLengthCorrection"):
 
 
 def projection(model: Model, iterations: int = 3) -> ca.Function:
-    """Build the projection of a state onto the bars and joints of a model: a start for `simulate`.
+    """Build the projection of a state onto bars and joints.
+
+    It makes a consistent start for `simulate`.
 
     Parameters
     ----------
     model : Model
-        Model whose bars and joints are kept.
+        Model with the bars and joints.
     iterations : int
-        Newton's iterations in position where bars meet.
+        Newton's iterations for positions of bars that share nodes.
 
     Returns
     -------
     casadi.Function
-        Function (x) → x projected, both (nx,), or (x, p) where the model has parameters: moved by
-        as little as the mass matrix says.
+        Function (x) → projected x, both (nx,), or (x, p) with parameters.
 
     Raises
     ------
@@ -236,13 +238,16 @@ def _projection(model: Model, iterations: int) -> ca.Function:
 
 
 def _correcting(name: str, x: Any, p: Any, result: Any, what: str) -> ca.Function:
-    """Return the Function (x) → result, or (x, p) where there are parameters."""
+    """Build (x) → result, or (x, p) with parameters."""
     inputs = {"x": x} | ({"p": p} if p.numel() else {})
     return ca.Function(name, list(inputs.values()), [result], list(inputs), [what])
 
 
-def held_correction(model: Model, correction: Correction) -> ca.Function | None:
-    """Return a correction's Function in the form (x, w) → x, w (nw) the control and below it the parameters; None where there is nothing to keep."""
+def build_correction(model: Model, correction: Correction) -> ca.Function | None:
+    """Build a correction as a Function (x, w) → x.
+
+    The input w (nw) is the control followed by the parameters. None if there are no constraints.
+    """
     project = correction.step(model)
     if project is None:
         return None
@@ -255,12 +260,18 @@ def held_correction(model: Model, correction: Correction) -> ca.Function | None:
 
 
 def correct(model: Model, project: ca.Function, x: Any, w: Any) -> Any:
-    """Return the state x (nx) moved by a correction's Function: that of `Correction.step`; w (nw): control, and below it parameters."""
+    """Apply the Function of `Correction.step` to a state.
+
+    The state is x (nx). The input w (nw) is the control followed by the parameters.
+    """
     return project(x, w[model.nu :]) if model.np else project(x)
 
 
 def _rescale(mech: Mechanism, N: Any) -> Any:
-    """Rescale bars that stand alone: b (1 + μ G_ii) has its length back at once."""
+    """Restore the length of bars without joints in closed form.
+
+    The vector of a bar becomes b (1 + μ G_ii).
+    """
     B = mech.bar_vectors(N)
     return stretch_bars(mech, N, B, ca.DM(mech.lengths).T / ca.sqrt(ca.sum1(B * B)) - 1)
 
@@ -275,21 +286,27 @@ def _appendix_c(model: Model, weight: float) -> ca.Function:
     direction = _direction(B, Bd, ca.DM(mech.lengths).T, weight)
     p = direction * ca.repmat(ca.DM(mech.lengths).T, 3, 1) - B  # Eq. 120
     r = -direction * ca.repmat(ca.sum1(direction * Bd), 3, 1)
-    moved = [_rejoined(mech, Z, change, target) for Z, change, target in ((N, p, D), (V, r, Dd))]
+    moved = [
+        _close_joints(mech, Z, change, target) for Z, change, target in ((N, p, D), (V, r, Dd))
+    ]
     return _correcting("correct", x, parameters, model.pack(moved[0], moved[1], time), "corrected")
 
 
 def _direction(B: Any, Bd: Any, lengths: Any, weight: float) -> Any:
-    """Return v (3×β) of Eq. 133 at the largest root x of Eq. 121, of unit length.
+    """Compute the unit vectors v (3×β) of Eq. 133.
 
-    With c = q l and t = ‖ḃ‖² the condition vᵀv = 1 reads c² (‖b‖² (x + t)² − (bᵀḃ)² (2x + t)) = x²
-    (x + t)². At the largest root x ≥ 0; Newton starts above it, at c ‖b‖, and comes down to it,
-    quadratically unless t vanishes, when the start is the root.
+    They belong to the largest root x of Eq. 121. With c = q l and t = ‖ḃ‖², the condition vᵀv = 1
+    reads
+
+        c² (‖b‖² (x + t)² − (bᵀḃ)² (2x + t)) = x² (x + t)².
+
+    Newton's method starts above the root, at c ‖b‖. It converges quadratically and monotonically.
+    If t vanishes, the start is the root.
     """
     c, squared, t, mixed = weight * lengths, ca.sum1(B * B), ca.sum1(Bd * Bd), ca.sum1(B * Bd)
     x = c * ca.sqrt(squared)
     for _ in range(6):
-        # ‖x (x + t) v‖ − x (x + t) divided by c: well scaled for any unit
+        # ‖x (x + t) v‖ − x (x + t) divided by c, well scaled in any unit
         reach = ca.sqrt(ca.fmax(squared * (x + t) ** 2 - mixed**2 * (2 * x + t), 0))
         slope = (squared * (x + t) - mixed**2) / ca.fmax(reach, 1e-300)
         gap, gap_slope = c * reach - x * (x + t), c * slope - (2 * x + t)
@@ -298,8 +315,11 @@ def _direction(B: Any, Bd: Any, lengths: Any, weight: float) -> Any:
     return v / ca.repmat(ca.sqrt(ca.sum1(v * v)), 3, 1)
 
 
-def _rejoined(mech: Mechanism, Z: Any, change: Any, target: Any) -> Any:
-    """Return Z with its bar vectors changed and its joints closed by the smallest movement of centres of mass and string nodes, Eqs. 134-149."""
+def _close_joints(mech: Mechanism, Z: Any, change: Any, target: Any) -> Any:
+    """Change bar vectors and close the joints.
+
+    The centers of mass and string nodes move as little as possible, Eqs. 134-149.
+    """
     ends = sp.csr_array(abs(mech.C_b))  # β×n, twice C_r
     Z = Z + ca.mtimes(change, sparse(mech.C_b)) / 2
     if not mech.joints:
@@ -307,7 +327,7 @@ def _rejoined(mech: Mechanism, Z: Any, change: Any, target: Any) -> Any:
     strings = np.flatnonzero(np.asarray(ends.sum(axis=0)).ravel() == 0)
     spread = sp.csr_array(
         sp.vstack([ends, sp.csr_array(sp.eye_array(Z.shape[1]))[strings]])
-    )  # of centres and string nodes onto nodes
+    )  # from centers and string nodes to nodes
     gap = mech.along_held(target - ca.mtimes(Z, sparse(mech.P)))
     return Z + ca.mtimes(
         ca.mtimes(gap, ca.DM(np.linalg.pinv((spread @ mech.P).toarray()))), sparse(spread)
@@ -315,7 +335,10 @@ def _rejoined(mech: Mechanism, Z: Any, change: Any, target: Any) -> Any:
 
 
 def build_effect(model: Model) -> ca.Function:
-    """Return (x before, x after, w) -> the largest movement of a node, m, and the energy added, J, by a correction."""
+    """Build the effect of a correction.
+
+    Function (x before, x after, w) → largest movement of a node [m] and added energy [J].
+    """
     energy = model.stacked(model.energy_function)
     before, after = ca.MX.sym("before", model.nx), ca.MX.sym("after", model.nx)
     w = ca.MX.sym("w", model.nw)

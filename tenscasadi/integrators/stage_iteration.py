@@ -1,4 +1,7 @@
-"""Stages of a collocation step by triangular iteration: sweeps of small symmetric systems in place of Newton's method for all at once."""
+"""Triangular iteration for the stages of a collocation step.
+
+Sweeps of small symmetric systems replace Newton's method for all stages at once.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ import numpy as np
 from tenscasadi.dynamics import forces
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.events import (
-    build_held_ode,
+    build_mode_ode,
     build_switching,
     count_switches,
     split_mode,
@@ -24,19 +27,14 @@ from tenscasadi.scene.strings import Smooth
 from tenscasadi.util.casadi_tools import call_as_sx, constant_row, sparse
 from tenscasadi.util.validate import Array
 
-# stiffness that stands in for bars and joints, relative to the stiffest entry: their share of a
-# sweep is exact to its inverse
-_RIGID = 1e5
-_DOUBT = (
-    2.0  # times the last change of a stage: how far past its end a string or contact keeps its mode
-)
-# of the slip and the slip speed together: velocities that move by less follow the slope of friction
-_SMOOTH = 0.3
-_BLOCK = 8  # sweeps that are skipped at once when they are not needed
+_BLOCK = 8  # sweeps that one branch skips after convergence
 
 
 def factor_crout(A: Array) -> Array:
-    """Return L, lower triangular, of A = L U with ones on U's diagonal."""
+    """Compute L of the factorization A = L U.
+
+    L is lower triangular; the diagonal of U is 1.
+    """
     n = len(A)
     L, U = np.zeros((n, n)), np.eye(n)
     for j in range(n):
@@ -46,26 +44,26 @@ def factor_crout(A: Array) -> Array:
 
 
 def solve_stages(model: Model, A: Array, sweeps: int) -> ca.Function:
-    """Return (x, u, h, tolerance) → accelerations of the stages (nq, s) and the last change of a velocity times h, or of a velocity: m or m/s.
+    """Build the solver for the stages of a step.
 
-    Stages are found one after the other by small symmetric systems, in sweeps that end when they
-    move none by more than the tolerance, or after `sweeps`.
+    Function (x, u, h, tolerance) → accelerations of the stages (nq, s), and the last change of a
+    velocity or of h times a velocity [m or m/s]. Small symmetric systems give one stage after the
+    other. The sweeps end when no stage moves by more than the tolerance, or after `sweeps`.
 
-    Newton's method for all stages at once needs derivatives of the right-hand side and a system of
-    2 s times as many unknowns. Here the method's matrix A gives way to the lower triangle L of
-    Crout's A = L U [1]_: in each sweep stage i solves (I − h lᵢᵢ ∂a/∂v − h² lᵢᵢ² ∂a/∂q) δ = a(qᵢ,
-    vᵢ) − kᵢ for its acceleration kᵢ. What stays is the method itself, A; L decides only how fast
-    the sweeps converge: by 0.29 or better each (two of Gauss's points) however stiff the strings,
-    and much faster what is not stiff.
+    Newton's method for all stages at once needs derivatives of the right-hand side and a system
+    with 2 s times as many unknowns. Here the lower triangle L of Crout's A = L U [1]_ replaces A
+    in the iteration matrix. In each sweep, stage i solves (I − h lᵢᵢ ∂a/∂v − h² lᵢᵢ² ∂a/∂q) δ =
+    a(qᵢ, vᵢ) − kᵢ for its acceleration kᵢ. The converged stages are those of A. L decides only the
+    convergence: a factor of 0.29 or better per sweep (two Gauss points) for any stiffness, and
+    much better without stiff strings.
 
-    Bars are not stiff, they are rigid: along them δ is the residual itself. So the system is that
-    of free nodes, M − h l C − h² l² K with C and K from the forces alone, in which very stiff
-    springs hold bars and joints at what the residual asks for. It is symmetric and positive
-    definite: LDLᵀ, a tenth of the work of other factorizations, and no derivative of the
-    multipliers.
+    Bars are rigid, not stiff: along them, δ is the residual itself. The system is therefore that
+    of free nodes, M − h l C − h² l² K. C and K contain the forces alone, and very stiff springs
+    hold bars and joints at the residual. The matrix is symmetric and positive definite. LDLᵀ takes
+    a tenth of the work of other factorizations, and no derivative of the multipliers is needed.
 
     .. [1] van der Houwen, de Swart, Triangularly implicit iteration methods for ODE-IVP solvers,
-    SIAM J. Sci. Comput. 18, 1997.
+       SIAM J. Sci. Comput. 18, 1997.
     """
     nq, s = model.nq, len(A)
     sizes = {
@@ -81,20 +79,25 @@ def solve_stages(model: Model, A: Array, sweeps: int) -> ca.Function:
     sweep = ca.Function("sweep", symbols, _sweep(model, A, *symbols[:-1]), names, results)
     idle = ca.Function("idle", symbols, symbols[:2], names, results)
 
-    def guarded(name: str, function: ca.Function, times: int) -> ca.Function:
+    def loop_until_converged(name: str, function: ca.Function, times: int) -> ca.Function:
         choice = ca.Function.if_else(f"{name}_choice", function, idle)
         k, changes, *rest = symbols
         for _ in range(times):
             k, changes = choice(ca.logic_not(changes[0] <= rest[-1]), k, changes, *rest)
         return ca.Function(name, symbols, [k, changes], names, results)
 
-    all_sweeps = guarded("all_sweeps", guarded("sweeps", sweep, _BLOCK), -(-sweeps // _BLOCK))
+    all_sweeps = loop_until_converged(
+        "all_sweeps", loop_until_converged("sweeps", sweep, _BLOCK), -(-sweeps // _BLOCK)
+    )
     k, changes = all_sweeps(ca.DM.zeros(nq, s), ca.DM.inf(2), *symbols[2:])
     return ca.Function("stages", symbols[2:], [k, changes[0]], names[2:], ["k", "change"])
 
 
 def stage_states(model: Model, A: Array, x: Any, k: Any, h: Any) -> list[Any]:
-    """Return the state (nx,) at each stage with accelerations k (nq, s)."""
+    """Compute the states (nx,) of all stages.
+
+    The accelerations k are (nq, s).
+    """
     c, (q, v, clock) = A.sum(axis=1), model.split(x)
     Q, V = h**2 * ca.mtimes(k, ca.DM((A @ A).T)), h * ca.mtimes(k, ca.DM(A.T))
     return [
@@ -103,11 +106,14 @@ def stage_states(model: Model, A: Array, x: Any, k: Any, h: Any) -> list[Any]:
 
 
 def _sweep(model: Model, A: Array, k: Any, changes: Any, x: Any, u: Any, h: Any) -> list[Any]:
-    """All stages once: their accelerations, how far this sweep moved them, and the least that any sweep did."""
+    """Sweep once through all stages.
+
+    Returns their accelerations, the change by this sweep, and the smallest change of any sweep.
+    """
     L = factor_crout(A)
     squared = L @ L
     gaps = build_switching(model)
-    ode = model.stacked(model.ode) if gaps is None else build_held_ode(model)
+    ode = model.stacked(model.ode) if gaps is None else build_mode_ode(model)
     solve = _solver(model)
     found: list[Any] = []
     for i, state in enumerate(stage_states(model, A, x, k, h)):
@@ -119,11 +125,10 @@ def _sweep(model: Model, A: Array, k: Any, changes: Any, x: Any, u: Any, h: Any)
             )
         w = u
         if gaps is not None:
-            # The first sweep keeps the step's first mode. Then strings are held taut while they are
-            # too short by less than stages still move: they would let go and catch in turns. The
-            # least move counts, or that would begin anew when one does let go.
+            # The first sweep keeps the initial mode. Later sweeps keep a string taut until it is
+            # too short by more than twice the smallest update so far; otherwise modes alternate.
             least = changes[1]
-            doubt = ca.if_else(least < np.inf, _DOUBT * least, 0) * (h + _lead(model, u))
+            doubt = ca.if_else(least < np.inf, 2.0 * least, 0) * (h + _lead(model, u))
             w = ca.vertcat(u, ca.if_else(least < np.inf, gaps(state, u) > -doubt, gaps(x, u) > 0))
         found.append(
             solve(state, w, h * L[i, i], model.split(ode(state, w))[1] - k[:, i], changes[0])
@@ -134,7 +139,10 @@ def _sweep(model: Model, A: Array, k: Any, changes: Any, x: Any, u: Any, h: Any)
 
 
 def _lead(model: Model, u: Any) -> Any:
-    """By how much a switching function moves with a velocity, s: damping over stiffness (k,)."""
+    """Compute damping over stiffness of each switching function [s].
+
+    It is the derivative (k,) of a switching function by its velocity.
+    """
     scene = bind(model.scene, u)[0]
     stiffness, damping = (
         constant_row(scene.modelled.stiffness),
@@ -152,14 +160,15 @@ def _lead(model: Model, u: Any) -> Any:
     ]
     switching = ca.reshape(
         lead[scene.switching_strings.tolist()], clamped.shape[0], 1
-    )  # a column, without entries too
+    )  # a column, even if empty
     return ca.vertcat(switching * clamped, *grounds)
 
 
 def _solver(model: Model) -> ca.Function:
-    """(x, w, g, r, moved) → δ with (I − g ∂a/∂v − g² ∂a/∂q) δ = r, close enough to converge; w as for `build_held_ode`.
+    """Build the linear solver of one stage.
 
-    moved, m/s: by how much the last sweep moved velocities.
+    Function (x, w, g, r, moved) → δ with (I − g ∂a/∂v − g² ∂a/∂q) δ = r, approximately. See
+    `build_mode_ode` for w. `moved` is the change of velocities in the last sweep [m/s].
     """
     nq = model.nq
 
@@ -171,9 +180,7 @@ def _solver(model: Model) -> ca.Function:
 
         def slopes(scene: Scene, longest: Any = None) -> Any:
             found = forces.terms(scene, mech, N, V, u, time, mode)
-            if (
-                longest is not None
-            ):  # no string with less than no force: what pushes would make the system indefinite
+            if longest is not None:  # compressive string forces would make the system indefinite
                 pulling = forces.string_force_density(
                     scene, mech, N, V, u, damped=False, taut=mode.taut, longest=longest
                 )
@@ -196,7 +203,8 @@ def _solver(model: Model) -> ca.Function:
         W = M - g * _symmetric(C) - g**2 * _symmetric(K)
         kept = model.constraints(x)
         G = ca.jacobian(ca.vertcat(kept.bars, kept.joints), x)[:, :nq]
-        rigid = _RIGID * ca.mmax(ca.diag(W)) * ca.mtimes(G.T, G)
+        # Bars and joints are springs 1e5 times as stiff as the stiffest entry: exact to 1e-5.
+        rigid = 1e5 * ca.mmax(ca.diag(W)) * ca.mtimes(G.T, G)
         return W + rigid, ca.mtimes(M + rigid, r)
 
     sizes = {"x": model.nx, "w": model.nw + sum(count_switches(model)), "g": 1, "r": nq, "moved": 1}
@@ -207,9 +215,10 @@ def _solver(model: Model) -> ca.Function:
 
 @dataclass(frozen=True, eq=False)
 class _Dragging(Surface):
-    """A ground whose friction is linear in the velocity and does not change with the push: its slopes are symmetric.
+    """Ground with friction that is linear in the velocity.
 
-    It is drag (1×n), N s/m, times the slip, less what of it goes along a direction (3×n).
+    It does not depend on the normal force, so the derivatives are symmetric. The force is drag
+    (1×n) [N s/m] times the slip velocity, without its component along direction (3×n).
     """
 
     frictionless: Surface
@@ -240,11 +249,11 @@ def _drag_slopes(
     mode: forces.Mode,
     moved: Any,
 ) -> Any:
-    """Return `slopes` of the scene with the friction of `_Dragging` in place of the grounds'.
+    """Compute `slopes` of the scene with linearized friction.
 
-    While velocities still move by more than friction is smooth over, its secant from rest stands in
-    for its slope: from a sliding node, whose friction hardly changes, Newton's method would step
-    past rest and back.
+    A node far from its final velocity uses the secant of friction from rest instead of the
+    derivative. Friction of a sliding node hardly changes, so Newton's method would step past rest
+    and back.
     """
     grounds: list[Surface] = []
     held: list[tuple[Any, Any]] = []
@@ -262,7 +271,8 @@ def _drag_slopes(
             along(contact.outward, frictionless.forces(n, v, mode.touching[:, places])), 0
         )
         drag = ground.friction * (push if share is None else push / share) / speed
-        direction = slip * ca.repmat(ca.if_else(moved < _SMOOTH * speed, 1 / speed, 0), 3, 1)
+        # Near convergence, the derivative of friction replaces its secant.
+        direction = slip * ca.repmat(ca.if_else(moved < 0.3 * speed, 1 / speed, 0), 3, 1)
         symbols = [
             type(N).sym(f"{name}{k}", value.shape)
             for name, value in (("drag", drag), ("direction", direction))

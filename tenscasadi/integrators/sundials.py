@@ -1,4 +1,7 @@
-"""SUNDIALS' integrators with control of the error: CVODES on the ode, IDAS on the multiplier form; exact Jacobians by CasADi."""
+"""SUNDIALS' integrators CVODES and IDAS with error control.
+
+CVODES solves the ode, IDAS the form with multipliers. CasADi gives exact Jacobians.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from tenscasadi.dynamics.constraint_forces import nodal_forces
 from tenscasadi.dynamics.equation_of_motion import applied_forces
 from tenscasadi.dynamics.forces import FREE
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.events import build_held_ode, count_switches, split_mode
+from tenscasadi.integrators.events import build_mode_ode, count_switches, split_mode
 from tenscasadi.integrators.scheme import (
     Complex,
     NamedScheme,
@@ -28,12 +31,12 @@ from tenscasadi.util.validate import flag, instance, positive_number, whole_numb
 
 @dataclass(frozen=True)
 class Sundials(NamedScheme):
-    """Implicit multistep methods of variable order (1 to 5) and step, backward differentiation formulas, for stiff scenes.
+    """Backward differentiation formulas for stiff scenes.
 
-    Not compiled: most of the time goes by in SUNDIALS itself, and machine code of the equations and
-    their Jacobian saves a quarter of it at best. Events are not located unless `locate_events` asks
-    for it: the control of the error finds them. (CasADi 3.8.2's own events, experimental there,
-    pass over crossings without a word.)
+    They are implicit multistep methods of variable order (1 to 5) and step. They are not compiled,
+    since SUNDIALS itself takes most of the time; compiled equations and Jacobians save at most a
+    quarter of it. Events are located only with `locate_events`; otherwise the error control
+    detects them. CasADi 3.8.2's own events are experimental there and miss crossings.
     """
 
     rtol: float = 1e-8
@@ -54,7 +57,9 @@ class Sundials(NamedScheme):
         flag(f"{name}.locate_events", self.locate_events)
 
     def step(self, ode: ca.Function) -> ca.Function:
-        """Build one step of any ordinary differential equation with its control held, by as many of the integrator's own as it takes.
+        """Build one step of an ordinary differential equation.
+
+        The control is constant. The integrator takes as many internal steps as it needs.
 
         Parameters
         ----------
@@ -64,14 +69,14 @@ class Sundials(NamedScheme):
         Returns
         -------
         casadi.Function
-            Function "step" (x, u, h) → x_next, with h the length of the step, s.
+            Function "step" (x, u, h) → x_next with the step h [s].
 
         Raises
         ------
         TypeError
             If `ode` is no casadi.Function.
         ValueError
-            If its inputs and outputs are others.
+            If its inputs and outputs differ from these.
         """
         check_ode(ode)
         x, u = ca.MX.sym("x", ode.size1_in(0)), ca.MX.sym("u", ode.size1_in(1))
@@ -80,21 +85,20 @@ class Sundials(NamedScheme):
         )
 
     def advance(self, model: Model, power: ca.Function | None = None) -> ca.Function:
-        """Build one step of a model with its control held.
+        """Build one step of a model with constant control.
 
         Parameters
         ----------
         model : Model
             Model whose state is advanced.
         power : casadi.Function, optional
-            Function (x, u) → power, W, whose work is integrated beside the state; None: no work.
+            Function (x, u) → power [W] whose work is integrated; None: no work.
 
         Returns
         -------
         casadi.Function
-            Function "step" (z, u, h) → z_next, with h the length of the step, s. z is the state x
-            (nx,); with `power` it holds one entry more, the work done, J. Below the control, u
-            holds the parameters, if there are any.
+            Function "step" (z, u, h) → z_next with the step h [s]. z is the state x (nx,); with
+            `power`, one more entry is the work done [J]. u is the control followed by parameters.
 
         Raises
         ------
@@ -106,8 +110,12 @@ class Sundials(NamedScheme):
             self.equations(model, power), self.absolute(model), self.algebraic_start(model)
         )
 
-    def advance_held(self, model: Model, work: ca.Function | None, parts: int) -> ca.Function:
-        """Build a step in one mode: (z, w, h) → z (nz, parts) at equal times, with w = (u, mode); work: `build_held_ode` with work, or None."""
+    def advance_in_mode(self, model: Model, work: ca.Function | None, parts: int) -> ca.Function:
+        """Build one step of a model in a fixed mode.
+
+        Function (z, w, h) → z (nz, parts) at equal times, with w = (u, mode). `work` is
+        `build_mode_ode` with work, or None.
+        """
         shares = [(k + 1) / parts for k in range(parts)]
         return self._step(
             self.equations(model, work, held=True),
@@ -123,7 +131,10 @@ class Sundials(NamedScheme):
         start: ca.Function | None,
         shares: Sequence[float] = (1.0,),
     ) -> ca.Function:
-        """Equations (x, u, and z where they are algebraic) over a step of any length h: in time t/h."""
+        """Build one step of the equations of any length h.
+
+        The integration variable is t/h.
+        """
         h, u = ca.MX.sym("h"), equations["u"]
         scaled = {key: value for key, value in equations.items() if key != "u"} | {
             "p": ca.vertcat(u, h),
@@ -143,23 +154,32 @@ class Sundials(NamedScheme):
         )
 
     def amplification(self, z: Complex) -> Complex:
-        """Return 0, of the shape of z: the integrator keeps its steps stable by itself."""
+        """Return 0, since the integrator controls its stability."""
         return np.zeros(np.shape(z), dtype=complex)
 
     def equations(
         self, model: Model, power: ca.Function | None, held: bool = False
     ) -> dict[str, Any]:
-        """Return x, u and ode for CasADi's integrator; held: see `advance_held`."""
-        ode = (power or build_held_ode(model)) if held else equations(model, power)
+        """Build the equations for CasADi's integrator.
+
+        They are x, u and ode. See `advance_in_mode` for `held`.
+        """
+        ode = (power or build_mode_ode(model)) if held else equations(model, power)
         x, u = ca.MX.sym("x", ode.size1_in(0)), ca.MX.sym("u", ode.size1_in(1))
         return {"x": x, "u": u, "ode": ode(x, u)}
 
     def algebraic_start(self, model: Model) -> ca.Function | None:
-        """Return (z, u) -> the initial guess of algebraic variables; None: there are none."""
+        """Build the initial guess of the algebraic variables.
+
+        Function (z, u) → guess, None without such variables.
+        """
         return None
 
     def integrator(self, equations: dict[str, Any], grid: list[float], atol: float) -> ca.Function:
-        """Return CasADi's integrator from 0 to the times of `grid`, s. Raises ValueError where the multipliers are undetermined."""
+        """Build CasADi's integrator from 0 to the times `grid` [s].
+
+        Raises ValueError if the multipliers are undetermined.
+        """
         try:
             return ca.integrator(
                 "integrate", self.plugin, equations, 0.0, grid, self._options(atol)
@@ -172,7 +192,10 @@ class Sundials(NamedScheme):
             ) from None
 
     def absolute(self, model: Model) -> float:
-        """Return the absolute tolerance, m and m/s: `atol`, or rtol times the structure's extent."""
+        """Return the absolute tolerance [m and m/s].
+
+        It is `atol`, or rtol times the extent of the structure.
+        """
         return self.rtol * extent(model) if self.atol is None else self.atol
 
     def _options(self, atol: float) -> dict[str, Any]:
@@ -187,26 +210,26 @@ class Sundials(NamedScheme):
 
 @dataclass(frozen=True)
 class Cvodes(Sundials, kind="Cvodes"):
-    """CVODES of SUNDIALS on a model's ordinary differential equation, with control of the error, for stiff scenes.
+    """CVODES of SUNDIALS for stiff scenes.
 
-    Backward differentiation formulas of order 1 to 5 with exact Jacobians. The integrator chooses
-    its steps; it is not compiled. A correction changes the states of the trajectory; the integrator
-    itself goes on from a corrected one at every fiftieth time of the grid or so, since each new
-    start costs its order.
+    It integrates the model's ordinary differential equation with error control, by backward
+    differentiation formulas of order 1 to 5 with exact Jacobians. The integrator chooses its steps
+    and is not compiled. A correction changes the states of the trajectory. The integrator itself
+    continues from a corrected state only at about every fiftieth grid time, since each restart
+    reduces its order.
 
     Parameters
     ----------
     rtol : float
-        Largest error of a step relative to each entry of the state, 1e-15 ≤ rtol < 1.
+        Largest error of a step relative to each state entry, 1e-15 ≤ rtol < 1.
     atol : float, optional
-        Error that is allowed in addition, m and m/s; None: `rtol` times the structure's extent.
+        Additional error [m and m/s]; None: `rtol` times the structure's extent.
     max_steps : int
-        The integrator's own steps between two times of the grid that `simulate` lays, before the
-        run is given up.
+        Largest number of the integrator's steps within a grid step of `simulate`.
     locate_events : bool
-        Whether `simulate` ends steps where strings go slack or taut and nodes meet or leave the
-        ground, and starts again there, as `DormandPrince853` with `rtol` does. Without, the control
-        of the error finds that something has changed.
+        Whether `simulate` restarts the integrator where strings go slack or taut and nodes meet or
+        leave the ground, as `DormandPrince853` with `rtol` does. Otherwise the error control
+        detects the change.
 
     Raises
     ------
@@ -219,18 +242,17 @@ class Cvodes(Sundials, kind="Cvodes"):
 
     Notes
     -----
-    Located events, measured at rtol of 1e-4 to 1e-10 with 200 times of the grid (a ball that
-    bounces, a string that goes slack and taut, a damped one, a prism that falls on the ground with
-    48 events): errors 0.4 to 8.5 times smaller, 2 in the median, for 4 to 10 times the time, since
-    each event starts the integrator anew at order 1. A smaller `rtol` gains more for less, so they
-    are off unless asked for; and `DormandPrince853` with `rtol`, which locates events always, is
-    more accurate than either for the same work.
+    Located events reduce errors by a factor of 0.4 to 8.5, 2 in the median. They take 4 to 10 times
+    as long, since each event restarts the integrator at order 1. A smaller `rtol` gains more for
+    less, so they are off by default. For the same work, `DormandPrince853` with `rtol` is more
+    accurate than either; it always locates events. The measured scenes are a bouncing ball, a
+    string that goes slack and taut, a damped one, and a falling prism with 48 events. They were run
+    at rtol from 1e-4 to 1e-10 with 200 grid times.
 
     References
     ----------
     .. [1] A. C. Hindmarsh et al., SUNDIALS: Suite of nonlinear and differential/algebraic equation
-    solvers, ACM Transactions on Mathematical
-       Software 31, 2005, 363-396.
+       solvers, ACM Transactions on Mathematical Software 31, 2005, 363-396.
 
     Examples
     --------
@@ -245,26 +267,26 @@ class Cvodes(Sundials, kind="Cvodes"):
 
 @dataclass(frozen=True)
 class Idas(Sundials, kind="Idas"):
-    """IDAS of SUNDIALS on the index-reduced multiplier form of a model, with control of the error, for stiff scenes.
+    """IDAS of SUNDIALS for stiff scenes.
 
-    Backward differentiation formulas of order 1 to 5 for accelerations with λ and Ω as unknowns,
-    and the constraints' second derivatives (Eqs. 85-87 before the multipliers are eliminated). The
-    integrator chooses its steps; it is not compiled. Redundant constraints leave the multipliers
-    undetermined: such a run is refused.
+    It integrates the index-reduced form of a model with multipliers, with error control, by
+    backward differentiation formulas of order 1 to 5. The unknowns are accelerations with λ and Ω,
+    and the constraints enter by their second derivatives (Eqs. 85-87 before the multipliers are
+    eliminated). The integrator chooses its steps and is not compiled. It rejects redundant
+    constraints, which leave the multipliers undetermined.
 
     Parameters
     ----------
     rtol : float
-        Largest error of a step relative to each entry of the state, 1e-15 ≤ rtol < 1.
+        Largest error of a step relative to each state entry, 1e-15 ≤ rtol < 1.
     atol : float, optional
-        Error that is allowed in addition, m and m/s; None: `rtol` times the structure's extent.
+        Additional error [m and m/s]; None: `rtol` times the structure's extent.
     max_steps : int
-        The integrator's own steps between two times of the grid that `simulate` lays, before the
-        run is given up.
+        Largest number of the integrator's steps within a grid step of `simulate`.
     locate_events : bool
-        Whether `simulate` ends steps where strings go slack or taut and nodes meet or leave the
-        ground, and starts again there, as `DormandPrince853` with `rtol` does. Without, the control
-        of the error finds that something has changed.
+        Whether `simulate` restarts the integrator where strings go slack or taut and nodes meet or
+        leave the ground, as `DormandPrince853` with `rtol` does. Otherwise the error control
+        detects the change.
 
     Raises
     ------
@@ -277,14 +299,13 @@ class Idas(Sundials, kind="Idas"):
 
     Notes
     -----
-    Located events, measured as for `Cvodes`: errors 0.4 to 24 times smaller, 2 in the median, for 3
-    to 10 times the time.
+    Located events reduce errors by a factor of 0.4 to 24, 2 in the median. They take 3 to 10 times
+    as long, measured as for `Cvodes`.
 
     References
     ----------
     .. [1] A. C. Hindmarsh et al., SUNDIALS: Suite of nonlinear and differential/algebraic equation
-    solvers, ACM Transactions on Mathematical
-       Software 31, 2005, 363-396.
+       solvers, ACM Transactions on Mathematical Software 31, 2005, 363-396.
 
     Examples
     --------
@@ -297,24 +318,25 @@ class Idas(Sundials, kind="Idas"):
     plugin: ClassVar[str] = "idas"
 
     def _options(self, atol: float) -> dict[str, Any]:
-        # λ jumps with the damping of a contact: that is no error of the motion. And consistent
-        # starts are looked for within a time in which nothing moves: within a whole step IDACalcIC
-        # gives up where nodes are about to land.
+        # λ jumps with the damping of a contact, which is no error of the motion. IDACalcIC looks
+        # for a consistent start within 1e-6 of a step; within a whole one it fails before contacts.
         return super()._options(atol) | {"suppress_algebraic": True, "first_time": 1e-6}
 
     def equations(
         self, model: Model, power: ca.Function | None, held: bool = False
     ) -> dict[str, Any]:
-        """Return x, z, u, ode and alg for CasADi's integrator: Eqs. 85-87 before the multipliers are eliminated.
+        """Build the equations for CasADi's integrator.
+
+        They are Eqs. 85-87 before the multipliers are eliminated.
 
         Parameters
         ----------
         model : Model
             Model to integrate.
         power : casadi.Function or None
-            Function (x, u) → power, W, whose work is one more state; None: no work.
+            Function (x, u) → power [W] whose work is one more state; None: no work.
         held : bool
-            See `advance_held`; `power` is its `work` then.
+            See `advance_in_mode`; `power` is then its `work`.
 
         Returns
         -------
@@ -364,7 +386,7 @@ class Idas(Sundials, kind="Idas"):
         return {"x": symbols[0], "z": symbols[1], "u": symbols[2], "ode": ode, "alg": alg}
 
     def algebraic_start(self, model: Model) -> ca.Function | None:
-        """Return the multipliers of the model, the initial guess of the algebraic variables.
+        """Build the initial guess of the multipliers.
 
         Parameters
         ----------
@@ -374,7 +396,7 @@ class Idas(Sundials, kind="Idas"):
         Returns
         -------
         casadi.Function or None
-            Function (x, u) → (λ, Ω), a column; None where nothing is constrained.
+            Function (x, u) → (λ, Ω), a column; None without constraints.
         """
         mech = model.mechanism
         if not mech.constrained:

@@ -1,4 +1,8 @@
-"""Steps of SUNDIALS' integrators in one mode at a time: each ends shortly after the first event in it, and the next starts from there."""
+"""Event location for SUNDIALS' integrators.
+
+The motion is integrated in one mode at a time. Each interval ends shortly after its first event,
+and the next one starts from there.
+"""
 
 from __future__ import annotations
 
@@ -10,25 +14,21 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.events import build_held_ode, build_hidden, build_potential, build_root
+from tenscasadi.integrators.adaptive import EVENT_SHARE, MAX_INTERPOLATIONS, SHORTEST_EVENT
+from tenscasadi.integrators.events import build_hidden, build_mode_ode, build_potential, build_root
 from tenscasadi.integrators.scheme import extent
 from tenscasadi.integrators.sundials import Sundials
 from tenscasadi.util.casadi_tools import hermite_cubic
 from tenscasadi.util.validate import Array
 
-_EVENT_SHARE = (
-    0.1  # of the tolerance that a step may lose by ending after an event instead of at it
-)
-_SHORTEST = 1e-9  # of a grid step: events that are over after less are not looked for
-_HALVING = 6  # trials of a bracket after which it is halved, whatever the interpolation says
-_PARTS = 4  # of a piece, each of which is seen at its ends and half-way
-_SEEN = (
-    1e-3  # of a switching function, by which an interpolation may be off and still tell its sign
-)
+_PARTS = 4  # parts of an interval, each sampled at its ends and its middle
 
 
-class _Piece(NamedTuple):
-    """Motion over h s in one mode: from z, with control and parameters u."""
+class _ModeInterval(NamedTuple):
+    """Motion in one mode over h s from state z.
+
+    The input u is the control and the parameters.
+    """
 
     z: Array
     u: Array
@@ -38,16 +38,17 @@ class _Piece(NamedTuple):
 
     @property
     def after(self) -> Array:
-        """State at its end, and the energy supplied below it."""
+        """Final state, followed by the energy supplied."""
         last: Array = self.rows[-1]
         return last
 
 
 class EventSteps:
-    """Grid steps with their events located; `events` counts the changes of modes, `trials` the pieces integrated to find them.
+    """Grid steps with located events.
 
-    power: whether z has an entry for the energy supplied, J, below the state.
-    pause: called before each piece is integrated; what it raises ends the steps.
+    `events` counts the mode changes, `trials` the integrations to locate them. With `power`, z has
+    an entry for the energy supplied [J] below the state. `pause` is called before each integration
+    and may raise to end the steps.
     """
 
     def __init__(
@@ -64,25 +65,28 @@ class EventSteps:
             scheme.absolute(model),
             slice(0, 2 * model.nq),
         )
-        work = build_held_ode(model, work=True) if power else None
+        work = build_mode_ode(model, work=True) if power else None
         self._equations = scheme.equations(model, work, held=True)
         self._start, self._power = scheme.algebraic_start(model), power
-        self._advance = scheme.advance_held(model, work, 2 * _PARTS)
-        self._ode, self._potential = build_held_ode(model), build_potential(model)
+        self._advance = scheme.advance_in_mode(model, work, 2 * _PARTS)
+        self._ode, self._potential = build_mode_ode(model), build_potential(model)
         self._look_at = _build_look(
             model, gaps, self._ode, 10.0 * (self._atol + self._rtol * extent(model))
         )
         self._root = build_root(gaps, model)
         self._integrators: dict[
             tuple[int, float], ca.Function
-        ] = {}  # by the number and length of the grid steps of a call
+        ] = {}  # by number and length of grid steps
         self._ahead: int | None = (
-            None  # grid steps to try at once, more the longer ago the last event is; None: all
+            None  # grid steps per call, doubled after each one without events; None: all
         )
         self.events = self.trials = 0
 
     def __call__(self, z: Array, u: Array, lengths: Array) -> Array:
-        """Return z after each of the grid steps of these equal lengths (steps, nz), with u held."""
+        """Integrate grid steps of equal length with constant u.
+
+        Returns z after each step (steps, nz).
+        """
         rows: list[Array] = []
         step = float(lengths[0])
         while (rest := len(lengths) - len(rows)) > 0:
@@ -92,7 +96,7 @@ class EventSteps:
             except RuntimeError:
                 if many == 1:
                     raise
-                self._ahead = 1  # a mode that is held beyond its end may break down
+                self._ahead = 1  # a mode extended past its end may fail
                 continue
             rows += found
             if len(found) < many:
@@ -108,7 +112,10 @@ class EventSteps:
         return mode
 
     def _integrate(self, z: Array, u: Array, step: float, many: int) -> list[Array]:
-        """Return z after each of `many` grid steps, up to the first in which something may happen."""
+        """Integrate `many` grid steps up to the first possible event.
+
+        Returns z after each step.
+        """
         self._pause()
         if (many, step) not in self._integrators:
             times = (np.arange(1, 2 * _PARTS * many + 1) * (step / 2 / _PARTS)).tolist()
@@ -123,27 +130,36 @@ class EventSteps:
         shares, seen = self._look(z, rows, u, mode, many * step)
         quiet = ((shares == 0).all(axis=0) & seen).reshape(many, _PARTS).all(axis=1)
         smooth = many if quiet.all() else int(np.argmin(quiet))
-        return list(self._supplied(z, u, rows)[2 * _PARTS - 1 : 2 * _PARTS * smooth : 2 * _PARTS])
+        return list(
+            self._convert_work(z, u, rows)[2 * _PARTS - 1 : 2 * _PARTS * smooth : 2 * _PARTS]
+        )
 
     def _look(self, z: Array, rows: Array, u: Array, mode: Array, h: float) -> tuple[Array, Array]:
-        """Return the shares of each part at which it is in another mode (4, parts), see `_build_look`, and whether it is seen well (parts,)."""
+        """Detect mode changes in each part of an interval.
+
+        Returns the fractions of each part at which the mode differs (4, parts), see `_build_look`,
+        and whether the interpolation resolves the part (parts,).
+        """
         ends, parts = np.vstack([z, rows])[:, : self._nx].T, len(rows) // 2
         held = [np.tile(value[:, None], parts) for value in (u, np.array([h / parts]), mode)]
         shares, seen = self._look_at(ends[:, :-1:2], ends[:, 1::2], ends[:, 2::2], *held)
         return shares.full(), seen.full()[0] == 1
 
-    def _piece(self, z: Array, u: Array, mode: Array, h: float) -> _Piece:
+    def _piece(self, z: Array, u: Array, mode: Array, h: float) -> _ModeInterval:
         self._pause()
-        return _Piece(
+        return _ModeInterval(
             z,
             u,
             mode,
-            self._supplied(z, u, self._advance(z, np.concatenate([u, mode]), h).full().T),
+            self._convert_work(z, u, self._advance(z, np.concatenate([u, mode]), h).full().T),
             h,
         )
 
-    def _supplied(self, z: Array, u: Array, rows: Array) -> Array:
-        """Make the work of all forces the energy supplied: less what of it came out of the model's own energy."""
+    def _convert_work(self, z: Array, u: Array, rows: Array) -> Array:
+        """Convert the work of all forces to the energy supplied.
+
+        It subtracts the work that came out of the model's own energy.
+        """
         if self._power:
             rows[:, self._nx] += self._potential(rows[:, : self._nx].T, u).full().ravel() - float(
                 self._potential(z[: self._nx], u)
@@ -151,16 +167,16 @@ class EventSteps:
         return rows
 
     def _cross(self, z: Array, u: Array, step: float) -> Array:
-        """Return z after a grid step in which something may happen."""
+        """Integrate a grid step with possible events."""
         rest, h, mode = step, step, self._mode(z, u)
         for _ in range(self._scheme.max_steps):
             piece = self._piece(z, u, mode, min(h, rest))
             shares, seen = self._look(z, piece.rows, u, mode, piece.h)
-            if not seen.all() and piece.h > _SHORTEST * step:
+            if not seen.all() and piece.h > SHORTEST_EVENT * step:
                 h = piece.h / 2
                 continue
             for share in (((np.arange(_PARTS) + shares) / _PARTS).T[shares.T > 0]).tolist():
-                if share * piece.h > _SHORTEST * step:
+                if share * piece.h > SHORTEST_EVENT * step:
                     part = piece if share == 1 else self._piece(z, u, mode, share * piece.h)
                     if (self._mode(part.after, u) != mode).any():
                         piece = self._locate(part, step)
@@ -175,8 +191,11 @@ class EventSteps:
             f"{self._scheme.max_steps} pieces from event to event did not reach the end of a grid step of {step:g} s"
         )
 
-    def _locate(self, high: _Piece, step: float) -> _Piece:
-        """Return the piece that ends so shortly after the first event in `high` that nothing is lost."""
+    def _locate(self, high: _ModeInterval, step: float) -> _ModeInterval:
+        """Shorten an interval to end just after its first event.
+
+        The overshoot is within the tolerance.
+        """
         low = 0.0
         for trial in count():
             jump = self._jump(high)
@@ -198,10 +217,10 @@ class EventSteps:
                     1,
                 )
             )
-            if (high.h - root) * jump <= _EVENT_SHARE or high.h - low <= 1e-14 * step:
+            if (high.h - root) * jump <= EVENT_SHARE or high.h - low <= 1e-14 * step:
                 break
-            aim = root + _EVENT_SHARE / jump / 2
-            if trial >= _HALVING or not low < aim < high.h:
+            aim = root + EVENT_SHARE / jump / 2
+            if trial >= MAX_INTERPOLATIONS or not low < aim < high.h:
                 aim = (low + high.h) / 2
             self.trials += 1
             shorter = self._piece(high.z, high.u, high.mode, aim)
@@ -211,8 +230,11 @@ class EventSteps:
                 low = aim
         return high
 
-    def _jump(self, piece: _Piece) -> float:
-        """Return the change of the slope at the end of a piece, where the mode changes, relative to the tolerance."""
+    def _jump(self, piece: _ModeInterval) -> float:
+        """Compute the slope change at the final mode change.
+
+        It is relative to the tolerance.
+        """
         moving, x = self._moving, piece.after[: self._nx]
         slopes = [
             self._ode(x, np.concatenate([piece.u, mode])).full().ravel()[moving]
@@ -223,11 +245,13 @@ class EventSteps:
 
 
 def _build_look(model: Model, gaps: ca.Function, ode: ca.Function, floor: float) -> ca.Function:
-    """Return (x before, half-way and after, u, h, mode) -> shares of a piece at which it is in another mode (4,), and whether it is seen well.
+    """Build the detection of mode changes within an interval.
 
-    Shares are in the order of time, 0 where there is none; two are found by interpolation. What an
-    interpolation has far from where the motion goes half-way turns too often for that; `floor`, m,
-    is what the states themselves may be off.
+    Function (x before, half-way and after, u, h, mode) → fractions (4,) of the interval at which
+    the mode differs, and whether the interpolation resolves the interval. Fractions are in order
+    of time, 0 where the mode is the same; two come from interpolation. An interval is unresolved
+    if its interpolation misses the state half-way. `floor` [m] is the error of the states
+    themselves.
     """
     before, middle, after = (ca.MX.sym(name, model.nx) for name in ("before", "middle", "after"))
     u, h, mode = ca.MX.sym("u", model.nw), ca.MX.sym("h"), ca.MX.sym("mode", gaps.size1_out(0))
@@ -240,7 +264,8 @@ def _build_look(model: Model, gaps: ca.Function, ode: ca.Function, floor: float)
     largest = ca.fmax(
         ca.fabs(gaps(before, u)), ca.fmax(ca.fabs(gaps(middle, u)), ca.fabs(gaps(after, u)))
     )
-    seen = ca.mmax(ca.fabs(between - gaps(middle, u)) - _SEEN * largest) <= floor
+    # An interpolation error of 0.1 % of a switching function leaves its sign reliable.
+    seen = ca.mmax(ca.fabs(between - gaps(middle, u)) - 1e-3 * largest) <= floor
     times = ca.vertcat(
         first, changed[0] / 2, ca.if_else(second > 0, (1 + second) / 2, 0), changed[1]
     )

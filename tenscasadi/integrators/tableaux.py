@@ -11,11 +11,11 @@ from tenscasadi.util.validate import Array, finite_array
 
 @dataclass(frozen=True)
 class Tableau:
-    """Coefficients of an explicit Runge-Kutta method with s stages for an ode without explicit time.
+    """Coefficients of an explicit Runge-Kutta method.
 
-    `a` holds s rows, row i with the i weights of the earlier stages; `b` holds the s weights of the
-    result; each row of `errors` holds s weights of an estimate of the step's error (the result
-    minus that of an embedded method), none for methods without.
+    The method has s stages and no explicit time. `a` holds s rows; row i has i weights of the
+    earlier stages. `b` holds the s weights of the result. Each row of `errors` holds s weights of
+    an error estimate, the result minus that of an embedded method.
     """
 
     a: tuple[tuple[float, ...], ...]
@@ -35,11 +35,17 @@ class Tableau:
 
     @property
     def c(self) -> tuple[float, ...]:
-        """Times of the stages, as fractions of the step: the row sums of `a`."""
+        """Times of the stages as fractions of the step.
+
+        They are the row sums of `a`.
+        """
         return tuple(sum(row) for row in self.a)
 
     def stability_polynomial(self) -> Array:
-        """Coefficients, lowest power first, of R(z) = 1 + Σ z^(k+1) bᵀ aᵏ 1, shape (s + 1,)."""
+        """Compute the coefficients of R(z), lowest power first.
+
+        R(z) = 1 + Σ z^(k+1) bᵀ aᵏ 1. The shape is (s + 1,).
+        """
         stages = len(self.b)
         a = np.array([list(row) + [0.0] * (stages - len(row)) for row in self.a])
         coefficients, vector = [1.0], np.ones(stages)

@@ -44,10 +44,11 @@ class ControlProfile:
 
 @dataclass(frozen=True, eq=False)
 class SampledControl:
-    """The `steps` steps of a run to `t_end`, s, with the control held in each; `varies`: it may change from step to step.
+    """Steps of a run, each with a constant control.
 
-    ends (steps + 1,): where steps begin and end, s, None: all are equally long. early: s, by
-    which the last step is shorter than these say, of which rounding leaves nothing to be seen.
+    The run ends at `t_end` [s]. With `varies`, the control may change from step to step. The steps
+    lie between `ends` (steps + 1,) [s]; None stands for equal steps. The last step is shorter by
+    `early` s, which is below rounding.
     """
 
     steps: int
@@ -59,12 +60,12 @@ class SampledControl:
 
     @property
     def step(self) -> float:
-        """Length of a step, s, in the mean."""
+        """Mean step [s]."""
         return self.t_end / self.steps
 
     @property
     def longest(self) -> float:
-        """Length of the longest step, s."""
+        """Longest step [s]."""
         return self.step if self.ends is None else float(np.diff(self.ends).max())
 
     def window(self, first: int, count: int) -> Array:
@@ -89,7 +90,10 @@ class SampledControl:
         return np.asarray(np.diff(self.ends)[indices] - self.early * (indices == self.steps - 1))
 
     def times(self, rows: Indices) -> Array:
-        """Return the times, s, at which these steps, counted from 0, begin; at `steps` the run ends."""
+        """Compute the start times of steps, counted from 0 [s].
+
+        Step `steps` stands for the end of the run.
+        """
         if self.ends is not None:
             return np.asarray(self.ends[rows])
         return np.where(rows == self.steps, self.t_end, rows * self.step)
@@ -150,10 +154,8 @@ def append_constants(inputs: SampledControl, values: Array) -> SampledControl:
 def cut_steps(inputs: SampledControl, breaks: Array, near: float | None = None) -> SampledControl:
     """Cut the steps at `breaks` [s] after the start.
 
-    The control of a step is held in its parts.
-
-    near: distance, s, from an end of a step below which a break is there already; by default 1e-9
-    of the step.
+    The parts of a step have the same control. A break within `near` s of an end of a step is
+    ignored, by default 1e-9 of the step.
     """
     inside = breaks[(breaks > 0) & (breaks < inputs.t_end)]
     if not len(inside):

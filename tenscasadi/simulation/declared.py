@@ -51,7 +51,7 @@ class Simulation:
     Parameters
     ----------
     scene : Scene
-        What is simulated.
+        Scene to simulate.
     t_end : float
         End of the run, s.
     step : float, optional
@@ -61,7 +61,7 @@ class Simulation:
     correction : Projection or BarLengthCorrection, optional
         Correction of bar lengths and joints.
     save_every : int, optional
-        Steps from one kept row to the next, see `simulate`.
+        Number of steps between saved rows, see `simulate`.
     coordinates : {"reduced", "full"}
         Coordinates of the state, see `Model`.
     bar_length : {"current", "constant"}
@@ -166,9 +166,13 @@ class Simulation:
         p = self.model.parameters.values(self.parameters)
         state = self.model.start_at(p) if self.state is None else self.state
         if self.nodes is not None or self.velocities is not None:
-            nodes = self.model.structure.nodes if self.nodes is None else self._modelled(self.nodes)
+            nodes = (
+                self.model.structure.nodes
+                if self.nodes is None
+                else self._interpolate_rows(self.nodes)
+            )
             state = self.model.state(
-                nodes, None if self.velocities is None else self._modelled(self.velocities)
+                nodes, None if self.velocities is None else self._interpolate_rows(self.velocities)
             )
         if self.project:
             state = projection(self.model)(state, *([p] if self.model.np else [])).full().ravel()
@@ -236,7 +240,7 @@ class Simulation:
             )
         return rows
 
-    def _modelled(self, rows: Array) -> Array:
+    def _interpolate_rows(self, rows: Array) -> Array:
         """Interpolate rows for all modelled nodes.
 
         Those inside strings lie, and move, on the line between the ends of the string.

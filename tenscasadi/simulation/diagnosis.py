@@ -15,7 +15,7 @@ from tenscasadi.integrators.runge_kutta import ExplicitRungeKutta
 from tenscasadi.integrators.scheme import Scheme, extent, stability_limit
 from tenscasadi.integrators.stability import (
     DENSE,
-    fastest_damped,
+    fastest_decay,
     fastest_rate,
     log_growth,
     rate_bound,
@@ -26,25 +26,22 @@ from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.compile import Compiled, Single
 from tenscasadi.util.validate import Array
 
-DRIFTED_BARS = 0.01  # relative length error at which the message speaks of it
-LOST_ENERGY = 0.05  # share of the energy that moves at which the message speaks of it
-LOST_TRUST = 0.5  # and at which the run is another motion
+DRIFTED_BARS = 0.01  # relative length error that the message reports
+LOST_ENERGY = 0.05  # share of the exchanged energy that the message reports
+LOST_TRUST = 0.5  # share of the exchanged energy at which a run is not trustworthy
 _ROUNDING = {
     False: 1e-9,
     True: 1e-5,
-}  # of the energies, what a run may lose by rounding, in double and in single precision
-OFF = 1e-6  # of lengths and speeds: what a start may be off its bars and joints by without a word
-WRONG_START = 0.2  # of lengths and speeds: a start that is off by more is another structure's
-SPOKEN_GROWTH = float(
-    np.log(1.5)
-)  # of a mode that the steps should not amplify: what the message speaks of
-LOST_GROWTH = float(np.log(10.0))  # and what takes the trust out of the run
-# of the step that damping leaves stable: longer ones follow damped strings badly that go slack
+}  # relative rounding error of energies in double and single precision
+OFF = 1e-6  # relative constraint violation of a start that is not reported
+WRONG_START = 0.2  # relative constraint violation of a start at which a run is not trustworthy
+SPOKEN_GROWTH = float(np.log(1.5))  # spurious log growth of a mode that the message reports
+LOST_GROWTH = float(np.log(10.0))  # log growth at which a run is not trustworthy
+# × stable step: longer steps do not resolve damped strings that go slack
 _COARSE = 0.5
-_MOST_LOOKS = 8  # sets of taut strings at which a run is linearised
-_EPSILON = 64 * float(
-    np.finfo(float).eps
-)  # of the largest entry of a state: what rounding may change differences of entries by
+_MOST_LOOKS = 8  # sets of taut strings at which a run is linearized
+# rounding error of differences of state entries, relative to the largest entry
+_EPSILON = 64 * float(np.finfo(float).eps)
 
 
 def explain_divergence(model: Model, scheme: Scheme, run: Trajectory, last: int) -> str:
@@ -86,14 +83,20 @@ def explain_divergence(model: Model, scheme: Scheme, run: Trajectory, last: int)
 def describe_doubts(
     model: Model, scheme: Scheme, run: Trajectory, compiled: Compiled
 ) -> tuple[str, bool]:
-    """Say what is not to be trusted in a run that finished, each after a semicolon, with the cure; tell whether the rest may be.
+    """Describe the reasons not to trust a finished run.
 
-    Its start, its bars, or its energy, as when a correction hides what the step destroys.
+    They concern its start, bars or energy, for instance where a correction hides errors of the
+    step. Each clause follows a semicolon and names the cure. The second result is whether the run
+    is trustworthy all the same.
     """
     x = run.states[0]
     if off := off_constraints(model, x, OFF):
         return f"; the start is {off}", constraint_violation(model, x) <= WRONG_START
-    looks = [] if scheme.adaptive or scheme.implicit or not model.nx else _looks(model, run)
+    looks = (
+        []
+        if scheme.adaptive or scheme.implicit or not model.nx
+        else _choose_linearizations(model, run)
+    )
     growth, limit, when = _find_growth(model, scheme, run, looks)
     drift = float(run.bar_length_error.max())
     found = (
@@ -113,7 +116,7 @@ def describe_doubts(
     )
     crossing = (
         float(sum(mass.sum() for mass in masses)) * (extent(model) / float(run.time[-1])) ** 2
-    )  # of a run by which all cross their own size
+    )  # energy of a motion across the extent of the structure
     rounding += _EPSILON * crossing
     largest = float(np.abs(run.energy_error).max())
     trusted = not largest > max(LOST_TRUST * scale, rounding)  # NaN: not known
@@ -128,7 +131,7 @@ def describe_doubts(
             if found
             else f"; {text}"
         )
-        # Friction is bounded, so is what its slope at rest amplifies: it only chatters.
+        # Friction is bounded. Instability of its slope at rest causes only chatter.
         rubs = any(ground.friction is not None for ground in model.scene.grounds)
         return told, rubs or (trusted and growth <= LOST_GROWTH)
     coarse = _find_coarse_damping(model, scheme, run, looks)
@@ -137,7 +140,9 @@ def describe_doubts(
     ) + coarse, trusted
 
 
-def _find_coarse_damping(model: Model, scheme: Scheme, run: Trajectory, looks: list[_Look]) -> str:
+def _find_coarse_damping(
+    model: Model, scheme: Scheme, run: Trajectory, looks: list[_Linearization]
+) -> str:
     """Report steps too long for damped strings that go slack.
 
     Such steps may be stable. The text names the cure; "" if the steps are short enough.
@@ -160,7 +165,7 @@ def _find_coarse_damping(model: Model, scheme: Scheme, run: Trajectory, looks: l
                     (
                         run.step
                         / stable
-                        * fastest_damped(model, x, run.control[row], run.parameters),
+                        * fastest_decay(model, x, run.control[row], run.parameters),
                         row,
                     ),
                 )
@@ -174,7 +179,7 @@ def _find_coarse_damping(model: Model, scheme: Scheme, run: Trajectory, looks: l
 
 
 def _find_growth(
-    model: Model, scheme: Scheme, run: Trajectory, looks: list[_Look]
+    model: Model, scheme: Scheme, run: Trajectory, looks: list[_Linearization]
 ) -> tuple[float, float, float]:
     """Find the spurious amplification of a mode.
 
@@ -183,7 +188,7 @@ def _find_growth(
     steps, ends = (
         max(1.0, float(run.time[-1]) / run.step),
         (0, len(run.time) - 1),
-    )  # there, the limit is told however little it does
+    )  # there, the limit is reported for any growth
     total, worst = 0.0, (0.0, run.states[0], 0)
     for states, share, rows, bounds in looks:
         least = [0.0 if row in ends else SPOKEN_GROWTH / steps for row in rows]
@@ -205,8 +210,12 @@ def _find_growth(
     )
 
 
-class _Look(NamedTuple):
-    """States at which a run is linearised, the share of the run that they stand for, their rows, and bounds on their rates, rad/s."""
+class _Linearization(NamedTuple):
+    """States of a run with the same taut strings.
+
+    `share` is the fraction of the run that they represent. `rows` are their rows, `bounds` upper
+    bounds of their rates [rad/s].
+    """
 
     states: list[Array]
     share: float
@@ -214,17 +223,17 @@ class _Look(NamedTuple):
     bounds: list[float]
 
 
-def _looks(model: Model, run: Trajectory) -> list[_Look]:
-    """Choose where to linearise.
+def _choose_linearizations(model: Model, run: Trajectory) -> list[_Linearization]:
+    """Choose the states at which to linearize.
 
-    One group for each set of taut strings, the stiffest and most damped first, with the start, the
-    end and the largest force density in theirs. A string may be taut within a step alone, and be
-    thrown slack by it: so also the states that the velocities lead to in a step.
+    Each set of taut strings is a group, the stiffest and most damped first. The start, the end and
+    the largest force density belong to the groups. Strings may be taut only within a step, so the
+    states one step ahead count too.
     """
     ahead = run.states.copy()
     q, v, _ = model.split(ahead)
     q += run.step * v
-    taut = np.vstack([run.tension != 0, _stretched(model, run, ahead)])
+    taut = np.vstack([run.tension != 0, _find_stretched(model, run, ahead)])
     taut[:, model.scene.pushing_strings] = True  # they act at any length
     count, last = len(run.time), len(run.time) - 1
     _, first, kind = np.unique(
@@ -242,19 +251,22 @@ def _looks(model: Model, run: Trajectory) -> list[_Look]:
         where = dict.fromkeys(
             [int(first[k]), *(row for row in (0, last, strongest) if kind[row] == k)]
         )
-        own = int(np.count_nonzero(kind[:count] == k))  # 0: taut within steps only
+        own = int(np.count_nonzero(kind[:count] == k))  # 0: this set occurs only within steps
         states = [run.states[i] if i < count else ahead[i - count] for i in where]
         rows = [i % count for i in where]
         bounds = [
             rate_bound(model, x, run.control[row], run.parameters)
             for x, row in zip(states, rows, strict=True)
         ]
-        groups.append(_Look(states, own / count if own else 0.0, rows, bounds))
+        groups.append(_Linearization(states, own / count if own else 0.0, rows, bounds))
     return groups
 
 
-def _stretched(model: Model, run: Trajectory, states: Array) -> NDArray[np.bool_]:
-    """Tell which strings (T, α) are longer than at rest at states (T, nx) under the controls of a run."""
+def _find_stretched(model: Model, run: Trajectory, states: Array) -> NDArray[np.bool_]:
+    """Find the strings longer than at rest (T, α).
+
+    The states are (T, nx), the controls those of the run.
+    """
     s, scene = model.structure, model.scene
     if isinstance(scene.control, ForceDensity):
         return np.asarray(run.tension != 0)
@@ -300,8 +312,11 @@ def off_constraints(model: Model, state: Array, tolerance: float) -> str:
     "" if `constraint_violation` of the state (nx,) is within `tolerance`.
     """
     violation = constraint_violation(model, state)
-    if violation <= tolerance:
-        return ""
+    return "" if violation <= tolerance else describe_violation(violation)
+
+
+def describe_violation(violation: float) -> str:
+    """Describe a relative constraint violation and the cure."""
     return (
         f"off the lengths of its bars or its joints, or about to leave them, relatively by {violation:.2g}: "
         "start from tenscasadi.projection(model)(state)"
@@ -316,16 +331,16 @@ def constraint_violation(model: Model, state: Array) -> float:
     Parameters
     ----------
     model : Model
-        The model whose constraints the state has to meet.
+        Model with the constraints.
     state : ndarray, shape (nx,)
         The state.
 
     Returns
     -------
     float
-        The largest of four shares: errors of length of the bar's length, gaps of joints of the
-        longest bar, rates of both of the largest speed between the ends of a bar, which counts as
-        the longest bar per second at least.
+        Largest of four relative errors. Length errors are relative to the bar, gaps of joints to
+        the longest bar. Their rates are relative to the largest relative speed of the ends of a
+        bar, at least the longest bar per second.
     """
     constraints = model.constraints(state)
     q, v, _ = model.split(state)

@@ -142,7 +142,7 @@ def _jacobian(model: Model) -> ca.Function:
 
 
 def _inputs(model: Model) -> dict[str, ca.MX]:
-    """Symbols of x, u and, where there are any, p by name."""
+    """Create the symbols of x, u and, if present, p."""
     sizes = {"x": model.nx, "u": model.nu} | ({"p": model.np} if model.np else {})
     return {name: ca.MX.sym(name, size) for name, size in sizes.items()}
 

@@ -15,10 +15,8 @@ class Feedback:
     """State feedback along a plan.
 
     The controls u = u_k − G_k (x − x_k), within limits, are updated at the times of the plan and
-    constant between them.
-
-    After the plan its last gain goes on to hold its last state, decided as often as in its last
-    interval.
+    constant between them. After the plan, its last gain holds its last state at the period of its
+    last interval.
 
     Parameters
     ----------
@@ -27,7 +25,7 @@ class Feedback:
     controls : array_like, shape (K, nu)
         The plan's controls u_k.
     states : array_like, shape (K + 1, nx)
-        The plan's states x_k. What the clock shows is not fed back.
+        The plan's states x_k. The clock is not fed back.
     gains : array_like, shape (K, nu, nx)
         Gains G_k.
     lower, upper : array_like, scalar or shape (nu,)

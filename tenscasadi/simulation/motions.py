@@ -35,7 +35,7 @@ class Rollouts(Viewable, ReadOnlyArrays):
     success : ndarray of bool, shape (n,)
         Whether a motion reached the end, and can be trusted.
     message : ndarray of str, shape (n,)
-        How it ended, and what is not to be trusted.
+        End of the run, and reasons not to trust it.
     bar_length_error : ndarray, shape (n,)
         Largest relative error of a bar's length on the way.
     joint_error : ndarray, shape (n,)

@@ -16,7 +16,6 @@ from tenscasadi.integrators.scheme import Scheme, check_scheme
 from tenscasadi.integrators.stabilization import BarLengthCorrection, Correction, Projection
 from tenscasadi.simulation.engine.inputs import (
     controls_at,
-    count_motions,
     first_time,
     gather_intervals,
     lay_steps,
@@ -25,13 +24,19 @@ from tenscasadi.simulation.engine.inputs import (
     read_starts,
 )
 from tenscasadi.simulation.engine.kernel import Kernel, Watch, build_kernel
-from tenscasadi.simulation.engine.request import KINETIC, MEASURED, STOPPED, SUPPLIED
+from tenscasadi.simulation.engine.request import (
+    KINETIC,
+    MEASURED,
+    STOPPED,
+    SUPPLIED,
+    count_runs,
+)
 from tenscasadi.simulation.motions import Rollouts
 from tenscasadi.simulation.time_grid import describe_unseen
 from tenscasadi.simulation.verdict import Runs, judge
 from tenscasadi.util.validate import flag, instance, whole_number
 
-_LOOKS = 100  # measurements of a motion on its way
+_LOOKS = 100  # measurements during a run
 
 
 def rollouts(
@@ -55,60 +60,58 @@ def rollouts(
     Parameters
     ----------
     model : Model
-        The model of all motions.
+        Model of all runs.
     t_end : float
-        End of the runs, s.
+        End of the runs [s].
     step : float
-        Largest step, s; steps are laid as by `simulate`.
+        Largest step [s], as for `simulate`.
     states : array_like, shape (n, nx) or (nx,), optional
-        State at the start of each motion, or of all. Default: `model.initial_state`.
+        Initial state of each run, or of all. Default: `model.initial_state`.
     controls : array_like or Feedback, optional
-        Control: (nu,) is constant and the same for all, (n, nu) is constant, (n, K, nu) is constant
-        on each of K equal parts of [0, t_end]; (1, K, nu) is the same for all. A `Feedback` decides
-        by the state of each motion. Default: `model.initial_control`.
+        Constant control (n, nu), or control (n, K, nu) that is constant on each of K equal parts of
+        [0, t_end]. All runs share (nu,) or (1, K, nu). A `Feedback` depends on the state of each
+        run. Default: `model.initial_control`.
     parameters : array_like, shape (n, np) or (np,), or mapping of str to array_like, optional
-        Values of the model's parameters in each motion, or in all; or those of some by name, (n, k)
-        or as `ParameterLayout.values` takes them. Others are nominal. One compiled code serves all
-        values.
+        Values of the model's parameters in each run, or in all. Values by name are (n, k) or as in
+        `ParameterLayout.values`; the others are nominal. One compiled code serves all values.
     scheme : Scheme
         Scheme of fixed, explicit steps: `RungeKutta4`, `Rattle`, `DormandPrince54()` or
         `DormandPrince853()` without `rtol`.
     correction : Projection or BarLengthCorrection, optional
-        Correction applied after every `correction.every`-th step. Default: none.
+        Correction after every `correction.every`-th step. Default: none.
     save_every : int, optional
-        Steps from one kept row to the next; the first and the last state are always kept. Default:
+        Number of steps between saved rows; the first and the last state are always saved. Default:
         only these two.
     threads : int, optional
-        Threads that share the motions. Default: one for each processor that this process may use.
+        Threads that share the runs. Default: one for each available processor.
     progress : bool
         Whether to show a progress bar.
 
     Returns
     -------
     Rollouts
-        The motions at the kept times, each with its errors and how it ended. One that diverges
-        fails alone. Ctrl-C ends all that have not arrived, and keeps those that have.
+        Motions at the saved times, each with its errors and its message. A run that diverges does
+        not affect the others. Ctrl-C stops unfinished runs and keeps the others.
 
     Raises
     ------
     TypeError, ValueError
-        An argument is wrong, or there is not enough memory for what is to be kept.
+        An argument is wrong, or the saved rows exceed the memory.
 
     See Also
     --------
-    simulate : One motion, with all that it tells of its forces.
+    simulate : One run, with its forces.
 
     Notes
     -----
-    The steps are compiled once for a model, with several motions side by side in the lanes of each
-    instruction: 8 with AVX-512, 4 with AVX, else 2. Each comes out as `simulate` computes it, to
-    the last bit, whatever runs beside it. Code that branches on numbers, such as splines, runs one
-    motion at a time. Without a compiler of C++ CasADi computes the same numbers, more slowly, and
-    `lanes` is 0.
+    The steps are compiled once for a model, with several runs in the lanes of each instruction: 8
+    with AVX-512, 4 with AVX, else 2. Each result equals that of `simulate` to the last bit. Code
+    that branches on numbers, such as splines, advances one run at a time. Without a C++ compiler,
+    CasADi computes the same numbers more slowly, and `lanes` is 0.
 
     Examples
     --------
-    A hundred pendulums are let go from rest at random pushes:
+    Simulate a hundred pendulums with random initial velocities:
 
     >>> import numpy as np
     >>> import tenscasadi as tc
@@ -132,7 +135,7 @@ def rollouts(
     p = read_parameters(model, parameters)
     starts = read_starts(model, states, p)
     plan = read_controls(model, controls, p)
-    n = count_motions(states=len(starts), controls=len(plan.controls), parameters=len(p))
+    n = count_runs(states=len(starts), controls=len(plan.controls), parameters=len(p))
     inputs = lay_steps(model, starts, t_end, step, plan)
     every = inputs.steps if save_every is None else whole_number("save_every", save_every, 1)
     workers = min(
@@ -182,7 +185,7 @@ def rollouts(
 
 def _check_memory(n: int, rows: int, nx: int) -> None:
     """Raise ValueError if the results do not fit into memory."""
-    needed = 8.0 * n * rows * (2 * nx + len(MEASURED) + 2)  # with what is computed from it
+    needed = 8.0 * n * rows * (2 * nx + len(MEASURED) + 2)  # including derived arrays
     free = _free_memory()
     if needed > free:
         told = f"save_every: {n} motions of {rows} rows take {needed / 1e9:.3g} GB, {free / 1e9:.3g} GB are free"

@@ -28,7 +28,7 @@ from tenscasadi.simulation.tangent_loop import (
     gradient_function,
     tangent_function,
 )
-from tenscasadi.simulation.tangent_passes import Task, pull, push
+from tenscasadi.simulation.tangent_passes import PassSetup, run_adjoint, run_forward
 from tenscasadi.simulation.time_grid import lay_run
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.casadi_tools import ArrayFunction
@@ -73,7 +73,7 @@ class Sensitivities(ReadOnlyArrays):
     success : bool
         Whether the run can be trusted, see `Trajectory`, and the derivatives are finite.
     message : str
-        How the run ended, and what is not to be trusted.
+        End of the run, and reasons not to trust it.
     seconds : float
         Wall time of the derivatives, s, without the compiler's.
     compiled : bool
@@ -105,7 +105,7 @@ class Sensitivities(ReadOnlyArrays):
         return f"Sensitivities({len(self.value)} outputs by {inputs} inputs, {self.mode}, success={self.success})"
 
 
-def sensitivities(  # noqa: PLR0913  those of a run, and what is asked of it
+def sensitivities(  # noqa: PLR0913  options of the run and of the derivatives
     model: Model,
     start: Any = None,
     t_end: float | None = None,
@@ -133,7 +133,7 @@ def sensitivities(  # noqa: PLR0913  those of a run, and what is asked of it
         State at the start, or a run of `simulate`, which gives start, end, step, control and
         parameters. Default: `model.initial_state`.
     t_end : float, optional
-        End of the run, s; needed where `start` is no trajectory.
+        End of the run [s]; required unless `start` is a trajectory.
     step : float, optional
         Largest step, s, as for `simulate`. Default: 1 ms.
     scheme : Scheme, optional
@@ -144,35 +144,35 @@ def sensitivities(  # noqa: PLR0913  those of a run, and what is asked of it
     correction : Projection or BarLengthCorrection, optional
         Correction after every `correction.every`-th step; of a trajectory: its own.
     of : casadi.Function or callable, optional
-        Output (m,): a Function (x), (x, u) or (x, u, p), or a function of CasADi columns x (nx) and
-        u (nu), and p (np) where the model has parameters, that returns an expression. Default: the
-        state.
+        Output (m,): a Function (x), (x, u) or (x, u, p), or a Python function of these CasADi
+        columns that returns an expression. They are x (nx), u (nu), and p (np) if the model has
+        parameters. Default: the state.
     over : {"end", "run"}
-        "end": the output at the end of the run. "run": its integral over time, by the scheme; m is 1.
+        "end": the output at the end of the run. "run": its integral over time by the scheme, m = 1.
     by : {"state", "control", "parameters"}
-        Inputs. "state": the start. "control": the control in each interval of a table, in each step
-        where it is a function of time, to which it is added. "parameters": those of the model; start and control stay as
-        they are.
+        Inputs. "state": the initial state. "control": the control in each interval of a table, or a
+        control added in each step to a function of time. "parameters": those of the model, with the
+        same start and control.
     parameters : array_like, shape (np,), or mapping of str to array_like, optional
         Values of the model's parameters, as for `simulate`. Default: nominal.
     mode : {"forward", "adjoint"}, optional
-        "forward" computes a tangent for each input, "adjoint" a gradient for each output. Default: what costs less.
+        "forward" computes a tangent for each input, "adjoint" a gradient for each output. Default:
+        the cheaper one.
     compiled : bool, optional
         As for `simulate`.
 
     Returns
     -------
     Sensitivities
-        Value and derivatives. A run that diverges gives NaN; `success` is False then, and `message`
-        says why.
+        Value and derivatives. If the run diverges, they are NaN, `success` is False and `message`
+        gives the reason.
 
     Raises
     ------
     TypeError, ValueError
-        An argument is wrong, or a trajectory was made by other steps than are asked for; the
-        message names it.
+        An argument is wrong, or a trajectory has other steps; the message names it.
     CompileError
-        Machine code was asked for and cannot be made.
+        `compiled` is True and compilation fails.
 
     See Also
     --------
@@ -180,22 +180,21 @@ def sensitivities(  # noqa: PLR0913  those of a run, and what is asked of it
 
     Notes
     -----
-    These are derivatives of the steps that are taken, correct to rounding: a finite difference of
-    the same run comes to them. Where a string goes slack within a step, or a node meets the ground,
-    they are those of the side on which each stage of the step lies; the instant of the event is not
-    resolved, so that they jump when the steps are laid differently, and near impacts may be far
-    from the derivative of the motion. `Smooth` strings and smaller steps bring both together.
-    Derivatives of chaotic motions grow without bound.
+    The derivatives are those of the steps, correct to rounding; finite differences of the same run
+    converge to them. At an event within a step, each stage uses the derivative of its own mode. The
+    time of the event is not resolved, so the derivatives jump with the steps. Near impacts they may
+    be far from the derivative of the motion. `Smooth` strings and smaller steps reduce the
+    difference. Derivatives of chaotic motions grow without bound.
 
-    By the start they are in all directions of the state, also in those that stretch bars: a change
-    that is possible keeps the constraints. The steps stay where they are laid, also by a clock,
-    which would move those that loads cut.
+    Derivatives by the start cover all directions of the state, also those that stretch bars. Only
+    changes that satisfy the constraints are possible. Derivatives by the clock leave the steps
+    fixed, also those cut at breakpoints of loads.
 
-    Steps run as machine code, 256 a call. States are kept between calls only, and those within are
-    computed again on the way back, so that memory hardly grows with the steps. A tangent costs two
-    runs of `RungeKutta4`, two to five of `Rattle`; a gradient three to six, for all inputs at once.
-    `Collocation` is differentiated as the solution of its equations, by a solver that takes several
-    times as long as the scheme's own.
+    Machine code takes 256 steps per call. Only the states between calls are stored, and the adjoint
+    pass computes the others again, so memory hardly grows with the steps. A tangent costs as much
+    as two runs of `RungeKutta4` or two to five of `Rattle`. A gradient costs three to six runs for
+    all inputs at once. `Collocation` is differentiated as the solution of its equations, by a
+    solver that takes several times as long as the scheme's own.
 
     References
     ----------
@@ -204,8 +203,8 @@ def sensitivities(  # noqa: PLR0913  those of a run, and what is asked of it
 
     Examples
     --------
-    A pendulum of 1 m is released at 45°. How does a push along its arc, (1, 0, 1) m/s, change where
-    its end is after a second?
+    Release a pendulum of 1 m at 45°. Its position after one second depends on an initial velocity
+    along its arc, (1, 0, 1) m/s:
 
     >>> import tenscasadi as tc
     >>> model = tc.Model(tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity()))
@@ -234,7 +233,7 @@ def sensitivities(  # noqa: PLR0913  those of a run, and what is asked of it
         request.control,
         request.parameters,
     )
-    grid, output = laid.inputs, laid.of_driven(output)
+    grid, output = laid.inputs, laid.include_schedule(output)
     steps = Steps(laid.model, scheme, correction, output if over == "run" else None)
     owner = (
         _owners(request.control, grid) if by == "control" else np.zeros(grid.steps, dtype=np.intp)
@@ -244,7 +243,7 @@ def sensitivities(  # noqa: PLR0913  those of a run, and what is asked of it
         "control": slice(0, model.nu),
         "parameters": slice(model.nu, model.nw),
     }[by]
-    task = Task(steps, laid.states(run.time, run.states), grid, owner, entries)
+    task = PassSetup(steps, laid.states(run.time, run.states), grid, owner, entries)
     rows, columns = output.size1_out(0), int(np.prod(task.shape))
     chosen = mode or ("forward" if columns <= _ADJOINT * rows else "adjoint")
     if run.time[-1] < request.t_end * (1 - 1e-9):
@@ -258,11 +257,14 @@ def sensitivities(  # noqa: PLR0913  those of a run, and what is asked of it
     if by == "control":
         return found
     inside = found.jacobian[:, : model.nx] if by == "state" else found.jacobian[:, 0]
-    return replace(found, jacobian=inside)  # by the state without a clock of the control's
+    return replace(found, jacobian=inside)  # without the clock of a control function
 
 
-class _Request(NamedTuple):
-    """Run to make; `last` state of the trajectory that asks for it, None: there is none."""
+class _RunArguments(NamedTuple):
+    """Arguments of the run.
+
+    `last` is the final state of a given trajectory, else None.
+    """
 
     start: Array
     t_end: float
@@ -272,17 +274,19 @@ class _Request(NamedTuple):
     last: Array | None
 
 
-# --- what is asked ---
+# --- arguments ---
 
 
-def _read(model: Any, start: Any, t_end: Any, step: Any, control: Any, parameters: Any) -> _Request:
+def _read(
+    model: Any, start: Any, t_end: Any, step: Any, control: Any, parameters: Any
+) -> _RunArguments:
     instance("model", model, Model, "a tenscasadi.Model")
     if not isinstance(start, Trajectory):
         if t_end is None:
             raise ValueError("t_end is None: give the end of the run, s, or a trajectory as start")
         p = model.parameters.values(parameters)
         state = model.start_at(p) if start is None else finite_array("start", start, (model.nx,))
-        return _Request(np.array(state), t_end, step, control, p, None)
+        return _RunArguments(np.array(state), t_end, step, control, p, None)
     for name, value in {
         "t_end": t_end,
         "step": step,
@@ -307,7 +311,7 @@ def _read(model: Any, start: Any, t_end: Any, step: Any, control: Any, parameter
     held = start.control[:-1]
     constant = not held.size or bool(np.all(held == held[0]))
     given: Any = held[0] if constant else ControlProfile(np.asarray(start.time), held)
-    return _Request(
+    return _RunArguments(
         np.array(start.states[0]),
         float(start.time[-1]),
         float(start.step),
@@ -392,7 +396,7 @@ def _owners(control: Any, grid: SampledControl) -> Indices:
     return np.minimum((middle / grid.t_end * table).astype(np.intp), table - 1)
 
 
-def _compare(request: _Request, run: Trajectory) -> None:
+def _compare(request: _RunArguments, run: Trajectory) -> None:
     if request.last is None:
         return
     off = float(np.abs(run.states[-1] - request.last).max(initial=0.0))
@@ -407,7 +411,7 @@ def _compare(request: _Request, run: Trajectory) -> None:
 
 
 def _differentiate(
-    task: Task, output: ca.Function, run: Trajectory, mode: Mode, compiled: bool | None
+    task: PassSetup, output: ca.Function, run: Trajectory, mode: Mode, compiled: bool | None
 ) -> Sensitivities:
     steps, model = task.steps, task.steps.model
     symbols = output.mx_in()
@@ -422,8 +426,10 @@ def _differentiate(
     width = choose_width(model, int(np.prod(task.shape)) if forward else len(by_z))
     function, is_code, note = _loop(task, forward, width, compiled)
     began = time.perf_counter()
-    with np.errstate(all="ignore"):  # what overflows is told
-        found = (push if forward else pull)(task, ArrayFunction(function), width, by_z)
+    with np.errstate(all="ignore"):  # the message reports an overflow
+        found = (run_forward if forward else run_adjoint)(
+            task, ArrayFunction(function), width, by_z
+        )
     jacobian = found.jacobian
     if task.entries is not None:
         jacobian[:, task.owner[-1]] += by_w[:, task.entries]
@@ -448,9 +454,12 @@ def _differentiate(
 
 
 def _loop(
-    task: Task, forward: bool, width: int, compiled: bool | None
+    task: PassSetup, forward: bool, width: int, compiled: bool | None
 ) -> tuple[ca.Function, bool, str]:
-    """Return the Function of a pass, once for each model; tell whether it is machine code, and why not."""
+    """Build the Function of a pass, cached by the model.
+
+    Also returns whether it is machine code, and the reason if not.
+    """
     steps, held = task.steps, task.entries is None
     known, key = steps.model.functions, ("derivatives", *steps[1:], forward, width, held, compiled)
     if steps.running is None and isinstance(steps.scheme, Hashable) and key in known:

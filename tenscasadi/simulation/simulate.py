@@ -25,7 +25,7 @@ from tenscasadi.util.validate import (
     whole_number,
 )
 
-_ROWS = 1000  # rows kept when save_every is None
+_ROWS = 1000  # saved rows if save_every is None
 
 
 def simulate(  # noqa: PLR0913  the options of a run
@@ -52,59 +52,56 @@ def simulate(  # noqa: PLR0913  the options of a run
     model : Model
         The model to simulate.
     t_end : float
-        End of the run, s.
+        End of the run [s].
     step : float, optional
-        Largest step, s. The run takes equal steps, the fewest that end exactly at `t_end`; they are
+        Largest step [s]. The run takes the fewest equal steps that end exactly at `t_end`. They are
         cut at the times of tables, at the `breakpoints` of functions of time, and where conditions
-        in these switch. Schemes that control their error take any number of steps of
-        their own within each of these. Default: 1 ms, or a hundredth of `t_end` for schemes that
-        control their error.
+        in these switch. Schemes with error control subdivide each step as needed. Default: 1 ms, or
+        a hundredth of `t_end` for schemes with error control.
     scheme : Scheme, optional
         Integration scheme, such as `RungeKutta4` (default), `Rattle`, `DormandPrince853` or
         `Cvodes`.
     state : array_like, shape (nx,), optional
         State at the start. Default: `model.initial_state`.
     control : array_like or callable, optional
-        Control: an array (nu,) is constant, an array (K, nu) is constant on each of K equal parts
-        of [0, t_end] (steps are shortened to fit the parts). A function t -> (nu,) of the time
-        since the start is evaluated by each stage of a step, as `ControlFunction` describes.
-        Default: `model.initial_control`.
+        Control. An array (nu,) is constant. An array (K, nu) is constant on each of K equal parts
+        of [0, t_end]; steps are shortened to fit. Each stage of a step evaluates a function
+        t -> (nu,) of the time since the start, see `ControlFunction`. Default:
+        `model.initial_control`.
     correction : Projection or BarLengthCorrection, optional
-        Correction applied after every `correction.every`-th step, of the scheme's own where it
-        controls its error. Default: none.
+        Correction after every `correction.every`-th step. Schemes with error control count their
+        own steps. Default: none.
     save_every : int, optional
-        Steps from one kept row to the next; the first and the last state are always kept. Default:
-        what keeps about 1000 rows or fewer.
+        Number of steps between saved rows; the first and the last state are always saved. Default:
+        at most about 1000 rows.
     compiled : bool or Single, optional
-        True: run as machine code. False: run in CasADi's virtual machine, to the same result.
-        `Single()`: run as machine code that computes in single precision. Default: as machine code
-        where there is a C compiler.
+        True: machine code. False: CasADi's virtual machine, with the same result. `Single()`:
+        machine code in single precision. Default: machine code if there is a C compiler.
     progress : bool, optional
         Whether to show a progress bar.
     energy_balance : bool, optional
-        False leaves out the account of the work of damping, contact and control, which takes time;
-        `energy_error` is then NaN where it needs that account.
+        Whether to integrate the work of damping, contact and control, which takes time. Without it,
+        `energy_error` is NaN where it depends on that work.
     seconds : float, optional
-        Wall time after which the run stops, s, as by Ctrl-C: `success` is False, and what it has is
-        kept. Compiling comes on top. Default: no limit.
+        Wall time after which the run stops [s], without compilation. As after Ctrl-C, `success` is
+        False and the rows so far are returned. Default: no limit.
     parameters : array_like, shape (np,), or mapping of str to array_like, optional
         Values of the model's parameters (`Scene.parameters`), or of some by name, see
         `ParameterLayout.values`. One compiled loop serves all values. Default: nominal.
     verify : bool, optional
-        Whether to take a run that finished again, in steps twice and four times as long or at a
-        looser tolerance, and where these do not follow it in finer ones: `error_estimate` and
-        `message` tell how far its steps put it off.
+        Whether to repeat a finished run with steps twice and four times as long, or a looser
+        tolerance. If the motions differ too much, it is repeated with finer steps.
+        `error_estimate` and `message` report the step-size error.
 
     Returns
     -------
     Trajectory
-        The motion at the kept times, with its errors. A run that diverges (the state is not finite,
-        a bar is off by 10 % of its length), that its scheme gives up or that is interrupted from
-        the keyboard ends early: `success` is False, and `message` says why. So it is for a run that
-        reached its end but cannot be trusted: its start is off the bars and joints by more than a
-        fifth of their lengths and speeds, its steps are above the stability limit for long enough
-        to make a vibration grow tenfold, or a function of time changes within steps more than their
-        stages see.
+        Motion at the saved times with its errors. A run ends early if it diverges, its scheme
+        fails or Ctrl-C stops it. It diverges if the state is not finite or a bar is off by 10 % of
+        its length. `success` is then False and `message` gives the reason. The same holds for
+        finished runs that are not trustworthy. Their start violates bars and joints by more than a
+        fifth of lengths and speeds, unstable steps make a vibration grow tenfold, or the stages
+        do not resolve a function of time.
 
     Raises
     ------
@@ -112,7 +109,7 @@ def simulate(  # noqa: PLR0913  the options of a run
         An argument is wrong, or a function of time is not finite or moves supports by a jump; the
         message names it.
     CompileError
-        Machine code was asked for and cannot be made.
+        `compiled` is True and compilation fails.
 
     See Also
     --------
@@ -121,13 +118,13 @@ def simulate(  # noqa: PLR0913  the options of a run
 
     Notes
     -----
-    The loop over the steps is compiled once for all models, and calls the model's own machine code.
-    What a correction changes is returned as `correction_shift` and `correction_energy`, except for
-    schemes that control their error.
+    The integration loop is compiled once for all models and calls the machine code of the model.
+    `correction_shift` and `correction_energy` report the effect of corrections, except for schemes
+    with error control.
 
     Examples
     --------
-    A pendulum is released at 45° and swings for half a second; its energy is kept:
+    A pendulum is released at 45° and swings for half a second. Its energy is conserved:
 
     >>> import tenscasadi as tc
     >>> pendulum = tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity((0.0, 0.0, -9.81)))
@@ -172,7 +169,7 @@ def simulate(  # noqa: PLR0913  the options of a run
         observed=run.observed,
     )
     energy = run.energy
-    if driven.schedule is not None:  # what it adds to the energy of strings is supplied, too
+    if driven.schedule is not None:  # the schedule also supplies energy of strings
         energy = recorded.energy_parts[:, 0]
     recorded = replace(
         recorded,

@@ -17,14 +17,17 @@ from tenscasadi.integrators.runge_kutta import ExplicitRungeKutta
 from tenscasadi.integrators.scheme import Scheme, equations
 from tenscasadi.integrators.stabilization import Correction, correct
 
-CHUNK = 256  # steps a call: what memory holds between the states that are kept
-# instructions of a right-hand side times directions: what the C compiler takes seconds for
+CHUNK = 256  # steps per call, between saved states
+# instructions × directions that a C compiler takes seconds for
 _LONG = 3000
-_WIDEST = 8
+_WIDEST = 8  # directions
 
 
 class Steps(NamedTuple):
-    """Steps to differentiate; with `running` (x, w) → (1), the state z has one entry more, its integral over time."""
+    """Steps to differentiate.
+
+    With `running` (x, w) → (1), the last entry of z is its integral over time.
+    """
 
     model: Model
     scheme: Scheme
@@ -33,7 +36,7 @@ class Steps(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Entries of z."""
+        """Number of entries of z."""
         return self.model.nx + (self.running is not None)
 
 
@@ -48,12 +51,12 @@ def choose_width(model: Model, directions: int) -> int:
 
 
 def tangent_function(steps: Steps, width: int, held: bool) -> ca.Function:
-    """Chain CHUNK steps with `width` tangents: Function "tangent" (y, v (·, CHUNK), grid (2, CHUNK)) → y at the end.
+    """Build CHUNK steps with `width` tangents.
 
-    y = [z; vec S] with tangents S (nz, width). v = [w], and where `held` is False vec W with its
-    tangents W (nw, width). w: control, and below it parameters.
-    grid: the length of each step, s, and 1 where a correction follows, else 0. Steps without length
-    change nothing.
+    Function "tangent" (y, v (·, CHUNK), grid (2, CHUNK)) → final y. The state y = [z; vec S]
+    contains the tangents S (nz, width). The input is v = [w], or [w; vec W] with the tangents W
+    (nw, width) unless `held`; w is the control followed by the parameters. The grid holds the
+    length of each step [s] and 1 before a correction, else 0. Steps of zero length change nothing.
     """
     nz, nw = steps.size, steps.model.nw
     y, v, grid = (
@@ -65,26 +68,24 @@ def tangent_function(steps: Steps, width: int, held: bool) -> ca.Function:
     W = ca.MX(nw, width) if held else ca.reshape(v[nw:], nw, width)
     if isinstance(
         steps.scheme, ExplicitRungeKutta
-    ):  # on the variational equation the method gives the derivative of its own step
+    ):  # the variational equation gives the exact derivative of the step
         end = steps.scheme.step(_variational(steps, width, held))(y, v, grid[0])
         z, S = end[:nz], ca.reshape(end[nz:], nz, width)
     else:
-        z, S = _pushed(_plain(steps), [y[:nz], w, grid[0]], [S, W, ca.MX(1, width)])
-    follow = _corrected(steps)
+        z, S = _push_tangents(_plain(steps), [y[:nz], w, grid[0]], [S, W, ca.MX(1, width)])
+    follow = _build_correction(steps)
     if follow is not None:
-        z, S = _pushed(follow, [z, w, grid[1]], [S, W, ca.MX(1, width)])
+        z, S = _push_tangents(follow, [z, w, grid[1]], [S, W, ca.MX(1, width)])
     after = ca.if_else(grid[0] > 0, ca.vertcat(z, ca.vec(ca.densify(S))), y)
     return ca.Function("tangent", [y, v, grid], [after], ["y", "v", "grid"], ["y_next"]).fold(CHUNK)
 
 
 def gradient_function(steps: Steps, width: int) -> ca.Function:
-    """Pull `width` gradients back through CHUNK steps.
+    """Build the adjoint of CHUNK steps with `width` gradients.
 
-    Function "gradient" (z, vec L, w (nw, CHUNK), grid (2, CHUNK)) → z at the end, vec L at the
-    start, gradients (nw · width, CHUNK) by w.
-
-    L (nz, width) holds gradients by z at the end, then at the start. grid as for
-    `tangent_function`. The states between are computed again.
+    Function "gradient" (z, vec L, w (nw, CHUNK), grid (2, CHUNK)) → final z, initial vec L,
+    gradients (nw · width, CHUNK) by w. L (nz, width) holds gradients by the final z, then by the
+    initial one. See `tangent_function` for the grid. The states in between are computed again.
     """
     nz, nw = steps.size, steps.model.nw
     one = _step(steps)
@@ -101,8 +102,8 @@ def gradient_function(steps: Steps, width: int) -> ca.Function:
     ws, grids = ca.MX.sym("w", nw, CHUNK), ca.MX.sym("grid", 2, CHUNK)
     after = one.mapaccum(CHUNK)(z, ws, grids)
     before = ca.horzcat(z, after[:, :-1])
-    all_L, by_w = back.mapaccum(CHUNK)(L, *(_reversed(columns) for columns in (before, ws, grids)))
-    outputs = [after[:, -1], all_L[:, -1], ca.densify(_reversed(by_w))]
+    all_L, by_w = back.mapaccum(CHUNK)(L, *(_reverse(columns) for columns in (before, ws, grids)))
+    outputs = [after[:, -1], all_L[:, -1], ca.densify(_reverse(by_w))]
     return ca.Function(
         "gradient",
         [z, L, ws, grids],
@@ -112,30 +113,35 @@ def gradient_function(steps: Steps, width: int) -> ca.Function:
     )
 
 
-def _reversed(columns: Any) -> Any:
+def _reverse(columns: Any) -> Any:
     return columns[:, ::-1]
 
 
 def _step(steps: Steps) -> ca.Function:
-    """Write one step: Function (z, w, grid (2)) → z_next."""
+    """Build one step: Function (z, w, grid (2)) → z_next."""
     z, w, grid = ca.MX.sym("z", steps.size), ca.MX.sym("w", steps.model.nw), ca.MX.sym("grid", 2)
-    follow = _corrected(steps)
+    follow = _build_correction(steps)
     end = _plain(steps)(z, w, grid[0])
     end = end if follow is None else follow(end, w, grid[1])
     return ca.Function("step", [z, w, grid], [ca.if_else(grid[0] > 0, end, z)])
 
 
 def _plain(steps: Steps) -> ca.Function:
-    """Write one step without correction: Function (z, w, h) → z_next."""
+    """Build one step without correction.
+
+    Function (z, w, h) → z_next.
+    """
     if not isinstance(steps.scheme, ExplicitRungeKutta) and steps.scheme.implicit:
-        # by Newton's method for all stages at once: CasADi differentiates what it solves, and not
-        # its iterations
+        # CasADi differentiates the equations of Newton's method, not its iterations.
         return steps.scheme.step(equations(steps.model, steps.running))
     return steps.scheme.advance(steps.model, steps.running)
 
 
-def _corrected(steps: Steps) -> ca.Function | None:
-    """Write what follows a step: Function (z, w, flag) → z corrected where flag > 0; None where nothing does."""
+def _build_correction(steps: Steps) -> ca.Function | None:
+    """Build the correction after a step.
+
+    Function (z, w, flag) → z, corrected for flag > 0. None without constraints or correction.
+    """
     project = None if steps.correction is None else steps.correction.step(steps.model)
     if steps.correction is None or project is None:
         return None
@@ -153,14 +159,19 @@ def _corrected(steps: Steps) -> ca.Function | None:
     )
 
 
-def _pushed(function: ca.Function, inputs: list[Any], tangents: list[Any]) -> tuple[Any, Any]:
+def _push_tangents(
+    function: ca.Function, inputs: list[Any], tangents: list[Any]
+) -> tuple[Any, Any]:
     """Build a Function's value and its tangents."""
     value = function(*inputs)
     return value, function.forward(tangents[0].shape[1])(*inputs, value, *tangents)
 
 
 def _variational(steps: Steps, width: int, held: bool) -> ca.Function:
-    """Write the variational equation of the right-hand side: Function (y, v) → ydot, see `tangent_function`."""
+    """Build the variational equation of the right-hand side.
+
+    Function (y, v) → ẏ, see `tangent_function`.
+    """
     ode, nz, nw = equations(steps.model, steps.running), steps.size, steps.model.nw
     with contextlib.suppress(RuntimeError):  # an output that needs MX
         ode = ode if steps.model.mechanism.large else ode.expand()

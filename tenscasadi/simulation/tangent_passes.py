@@ -1,6 +1,6 @@
 """Tangent and adjoint passes over a run.
 
-Tangents of its inputs go forward, gradients of its outputs backward, many steps a call.
+Tangents of inputs go forward, gradients of outputs backward.
 """
 
 from __future__ import annotations
@@ -15,11 +15,12 @@ from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.validate import Array, Indices
 
 
-class Task(NamedTuple):
-    """Derivatives to compute: of steps between `states` (C, nx) that are CHUNK steps apart, under the held inputs w of `grid`.
+class PassSetup(NamedTuple):
+    """Derivatives to compute over a run.
 
-    entries: those of w, in each of the intervals that `owner` (steps,) tells of each step; None: by
-    the first state.
+    `states` (C, nx) are CHUNK steps apart, and `grid` holds the inputs w. `entries` selects the
+    entries of w in each interval; `owner` (steps,) is the interval of each step. None selects the
+    initial state.
     """
 
     steps: Steps
@@ -30,14 +31,21 @@ class Task(NamedTuple):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Shape of the derivatives of one output: (nx,) or (intervals, entries)."""
+        """Shape of the derivatives of one output.
+
+        It is (nx,) or (intervals, entries).
+        """
         if self.entries is None:
             return (self.steps.model.nx,)
         return int(self.owner.max(initial=-1)) + 1, self.entries.stop - self.entries.start
 
 
-class Found(NamedTuple):
-    """Derivatives, the integral of a running output, and the largest distance of an end of CHUNK steps from the run's."""
+class PassResult(NamedTuple):
+    """Derivatives and checks of a pass.
+
+    `integral` is that of a running output. `apart` is the largest distance of a final chunk state
+    from the run.
+    """
 
     jacobian: Array
     integral: float
@@ -45,7 +53,11 @@ class Found(NamedTuple):
 
 
 class _Chunk(NamedTuple):
-    """Chunk of the run: z at its start, w (CHUNK, nw), and lengths and corrections (CHUNK, 2) of its steps; the interval (≤ CHUNK,) of each."""
+    """Chunk of a run.
+
+    It has the initial z, the inputs w (CHUNK, nw), the lengths and correction flags of the steps
+    (CHUNK, 2), and their intervals (≤ CHUNK,).
+    """
 
     z: Array
     w: Array
@@ -53,7 +65,7 @@ class _Chunk(NamedTuple):
     owner: Indices
 
 
-def _chunk(task: Task, number: int) -> _Chunk:
+def _chunk(task: PassSetup, number: int) -> _Chunk:
     first, every = (
         number * CHUNK,
         1 if task.steps.correction is None else task.steps.correction.every,
@@ -71,10 +83,13 @@ def _chunk(task: Task, number: int) -> _Chunk:
     )
 
 
-def push(task: Task, tangent: ArrayFunction, width: int, by_z: Array) -> Found:
-    """Push tangents of the inputs, `width` at a time, forward from where each begins to act."""
+def run_forward(task: PassSetup, tangent: ArrayFunction, width: int, by_z: Array) -> PassResult:
+    """Propagate tangents of the inputs, `width` at a time.
+
+    Each starts with the chunk where its input begins to act.
+    """
     nz, columns = task.steps.size, int(np.prod(task.shape))
-    jacobian, found = np.zeros((len(by_z), columns)), Found(np.zeros(0), 0.0, 0.0)
+    jacobian, found = np.zeros((len(by_z), columns)), PassResult(np.zeros(0), 0.0, 0.0)
     for begin in range(0, columns, width):
         inputs, S, first = np.arange(begin, min(begin + width, columns)), np.zeros((width, nz)), 0
         if task.entries is None:
@@ -95,10 +110,10 @@ def push(task: Task, tangent: ArrayFunction, width: int, by_z: Array) -> Found:
     return found._replace(jacobian=jacobian.reshape(-1, *task.shape))
 
 
-def pull(task: Task, gradient: ArrayFunction, width: int, by_z: Array) -> Found:
-    """Pull gradients of the outputs, `width` at a time, back from the end."""
+def run_adjoint(task: PassSetup, gradient: ArrayFunction, width: int, by_z: Array) -> PassResult:
+    """Propagate gradients of the outputs backward, `width` at a time."""
     nx, nz, nw, rows = task.steps.model.nx, task.steps.size, task.steps.model.nw, len(by_z)
-    jacobian, found = np.zeros((rows, *task.shape)), Found(np.zeros(0), 0.0, 0.0)
+    jacobian, found = np.zeros((rows, *task.shape)), PassResult(np.zeros(0), 0.0, 0.0)
     for begin in range(0, rows, width):
         outputs = np.arange(begin, min(begin + width, rows))
         L, by_w = np.zeros((width, nz)), np.zeros((task.shape[0], width, nw))
@@ -117,8 +132,11 @@ def pull(task: Task, gradient: ArrayFunction, width: int, by_z: Array) -> Found:
     return found._replace(jacobian=jacobian)
 
 
-def _with_tangents(task: Task, chunk: _Chunk, inputs: Indices, width: int) -> Array:
-    """Return w with its tangents (CHUNK, ·): 1 in an input's entry while its interval lasts."""
+def _with_tangents(task: PassSetup, chunk: _Chunk, inputs: Indices, width: int) -> Array:
+    """Append tangents to the inputs w of a chunk.
+
+    The result is (CHUNK, ·). A tangent is 1 in the entry of its input during its interval.
+    """
     if task.entries is None:
         return chunk.w
     W = np.zeros((CHUNK, width, chunk.w.shape[1]))
@@ -128,8 +146,11 @@ def _with_tangents(task: Task, chunk: _Chunk, inputs: Indices, width: int) -> Ar
     return np.hstack([chunk.w, W.reshape(CHUNK, -1)])
 
 
-def _follow(task: Task, number: int, end: Array, found: Found) -> Found:
-    """Add up what a chunk that ends in z integrates, and compare its end with the run's."""
+def _follow(task: PassSetup, number: int, end: Array, found: PassResult) -> PassResult:
+    """Add a chunk to the result.
+
+    Accumulates the integral and compares the final state with that of the run.
+    """
     nx = task.steps.model.nx
     apart = float(np.abs(end[:nx] - task.states[number + 1]).max(initial=0.0))
     return found._replace(

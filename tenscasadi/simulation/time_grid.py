@@ -1,4 +1,4 @@
-"""Steps that end at breakpoints, and the check that they see all that functions of time do."""
+"""Time steps that end at breakpoints, with a resolution check."""
 
 from __future__ import annotations
 
@@ -26,25 +26,25 @@ from tenscasadi.simulation.control_input import (
 )
 from tenscasadi.util.validate import Array, positive_number
 
-_LEAST = 2048  # pieces of a run, at least, that are sampled at eight points each
-_AT_ONCE = 16384  # pieces that are sampled in one call
-UNSEEN = "changes within steps"  # in messages on functions of time that steps do not see
+_LEAST = 2048  # smallest number of parts of a run, with eight samples each
+_AT_ONCE = 16384  # parts that are sampled in one call
+UNSEEN = "changes within steps"  # in messages on unresolved functions of time
 
 
 @dataclass(frozen=True, eq=False)
 class LaidRun:
-    """A run that is laid out: its model, start and steps.
+    """Model, start and steps of a run.
 
     Attributes
     ----------
     model : Model
-        The model, driven by the control where that is a function of time.
+        Model, driven by the control if that is a function of time.
     start : ndarray, shape (nx,)
-        State of that model at the start.
+        Initial state of that model.
     inputs : SampledControl
-        The steps, with control and parameters in each.
+        Steps with their control and parameters.
     first : float
-        Time of the clock at the start [s].
+        Initial time of the clock [s].
     """
 
     model: Model
@@ -53,7 +53,10 @@ class LaidRun:
     first: float
 
     def controls(self, time: Array, held: Array) -> Array:
-        """Return control and parameters (T, nw) at times (T,) since the start, s, from those that steps hold."""
+        """Compute control and parameters (T, nw) at given times.
+
+        `time` (T,) [s] counts from the start; `held` (T, nw) are the inputs of the steps.
+        """
         schedule = self.model.schedule
         if schedule is None:
             return held
@@ -62,13 +65,16 @@ class LaidRun:
         return total
 
     def states(self, time: Array, states: Array) -> Array:
-        """Return states of the model from those of the model without its schedule, at times since the start, s."""
+        """Append the clock of the schedule to states.
+
+        `time` [s] counts from the start.
+        """
         if states.shape[1] == self.model.nx:
             return states
         return np.column_stack([states, self.first + time])
 
-    def of_driven(self, function: ca.Function) -> ca.Function:
-        """Return a Function of states and inputs without the schedule as one of the model's."""
+    def include_schedule(self, function: ca.Function) -> ca.Function:
+        """Add the control schedule to the inputs of a Function."""
         if self.model.schedule is None:
             return function
         x, w = ca.MX.sym("x", self.model.nx), ca.MX.sym("w", self.model.nw)
@@ -86,7 +92,10 @@ def lay_run(
     control: ControlInput | ControlProfile,
     p: Array,
 ) -> LaidRun:
-    """Choose the steps of a run and the control in each, with the parameters p below it."""
+    """Choose the steps of a run and their controls.
+
+    The parameters p follow each control.
+    """
     end = positive_number("t_end", t_end)
     if step is None:
         step = end / 100 if scheme.adaptive else 1e-3
@@ -97,7 +106,7 @@ def lay_run(
     if isinstance(control, ControlFunction):
         driven = _drive(model, control, first, end)
         control = np.zeros(model.nu)
-        positive = False  # added to the schedule, which is checked
+        positive = False  # added to the schedule, which is already checked
         if driven.has_clock and not model.has_clock:
             start = np.append(start, first)
         model = driven
@@ -111,10 +120,10 @@ def lay_run(
 
 
 def _drive(model: Model, control: ControlFunction, first: float, t_end: float) -> Model:
-    """Return the model driven by a control function; the one of the last run where it is the same."""
+    """Build or reuse the model driven by a control function."""
     positive = isinstance(model.scene.control, RestLength)
     if not model.nu:
-        read_function(control.function, 0, positive)(0.0)  # which has to return nothing, too
+        read_function(control.function, 0, positive)(0.0)  # it must return an empty array
         return model
     key = (control.function, *control.breakpoints.tolist(), control.resolution, first, t_end)
     if model.driven is None or model.driven[0] != key:
@@ -130,7 +139,10 @@ def lay_grid(
     step: float,
     sample: Callable[[float, int], SampledControl],
 ) -> SampledControl:
-    """Lay steps over `end` s from the time `first` on, s, with the control that `sample` (end, steps) gives them."""
+    """Choose the steps over `end` s from time `first` [s].
+
+    The Function `sample` (end, steps) gives them their controls.
+    """
     n_steps = _count(end, step)
     if model.has_clock:
         _check_clock(abs(first) + end, end / n_steps)
@@ -138,7 +150,10 @@ def lay_grid(
 
 
 def _count(t_end: float, step: float) -> int:
-    """Count the fewest equal steps that cover t_end, each at most `step` but for rounding."""
+    """Count the equal steps that cover t_end.
+
+    Each is at most `step` up to rounding.
+    """
     ratio = t_end / step
     if ratio > 1e12:
         raise ValueError(
@@ -149,7 +164,7 @@ def _count(t_end: float, step: float) -> int:
 
 
 def _check_clock(latest: float, step: float) -> None:
-    """Each step is added to the clock: what rounding takes off it, the loads' time loses."""
+    """Raise ValueError if rounding dominates the clock's steps."""
     if np.spacing(latest) > 1e-6 * step:
         raise ValueError(
             f"state: the clock runs to {latest:g} s, where steps of {step:g} s drown in rounding: start it nearer to 0"
@@ -157,40 +172,46 @@ def _check_clock(latest: float, step: float) -> None:
 
 
 class Changing(Protocol):
-    """Part of a model that changes over time: a load, a motion of supports, or a control."""
+    """Time-varying part of a model.
+
+    It is a load, a support motion, or a control.
+    """
 
     @property
     def field(self) -> str:
-        """Name of the quantity that changes, for messages."""
+        """Name of the quantity in messages."""
 
     def check_run(self, first: float, last: float) -> None:
-        """Check the function between two times, s. Raises ValueError."""
+        """Check the function between two times [s].
+
+        Raises ValueError.
+        """
 
     def find_breakpoints(self, first: float, last: float, steps: int) -> Array:
-        """Find the times at which steps have to end, s."""
+        """Find the times at which steps must end [s]."""
 
     def changing(self) -> ca.Function | None:
-        """Build the function of time that steps have to follow; None: there is none."""
+        """Build the function of time, or return None."""
 
 
 def cut_at_changes(
     changing: Sequence[Changing], inputs: SampledControl, first: float
 ) -> SampledControl:
-    """Cut the steps of a run at the breakpoints of functions and tables of time.
+    """Cut the steps of a run at breakpoints in time.
 
     Parameters
     ----------
     changing : sequence of Changing
-        The parts of a model that change over time.
+        Time-varying parts of a model.
     inputs : SampledControl
-        Steps of the run, with the control in them.
+        Steps of the run with their controls.
     first : float
-        Time of the clock at their beginning, s.
+        Initial time of the clock [s].
 
     Returns
     -------
     SampledControl
-        The steps, cut.
+        Cut steps.
 
     Raises
     ------
@@ -205,7 +226,7 @@ def cut_at_changes(
     error = clock_error(first, last, steps)
     breaks = [part.find_breakpoints(first, last, steps) for part in changing]
     inputs = cut_steps(inputs, np.concatenate(breaks) - first)
-    # A step that ends at a jump is cut just before it, too: its last stage is to see nothing of it.
+    # A step that ends at a jump is also cut just before it, so that no stage reaches the jump.
     functions = [part.changing() for part in changing]
     jumps = [
         times[_find_jumps(function, times, 2 * error, first, last)]
@@ -216,15 +237,17 @@ def cut_at_changes(
     beyond = np.array([last + error])
     if all(f is None or np.isfinite(values_at(f, beyond)).all() for f in functions):
         return inputs
-    # A function that is finite up to the end alone is not to be asked for a time beyond it, where
-    # rounding may take the clock.
+    # Rounding may take the clock past the end, where a function need not be finite.
     return replace(inputs, ends=inputs.times(np.arange(inputs.steps + 1)), early=error)
 
 
 def _find_jumps(
     function: ca.Function, times: Array, around: float, first: float, last: float
 ) -> Array:
-    """Return whether a function jumps within `around` s of each of `times` (k,); a kink is no jump."""
+    """Find the jumps of a function.
+
+    Returns whether it jumps within `around` s of each of `times` (k,); a kink is no jump.
+    """
     before, after = values_at(function, times - around), values_at(function, times + around)
     some = values_at(function, np.linspace(first, last, 65))
     largest = max(abs(values).max(initial=0.0) for values in (some, before, after))
@@ -234,22 +257,22 @@ def _find_jumps(
 def describe_unseen(
     changing: Sequence[Changing], inputs: SampledControl, first: float, step: float, order: int
 ) -> str:
-    """Say which functions of time change within steps more than stages see, and the cure; "" for none.
+    """Describe functions of time that the steps do not resolve.
 
-    Each function is sampled at eight points of each step, or of its parts where steps are few.
-    Their quadrature is compared with one at as many points as the stages of a scheme of this order
-    have, ends included.
+    Each function is sampled at eight points of each step, or of its parts if there are few steps.
+    Their quadrature is compared with one that has as many points as the stages of a scheme of this
+    order.
 
     Parameters
     ----------
     changing : sequence of Changing
-        The parts of a model that change over time.
+        Time-varying parts of a model.
     inputs : SampledControl
         The steps of the run.
     first : float
-        Time of the clock at their beginning, s.
+        Initial time of the clock [s].
     step : float
-        Mean length of a step that the scheme took, s.
+        Mean step of the scheme [s].
     order : int
         Order of the scheme.
 
@@ -275,7 +298,7 @@ def describe_unseen(
 
 
 def _refine(ends: Array, step: float) -> Array:
-    """Divide steps that are longer than `step`, s."""
+    """Divide steps longer than `step` s."""
     parts = np.maximum(1, np.ceil(np.diff(ends) / step - 1e-9)).astype(int)
     owner = np.repeat(np.arange(len(parts)), parts)
     share = (np.arange(len(owner)) - np.repeat(np.cumsum(parts) - parts, parts)) / parts[owner]
@@ -283,9 +306,9 @@ def _refine(ends: Array, step: float) -> Array:
 
 
 def _compare_quadratures(function: ca.Function, ends: Array, order: int) -> tuple[Array, float]:
-    """Integrate a function over each of K steps as stages do and finely.
+    """Compare coarse and fine quadratures over K steps.
 
-    Returns the differences (K,), and the integral of the function's size.
+    Returns the differences (K,) and the integral of the function's absolute value.
     """
     points, weights = np.polynomial.legendre.leggauss(8)
     divisions = -(-_LEAST // (len(ends) - 1))
@@ -314,7 +337,7 @@ def _compare_quadratures(function: ca.Function, ends: Array, order: int) -> tupl
 
 
 def _lobatto(count: int) -> tuple[Array, Array]:
-    """Return the places in [0, 1] and the weights of a quadrature with both ends (Gauss-Lobatto)."""
+    """Compute points in [0, 1] and weights of Gauss-Lobatto quadrature."""
     inner = np.polynomial.legendre.Legendre.basis(count - 1).deriv().roots()
     places = np.concatenate([[-1.0], np.sort(inner.real), [1.0]])
     at = np.polynomial.legendre.Legendre.basis(count - 1)(places)

@@ -276,9 +276,8 @@ class Trajectory(Tabular, Viewable, ReadOnlyArrays):
         Raises
         ------
         ValueError
-            A field is missing, its type, shape or indices do not fit, times do not increase, a step
-            has no length, or the motion of a run that succeeded is not finite; the message names
-            it.
+            A field is missing or has a wrong type, shape or index. Times do not increase, a step
+            is not positive, or a successful run is not finite. The message names the field.
         """
         given: dict[str, Any] = {}
         for field in fields(Trajectory):
@@ -312,7 +311,10 @@ def observe_states(model: Model, states: Array, controls: Array) -> dict[str, Ar
 
 
 def name_measures(model: Model, states: Array, measures: Array) -> dict[str, Array]:
-    """Return what `observe_states` does, from the columns (T, 5 + 2α) that an engine measures at states (T, nx)."""
+    """Name the columns that a kernel measures.
+
+    `measures` (T, 5 + 2α) give the result of `observe_states` at states (T, nx).
+    """
     strings = len(model.scene.modelled.strings)
     names = ("bar_length_error", "joint_error", "energy", "force_density", "tension")
     columns = np.split(measures, np.cumsum([1, 1, 3, strings]), axis=1)
@@ -336,10 +338,12 @@ def record_trajectory(
     seconds: float = 0.0,
     observed: dict[str, Array] | None = None,
 ) -> Trajectory:
-    """Compute all that a trajectory tells of states (T, nx) under controls (T, nw) at `time` (T,); below the control these hold parameters.
+    """Compute a trajectory from states and controls.
 
-    supplied: energy given to the model since the start, J, a number or (T,), NaN: not known.
-    observed: see `observe_states`, None: not yet. The rest as in `Trajectory`.
+    The states are (T, nx) at `time` (T,). The controls (T, nw) are followed by the parameters.
+    `supplied` is the energy given to the model since the start [J], a number or (T,), NaN if
+    unknown. `observed` is the result of `observe_states`, if it is known. See `Trajectory` for the
+    rest.
     """
     rows = len(time)
     if observed is None:
@@ -426,9 +430,7 @@ def _check(content: dict[str, Any]) -> None:
 
 def _as_array(name: str, value: Any) -> NDArray[Any]:
     if np.ma.is_masked(value):
-        raise ValueError(
-            f"field {name!r} has masked entries"
-        )  # NumPy would take what is under the mask
+        raise ValueError(f"field {name!r} has masked entries")  # NumPy would use the masked values
     try:
         return np.asarray(value)
     except Exception as error:  # an object's own __array__ may raise anything

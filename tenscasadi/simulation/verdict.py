@@ -1,4 +1,7 @@
-"""Verdict on a run, or on each of many: how it ended, and what is not to be trusted."""
+"""Acceptance test of runs.
+
+It finds how a run ended and whether it is trustworthy.
+"""
 
 from __future__ import annotations
 
@@ -21,6 +24,7 @@ from tenscasadi.simulation.diagnosis import (
     WRONG_START,
     constraint_violation,
     describe_doubts,
+    describe_violation,
     explain_divergence,
 )
 from tenscasadi.simulation.engine.engine import FAULTS, Request, Run
@@ -30,24 +34,22 @@ from tenscasadi.simulation.time_grid import describe_unseen
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
 from tenscasadi.util.validate import Array
 
-_ROUNDING = 1e-9  # of the energies, what a run may lose by rounding
-# motions that are looked at closely beside the first and the last, and for each of a few parameters
-# the two with its extremes
+_ROUNDING = 1e-9  # relative rounding error of energies
+# runs with the largest energy error that are tested, beside the first, the last and, for each of a
+# few parameters, the two extremes
 _LOOKED_AT = 2
-_FEW = 8  # entries of controls and of parameters; of more their sum
-# motions that are looked at where a step is above the stability limit, or energy is off by what
-# takes the trust
-_MOST = 50
+_FEW = 8  # parameters or controls that are compared one by one; of more, their sum
+_MOST = 50  # tested runs above the stability limit, or with lost energy
 _LIMIT = "stability limit"
 
 
 def conclude(
     model: Model, request: Request, run: Run, recorded: Trajectory, verify: bool
 ) -> Trajectory:
-    """Return a run of a model with its verdict.
+    """Complete the trajectory of a run with its verdict.
 
-    The model of the request may be driven by a control function. verify: whether to take the run
-    again in other steps, which tells their error.
+    The model of the request may be driven by a control function. With `verify`, a repetition of
+    the run estimates the step-size error.
     """
     scheme = request.scheme
     if run.status in FAULTS and not run.failure:
@@ -67,12 +69,12 @@ def conclude(
     first = float(request.start[-1]) if driven.has_clock else 0.0
     unseen = describe_unseen(driven.over_time, request.inputs, first, run.step, scheme.order)
     message = f"finished {run.text}{doubts}{unseen}"
-    # The steps of a scheme that controls its error are not known: it may have followed.
+    # A scheme with error control may have resolved it with its own steps.
     success = trusted and (scheme.adaptive or not unseen)
     if verify and success:
         found = estimate_error(request, run, recorded.nodes)
         error = found.error
-        if found.told and "try" not in message:
+        if found.reported and "try" not in message:
             message += _describe_error(model, scheme, recorded, error)
     return replace(
         recorded, success=success, message=message + run.note, error_estimate=float(error)
@@ -88,11 +90,11 @@ def _explain_loss(model: Model, request: Request, run: Run, recorded: Trajectory
 
 
 def _describe_error(model: Model, scheme: Scheme, run: Trajectory, error: float) -> str:
-    """Say how far steps put a run off, through which events, and the cure."""
+    """Describe the step-size error, its cause and the cure."""
     off = f"put it off by some {error:.1g} m"
     if scheme.adaptive:
         return f"; its tolerance {off}: try {type(scheme).__name__}(rtol={getattr(scheme, 'rtol', 0.0) / 100:.1g})"
-    finer = run.step / 4  # errors at events fall about like the step
+    finer = run.step / 4  # errors at events are about proportional to the step
     if not _meets_events(model, run):
         return f"; its steps, too long for the fastest that moves, {off}: try step={finer:.2g}"
     events = "strings that go slack or taut"
@@ -104,7 +106,10 @@ def _describe_error(model: Model, scheme: Scheme, run: Trajectory, error: float)
 
 
 def _meets_events(model: Model, run: Trajectory) -> bool:
-    """Tell whether another string pulls, or another node touches a ground, at some kept row."""
+    """Return whether the set of taut strings or contacts changes.
+
+    Only saved rows are compared.
+    """
     modes: Any = run.tension[:, model.scene.switching_strings] != 0
     gaps = build_switching(model) if model.scene.grounds else None
     if gaps is not None:
@@ -117,11 +122,12 @@ def _meets_events(model: Model, run: Trajectory) -> bool:
 
 
 class Runs(NamedTuple):
-    """Request as it was, with the kernel's answer.
+    """Input and result of a batch of runs.
 
-    starts (n or 1, nx), controls (n or 1, K, nu), parameters (n or 1, np); steps and their mean
-    length, s; time (T,) of saved rows, times: of steps; rows: the controls (T, nu) of motion k at
-    the saved times.
+    The shapes are (n or 1, nx) for starts, (n or 1, K, nu) for controls and (n or 1, np) for
+    parameters. `step` is the mean length of the steps [s]. `time` (T,) belongs to saved rows;
+    `times` gives the time of a step. `rows` gives the controls (T, nu) of run k at the saved
+    times.
     """
 
     model: Model
@@ -135,22 +141,19 @@ class Runs(NamedTuple):
     times: Callable[[int], float]
     rows: Callable[[int], Array]
     result: Rolled
-    unseen: str = ""  # functions of time that change within steps more than stages see
+    unseen: str = ""  # functions of time that the steps do not resolve
 
 
 def judge(run: Runs) -> tuple[NDArray[np.bool_], NDArray[np.str_]]:
-    """Tell of each motion whether it reached its end and can be trusted, and how it ended."""
+    """Find whether each run is trustworthy, and its message."""
     result, n = run.result, len(run.result.status)
     success = result.status == 0
-    told = np.array([_finished(run)] * n, dtype=object)
+    told = np.array([_describe_finish(run)] * n, dtype=object)
     for k in np.flatnonzero(~success).tolist():
         told[k] = _describe_end(run, k)
     violation = _violations(run, np.flatnonzero(success))
     for k in np.flatnonzero(violation > OFF).tolist():
-        told[k] += (
-            f"; the start is off the lengths of its bars or its joints, or about to leave them, relatively by {violation[k]:.2g}: "
-            "start from tenscasadi.projection(model)(state)"
-        )
+        told[k] += f"; the start is {describe_violation(violation[k])}"
     success &= violation <= WRONG_START
     worst = dict(
         zip(
@@ -191,7 +194,7 @@ def judge(run: Runs) -> tuple[NDArray[np.bool_], NDArray[np.str_]]:
     return success, np.array(told.tolist(), dtype=np.str_).reshape(n)
 
 
-def _finished(run: Runs) -> str:
+def _describe_finish(run: Runs) -> str:
     return f"finished {run.steps} steps of {run.step:g} s{run.unseen}"
 
 
@@ -210,7 +213,10 @@ def _describe_end(run: Runs, k: int) -> str:
 
 
 def _violations(run: Runs, motions: NDArray[np.intp]) -> Array:
-    """Return by how much each start is off its bars and joints, see `constraint_violation`; 0 where it was not looked at."""
+    """Compute the constraint violation of each start.
+
+    See `constraint_violation`. Starts that are clearly consistent have 0.
+    """
     found = np.zeros(len(run.result.status))
     if not len(motions):
         return found
@@ -223,7 +229,10 @@ def _violations(run: Runs, motions: NDArray[np.intp]) -> Array:
 
 
 def _may_be_off(model: Model, starts: Array) -> NDArray[np.bool_]:
-    """Tell which starts are not at once seen to keep bars and joints: few are left, as a rule, to be looked at one by one."""
+    """Find the starts that may violate bars or joints.
+
+    This quick test leaves few starts for `constraint_violation`.
+    """
     lengths = model.mechanism.lengths
     if not model.mechanism.constrained:
         return np.zeros(len(starts), dtype=bool)
@@ -249,16 +258,17 @@ def _may_be_off(model: Model, starts: Array) -> NDArray[np.bool_]:
 
 
 def _look_closer(run: Runs, share: Array, success: NDArray[np.bool_], told: NDArray[Any]) -> None:
-    """Ask of some motions all that `simulate` asks: of those likeliest to be wrong, and of all where a step is above the stability limit.
+    """Apply the tests of `simulate` to selected runs.
 
-    share: of the energy that moves, by which it is off (n,).
+    They are those most likely to be wrong, and all if a step is above the stability limit. `share`
+    (n,) is the energy error relative to the energy that moves.
     """
     left = np.flatnonzero(success)
     if not len(left) or not run.model.nx:
         return
     order = left[
         np.argsort(-np.nan_to_num(share[left]), kind="stable")
-    ].tolist()  # those likeliest to be wrong first
+    ].tolist()  # the most likely to be wrong first
     chosen = {int(left[0]), int(left[-1]), *order[:_LOOKED_AT]}
     for values in (run.parameters, run.controls[:, 0]):
         if len(values) > 1 and values.shape[1]:
@@ -272,9 +282,7 @@ def _look_closer(run: Runs, share: Array, success: NDArray[np.bool_], told: NDAr
     chosen |= set(lost[:_MOST])
     for k in sorted(chosen):
         _ask(run, k, success, told)
-    success[lost[_MOST:]] &= bool(
-        success[lost[:_MOST]].all()
-    )  # as far to be trusted as those that were looked at
+    success[lost[_MOST:]] &= bool(success[lost[:_MOST]].all())  # as trustworthy as the tested ones
     above = [k for k in sorted(chosen) if _LIMIT in told[k]]
     if not above:
         return
@@ -282,7 +290,7 @@ def _look_closer(run: Runs, share: Array, success: NDArray[np.bool_], told: NDAr
     for k in others[:_MOST]:
         _ask(run, k, success, told)
     trusted = bool(success[[*chosen, *others[:_MOST]]].all())
-    for k in others[_MOST:]:  # not looked at: as far to be trusted as those that were
+    for k in others[_MOST:]:  # as trustworthy as the tested ones
         success[k] &= trusted
         told[k] += (
             f"; not looked at, as others took steps above the {_LIMIT}, see motion {above[0]}"
@@ -290,7 +298,7 @@ def _look_closer(run: Runs, share: Array, success: NDArray[np.bool_], told: NDAr
 
 
 def _ask(run: Runs, k: int, success: NDArray[np.bool_], told: NDArray[Any]) -> None:
-    """Say of a motion what `simulate` says of one with the same rows."""
+    """Apply the tests of `simulate` to run k."""
     saved, measured = run.result.saved, run.result.measured
     if saved is None or measured is None:
         return
@@ -306,8 +314,8 @@ def _ask(run: Runs, k: int, success: NDArray[np.bool_], told: NDArray[Any]) -> N
     recorded = record_trajectory(run.model, run.time, saved[k], inputs, step=run.step, message="")
     energy = measured[k, :, KINETIC:SUPPLIED].sum(
         axis=1
-    )  # under the control that led there: the row's may be the one that follows
+    )  # under the control before a row, since that of the row may be the next one
     recorded = replace(recorded, energy_error=energy - energy[0] - measured[k, :, SUPPLIED])
     doubts, success[k] = describe_doubts(run.model, run.scheme, recorded, None)
     if doubts:
-        told[k] = _finished(run) + doubts
+        told[k] = _describe_finish(run) + doubts

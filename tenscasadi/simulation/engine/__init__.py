@@ -1,1 +1,1 @@
-"""One engine for runs: machine code, CasADi's virtual machine, or SUNDIALS."""
+"""Integration loop in machine code, CasADi's virtual machine, or SUNDIALS."""

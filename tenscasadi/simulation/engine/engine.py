@@ -1,4 +1,4 @@
-"""One run from a request: steps laid in pieces, taken by a kernel, and gathered as rows."""
+"""Single run of a model by a kernel."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ from tenscasadi.simulation.engine.request import (
     SUPPLIED,
     TIRED,
     Intervals,
-    Piece,
     Rolled,
+    RunPiece,
 )
 from tenscasadi.simulation.engine.step_code import Account
 from tenscasadi.simulation.engine.sundials_runs import SundialsRuns
@@ -41,11 +41,15 @@ FAULTS = {
     BEYOND: "the state is beyond any physical size",
     BROKEN: f"a bar is off by more than {BROKEN_BARS:.0%} of its length",
 }
-_LOOKS = 100  # measurements of a motion on its way
+_LOOKS = 100  # measurements during a run
 
 
 class Request(NamedTuple):
-    """Run of one motion: its start (nx,), its steps with w = (u, p) held in each, and the steps from one kept row to the next."""
+    """Input of one run.
+
+    It starts at `start` (nx,). `inputs` holds w = (u, p) of each step. Every `every`-th step is
+    saved.
+    """
 
     model: Model
     scheme: Scheme
@@ -58,12 +62,13 @@ class Request(NamedTuple):
 
 
 class Run(NamedTuple):
-    """Rows of a run, up to where it is good, and how it ended.
+    """Saved rows and status of one run.
 
-    states (T, nx) and controls (T, nw) at `time` (T,); energy and energy supplied (T,), J, under the
-    control that led to a row; corrected (T, 2) and observed: see `Rolled` and `name_measures`.
-    steps: their beginnings and ends in pieces, to be taken again. status: of the run, with the time,
-    s, at which it was found.
+    The rows end at the last good state. `states` (T, nx), `controls` (T, nw), `energy` and
+    `supplied` (T,) [J] belong to `time` (T,) [s]. Energies are those under the control of the step
+    before a row. See `Rolled` for `corrected` (T, 2) and `name_measures` for `observed`. A
+    repetition of the run starts from `pieces`. `found` is the time [s] at which `status` was
+    detected.
     """
 
     time: Array
@@ -73,7 +78,7 @@ class Run(NamedTuple):
     supplied: Array
     corrected: Array
     observed: dict[str, Array]
-    pieces: list[Piece]
+    pieces: list[RunPiece]
     status: int
     found: float
     failure: str
@@ -86,16 +91,19 @@ class Run(NamedTuple):
 
     @property
     def interrupted(self) -> bool:
-        """Whether it was interrupted from the keyboard."""
+        """Whether Ctrl-C stopped the run."""
         return self.status == STOPPED and not self.failure
 
 
 def roll(request: Request, limit: float = np.inf, progress: bool = False) -> Run:
-    """Run; limit: of wall time, s. Raises CompileError, ValueError."""
+    """Run a request.
+
+    `limit` is its wall time [s]. Raises CompileError, ValueError.
+    """
     model, inputs = request.model, request.inputs
     kept, controls = _reserve(inputs.steps, request.every, model)
     kernel = make_kernel(request)
-    pieces: list[Piece] = []
+    pieces: list[RunPiece] = []
     began, deadline = time.perf_counter(), time.monotonic() + limit
     with (
         tqdm(total=inputs.steps, unit=" steps", unit_scale=True, disable=not progress) as bar,
@@ -116,7 +124,10 @@ def roll(request: Request, limit: float = np.inf, progress: bool = False) -> Run
 
 
 def make_kernel(request: Request) -> Kernel:
-    """Return the kernel of a request. Raises CompileError, ValueError."""
+    """Build the kernel of a request.
+
+    Raises CompileError, ValueError.
+    """
     return build_kernel(
         request.model,
         request.scheme,
@@ -129,7 +140,7 @@ def make_kernel(request: Request) -> Kernel:
 
 
 def _reserve(steps: int, every: int, model: Model) -> tuple[Indices, Array]:
-    """Choose the steps after which a row is kept, and reserve memory for the controls there."""
+    """Choose the saved steps and allocate their controls."""
     try:
         kept = np.append(np.arange(0, steps, every), steps)
         return kept, np.empty((len(kept), model.nw))
@@ -140,13 +151,16 @@ def _reserve(steps: int, every: int, model: Model) -> tuple[Indices, Array]:
 
 
 def _lay_pieces(
-    inputs: SampledControl, kept: Indices, controls: Array, pieces: list[Piece]
-) -> Iterator[Piece]:
-    """Yield the steps of a run, many at a time; note the controls (T, nw) of kept rows."""
+    inputs: SampledControl, kept: Indices, controls: Array, pieces: list[RunPiece]
+) -> Iterator[RunPiece]:
+    """Generate the steps of a run in growing pieces.
+
+    Fills `controls` (T, nw) of the saved rows.
+    """
     if not inputs.varies and inputs.ends is None:
         controls[:] = inputs.window(0, 1)
         whole = Intervals(*(np.array([value]) for value in (0, inputs.steps, inputs.step)))
-        pieces.append(Piece(whole, inputs.window(0, 1)[None]))
+        pieces.append(RunPiece(whole, inputs.window(0, 1)[None]))
         yield pieces[0]
         return
     first, most = 0, 32
@@ -157,19 +171,22 @@ def _lay_pieces(
         controls[here] = held[kept[here] - first]
         controls[kept >= first + count] = held[-1]
         piece = gather_steps(held, inputs.lengths(first, count))
-        if first < 2**20:  # of longer runs no more is taken again
+        if first < 2**20:  # longer runs are not repeated: memory
             pieces.append(piece)
         yield piece
         first, most = first + count, min(2 * most, 65536)
 
 
-def gather_steps(held: Array, lengths: Array) -> Piece:
-    """Gather steps (S,) of one length, s, and one input (S, nw) to intervals."""
+def gather_steps(held: Array, lengths: Array) -> RunPiece:
+    """Merge steps of equal length and input into intervals.
+
+    `held` (S, nw) are the inputs and `lengths` (S,) the lengths [s] of the steps.
+    """
     changed = np.append(True, (held[1:] != held[:-1]).any(axis=1))
     begins = np.flatnonzero(changed | np.append(True, lengths[1:] != lengths[:-1]))
     row = np.cumsum(changed)[begins] - 1
     steps = np.diff(np.append(begins, len(lengths)))
-    return Piece(Intervals(row, steps, lengths[begins]), held[changed][None])
+    return RunPiece(Intervals(row, steps, lengths[begins]), held[changed][None])
 
 
 def _gather(
@@ -178,11 +195,14 @@ def _gather(
     rolled: Rolled,
     kept: Indices,
     controls: Array,
-    pieces: list[Piece],
+    pieces: list[RunPiece],
     seconds: float,
     late: float,
 ) -> Run:
-    """Gather the good rows, with the last state of a run that was stopped between two of them."""
+    """Assemble the good rows of a run.
+
+    A run that stopped between two saved rows also keeps its last state.
+    """
     inputs = request.inputs
     if rolled.saved is None or rolled.measured is None:
         raise RuntimeError("the kernel has kept no rows")
@@ -228,7 +248,10 @@ def _gather(
 
 
 def _observe(request: Request, kernel: Kernel, states: Array, inputs: Array) -> dict[str, Array]:
-    """Observe states (T, nx) under inputs (T, nw), in double precision."""
+    """Measure states in double precision.
+
+    States are (T, nx), inputs (T, nw).
+    """
     with np.errstate(all="ignore"):
         if isinstance(request.compiled, Single):
             return observe_states(request.model, states, inputs)
@@ -238,7 +261,11 @@ def _observe(request: Request, kernel: Kernel, states: Array, inputs: Array) -> 
 def _describe(
     request: Request, kernel: Kernel, rolled: Rolled, taken: int
 ) -> tuple[str, float, int]:
-    """Tell what was done in `taken` steps of the grid: in words, the mean length of a step, s, and how many were computed."""
+    """Describe the steps of a run.
+
+    Returns the text, the mean step [s] and the number of computed steps; `taken` counts the grid
+    steps.
+    """
     scheme, inputs = request.scheme, request.inputs
     step, name = inputs.step, type(scheme).__name__
     if isinstance(kernel.backend, SundialsRuns):
@@ -256,7 +283,10 @@ def _describe(
 
 
 def _explain(request: Request, kernel: Kernel, rolled: Rolled, late: float) -> str:
-    """Say why a run was given up or stopped, and the cure; "" where it was not, and for Ctrl-C."""
+    """Explain why a run ended early, with a cure.
+
+    Returns "" for a complete run and after Ctrl-C.
+    """
     status, scheme = int(rolled.status[0]), request.scheme
     name, step = type(scheme).__name__, request.inputs.longest
     if status == FINISHED:
@@ -287,7 +317,7 @@ def _explain(request: Request, kernel: Kernel, rolled: Rolled, late: float) -> s
 def _explain_sundials(scheme: Sundials, failure: str) -> str:
     found = re.search(r'(\w+) returned "(\w+)"', failure)
     words = f"{found[1]} returned {found[2]}" if found else failure.strip().splitlines()[-1]
-    # A motion that takes no end of steps at a loose tolerance has more likely broken down.
+    # At a loose tolerance, excessive steps indicate that the motion itself broke down.
     tight = scheme.rtol <= 1e-5
     cure = (
         "a larger rtol, a smaller step or a larger max_steps" if tight else "a smaller rtol or step"

@@ -1,4 +1,7 @@
-"""Input of rollouts: starts, parameters, controls and the steps that they are laid over, for one motion or for each."""
+"""Starts, parameters, controls and steps of rollouts.
+
+An array with one row is shared by all runs.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ import numpy as np
 from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.strings import RestLength
 from tenscasadi.simulation.control_input import ControlProfile, SampledControl, sample_control
-from tenscasadi.simulation.engine.request import Intervals
+from tenscasadi.simulation.engine.request import Intervals, count_runs
 from tenscasadi.simulation.feedback import Feedback
 from tenscasadi.simulation.time_grid import lay_grid
 from tenscasadi.util.validate import (
@@ -23,21 +26,28 @@ from tenscasadi.util.validate import (
     shown,
 )
 
-_MOST_DECISIONS = 1e7  # of a feedback
+_MOST_DECISIONS = 1e7  # feedback updates: bounds the memory
 
 
-class Plan(NamedTuple):
-    """Controls (n or 1, K, nu) on K equal parts, or feedback, with controls (1, 1, nu) that it replaces."""
+class ControlSchedule(NamedTuple):
+    """Controls of rollouts.
+
+    `controls` (n or 1, K, nu) are constant on K equal parts of the run. A `feedback` replaces
+    them; they are then a placeholder (1, 1, nu).
+    """
 
     controls: Array
     feedback: Feedback | None
 
 
 def read_starts(model: Model, states: Any, p: Array) -> Array:
-    """Return the starts (n or 1, nx); one that is not finite is its motion's own fault. Raises TypeError, ValueError."""
+    """Check the initial states (n or 1, nx).
+
+    A state that is not finite makes only its own run fail. Raises TypeError, ValueError.
+    """
     wanted = f"states of shape (n, {model.nx}) or ({model.nx},)"
     given = (
-        _shared([model.start_at(row) for row in p], model.nx)
+        _stack_rows([model.start_at(row) for row in p], model.nx)
         if states is None
         else real_array("states", states, wanted)
     )
@@ -53,7 +63,10 @@ def read_starts(model: Model, states: Any, p: Array) -> Array:
 
 
 def read_parameters(model: Model, given: Any) -> Array:
-    """Return the parameters (n or 1, np), checked. Raises TypeError, ValueError."""
+    """Check the parameters (n or 1, np).
+
+    Raises TypeError, ValueError.
+    """
     layout = model.parameters
     if isinstance(given, Mapping):
         tables = {name: value for name, value in given.items() if nesting(value) >= 2}
@@ -68,7 +81,7 @@ def read_parameters(model: Model, given: Any) -> Array:
         rows = np.tile(
             shared,
             (
-                count_motions(
+                count_runs(
                     **{f"parameters[{name!r}]": len(value) for name, value in checked.items()}
                 ),
                 1,
@@ -88,29 +101,32 @@ def _table(field: str, value: Any, place: slice) -> Array:
     return finite_array(field, value, (None, place.stop - place.start))
 
 
-def _shared(rows: list[Array], size: int) -> Array:
-    """Return rows of some size as an array, one where they are one and the same."""
+def _stack_rows(rows: list[Array], size: int) -> Array:
+    """Stack rows; one row if all are the same object."""
     kept = rows[:1] if all(row is rows[0] for row in rows) else rows
     return np.array(kept).reshape(len(kept), size)
 
 
-def read_controls(model: Model, controls: Any, p: Array) -> Plan:
-    """Return the controls, checked. Raises TypeError, ValueError."""
+def read_controls(model: Model, controls: Any, p: Array) -> ControlSchedule:
+    """Check the controls.
+
+    Raises TypeError, ValueError.
+    """
     nu = model.nu
     if isinstance(controls, Feedback):
         given, known = controls.controls.shape[1], controls.states.shape[1]
         if given != nu or known - 2 * model.nq not in (
             0,
             1,
-        ):  # with a clock or without: it is not fed back
+        ):  # the clock is not fed back
             raise ValueError(
                 f"controls is a Feedback of {given} controls and {known} states: the model has {nu} and {model.nx}"
             )
         if isinstance(model.scene.control, RestLength):
             _check_rest_lengths(controls)
-        return Plan(np.zeros((1, 1, nu)), controls)
+        return ControlSchedule(np.zeros((1, 1, nu)), controls)
     if controls is None:
-        return Plan(_initial(model, p)[:, None], None)
+        return ControlSchedule(_initial(model, p)[:, None], None)
     depth = nesting(controls)
     shapes: dict[int, tuple[int | None, ...]] = {1: (nu,), 2: (None, nu)}
     table = finite_array("controls", controls, shapes.get(depth, (None, None, nu)))
@@ -123,11 +139,11 @@ def read_controls(model: Model, controls: Any, p: Array) -> Plan:
         raise ValueError(
             f"controls{list(place)} is {table[place]:g}: rest lengths (RestLength) must be greater than 0"
         )
-    return Plan(table, None)
+    return ControlSchedule(table, None)
 
 
 def _check_rest_lengths(feedback: Feedback) -> None:
-    """Raise ValueError where feedback may decide rest lengths of 0 or less."""
+    """Raise ValueError unless feedback keeps rest lengths positive."""
     least = np.where(np.any(feedback.gains, axis=(0, 2)), -np.inf, feedback.controls.min(axis=0))
     bad = np.flatnonzero(
         (np.maximum(least, feedback.lower) < SMALLEST) | (feedback.upper < SMALLEST)
@@ -141,28 +157,27 @@ def _check_rest_lengths(feedback: Feedback) -> None:
 
 
 def _initial(model: Model, p: Array) -> Array:
-    """Return the control (n or 1, nu) that leaves the strings as they are."""
+    """Compute the model's initial controls (n or 1, nu)."""
     controls = np.array([model.control_at(row) for row in p]).reshape(len(p), model.nu)
     return controls[:1] if len(controls) and not np.ptp(controls, axis=0).any() else controls
 
 
-def count_motions(**rows: int) -> int:
-    """Return the number of motions. Raises ValueError where the arguments do not agree."""
-    several = {name: count for name, count in rows.items() if count != 1}
-    if len(set(several.values())) > 1:
-        told = ", ".join(f"{name} has {count} rows" for name, count in several.items())
-        raise ValueError(f"{told}: give as many of each, or one row that all motions share")
-    return next(iter(several.values()), 1)
-
-
 def first_time(model: Model, starts: Array) -> float:
-    """Return the time of the clock at the start, s; 0 where there is none."""
+    """Return the initial time of the clock [s].
+
+    It is 0 without a clock.
+    """
     times = model.split(starts)[2]
     return float(times[np.isfinite(times)][0]) if np.any(np.isfinite(times)) else 0.0
 
 
-def lay_steps(model: Model, starts: Array, t_end: float, step: float, plan: Plan) -> SampledControl:
-    """Lay the steps; what is sampled at each is the number of the interval of control that it belongs to."""
+def lay_steps(
+    model: Model, starts: Array, t_end: float, step: float, plan: ControlSchedule
+) -> SampledControl:
+    """Choose the steps of rollouts.
+
+    The sampled "control" of a step is the number of its control interval.
+    """
 
     def sample(end: float, steps: int) -> SampledControl:
         if plan.feedback is None:
@@ -195,11 +210,11 @@ def lay_steps(model: Model, starts: Array, t_end: float, step: float, plan: Plan
 
 
 def gather_intervals(
-    model: Model, inputs: SampledControl, plan: Plan
+    model: Model, inputs: SampledControl, plan: ControlSchedule
 ) -> tuple[Intervals, dict[str, Any] | None]:
-    """Gather steps of one length and one control, and what feedback decides there."""
+    """Merge equal steps into intervals and prepare the feedback arrays."""
     if inputs.ends is None:
-        count = plan.controls.shape[1]  # equal parts
+        count = plan.controls.shape[1]  # equal intervals
         row, steps, length = (
             np.arange(count),
             np.full(count, inputs.steps // count),
@@ -221,7 +236,7 @@ def gather_intervals(
     if plan.feedback is None:
         return Intervals(row, steps, length), None
     plan_size, referred = len(plan.feedback.controls), 2 * model.nq
-    last = [plan_size - 1]  # after the plan: its last gain, about its last state
+    last = [plan_size - 1]  # after the plan, the last gain holds its last state
     feedback = {
         "decides": np.concatenate([[1], np.diff(row) != 0]).astype(np.int64),
         "decision": np.minimum(row, plan_size).astype(np.int64),
@@ -239,8 +254,12 @@ def gather_intervals(
     return Intervals(np.zeros_like(row), steps, length), feedback
 
 
-def controls_at(plan: Plan, model: Model, time: Array, saved: Any, k: int) -> Array:
-    """Return the controls (T, nu) of motion k at saved times, s; those of feedback as if it were decided there."""
+def controls_at(plan: ControlSchedule, model: Model, time: Array, saved: Any, k: int) -> Array:
+    """Compute the controls of run k at saved times.
+
+    The controls are (T, nu), the times in s. Feedback is evaluated at the saved states, as if it
+    were updated there.
+    """
     if plan.feedback is None:
         table = plan.controls[k if len(plan.controls) > 1 else 0]
         return np.asarray(

@@ -1,4 +1,7 @@
-"""The loop of `engine.hpp` without C++: each step of all motions by CasADi's virtual machine, to the same numbers."""
+"""Integration loop of `engine.hpp` in Python and CasADi's virtual machine.
+
+Its results equal those of the compiled loop to the last bit.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscasadi.integrators.adaptive import Control, Memory, build_attempt
+from tenscasadi.integrators.adaptive import ErrorControl, Memory, build_attempt
 from tenscasadi.integrators.runge_kutta import build_step
 from tenscasadi.simulation.engine.request import (
     BEYOND,
@@ -22,28 +25,28 @@ from tenscasadi.simulation.engine.request import (
     TIRED,
     UNSOLVED,
 )
-from tenscasadi.simulation.engine.step_code import Program
+from tenscasadi.simulation.engine.step_code import KernelFunctions
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.validate import Array
 
-_BLOCK = 256  # motions that go through time together
-_FOLDED = 32  # steps in one call: a call from Python costs as much as a step of a ball
-_CHECKED = 64  # trial steps from one look at their lengths to the next
+_BLOCK = 256  # runs that are integrated together
+_FOLDED = 32  # steps per call: a call from Python costs as much as a step of a ball
+_CHECKED = 64  # trial steps between checks of their length
 _REST, _NEXT = (Memory._fields.index(name) for name in ("rest", "step"))
-_LOW = [4, 6]  # of `WORST`, which are least values
+_LOW = [4, 6]  # columns of `WORST` that hold minima
 Values = Mapping[str, Any]
 
 
 class Interpreted:
-    """A program in CasADi's virtual machine; called with the values of a request."""
+    """Backend that calls CasADi's virtual machine."""
 
     lanes = 0
 
-    def __init__(self, program: Program) -> None:
+    def __init__(self, program: KernelFunctions) -> None:
         functions, self.sizes = dict(program.functions), program.sizes
         self.together = 1 if program.adaptive else _BLOCK
         if program.adaptive and program.tableau is not None:
-            control = Control(*(functions.pop(name) for name in Control._fields))
+            control = ErrorControl(*(functions.pop(name) for name in ErrorControl._fields))
             functions["attempt"] = build_attempt(control, program.tableau)
         elif program.tableau is not None:
             functions["step"] = build_step(program.tableau, functions.pop("ode"))
@@ -53,18 +56,18 @@ class Interpreted:
         self._mapped: dict[tuple[str, int], ArrayFunction] = {}
 
     def __call__(self, values: Values) -> None:
-        """Fill the results of a request."""
+        """Fill the result arrays of a request."""
         with np.errstate(all="ignore"):
             for first in range(0, values["motions"], self.together):
                 last = min(first + self.together, values["motions"])
                 Loop(self, values, np.arange(first, last)).roll()
 
     def has(self, name: str) -> bool:
-        """Tell whether there is such a Function."""
+        """Return whether the kernel has the Function `name`."""
         return name in self._functions
 
     def evaluate(self, name: str, *inputs: Array) -> list[Array]:
-        """Return the results (n, size) of a Function for rows of inputs (n, size)."""
+        """Evaluate a Function at rows of inputs (n, size)."""
         key = name, len(inputs[0])
         if key not in self._mapped:
             function = self._functions[name]
@@ -72,11 +75,17 @@ class Interpreted:
         return self._mapped[key](*inputs)
 
     def observe(self, states: Array, inputs: Array) -> Array:
-        """Return the measures (T, M) of states (T, nx) under inputs (T, nw)."""
+        """Compute the measures (T, M).
+
+        States are (T, nx), inputs (T, nw).
+        """
         return self.evaluate("measure", states, inputs)[0]
 
     def steps(self, loop: Loop, interval: int) -> Iterator[tuple[int, int]]:
-        """Take the steps of an interval; yield a failure code and a number of steps."""
+        """Take the steps of an interval.
+
+        Yields a status code and the number of steps taken.
+        """
         q, sizes = loop.q, self.sizes
         length = float(q["length"][interval])
         n, numbers = len(loop.z), np.tile(q["numbers"], (len(loop.z), 1))
@@ -102,7 +111,10 @@ class Interpreted:
             yield FINISHED, taken
 
     def _control_error(self, loop: Loop, length: float) -> int:
-        """Try steps up to the end of a step of the grid; one that is given up leaves z where it began."""
+        """Take trial steps to the end of a grid step.
+
+        A failure leaves z at the start of the grid step.
+        """
         q, z, memory = loop.q, loop.z, loop.memory
         memory[0, _REST] = length
         for trial in range(1, int(q["trials"]) + 1):
@@ -121,7 +133,10 @@ class Interpreted:
 
 
 class Loop:
-    """Some motions on their way; `backend.steps` moves z (n, nx and the work) through an interval."""
+    """Integration loop over a block of runs.
+
+    `backend.steps` advances z, the states (n, nx) and the work, through an interval.
+    """
 
     def __init__(self, backend: Any, q: Values, motions: Any) -> None:
         self.backend, self.q, self.motions, self.sizes = backend, q, motions, backend.sizes
@@ -145,7 +160,7 @@ class Loop:
 
     @property
     def measures(self) -> bool:
-        """Whether motions are measured."""
+        """Whether runs are measured."""
         return bool(self.sizes["measures"])
 
     @property
@@ -155,7 +170,7 @@ class Loop:
 
     @property
     def unobserved(self) -> int:
-        """Number of steps up to the next one that is saved or looked at."""
+        """Number of steps to the next saved or checked one."""
         q = self.q
         periods = [period for period in (q["save_every"], q["look_every"]) if period]
         return int(min([q["total"] - self.step, *(each - self.step % each for each in periods)]))
@@ -167,7 +182,7 @@ class Loop:
         return np.asarray(self.jumped + self.z[:, nx] if self.sizes["work"] else self.jumped)
 
     def roll(self) -> None:
-        """Go through all intervals, then write down the ends."""
+        """Integrate all intervals and store the final states."""
         q = self.q
         for interval in range(q["intervals"]):
             if self.status.all():
@@ -249,7 +264,7 @@ class Loop:
             self._weigh(fine)
 
     def _weigh(self, fine: Any) -> None:
-        """Keep the extremes of the measures."""
+        """Update the extremes of the measures."""
         bars, joints, kinetic, elastic, gravity = self.measure[:, :5].T
         energy = kinetic + elastic + gravity
         if self.step == 0:
@@ -287,14 +302,14 @@ class Loop:
 
 
 def _fold(step: ca.Function) -> ca.Function:
-    """Build the Function of several steps under the same inputs."""
+    """Build a Function of several steps with the same input."""
     given = [ca.MX.sym(step.name_in(k), step.sparsity_in(k)) for k in range(step.n_in())]
     z = reduce(lambda z, _: step.call([z, *given[1:]])[0], range(_FOLDED), given[0])
     return ca.Function("folded", given, [z])
 
 
 def _until_failure(steps: Iterator[tuple[int, int]]) -> Iterator[tuple[int, int]]:
-    """Yield codes and numbers of steps; UNSOLVED if CasADi cannot evaluate a step."""
+    """Yield the steps, and UNSOLVED if CasADi cannot evaluate one."""
     try:
         yield from steps
     except RuntimeError:

@@ -1,4 +1,4 @@
-"""The kernel of a run: the backend that takes its steps, the arrays it fills, and the threads that share the motions."""
+"""Kernel of a run: backend, result arrays and threads."""
 
 from __future__ import annotations
 
@@ -26,13 +26,14 @@ from tenscasadi.simulation.engine.request import (
     STOPPED,
     WORST,
     Intervals,
-    Piece,
     Rolled,
+    RunPiece,
+    count_runs,
 )
 from tenscasadi.simulation.engine.step_code import (
     Account,
+    KernelFunctions,
     Measured,
-    Program,
     write_program,
 )
 from tenscasadi.simulation.engine.sundials_runs import SundialsRuns
@@ -45,41 +46,48 @@ from tenscasadi.util.compile import (
 )
 from tenscasadi.util.validate import LARGEST, Array
 
-BROKEN_BARS = 0.1  # relative length error at which a run has diverged
-_BEYOND = 1e12  # entries of a state above this are not physical in any unit
-SHORTEST = 1e-13  # of the grid's spacing: a trial step as short as this makes no headway
-_POLL = 0.05  # s between two looks at what other threads have done
+BROKEN_BARS = 0.1  # relative length error of a diverged run
+_BEYOND = 1e12  # state entries above this are not physical in any unit
+SHORTEST = 1e-13  # × grid spacing: shorter trial steps make no progress
+_POLL = 0.05  # time between two progress checks of the threads, s
 
 
 class Backend(Protocol):
-    """Object that takes the steps of a request: machine code, CasADi's virtual machine, or SUNDIALS."""
+    """Interface of objects that take the steps."""
 
     lanes: int
 
     def __call__(self, values: Mapping[str, Any]) -> None:
-        """Fill the results of a request."""
+        """Fill the result arrays of a request."""
 
     def observe(self, states: Array, inputs: Array) -> Array:
-        """Return the measures (T, M) of states (T, nx) under inputs (T, nw)."""
+        """Compute the measures (T, M).
+
+        States are (T, nx), inputs (T, nw).
+        """
 
 
 class Watch(NamedTuple):
-    """Watch over a run: `seen` is told the steps done now and then; after `deadline` by the clock `time.monotonic` it stops."""
+    """Progress callback and deadline of a run.
+
+    `seen` receives the number of completed steps. The run stops when `time.monotonic` passes
+    `deadline`.
+    """
 
     seen: Callable[[int], object]
     deadline: float = np.inf
 
 
 class Kernel:
-    """Steps of motions of one model; `build_kernel` makes it.
+    """Integrator of one or many runs of a model.
 
-    lanes: motions that each instruction moves; 0: none, it is not compiled, and `note` then may say
-    why, as it does where code that branches leaves one lane.
+    `build_kernel` makes it. `lanes` is the number of runs that one instruction advances, 0 for
+    code that is not compiled. `note` gives the reason if it is not compiled or has one lane only.
     """
 
     def __init__(
         self,
-        program: Program,
+        program: KernelFunctions,
         numbers: Array,
         trials: int,
         every: int,
@@ -100,10 +108,11 @@ class Kernel:
         save_every: int | None = None,
         threads: int = 1,
     ) -> Rolled:
-        """Roll n motions through K equal intervals of `steps_per_interval` steps of `step` s.
+        """Integrate n runs over K equal intervals.
 
-        states (n or 1, nx); inputs (n or 1, K, nw), w = [u; p], constant in each interval. Ctrl-C
-        waits for the end where there is one thread. Raises TypeError, ValueError.
+        An interval has `steps_per_interval` steps of `step` s. The states are (n or 1, nx). The
+        inputs w = [u; p] (n or 1, K, nw) are constant in each interval. With one thread, Ctrl-C
+        takes effect at the end. Raises TypeError, ValueError.
         """
         count = inputs.shape[1] if np.ndim(inputs) == 3 else 0
         intervals = Intervals(
@@ -122,15 +131,15 @@ class Kernel:
         save_every: int = 0,
         **options: Any,
     ) -> Rolled:
-        """Roll n motions through `intervals`; save_every, options: of `march`."""
+        """Integrate n runs over `intervals`; see `march` for the rest."""
         return self.march(
-            states, [Piece(intervals, inputs)], int(intervals.steps.sum()), save_every, **options
+            states, [RunPiece(intervals, inputs)], int(intervals.steps.sum()), save_every, **options
         )
 
     def march(
         self,
         states: Array,
-        pieces: Iterable[Piece],
+        pieces: Iterable[RunPiece],
         steps: int,
         save_every: int = 0,
         *,
@@ -141,36 +150,36 @@ class Kernel:
         threads: int = 1,
         watch: Watch | None = None,
     ) -> Rolled:
-        """Roll n motions through `steps` steps, piece by piece.
+        """Integrate n runs over `steps` steps, piece by piece.
 
         Parameters
         ----------
         states : ndarray, shape (n or 1, nx)
-            Their starts.
-        pieces : iterable of Piece
-            Parts of the run, one after the other.
+            Initial states.
+        pieces : iterable of RunPiece
+            Consecutive parts of the run.
         steps : int
-            Steps of all pieces.
+            Total number of steps.
         save_every : int
-            Steps from one kept row to the next; 0: none is kept.
+            Steps between saved rows; 0 saves none.
         look_every : int
-            Steps from one measurement to the next, 0: only where a row is kept and at the end.
+            Steps between measurements; 0 measures only saved rows and the end.
         longest : float
-            Longest step, s, of a scheme that controls its error.
+            Longest step of a scheme with error control [s].
         parameters : ndarray, shape (n or 1, np), optional
-            Parameters, where the inputs hold the control alone.
+            Parameters, if the inputs hold only the control.
         feedback : dict, optional
-            Controls that depend on the state, by name as `engine.hpp` reads them.
+            State feedback, with the names of `engine.hpp`.
         threads : int
-            Threads that share the motions.
+            Threads that share the runs.
         watch : Watch, optional
-            Then the work is done in other threads, and after Ctrl-C or late motions that have not
-            arrived have the status STOPPED.
+            Progress and deadline. Other threads then do the work. After Ctrl-C or the deadline,
+            unfinished runs have the status STOPPED.
 
         Returns
         -------
         Rolled
-            Their ends, and what was kept.
+            Final states and saved rows.
         """
         sizes = self._program.sizes
         states = _rows("states", states, (None, sizes["nx"]))
@@ -187,7 +196,9 @@ class Kernel:
         try:
             for intervals, given in pieces:
                 inputs = _rows("inputs", given, (None, None, sizes["nw"] - known))
-                n = count_rows(states=len(states), inputs=len(inputs), parameters=len(held))
+                n = count_runs(
+                    " and ", states=len(states), inputs=len(inputs), parameters=len(held)
+                )
                 if result is None:
                     result = self._reserve(n, steps, save_every, longest)
                 at = states if begin == 0 else result.states.copy()
@@ -198,7 +209,7 @@ class Kernel:
                 begin += int(intervals.steps.sum())
                 if result.status.all():
                     break
-        except KeyboardInterrupt:  # while the pieces were made
+        except KeyboardInterrupt:  # while pieces were generated
             if result is None or watch is None:
                 raise
             going = result.status == FINISHED
@@ -208,7 +219,10 @@ class Kernel:
         return result
 
     def observe(self, states: Array, inputs: Array) -> Array:
-        """Return the measures (T, M) of states (T, nx) under inputs (T, nw)."""
+        """Compute the measures (T, M).
+
+        States are (T, nx), inputs (T, nw).
+        """
         return self.backend.observe(states, inputs)
 
     def _reserve(self, n: int, steps: int, save_every: int, longest: float) -> Rolled:
@@ -278,7 +292,10 @@ class Kernel:
 def _share(
     work: Callable[[], Any], threads: int, values: Mapping[str, Any], watch: Watch | None
 ) -> None:
-    """Let `threads` threads do the work, and wait; Ctrl-C, or whatever else ends the wait, tells them to stop before memory goes that they use."""
+    """Execute the work in `threads` threads and wait for them.
+
+    Ctrl-C and other exceptions stop the threads before their arrays are freed.
+    """
     ended: list[BaseException | None] = []
     wake = threading.Event()
 
@@ -286,7 +303,7 @@ def _share(
         error = None
         try:
             work()
-        except BaseException as raised:  # noqa: BLE001  raised again by who waits
+        except BaseException as raised:  # noqa: BLE001  the waiting thread raises it again
             error = raised
         ended.append(error)
         wake.set()
@@ -318,7 +335,11 @@ def _wait(
     values: Mapping[str, Any],
     watch: Watch | None,
 ) -> None:
-    """Wait for what sets `wake` until it is over. Threads are not joined: a join that Ctrl-C ends takes them for dead (CPython issue 89437)."""
+    """Wait until `over` returns True; `wake` ends a pause early.
+
+    Threads are not joined. A join that Ctrl-C interrupts marks them as finished (CPython issue
+    89437).
+    """
     done = False
     while not done:
         wake.wait(_POLL)
@@ -341,15 +362,6 @@ def _rows(field: str, value: Any, shape: tuple[int | None, ...]) -> Array:
     return array
 
 
-def count_rows(**rows: int) -> int:
-    """Return the number of motions that these rows make, of which each is as many or one that all share. Raises ValueError."""
-    several = {name: count for name, count in rows.items() if count != 1}
-    if len(set(several.values())) > 1:
-        told = " and ".join(f"{name} has {count} rows" for name, count in several.items())
-        raise ValueError(f"{told}: give as many of each, or one row that all motions share")
-    return next(iter(several.values()), 1)
-
-
 def build_kernel(
     model: Model,
     scheme: Scheme,
@@ -362,42 +374,44 @@ def build_kernel(
     lanes: int | None = None,
     compiled: Compiled = None,
 ) -> Kernel:
-    """Build the steps of a model; compiled ones are kept by it.
+    """Build the kernel of a model.
+
+    The model caches it.
 
     Parameters
     ----------
     model : Model
-        The model of all motions.
+        Model of all runs.
     scheme : Scheme
         Integration scheme.
     correction : Projection or BarLengthCorrection, optional
         Applied after every `correction.every`-th step.
     stage, final : casadi.Function, optional
-        Costs (x, w) → (1), w = [u; p]: of each interval, at its end, times its length; and of the
-        end. Their w may be longer, by what only costs depend on, such as the time; so are then the
-        inputs.
+        Stage cost, evaluated at the end of each interval and multiplied by its length, and
+        terminal cost: Functions (x, w) → (1) with w = [u; p]. Their w, and then the inputs, may
+        have further entries for the costs alone, such as the time.
     measured : bool or {"nothing", "errors", "all"}
-        Whether to measure errors of bars and joints, and energies; "all": also force densities and
-        tensions, which `Kernel.observe` tells.
+        Measure errors of bars and joints, and energies; "all" adds force densities and tensions
+        to `Kernel.observe`.
     account : Account, optional
-        Energy that is accounted for. Default: all of it where something is measured.
+        Energies to integrate. Default: all of them if something is measured.
     lanes : int, optional
-        Motions in each instruction. Default: what the processor's registers hold, 1 for schemes
-        whose steps differ from motion to motion.
+        Runs per instruction. Default: as many as the registers hold; 1 for schemes whose steps
+        differ between runs.
     compiled : bool or Single, optional
-        True: as machine code; False: by CasADi; None: as machine code where there is a compiler.
+        True: machine code. False: CasADi. None: machine code if there is a compiler.
 
     Returns
     -------
     Kernel
-        Call it with states and inputs.
+        Integrator to call with states and inputs.
 
     Raises
     ------
     TypeError, ValueError
         An argument is wrong.
     CompileError
-        Machine code was asked for and cannot be made.
+        `compiled` is True and compilation fails.
     """
     check_scheme(scheme)
     told: Measured = (
@@ -408,7 +422,7 @@ def build_kernel(
     branches = scheme.adaptive or scheme.implicit or isinstance(compiled, Single)
     width = 1 if branches else lanes
     options = scheme, correction, stage, final, told, account, width, compiled
-    if not isinstance(scheme, Hashable):  # a scheme of somebody's own
+    if not isinstance(scheme, Hashable):  # user-defined scheme
         return _build(model, *options)
     return model.keep(("kernel", *options, find_compiler()), lambda: _build(model, *options))
 
@@ -462,8 +476,8 @@ def _build(
 
 
 def check_single(scheme: Scheme) -> None:
-    """Raise ValueError where a scheme asks for more than single precision holds."""
-    least = 1e-6  # some ten times the rounding of float, as 1e-15 is of double
+    """Raise ValueError for tolerances below single precision."""
+    least = 1e-6  # about ten times the rounding error of float, as 1e-15 of double
     for name in ("rtol", "tolerance"):
         asked = getattr(scheme, name, None)
         if asked is not None and asked < least:
@@ -473,7 +487,7 @@ def check_single(scheme: Scheme) -> None:
 
 
 def _reason(error: CompileError) -> str:
-    """Return the line of a compiler's words that says what is wrong."""
+    """Extract the error line from a compiler's output."""
     lines, found = str(error).splitlines(), find_compiler()
     for line in lines:
         if "error: " in line:

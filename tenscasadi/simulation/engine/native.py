@@ -1,4 +1,7 @@
-"""The loop of `engine.hpp` as machine code: an engine for all models, and the model's Functions in C."""
+"""Integration loop of `engine.hpp` as machine code.
+
+One library is the loop of all models, another one the Functions of the model.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ from tenscasadi.simulation.engine.request import make_struct
 from tenscasadi.simulation.engine.step_code import (
     CALLS,
     MODEL_SIZES,
-    Program,
+    KernelFunctions,
     room_sizes,
     write_engine,
     write_lanes,
@@ -22,8 +25,8 @@ from tenscasadi.util.compile import compile_library
 from tenscasadi.util.validate import Array
 
 
-class Model(ctypes.Structure):
-    """The struct of `engine.hpp`: sizes, and addresses of the Functions."""
+class ModelStruct(ctypes.Structure):
+    """Model of `engine.hpp`: sizes, and addresses of the Functions."""
 
     _fields_ = [
         *((name, ctypes.c_int64) for name in MODEL_SIZES),
@@ -32,32 +35,38 @@ class Model(ctypes.Structure):
 
 
 class Native:
-    """A program as machine code; called with the values of a request.
+    """Backend in machine code.
 
-    One lane: the engine is compiled once for all models and the model's code is linked to it, in
-    single precision if asked for. More lanes: both are one library. Raises CompileError.
+    With one lane, a loop that all models share calls the library of the model, in single precision
+    if `single`. With more lanes, loop and model are one library. Raises CompileError.
     """
 
-    def __init__(self, program: Program, lanes: int | None, single: bool = False) -> None:
+    def __init__(self, program: KernelFunctions, lanes: int | None, single: bool = False) -> None:
         self._measures = program.sizes["measures"]
-        self._model: Model | None = None
+        self._model: ModelStruct | None = None
         if lanes == 1:
             self._code = compile_library("model", write_model(program, single), ".c")
             self._library = compile_library("engine", write_engine(program, single))
             calls = {name: _address(self._code, f"motion_{name}") for name in program.functions}
-            self._model = Model(**program.sizes, **room_sizes(program), **calls)
+            self._model = ModelStruct(**program.sizes, **room_sizes(program), **calls)
         else:
             self._library = compile_library("motion", write_lanes(program, lanes))
         self.lanes = int(self._library.motion_lanes())
         self._at = None if self._model is None else ctypes.byref(self._model)
 
     def __call__(self, values: Mapping[str, Any]) -> None:
-        """Fill the results of a request. Raises MemoryError."""
+        """Fill the result arrays of a request.
+
+        Raises MemoryError.
+        """
         if self._library.motion_roll(self._at, ctypes.byref(make_struct(values))):
             raise MemoryError("there is no memory for the motions on their way")
 
     def observe(self, states: Array, inputs: Array) -> Array:
-        """Return the measures (T, M) of states (T, nx) under inputs (T, nw); one lane."""
+        """Compute the measures (T, M); it needs one lane.
+
+        States are (T, nx), inputs (T, nw).
+        """
         states, inputs = (np.ascontiguousarray(rows, dtype=float) for rows in (states, inputs))
         found = np.empty((len(states), self._measures))
         pointers = (ctypes.c_void_p(rows.ctypes.data) for rows in (states, inputs, found))

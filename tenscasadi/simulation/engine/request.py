@@ -1,4 +1,7 @@
-"""Requests to an engine, and what comes back: arrays by name, in the order of the struct of `engine.hpp`."""
+"""Input and result arrays of an integration loop.
+
+Their names and order are those of the struct in `engine.hpp`.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ from tenscasadi.util.validate import Array
 
 Integers = NDArray[np.int64]
 
-# the codes of `engine.hpp`; after those up to BROKEN a motion is lost, after others it ends early
+# Codes of `engine.hpp`. Up to BROKEN the run is lost; after the others it ends early.
 FINISHED, NOT_FINITE, BEYOND, BROKEN, STOPPED, UNSOLVED, STUCK, TIRED = range(8)
 MEASURED = ("bar_length_error", "joint_error", "kinetic", "elastic", "gravity", "supplied")
 KINETIC, SUPPLIED = (MEASURED.index(name) for name in ("kinetic", "supplied"))
@@ -28,7 +31,7 @@ WORST = (
     "gravity_low",
     "gravity_high",
 )
-CARRIED = ("energy", "bars", "work", "jumps", *Memory._fields)  # and the control, with parameters
+CARRIED = ("energy", "bars", "work", "jumps", *Memory._fields)  # then the stacked input
 
 _NUMBERS = "motions", "state_stride", "input_stride", "parameter_stride", "width", "intervals"
 _INTERVALS = "row", "count", "length", "decides", "states", "inputs", "parameters"
@@ -42,8 +45,8 @@ def _fields(kind: Any, *names: str) -> list[tuple[str, Any]]:
     return [(name, kind) for name in names]
 
 
-class Struct(ctypes.Structure):
-    """The struct; it points into arrays, which have to outlive it."""
+class RequestStruct(ctypes.Structure):
+    """Struct with pointers into arrays that must outlive it."""
 
     _fields_ = [
         *_fields(ctypes.c_int64, *_NUMBERS),
@@ -58,9 +61,12 @@ class Struct(ctypes.Structure):
     ]
 
 
-def make_struct(values: Mapping[str, Any]) -> Struct:
-    """Return the struct of these numbers and C-contiguous arrays; what is missing or None is 0."""
-    return Struct(
+def make_struct(values: Mapping[str, Any]) -> RequestStruct:
+    """Build the struct from numbers and C-contiguous arrays.
+
+    Missing values and None are 0.
+    """
+    return RequestStruct(
         **{
             name: value.ctypes.data if isinstance(value, np.ndarray) else value
             for name, value in values.items()
@@ -70,29 +76,47 @@ def make_struct(values: Mapping[str, Any]) -> Struct:
 
 
 class Intervals(NamedTuple):
-    """Intervals of time, (K,) each: the row of the inputs that holds in it, its steps, and their length, s."""
+    """Time intervals with constant input.
+
+    Entries (K,): row of the inputs, number of steps, and length of a step [s].
+    """
 
     row: Integers
     steps: Integers
     length: Array
 
 
-class Piece(NamedTuple):
-    """Part of a run: intervals, and the inputs (n or 1, K, ·) that they name."""
+class RunPiece(NamedTuple):
+    """Part of a run.
+
+    Its intervals select rows of the inputs (n or 1, K, ·).
+    """
 
     intervals: Intervals
     inputs: Array
 
 
 class Rolled(NamedTuple):
-    """Ends of n motions; one that is lost ends in NaN and costs inf.
+    """Results of n runs.
 
-    states (n, nx): their ends, or where they were stopped. saved (n, T, nx): the start, each
-    `save_every`-th step and the end; None where nothing is saved. cost (n,). status (n,): 0, or the
-    code of what went wrong; `fault`, `good` (n,): the step at which that was found, and the last one
-    at which all was well. measured (n, T, 6), worst (n, 8), carry (n, ·): see `MEASURED`, `WORST`,
-    `CARRIED`. corrected (n, T, 2): movement of a node, m, and energy added, J, by the first
-    correction after each saved row. None: not measured.
+    A run that fails ends in NaN and costs inf. A field that was not requested is None.
+
+    Attributes
+    ----------
+    states : ndarray, shape (n, nx)
+        Final states, or those at which runs were stopped.
+    saved : ndarray, shape (n, T, nx) or None
+        Start, every `save_every`-th step, and end.
+    cost : ndarray, shape (n,)
+        Costs.
+    status : ndarray, shape (n,)
+        0, or the code of the failure.
+    fault, good : ndarray, shape (n,)
+        Step at which the failure was detected, and the last good one before.
+    measured, worst, carry : ndarray, shapes (n, T, 6), (n, 8), (n, ·)
+        Columns as in `MEASURED`, `WORST` and `CARRIED`.
+    corrected : ndarray, shape (n, T, 2) or None
+        Movement of a node [m] and energy [J] by the first correction after each saved row.
     """
 
     states: Array
@@ -108,12 +132,24 @@ class Rolled(NamedTuple):
 
     @property
     def supplied(self) -> Array:
-        """Energy (n,) supplied up to the end, J."""
+        """Energy supplied up to the end (n,) [J]."""
         work, jumps = (self.carry[:, CARRIED.index(name)] for name in ("work", "jumps"))
         return np.asarray(work + jumps)
 
     @property
     def memory(self) -> list[Memory]:
-        """Memory of a scheme that controls its error, of each motion."""
+        """State of the step-size control of each run."""
         first = CARRIED.index(Memory._fields[0])
         return [Memory(*row[first : len(CARRIED)].tolist()) for row in self.carry]
+
+
+def count_runs(joiner: str = ", ", /, **rows: int) -> int:
+    """Return the number of runs that arrays with these rows describe.
+
+    An array with one row is shared by all runs. Raises ValueError.
+    """
+    several = {name: count for name, count in rows.items() if count != 1}
+    if len(set(several.values())) > 1:
+        told = joiner.join(f"{name} has {count} rows" for name, count in several.items())
+        raise ValueError(f"{told}: give as many of each, or one row that all motions share")
+    return next(iter(several.values()), 1)

@@ -1,4 +1,7 @@
-"""The code of a run: CasADi Functions under the names of `engine.hpp`, and their C and C++."""
+"""Generated code of a kernel in CasADi, C and C++.
+
+The Functions have the names that `engine.hpp` expects.
+"""
 
 from __future__ import annotations
 
@@ -16,15 +19,15 @@ from tenscasadi.integrators.runge_kutta import (
     EmbeddedRungeKutta,
     ExplicitRungeKutta,
     equal_weights,
-    needed_stages,
     repeats_last,
+    select_stages,
 )
 from tenscasadi.integrators.scheme import Scheme, equations
-from tenscasadi.integrators.stabilization import Correction, build_effect, held_correction
+from tenscasadi.integrators.stabilization import Correction, build_correction, build_effect
 from tenscasadi.integrators.tableaux import Tableau
 
 Measured = Literal["nothing", "errors", "all"]
-# Functions of `struct Model`, in its order
+# Functions of `struct Model`, in order
 CALLS = (
     "ode",
     "step",
@@ -39,16 +42,15 @@ CALLS = (
 )
 _OWN = ("nx", "nw", "nu", "work", "jumps", "measures", "modes", "errors", "stages")
 MODEL_SIZES = (*_OWN, "size_arg", "size_res", "size_iw", "size_w")
-_MOST_INPUTS = 10  # of a Function: those of `decide`
+_MOST_INPUTS = 10  # number of inputs of `decide`, the longest
 
-# CasADi writes if_else as a sum of these; the operands are variables, or entries that a loop passes
-# over.
+# CasADi writes if_else as a sum of these. Operands are variables or loop entries.
 _OPERAND = r"\w+(?:\[\w+\])?|\(\*\w+\+\+\)"
 _CONDITION = re.compile(rf"\(({_OPERAND})\?({_OPERAND}):0\)")
 _SIGN = re.compile(r"^casadi_real casadi_sign\(.*?\}$", re.DOTALL | re.MULTILINE)
 _LOOK_UP = re.compile(
     r"casadi_interpn\([^,;]+, \d+, (\w+), \w+, (\w+),"
-)  # of a table: its points, and its values
+)  # points and values of a table
 _TABLE_CODE = "clear", "low", "interpn_weights", "interpn_interpolate", "flip", "interpn"
 _COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
 _WIDEST = """
@@ -62,8 +64,11 @@ _WIDEST = """
 """
 
 
-class Program(NamedTuple):
-    """Functions and sizes of `struct Model`; `tableau` steps `ode`, None: there is a `step`."""
+class KernelFunctions(NamedTuple):
+    """Functions and sizes of a model for `engine.hpp`.
+
+    With a `tableau` the loop steps `ode` itself. Otherwise it calls a Function "step".
+    """
 
     functions: dict[str, ca.Function]
     sizes: dict[str, int]
@@ -76,7 +81,10 @@ class Program(NamedTuple):
 
 
 class Account(NamedTuple):
-    """Energy that a run accounts for: work of forces beside the potentials, changes of the control."""
+    """Energies that a run integrates.
+
+    *power*: work of nonconservative forces. *jumps*: energy jumps at changes of the control.
+    """
 
     power: bool
     jumps: bool
@@ -89,8 +97,11 @@ def write_program(
     account: Account,
     measured: Measured = "nothing",
     costs: tuple[ca.Function | None, ca.Function | None] = (None, None),
-) -> Program:
-    """Write the Functions of a run; costs: of intervals, and of the end."""
+) -> KernelFunctions:
+    """Build the Functions of a kernel.
+
+    `costs` are the stage and the terminal cost.
+    """
     power = model.stacked(model.power) if account.power and model.power is not None else None
     tableau = _tableau(scheme)
     sizes = dict.fromkeys(_OWN, 0) | {"nx": model.nx, "nu": model.nu}
@@ -99,7 +110,7 @@ def write_program(
         sizes["modes"] = functions["ode"].size1_in(1) - model.nw
         sizes["errors"] = len(scheme.tableau.errors)
     else:
-        functions = _fixed_steps(model, scheme, correction, power, tableau)
+        functions = _build_steps(model, scheme, correction, power, tableau)
     costing = {name: cost for name, cost in zip(("stage", "final"), costs, strict=True) if cost}
     functions |= costing | _observing(model, account, measured)
     if "measure" in functions:
@@ -108,17 +119,19 @@ def write_program(
     sizes |= {"work": int(power is not None), "jumps": int(account.jumps)}
     sizes["stages"] = 0 if tableau is None else len(tableau.b) + 1
     if sizes["nw"] > model.nw:
-        functions = {name: _widened(f, model.nw, sizes["nw"]) for name, f in functions.items()}
-    return Program({name: _renamed(name, f) for name, f in functions.items()}, sizes, tableau)
+        functions = {name: _widen(f, model.nw, sizes["nw"]) for name, f in functions.items()}
+    return KernelFunctions(
+        {name: _rename(name, f) for name, f in functions.items()}, sizes, tableau
+    )
 
 
-def write_observer(model: Model, account: Account, measured: Measured) -> Program:
-    """Write the Functions that only look at a run, whose steps are not ours."""
+def write_observer(model: Model, account: Account, measured: Measured) -> KernelFunctions:
+    """Build the Functions that measure a run of SUNDIALS."""
     functions = _observing(model, account, measured)
     sizes = dict.fromkeys(_OWN, 0) | {"nx": model.nx, "nu": model.nu, "nw": model.nw}
     sizes |= {"work": int(account.power and model.power is not None), "jumps": int(account.jumps)}
     sizes["measures"] = functions["measure"].size1_out(0) if "measure" in functions else 0
-    return Program(functions, sizes, None)
+    return KernelFunctions(functions, sizes, None)
 
 
 def _observing(model: Model, account: Account, measured: Measured) -> dict[str, ca.Function]:
@@ -130,7 +143,7 @@ def _observing(model: Model, account: Account, measured: Measured) -> dict[str, 
     return functions
 
 
-def _fixed_steps(
+def _build_steps(
     model: Model,
     scheme: Scheme,
     correction: Correction | None,
@@ -139,19 +152,22 @@ def _fixed_steps(
 ) -> dict[str, ca.Function]:
     functions = {}
     if tableau is not None:
-        functions["ode"] = _at_once(equations(model, power), model, power)
-    elif isinstance(scheme, Collocation):  # its tolerance is a number of the run
+        functions["ode"] = _merge_power(equations(model, power), model, power)
+    elif isinstance(scheme, Collocation):  # the tolerance is an input of the loop
         functions["step"] = scheme.advance_within(model, power)
     else:
         functions["step"] = scheme.advance(model, power)
-    project = None if correction is None else held_correction(model, correction)
+    project = None if correction is None else build_correction(model, correction)
     if project is not None:
         functions |= {"project": project, "effect": build_effect(model)}
     return functions
 
 
-def _at_once(ode: ca.Function, model: Model, power: ca.Function | None) -> ca.Function:
-    """Return the ode with the work of `power` as one scalar Function, where it can be: both take the same forces, which are then computed once."""
+def _merge_power(ode: ca.Function, model: Model, power: ca.Function | None) -> ca.Function:
+    """Merge ode and power into one scalar Function if possible.
+
+    Both use the same forces, which are then computed once.
+    """
     if power is None or not power.is_a("SXFunction") or not model.ode.is_a("SXFunction"):
         return ode
     z, w = ca.SX.sym("z", model.nx + 1), ca.SX.sym("w", model.nw)
@@ -160,7 +176,10 @@ def _at_once(ode: ca.Function, model: Model, power: ca.Function | None) -> ca.Fu
 
 
 def _tableau(scheme: Scheme) -> Tableau | None:
-    """Return the tableau of a scheme that steps as it says, None for others."""
+    """Return the tableau of a Runge-Kutta scheme, else None.
+
+    Subclasses with their own `advance` or `step` have none.
+    """
     if not isinstance(scheme, ExplicitRungeKutta):
         return None
     own = (
@@ -171,7 +190,10 @@ def _tableau(scheme: Scheme) -> Tableau | None:
 
 
 def _measure(observe: ca.Function, everything: bool) -> ca.Function:
-    """Return (x, w) -> errors of bars and joints and the energies, then force densities and tensions."""
+    """Build (x, w) → constraint errors and energies.
+
+    With `everything`, force densities and tensions follow.
+    """
     kind: Any = ca.SX if observe.is_a("SXFunction") else ca.MX
     x, w = kind.sym("x", observe.size1_in(0)), kind.sym("w", observe.size1_in(1))
     found = dict(zip(observe.name_out(), observe.call([x, w]), strict=True))
@@ -180,8 +202,11 @@ def _measure(observe: ca.Function, everything: bool) -> ca.Function:
     return ca.Function("measure", [x, w], [ca.vertcat(*(found[name] for name in names))])
 
 
-def _widened(function: ca.Function, own: int, nw: int) -> ca.Function:
-    """Return a Function (x, w, ...) as one of a longer w, of which it uses the first entries."""
+def _widen(function: ca.Function, own: int, nw: int) -> ca.Function:
+    """Extend the input w of a Function to `nw` entries.
+
+    The Function ignores the new entries.
+    """
     if function.n_in() < 2 or function.size1_in(1) != own:
         return function
     inputs: list[Any] = function.sx_in() if function.is_a("SXFunction") else function.mx_in()
@@ -192,8 +217,11 @@ def _widened(function: ca.Function, own: int, nw: int) -> ca.Function:
     )
 
 
-def _renamed(name: str, function: ca.Function) -> ca.Function:
-    """Return the Function under another name, without a call of the one in the other where that can be: it would copy what comes out."""
+def _rename(name: str, function: ca.Function) -> ca.Function:
+    """Rename a Function, with dense outputs.
+
+    Its graph is inlined if possible, since a nested call would copy the outputs.
+    """
     scalar = function.is_a("SXFunction")
     inputs: Any = function.sx_in() if scalar else function.mx_in()
     outputs = function.call(inputs, not scalar and function.is_a("MXFunction"), False)
@@ -203,8 +231,8 @@ def _renamed(name: str, function: ca.Function) -> ca.Function:
 # --- sources ---
 
 
-def room_sizes(program: Program) -> dict[str, int]:
-    """Return the sizes of work space that the Functions ask for."""
+def room_sizes(program: KernelFunctions) -> dict[str, int]:
+    """Return the workspace sizes of the Functions."""
     functions = program.functions.values()
     return {
         "size_arg": max(_MOST_INPUTS, *(f.sz_arg() for f in functions)),
@@ -214,8 +242,8 @@ def room_sizes(program: Program) -> dict[str, int]:
     }
 
 
-def write_model(program: Program, single: bool = False) -> str:
-    """Write the Functions in C, by CasADi; `single`: with float for its numbers."""
+def write_model(program: KernelFunctions, single: bool = False) -> str:
+    """Generate the C code of the Functions."""
     options: dict[str, Any] = {"with_header": False, "verbose": False}
     options |= {"casadi_real": "float"} if single else {}
     generator = ca.CodeGenerator("motion.c", options)
@@ -224,16 +252,19 @@ def write_model(program: Program, single: bool = False) -> str:
     return str(generator.dump())
 
 
-def write_engine(program: Program, single: bool = False) -> str:
-    """Write the engine of one lane in C++: it serves all models with this tableau."""
+def write_engine(program: KernelFunctions, single: bool = False) -> str:
+    """Generate the C++ loop with one lane.
+
+    It serves all models with this tableau.
+    """
     head = ["#define SINGLE"] if single else []
     return "\n".join([*head, "#define LANES 1", _text("lanes.hpp"), *_engine(program)])
 
 
-def write_lanes(program: Program, lanes: int | None) -> str:
-    """Write model and engine in C++, several motions in each instruction.
+def write_lanes(program: KernelFunctions, lanes: int | None) -> str:
+    """Generate C++ code of model and loop with several lanes.
 
-    lanes: how many; None: as many as the processor's registers hold.
+    `lanes` None fills the processor's registers.
     """
     sizes = program.sizes | room_sizes(program)
     calls = [f"motion_{name}" if name in program.functions else "0" for name in CALLS]
@@ -249,7 +280,7 @@ def write_lanes(program: Program, lanes: int | None) -> str:
     )
 
 
-def _engine(program: Program) -> list[str]:
+def _engine(program: KernelFunctions) -> list[str]:
     tableau = program.tableau
     if tableau is None:
         take = (
@@ -257,7 +288,7 @@ def _engine(program: Program) -> list[str]:
         )
         steps = [_TAKE.format(body=take)]
     else:
-        steps = [_TAKE.format(body=_write_stages(tableau, needed_stages(tableau), "w"))]
+        steps = [_TAKE.format(body=_write_stages(tableau, select_stages(tableau), "w"))]
     body = "  return 1;" if tableau is None or not program.adaptive else _write_trial(tableau)
     return [_text("engine.hpp"), *steps, _TRY.format(body=body)]
 
@@ -268,7 +299,11 @@ _SLOPE = "  if (evaluate(room, MODEL.ode, {{{at}, room.{held}}}, {{k{i}}})) retu
 
 
 def _write_stages(tableau: Tableau, stages: set[int], held: str, end: str = "  return 0;") -> str:
-    """Write the stages of a step, one pass over the state each, to the rounding of `runge_kutta.build_step`; CasADi takes one pass for each term."""
+    """Write the stages of a Runge-Kutta step.
+
+    Each takes one pass over the state; CasADi would take one for each term. Rounding is that of
+    `runge_kutta.build_step`.
+    """
     lines = [
         "  const int64_t n = MODEL.nx + MODEL.work;",
         "  const lanes *x = room.z;",
@@ -283,7 +318,7 @@ def _write_stages(tableau: Tableau, stages: set[int], held: str, end: str = "  r
 
 
 def _write_trial(tableau: Tableau) -> str:
-    """Write a step with its errors and the slopes at both ends, as `runge_kutta.build_trial`."""
+    """Write a step with error estimates, as `runge_kutta.build_trial`."""
     count = len(tableau.b)
     lines = [
         _pass(f"room.errors[{j} * n + i]", row, "lanes(0.0)")
@@ -301,7 +336,10 @@ def _write_trial(tableau: Tableau) -> str:
 
 
 def _pass(target: str, weights: tuple[float, ...], base: str = "x[i]") -> str:
-    """Write target = base + h Σ weight · slope, its terms in the order of `runge_kutta`."""
+    """Write target = base + h Σ weight · slope.
+
+    Terms are in the order of `runge_kutta`, for equal rounding.
+    """
     used = {
         weight: " + ".join(f"k{k}[i]" for k in stages)
         for weight, stages in equal_weights(weights).items()
@@ -321,7 +359,10 @@ def _pass(target: str, weights: tuple[float, ...], base: str = "x[i]") -> str:
 
 
 def _replace_branches(source: str) -> str:
-    """Write choices between numbers as functions of lanes; what is not known here does not compile as lanes."""
+    """Replace conditional expressions by functions of lanes.
+
+    Other branches do not compile as lanes.
+    """
     source = _CONDITION.sub(r"select(\1, \2)", _tables_lane_by_lane(_COMMENT.sub("", source)))
     return _SIGN.sub(
         "static inline casadi_real casadi_sign(casadi_real x) { return sign(x); }", source
@@ -329,7 +370,10 @@ def _replace_branches(source: str) -> str:
 
 
 def _tables_lane_by_lane(source: str) -> str:
-    """Let tables be looked up in each lane by CasADi's own code for doubles, which branches on numbers."""
+    """Evaluate tables lane by lane with CasADi's own code.
+
+    That code branches on numbers, so it works on one double at a time.
+    """
     used = _LOOK_UP.findall(source)
     if not used:
         return source
@@ -340,7 +384,7 @@ def _tables_lane_by_lane(source: str) -> str:
         found = re.search(
             rf"^(?:void|casadi_int) casadi_{name}\(.*?^\}}$", source, re.DOTALL | re.MULTILINE
         )
-        if found is None:  # other code than is known here: it does not compile as lanes
+        if found is None:  # unknown CasADi version: not compiled in lanes
             return source
         code.append(found[0])
     for part in code[1:-1]:

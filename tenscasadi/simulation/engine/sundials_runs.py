@@ -1,4 +1,4 @@
-"""Runs of SUNDIALS' integrators, one motion after the other, in the loop of `interpreted`."""
+"""Runs of SUNDIALS' integrators, one after the other."""
 
 from __future__ import annotations
 
@@ -10,25 +10,30 @@ import numpy as np
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.events import build_switching
-from tenscasadi.integrators.stabilization import Correction, held_correction
+from tenscasadi.integrators.stabilization import Correction, build_correction
 from tenscasadi.integrators.sundials import Sundials
 from tenscasadi.integrators.sundials_events import EventSteps
 from tenscasadi.simulation.engine.interpreted import Interpreted, Loop, Values
 from tenscasadi.simulation.engine.request import FINISHED, STOPPED, UNSOLVED
-from tenscasadi.simulation.engine.step_code import Account, Measured, Program, write_observer
+from tenscasadi.simulation.engine.step_code import (
+    Account,
+    KernelFunctions,
+    Measured,
+    write_observer,
+)
 from tenscasadi.util.validate import Array
 
 
 class Stopped(Exception):
-    """Raised where a run is told to stop within a step of the grid."""
+    """Stop of a run within a grid step."""
 
 
 class SundialsRuns(Interpreted):
-    """A model's runs by an integrator of SUNDIALS; called with the values of a request.
+    """Backend that calls an integrator of SUNDIALS.
 
-    A call of the integrator takes up to 50 steps of the grid, if corrections leave it: each starts
-    anew, at low order. What is corrected is what it returns; it goes on from there only where it
-    starts anew.
+    A call of the integrator takes up to 50 grid steps, since each call restarts at low order.
+    Corrections change the saved states; the integrator continues from a corrected state only at
+    its next call.
     """
 
     def __init__(
@@ -43,14 +48,14 @@ class SundialsRuns(Interpreted):
             raise ValueError(
                 f"{type(scheme).__name__} needs something that can move: this scene has no free node"
             )
-        self.program: Program = write_observer(model, account, measured)
+        self.program: KernelFunctions = write_observer(model, account, measured)
         super().__init__(self.program)
         self.together = 1
         power = model.stacked(model.power) if account.power and model.power is not None else None
         self._every = 1 if correction is None else correction.every
         self._most = self._every * max(1, 50 // self._every)
         self._scheme, self._nx = scheme, model.nx
-        self._project = None if correction is None else held_correction(model, correction)
+        self._project = None if correction is None else build_correction(model, correction)
         self._integrators: dict[tuple[int, float], ca.Function] = {}  # by number and length
         self._equations, self._atol = scheme.equations(model, power), scheme.absolute(model)
         self._start, self._advance = scheme.algebraic_start(model), scheme.advance(model, power)
@@ -65,11 +70,11 @@ class SundialsRuns(Interpreted):
 
     @property
     def located(self) -> tuple[int, int]:
-        """Events that were located, and trials of it."""
+        """Number of located events, and of the trials for them."""
         return (0, 0) if self._events is None else (self._events.events, self._events.trials)
 
     def __call__(self, values: Values) -> None:
-        """Fill the results of a request."""
+        """Fill the result arrays of a request."""
         self._stop, self.failure = values, ""
         if self._events is not None and not values["begin"]:
             self._events.events = self._events.trials = 0
@@ -80,7 +85,10 @@ class SundialsRuns(Interpreted):
             raise Stopped
 
     def steps(self, loop: Loop, interval: int) -> Iterator[tuple[int, int]]:
-        """Take the steps of an interval; yield a failure code and a number of steps."""
+        """Take the steps of an interval.
+
+        Yields a status code and the number of steps taken.
+        """
         left, length = int(loop.q["count"][interval]), float(loop.q["length"][interval])
         while left:
             count = min(left, self._most - loop.step % self._most)
@@ -101,7 +109,7 @@ class SundialsRuns(Interpreted):
             left -= count
 
     def _take(self, z: Array, w: Array, length: float, count: int) -> Array:
-        """Return z after each of the next steps (count, nz)."""
+        """Compute z after each of the next steps (count, nz)."""
         if self._events is not None:
             return self._events(z, w, np.full(count, length))
         if count == 1:

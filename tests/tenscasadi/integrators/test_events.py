@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.events import build_held_ode, build_switching
+from tenscasadi.integrators.events import build_mode_ode, build_switching
 from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.loads import Gravity
 from tenscasadi.scene.scene import Scene
@@ -34,7 +34,7 @@ def test_between_events_the_motion_is_that_of_the_ode(
     rng = np.random.default_rng(1)
     for coordinates in ("reduced", "full"):
         model = Model(scene, coordinates)  # type: ignore[arg-type]
-        gap, held = build_switching(model), build_held_ode(model)
+        gap, held = build_switching(model), build_mode_ode(model)
         assert gap is not None
         seen = set()
         for _ in range(10):
@@ -68,7 +68,7 @@ def test_a_mode_counts_whatever_lengths_and_depths_say() -> None:
         rest_length=1.25,
     )
     model = Model(Scene(slack, ground=Ground(stiffness=1e3, height=-0.5)))
-    held = build_held_ode(model)
+    held = build_mode_ode(model)
     for taut, touching, expected in (
         (0, 0, (0, 0)),
         (1, 0, (12.5, 0)),
