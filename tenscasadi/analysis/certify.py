@@ -94,14 +94,12 @@ def certify(
 ) -> Reference:
     """Compute a reference solution with an error estimate.
 
-    Two schemes refine their steps until their final nodes agree.
-
-    The schemes are `DormandPrince853` and `DormandPrince54`. Refinement ends when they agree within
-    `enough`, when finer steps do not bring them closer, or when the next solution would cost more
-    than `work`. Where slack or contact spoils the order of fixed steps, both control their error
-    and locate these events. Steps end at the breakpoints of functions of time; a solution whose steps
-    do not see all that such a function does is no reference. The effect of the rounding of the
-    clock on such functions is part of the error.
+    `DormandPrince853` and `DormandPrince54` refine their steps until their final nodes agree within
+    `enough`. Refinement also ends if finer steps do not reduce the difference, or if the next
+    solution would cost more than `work`. In scenes with slack strings or contacts, both schemes
+    control their error and locate these events. Steps end at the breakpoints of functions of time.
+    A solution that does not resolve such a function is no reference. The error includes the effect
+    of clock rounding on these functions.
 
     Parameters
     ----------

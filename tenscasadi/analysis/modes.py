@@ -22,8 +22,7 @@ from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import Array, finite_array, instance, whole_number
 
 DENSE = 600  # coordinates up to which all modes are computed, by dense matrices
-# stiffness against a rigid-body motion that counts as none, relative to that of all motions
-NEUTRAL = 1e-9
+NEUTRAL = 1e-9  # relative stiffness below which a rigid-body motion is free
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,8 +97,8 @@ def linearize(model: Model, x: Any = None, u: Any = None, parameters: Any = None
 
     The derivatives are exact.
 
-    A and B act on all coordinates of the state. Only perturbations along `tangent` keep the bars'
-    lengths and the joints closed.
+    A and B act on all coordinates of the state. Only perturbations along `tangent` satisfy bars and
+    joints.
 
     Parameters
     ----------
@@ -115,7 +114,7 @@ def linearize(model: Model, x: Any = None, u: Any = None, parameters: Any = None
     Returns
     -------
     Linearization
-        The derivatives, the rate at the state, and the basis of displacements that are allowed.
+        Derivatives, rate at the state, and basis of the allowed displacements.
 
     Raises
     ------
@@ -128,8 +127,8 @@ def linearize(model: Model, x: Any = None, u: Any = None, parameters: Any = None
 
     Notes
     -----
-    Bars keep their length (Eqs. 26-29 of the paper) and joints stay closed (Eq. 84); `tangent`
-    spans the null space of the derivative of these constraints by the coordinates.
+    The constraints are those of bars (Eqs. 26-29 of the paper) and joints (Eq. 84). `tangent` spans
+    the null space of their derivative by the coordinates.
 
     Examples
     --------
@@ -194,22 +193,23 @@ def modes(
 
     Notes
     -----
-    With M the mass matrix and T an M-orthonormal basis of the displacements that bars and joints
-    allow, the squares of the angular frequencies are the eigenvalues of −Tᵀ M (∂N̈/∂N) T. Above 600
-    coordinates they are those of K v = ω² M v, J v = 0, with J the derivative of the constraints
-    and K the derivative of all forces at constant multipliers. Both matrices are sparse:
-    shift-invert Lanczos finds the lowest eigenvalues [1]_, and the signs of the pivots tell how
-    many unstable ones there are [2]_. Where nearly as many modes are asked for as there are, bars
-    leave few motions, or matrices are too badly conditioned, dense matrices are used at any size.
+    M is the mass matrix and T an M-orthonormal basis of the displacements that bars and joints
+    allow. The squares of the angular frequencies are the eigenvalues of −Tᵀ M (∂N̈/∂N) T.
 
-    Where bars are redundant and carry load, how they share it is not known, and the stiffness
-    across them depends on it: the modes are those of the smallest multipliers.
+    Above 600 coordinates they are those of K v = ω² M v, J v = 0. J is the derivative of the
+    constraints and K that of all forces at constant multipliers. Both matrices are sparse.
+    Shift-invert Lanczos finds the lowest eigenvalues [1]_, and the signs of the pivots count the
+    unstable ones [2]_. Dense matrices serve at any size if nearly all modes are requested, bars
+    leave few motions, or the matrices are badly conditioned.
+
+    The load of redundant bars is not unique, and the transverse stiffness depends on it. The modes
+    are those of the smallest multipliers.
 
     References
     ----------
     .. [1] T. Ericsson and A. Ruhe, The spectral transformation Lanczos method, Mathematics of
-    Computation 35 (1980), 1251-1268. .. [2] B. N. Parlett, The Symmetric Eigenvalue Problem,
-    section 3.3: Sylvester's law of inertia.
+       Computation 35 (1980), 1251-1268.
+    .. [2] B. N. Parlett, The Symmetric Eigenvalue Problem, section 3.3: Sylvester's law of inertia.
 
     Examples
     --------

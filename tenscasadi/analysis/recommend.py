@@ -341,10 +341,8 @@ def _find_option(case: Case, speed: float, goal: _AccuracyTarget, most: float) -
 class _Choice:
     """Measured candidate, sufficient or not.
 
-    Its `steps` of at most `step` s lead to the state `end` (nx,) with an error of `error` m, and
-    cost that many instructions.
-
-    The run took `seconds` s of wall time, as machine code or not.
+    It takes `steps` of at most `step` s and ends in the state `end` (nx,) with an error of `error`
+    m. It costs `cost` instructions and `seconds` s of wall time.
     """
 
     case: Case

@@ -135,8 +135,9 @@ class Rattle(NamedScheme, kind="Rattle"):
         Returns
         -------
         casadi.Function
-            Function "step" (z, u, h) → z_next with the step h [s]. z is the state x (nx,); with
-            `power`, one more entry is the work done [J]. u is the control followed by parameters.
+            Function "step" (z, u, h) → z_next with the step h [s]. The state z is x (nx,). With
+            `power`, one more entry is the work done [J]. The input u is the control followed by
+            the parameters.
 
         Raises
         ------
@@ -220,9 +221,9 @@ def _leap(model: Model, power: ca.Function | None, kick: Tableau, iterations: in
     if rough:
         slopes: list[Any] = []
         for row in kick.a:
-            stage = tangent(N, V + h * _weighted_sum(row, slopes), time) if any(row) else V
+            stage = tangent(N, V + h * _sum_slopes(row, slopes), time) if any(row) else V
             slopes.append(call_weighted(mech, acceleration, N, stage, u, time)[0])
-        V = tangent(N, V + h * _weighted_sum(kick.b, slopes), time)
+        V = tangent(N, V + h * _sum_slopes(kick.b, slopes), time)
     else:
         V = tangent(N, V + h * call_weighted(mech, acceleration, N, V, u, time)[0], time)
     supplied = (
@@ -234,7 +235,7 @@ def _leap(model: Model, power: ca.Function | None, kick: Tableau, iterations: in
     return ca.Function("leap", [z, u, h], ca.cse([end]), ["z", "u", "h"], ["z_next"])
 
 
-def _weighted_sum(weights: tuple[float, ...], slopes: list[Any]) -> Any:
+def _sum_slopes(weights: tuple[float, ...], slopes: list[Any]) -> Any:
     return sum(weight * slope for weight, slope in zip(weights, slopes, strict=True) if weight)
 
 

@@ -80,8 +80,9 @@ class ExplicitRungeKutta(NamedScheme):
         Returns
         -------
         casadi.Function
-            Function "step" (z, u, h) → z_next with the step h [s]. z is the state x (nx,); with
-            `power`, one more entry is the work done [J]. u is the control followed by parameters.
+            Function "step" (z, u, h) → z_next with the step h [s]. The state z is x (nx,). With
+            `power`, one more entry is the work done [J]. The input u is the control followed by
+            the parameters.
 
         Raises
         ------

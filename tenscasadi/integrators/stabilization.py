@@ -23,7 +23,7 @@ from tenscasadi.util.validate import instance, positive_number, whole_number
 
 
 class Correction(Value):
-    """Correction of bar lengths and joints after steps of a run."""
+    """Correction of bar lengths and joints during a run."""
 
     every: int
 

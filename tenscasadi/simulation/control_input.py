@@ -184,7 +184,7 @@ def cut_steps(inputs: SampledControl, breaks: Array, near: float | None = None) 
 def _sample_profile(
     profile: ControlProfile, nu: int, t_end: float, longest: float, positive: bool
 ) -> SampledControl:
-    """Cut each interval into equal steps of at most `longest` s."""
+    """Cut each interval into equal steps, at most `longest`."""
     nodes = finite_array("control.time", profile.time, (None,))
     count = len(nodes) - 1
     if count < 1 or nodes[0] != 0 or nodes[-1] != t_end or np.any(np.diff(nodes) <= 0):

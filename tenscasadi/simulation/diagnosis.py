@@ -92,11 +92,7 @@ def describe_doubts(
     x = run.states[0]
     if off := off_constraints(model, x, OFF):
         return f"; the start is {off}", constraint_violation(model, x) <= WRONG_START
-    looks = (
-        []
-        if scheme.adaptive or scheme.implicit or not model.nx
-        else _choose_linearizations(model, run)
-    )
+    looks = [] if scheme.adaptive or scheme.implicit or not model.nx else _group_states(model, run)
     growth, limit, when = _find_growth(model, scheme, run, looks)
     drift = float(run.bar_length_error.max())
     found = (
@@ -141,7 +137,7 @@ def describe_doubts(
 
 
 def _find_coarse_damping(
-    model: Model, scheme: Scheme, run: Trajectory, looks: list[_Linearization]
+    model: Model, scheme: Scheme, run: Trajectory, looks: list[_StateGroup]
 ) -> str:
     """Report steps too long for damped strings that go slack.
 
@@ -179,7 +175,7 @@ def _find_coarse_damping(
 
 
 def _find_growth(
-    model: Model, scheme: Scheme, run: Trajectory, looks: list[_Linearization]
+    model: Model, scheme: Scheme, run: Trajectory, looks: list[_StateGroup]
 ) -> tuple[float, float, float]:
     """Find the spurious amplification of a mode.
 
@@ -210,7 +206,7 @@ def _find_growth(
     )
 
 
-class _Linearization(NamedTuple):
+class _StateGroup(NamedTuple):
     """States of a run with the same taut strings.
 
     `share` is the fraction of the run that they represent. `rows` are their rows, `bounds` upper
@@ -223,7 +219,7 @@ class _Linearization(NamedTuple):
     bounds: list[float]
 
 
-def _choose_linearizations(model: Model, run: Trajectory) -> list[_Linearization]:
+def _group_states(model: Model, run: Trajectory) -> list[_StateGroup]:
     """Choose the states at which to linearize.
 
     Each set of taut strings is a group, the stiffest and most damped first. The start, the end and
@@ -258,7 +254,7 @@ def _choose_linearizations(model: Model, run: Trajectory) -> list[_Linearization
             rate_bound(model, x, run.control[row], run.parameters)
             for x, row in zip(states, rows, strict=True)
         ]
-        groups.append(_Linearization(states, own / count if own else 0.0, rows, bounds))
+        groups.append(_StateGroup(states, own / count if own else 0.0, rows, bounds))
     return groups
 
 

@@ -70,10 +70,10 @@ class Trajectory(Tabular, Viewable, ReadOnlyArrays):
     pinned : ndarray of int
         Nodes that are pinned or roll.
     success : bool
-        Whether the run reached its end, and can be trusted: False, too, where its start was far off
-        its bars and joints, or where its steps, above the stability limit, made vibrations grow.
+        Whether the run reached its end and is trustworthy. A start far off its bars and joints, or
+        growing vibrations from steps above the stability limit, are not.
     message : str
-        How the run ended, and which of its results are not to be trusted.
+        End of the run, and reasons not to trust it.
     step : float
         Mean length of a step, s.
     seconds : float
@@ -81,8 +81,8 @@ class Trajectory(Tabular, Viewable, ReadOnlyArrays):
     compiled : bool
         Whether the loop ran as machine code.
     attempts : int
-        Number of steps computed, with those that the control of the error rejected or took to
-        locate events; 0 where they were not counted.
+        Number of computed steps, including rejected ones and those that locate events; 0 if they
+        were not counted.
     interrupted : bool
         Whether the run was interrupted from the keyboard.
     parameters : ndarray, shape (np,)

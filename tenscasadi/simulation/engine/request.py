@@ -144,7 +144,7 @@ class Rolled(NamedTuple):
 
 
 def count_runs(joiner: str = ", ", /, **rows: int) -> int:
-    """Return the number of runs that arrays with these rows describe.
+    """Count the runs that arrays with these rows describe.
 
     An array with one row is shared by all runs. Raises ValueError.
     """

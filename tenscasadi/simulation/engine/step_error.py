@@ -64,7 +64,7 @@ class _Repetition:
         self.least = max(_REPORTED * self.motion, rounding * extent(request.model))
 
     def compare(self, times: float) -> float:
-        """Compute the largest distance to a coarser or finer run [m].
+        """Compute the distance to a coarser or finer run [m].
 
         Steps are `times` as long. Schemes with error control change their tolerance instead.
         Returns inf if the two runs diverge.
