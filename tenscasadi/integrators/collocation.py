@@ -10,7 +10,7 @@ import numpy as np
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.events import count_switches
-from tenscasadi.integrators.scheme import Complex, NamedScheme, check_ode, equations
+from tenscasadi.integrators.scheme import Complex, NamedScheme, equations
 from tenscasadi.integrators.stage_iteration import solve_stages, stage_states
 from tenscasadi.util.validate import Array, choice, instance, positive_number, whole_number
 
@@ -105,29 +105,7 @@ class Collocation(NamedScheme, kind="Collocation"):
         A = (c[:, None] ** (powers + 1) / (powers + 1)) @ inverse.T
         return A, inverse @ (1 / (powers + 1))
 
-    def step(self, ode: ca.Function) -> ca.Function:
-        """Build one step of an ordinary differential equation.
-
-        The control is constant over the step.
-
-        Parameters
-        ----------
-        ode : casadi.Function
-            Function (x, u) → ẋ with columns x and ẋ of the same length.
-
-        Returns
-        -------
-        casadi.Function
-            Function "step" (x, u, h) → x_next with the step h [s].
-
-        Raises
-        ------
-        TypeError
-            If `ode` is no casadi.Function.
-        ValueError
-            If its inputs and outputs differ from these.
-        """
-        check_ode(ode)
+    def _build_step(self, ode: ca.Function) -> ca.Function:
         return self._close(self._newton(ode), "x")
 
     def _close(self, step: ca.Function, name: str) -> ca.Function:
@@ -189,30 +167,8 @@ class Collocation(NamedScheme, kind="Collocation"):
             ["x_next"],
         )
 
-    def advance(self, model: Model, power: ca.Function | None = None) -> ca.Function:
-        """Build one step of a model with constant control.
-
-        It equals `step(model.ode)` at a fraction of the cost.
-
-        Parameters
-        ----------
-        model : Model
-            Model whose state is advanced.
-        power : casadi.Function, optional
-            Function (x, u) → power [W] whose work is integrated; None: no work.
-
-        Returns
-        -------
-        casadi.Function
-            Function "step" (z, u, h) → z_next with the step h [s]. The state z is x (nx,). With
-            `power`, one more entry is the work done [J]. The input u is the control followed by
-            the parameters.
-
-        Raises
-        ------
-        TypeError
-            If `model` is no Model.
-        """
+    def _build_advance(self, model: Model, power: ca.Function | None) -> ca.Function:
+        # equals `step(model.ode)` at a fraction of the cost
         return self._close(self.advance_within(model, power), "z")
 
     def advance_within(self, model: Model, power: ca.Function | None = None) -> ca.Function:

@@ -21,7 +21,7 @@ from tenscasadi.dynamics.mechanism import Mechanism
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import Complex, NamedScheme
 from tenscasadi.integrators.tableaux import CLASSICAL, MIDPOINT, Tableau
-from tenscasadi.util.validate import instance, shown, whole_number
+from tenscasadi.util.validate import shown, whole_number
 
 _OUTER = 1 / (4 - 4 ** (1 / 3))  # Suzuki's composition of order 4, (II.4.5) of [2] of `Rattle`
 _FRACTIONS: dict[int, tuple[float, ...]] = {
@@ -122,29 +122,7 @@ class Rattle(NamedScheme, kind="Rattle"):
             f"Rattle steps a tenscasadi.Model, {ode} does not tell bars from forces: use advance(model), or another scheme such as RungeKutta4()"
         )
 
-    def advance(self, model: Model, power: ca.Function | None = None) -> ca.Function:
-        """Build one step of a model with its control held.
-
-        Parameters
-        ----------
-        model : Model
-            Model whose state is advanced.
-        power : casadi.Function, optional
-            Function (x, u) → power [W] whose work is integrated; None: no work.
-
-        Returns
-        -------
-        casadi.Function
-            Function "step" (z, u, h) → z_next with the step h [s]. The state z is x (nx,). With
-            `power`, one more entry is the work done [J]. The input u is the control followed by
-            the parameters.
-
-        Raises
-        ------
-        TypeError
-            If `model` is no Model.
-        """
-        instance("model", model, Model, "a tenscasadi.Model")
+    def _build_advance(self, model: Model, power: ca.Function | None) -> ca.Function:
         leap = _leap(model, power, _KICKS[self.order], self.iterations)
         start = z = ca.MX.sym("z", leap.size1_in(0))
         u, h = ca.MX.sym("u", model.nw), ca.MX.sym("h")

@@ -14,7 +14,6 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import (
     Complex,
     NamedScheme,
-    check_ode,
     check_relative_tolerance,
     equations,
     extent,
@@ -26,7 +25,7 @@ from tenscasadi.integrators.tableaux import (
     DORMAND_PRINCE_853,
     Tableau,
 )
-from tenscasadi.util.validate import instance, positive_number, shown, whole_number
+from tenscasadi.util.validate import positive_number, shown, whole_number
 
 SEVERAL = 3  # weights: more are faster as one product of matrices, in building and in running
 
@@ -42,54 +41,10 @@ class ExplicitRungeKutta(NamedScheme):
         """Whether steps are of the scheme's own size."""
         return False
 
-    def step(self, ode: ca.Function) -> ca.Function:
-        """Build one step of an ordinary differential equation.
-
-        The control is constant over the step.
-
-        Parameters
-        ----------
-        ode : casadi.Function
-            Function (x, u) → ẋ with columns x and ẋ of the same length.
-
-        Returns
-        -------
-        casadi.Function
-            Function "step" (x, u, h) → x_next with the step h [s].
-
-        Raises
-        ------
-        TypeError
-            If `ode` is no casadi.Function.
-        ValueError
-            If its inputs and outputs differ from these.
-        """
-        check_ode(ode)
+    def _build_step(self, ode: ca.Function) -> ca.Function:
         return build_step(self.tableau, ode)
 
-    def advance(self, model: Model, power: ca.Function | None = None) -> ca.Function:
-        """Build one step of a model with constant control.
-
-        Parameters
-        ----------
-        model : Model
-            Model whose state is advanced.
-        power : casadi.Function, optional
-            Function (x, u) → power [W] whose work is integrated; None: no work.
-
-        Returns
-        -------
-        casadi.Function
-            Function "step" (z, u, h) → z_next with the step h [s]. The state z is x (nx,). With
-            `power`, one more entry is the work done [J]. The input u is the control followed by
-            the parameters.
-
-        Raises
-        ------
-        TypeError
-            If `model` is no Model.
-        """
-        instance("model", model, Model, "a tenscasadi.Model")
+    def _build_advance(self, model: Model, power: ca.Function | None) -> ca.Function:
         return self.step(equations(model, power))
 
     def amplification(self, z: Complex) -> Complex:

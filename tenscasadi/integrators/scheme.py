@@ -21,6 +21,62 @@ Complex = NDArray[np.complex128]
 class NamedScheme(Value):
     """Scheme that files identify by its kind."""
 
+    def step(self, ode: ca.Function) -> ca.Function:
+        """Build one step of an ordinary differential equation.
+
+        The control is constant over the step.
+
+        Parameters
+        ----------
+        ode : casadi.Function
+            Function (x, u) → ẋ with columns x and ẋ of the same length.
+
+        Returns
+        -------
+        casadi.Function
+            Function "step" (x, u, h) → x_next with the step h [s].
+
+        Raises
+        ------
+        TypeError
+            If `ode` is no casadi.Function.
+        ValueError
+            If its inputs and outputs differ from these.
+        """
+        check_ode(ode)
+        return self._build_step(ode)
+
+    def advance(self, model: Model, power: ca.Function | None = None) -> ca.Function:
+        """Build one step of a model with constant control.
+
+        Parameters
+        ----------
+        model : Model
+            Model whose state is advanced.
+        power : casadi.Function, optional
+            Function (x, u) → power [W] whose work is integrated; None: no work.
+
+        Returns
+        -------
+        casadi.Function
+            Function "step" (z, u, h) → z_next with the step h [s]. The state z is x (nx,). With
+            `power`, one more entry is the work done [J]. The input u is the control followed by
+            the parameters.
+
+        Raises
+        ------
+        TypeError
+            If `model` is no Model.
+        """
+        instance("model", model, Model, "a tenscasadi.Model")
+        return self._build_advance(model, power)
+
+    def _build_step(self, ode: ca.Function) -> ca.Function:
+        raise NotImplementedError
+
+    def _build_advance(self, model: Model, power: ca.Function | None) -> ca.Function:
+        raise NotImplementedError
+
 
 @runtime_checkable
 class Scheme(Protocol):

@@ -28,7 +28,31 @@ class Correction(Value):
     every: int
 
     def step(self, model: Model) -> ca.Function | None:
-        """Build one correction of a model's state, see `Projection.step`."""
+        """Build one correction of a model's state.
+
+        Parameters
+        ----------
+        model : Model
+            Model with the bars and joints.
+
+        Returns
+        -------
+        casadi.Function or None
+            Function (x) → corrected x, both (nx,), or (x, p) with parameters. None without
+            constraints.
+
+        Raises
+        ------
+        TypeError
+            If `model` is no Model.
+        ValueError
+            If a `BarLengthCorrection` has bars that share nodes or are pinned in reduced
+            coordinates.
+        """
+        instance("model", model, Model, "a tenscasadi.Model")
+        return self._build(model) if model.mechanism.constrained else None
+
+    def _build(self, model: Model) -> ca.Function:
         raise NotImplementedError
 
 
@@ -77,27 +101,8 @@ class Projection(Correction, kind="Projection"):
         whole_number("Projection.every", self.every, 1)
         whole_number("Projection.iterations", self.iterations, 1)
 
-    def step(self, model: Model) -> ca.Function | None:
-        """Build one correction of a model's state.
-
-        Parameters
-        ----------
-        model : Model
-            Model with the bars and joints.
-
-        Returns
-        -------
-        casadi.Function or None
-            Function (x) → corrected x, both (nx,), or (x, p) with parameters. None without
-            constraints.
-
-        Raises
-        ------
-        TypeError
-            If `model` is no Model.
-        """
-        instance("model", model, Model, "a tenscasadi.Model")
-        return projection(model, self.iterations) if model.mechanism.constrained else None
+    def _build(self, model: Model) -> ca.Function:
+        return projection(model, self.iterations)
 
 
 @dataclass(frozen=True)
@@ -144,35 +149,23 @@ class BarLengthCorrection(Correction, kind="BarLengthCorrection"):
         )
         whole_number("BarLengthCorrection.every", self.every, 1)
 
-    def step(self, model: Model) -> ca.Function | None:
-        """Build one correction of a model's state.
-
-        Parameters
-        ----------
-        model : Model
-            Model with the bars and joints.
-
-        Returns
-        -------
-        casadi.Function or None
-            Function (x) → corrected x, both (nx,), or (x, p) with parameters. None without
-            constraints.
-
-        Raises
-        ------
-        TypeError
-            If `model` is no Model.
-        ValueError
-            If bars share nodes or are pinned in reduced coordinates.
-        """
-        instance("model", model, Model, "a tenscasadi.Model")
-        if not model.mechanism.constrained:
-            return None
+    def _build(self, model: Model) -> ca.Function:
         if model.mechanism.system_size and not model.mechanism.joints:
             raise ValueError(
                 'BarLengthCorrection moves bars one by one, these meet or are pinned: use Model(coordinates="full") or Projection'
             )
         return _appendix_c(model, self.weight)
+
+
+def check_correction(correction: Any, field: str = "correction") -> None:
+    """Raise TypeError unless `correction` is a correction or None."""
+    if correction is not None:
+        instance(
+            field,
+            correction,
+            (Projection, BarLengthCorrection),
+            "Projection(every), BarLengthCorrection(weight) or None",
+        )
 
 
 def projection(model: Model, iterations: int = 3) -> ca.Function:

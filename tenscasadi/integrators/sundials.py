@@ -20,13 +20,12 @@ from tenscasadi.integrators.events import build_mode_ode, count_switches, split_
 from tenscasadi.integrators.scheme import (
     Complex,
     NamedScheme,
-    check_ode,
     check_relative_tolerance,
     equations,
     extent,
 )
 from tenscasadi.util.casadi_tools import sparse
-from tenscasadi.util.validate import flag, instance, positive_number, whole_number
+from tenscasadi.util.validate import flag, positive_number, whole_number
 
 
 @dataclass(frozen=True)
@@ -56,57 +55,13 @@ class Sundials(NamedScheme):
         whole_number(f"{name}.max_steps", self.max_steps, 1)
         flag(f"{name}.locate_events", self.locate_events)
 
-    def step(self, ode: ca.Function) -> ca.Function:
-        """Build one step of an ordinary differential equation.
-
-        The control is constant. The integrator takes as many internal steps as it needs.
-
-        Parameters
-        ----------
-        ode : casadi.Function
-            Function (x, u) → ẋ with columns x and ẋ of the same length.
-
-        Returns
-        -------
-        casadi.Function
-            Function "step" (x, u, h) → x_next with the step h [s].
-
-        Raises
-        ------
-        TypeError
-            If `ode` is no casadi.Function.
-        ValueError
-            If its inputs and outputs differ from these.
-        """
-        check_ode(ode)
+    def _build_step(self, ode: ca.Function) -> ca.Function:
         x, u = ca.MX.sym("x", ode.size1_in(0)), ca.MX.sym("u", ode.size1_in(1))
         return self._step(
             {"x": x, "u": u, "ode": ode(x, u)}, self.rtol if self.atol is None else self.atol, None
         )
 
-    def advance(self, model: Model, power: ca.Function | None = None) -> ca.Function:
-        """Build one step of a model with constant control.
-
-        Parameters
-        ----------
-        model : Model
-            Model whose state is advanced.
-        power : casadi.Function, optional
-            Function (x, u) → power [W] whose work is integrated; None: no work.
-
-        Returns
-        -------
-        casadi.Function
-            Function "step" (z, u, h) → z_next with the step h [s]. The state z is x (nx,). With
-            `power`, one more entry is the work done [J]. The input u is the control followed by
-            the parameters.
-
-        Raises
-        ------
-        TypeError
-            If `model` is no Model.
-        """
-        instance("model", model, Model, "a tenscasadi.Model")
+    def _build_advance(self, model: Model, power: ca.Function | None) -> ca.Function:
         return self._step(
             self.equations(model, power), self.absolute(model), self.algebraic_start(model)
         )

@@ -13,9 +13,8 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import NamedScheme, Scheme, check_scheme
 from tenscasadi.integrators.stabilization import (
-    BarLengthCorrection,
     Correction,
-    Projection,
+    check_correction,
     projection,
 )
 from tenscasadi.scene.parameters import QUANTITIES
@@ -122,13 +121,7 @@ class Simulation:
         if self.step is not None:
             own["step"] = positive_number("Simulation.step", self.step)
         check_scheme(self.scheme, "Simulation.scheme")
-        if self.correction is not None:
-            instance(
-                "Simulation.correction",
-                self.correction,
-                (Projection, BarLengthCorrection),
-                "Projection(every), BarLengthCorrection(weight) or None",
-            )
+        check_correction(self.correction, "Simulation.correction")
         if self.save_every is not None:
             own["save_every"] = whole_number("Simulation.save_every", self.save_every, 1)
         choice("Simulation.coordinates", self.coordinates, "reduced", "full")

@@ -13,7 +13,7 @@ from tqdm import tqdm
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme, check_scheme
-from tenscasadi.integrators.stabilization import BarLengthCorrection, Correction, Projection
+from tenscasadi.integrators.stabilization import Correction, check_correction
 from tenscasadi.simulation.engine.inputs import (
     controls_at,
     first_time,
@@ -124,13 +124,7 @@ def rollouts(
     """
     instance("model", model, Model, "a tenscasadi.Model")
     check_scheme(scheme)
-    if correction is not None:
-        instance(
-            "correction",
-            correction,
-            (Projection, BarLengthCorrection),
-            "Projection(every), BarLengthCorrection(weight) or None",
-        )
+    check_correction(correction)
     flag("progress", progress)
     p = read_parameters(model, parameters)
     starts = read_starts(model, states, p)

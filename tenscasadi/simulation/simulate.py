@@ -10,7 +10,7 @@ import numpy as np
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme, check_scheme
-from tenscasadi.integrators.stabilization import BarLengthCorrection, Correction, Projection
+from tenscasadi.integrators.stabilization import Correction, check_correction
 from tenscasadi.simulation.control_input import ControlInput, ControlProfile
 from tenscasadi.simulation.engine.engine import Request, roll
 from tenscasadi.simulation.engine.step_code import Account
@@ -186,13 +186,7 @@ def simulate(  # noqa: PLR0913  the options of a run
 def _check_options(model: Any, scheme: Any, correction: Any, compiled: Any, **flags: Any) -> None:
     instance("model", model, Model, "a tenscasadi.Model")
     check_scheme(scheme)
-    if correction is not None:
-        instance(
-            "correction",
-            correction,
-            (Projection, BarLengthCorrection),
-            "Projection(every), BarLengthCorrection(weight) or None",
-        )
+    check_correction(correction)
     if compiled is not None:
         instance("compiled", compiled, (bool, Single), "True or False, None or Single()")
     for name, flag in flags.items():
