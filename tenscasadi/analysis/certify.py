@@ -25,18 +25,11 @@ from tenscasadi.simulation.time_grid import UNSEEN, lay_run
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import Array, finite_array, instance, positive_number
 
-_ENOUGH = 1e-12  # of the structure's size: rounding over a run is of this order
-_ACCURATE = 1e-7  # of the structure's size: what does not agree as closely is no reference
-_FINER = 4  # from one pair of solutions to the next
-_COARSEST = 64  # steps of the first pair, at least
+_FINER = 4  # refinement factor between pairs of solutions
+_COARSEST = 64  # smallest number of steps of the first pair
 _TOLERANCES = (1e-10, 1e-12, 1e-14)
-_GRID = 50  # parts of a run with control of the error, at least as many steps
-# of the structure's size: solutions that differ by less and cease to converge, do so by rounding
-_ROUNDING = 1e-10
-# of the distance of two solutions: what the clock's rounding adds, and the message speaks of
-_TOLD = 0.1
-_LEAST_SECONDS = 0.1  # for a solution that is begun
-_FASTER = 10.0  # compiled code against the virtual machine
+_GRID = 50  # grid steps of a run with error control
+_ROUNDING = 1e-10  # × extent: smaller differences stop decreasing because of rounding
 
 
 class NoReference(ValueError):
@@ -151,9 +144,11 @@ def certify(
     t_end = positive_number("t_end", t_end)
     state = None if state is None else finite_array("state", state, (model.nx,))
     size = extent(model)
-    accuracy = _ACCURATE * size if accuracy is None else positive_number("accuracy", accuracy)
-    enough = min(_ENOUGH * size, accuracy) if enough is None else positive_number("enough", enough)
-    work = positive_number("work", work) / (1 if compiled is not False else _FASTER)
+    accuracy = 1e-7 * size if accuracy is None else positive_number("accuracy", accuracy)
+    # The rounding error of a run is about 1e-12 of the extent.
+    enough = min(1e-12 * size, accuracy) if enough is None else positive_number("enough", enough)
+    # Compiled code is about ten times as fast.
+    work = positive_number("work", work) / (1 if compiled is not False else 10.0)
     parameters = model.parameters.values(parameters)
     deadline = (
         np.inf if seconds is None else time.perf_counter() + positive_number("seconds", seconds)
@@ -173,7 +168,7 @@ def certify(
             or pairs.error <= enough
             or (pairs.apart >= before and pairs.error <= max(accuracy, _ROUNDING * size))
         ):
-            break  # finer steps only round more
+            break  # finer steps only increase the rounding
         if pairs.apart > before / _FINER**3 and build_switching(model) is not None:
             break
     if (
@@ -292,9 +287,7 @@ class _Pairs:
         ends = []
         for scheme, count in pair:
             left = (
-                None
-                if np.isinf(self._deadline)
-                else max(_LEAST_SECONDS, self._deadline - time.perf_counter())
+                None if np.isinf(self._deadline) else max(0.1, self._deadline - time.perf_counter())
             )
             run = simulate(
                 self._model,
@@ -316,7 +309,7 @@ class _Pairs:
         if (error := self.apart + self.rounding) < self.error:
             rounded = (
                 f", the clock's rounding may add {self.rounding:.2g} m"
-                if self.rounding > _TOLD * self.apart
+                if self.rounding > 0.1 * self.apart
                 else ""
             )
             self.best = Reference(

@@ -32,21 +32,10 @@ from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.compile import Compiled, CompileError, Single
 from tenscasadi.util.validate import Array, finite_array, instance, positive_number
 
-_REFERENCE = 0.1  # error of the reference in units of the tolerance
-_MARGIN = 0.7  # of the tolerance that the measured error may take, with that of the reference
-_CLOSE = 1.15  # the step found is this close to the largest that serves
-_TRIES = 40  # runs to find one step
+_CLOSE = 1.15  # factor between the step found and the largest sufficient one
+_TRIES = 40  # largest number of runs per search
 _REPEATS = 3  # timed runs
-_LEAST_SECONDS = 0.1  # for a run that is begun
-_MANY = 2048  # equal steps beyond which one is timed, and not the whole run
-
-_SHORT = 2e7  # instructions that the virtual machine is through with before they are compiled
-_OVERHEAD = 2.0  # of a step with control of its error: the error, the search for events
-_GAIN = 6.0  # of machine code for Newton's method, about
-_FEW = 8  # steps of Newton's method to begin with
-_PACE = 1e8  # instructions in a second that a run takes at least, before one was timed
-_PROOF = 1e10 / 60  # instructions of the reference for each second of the search
-_BOUND = 2.0  # times the fewest stable steps: who takes more does so for accuracy
+_SHORT = 2e7  # instructions that take less time in the virtual machine than to compile
 
 SCHEMES: tuple[Scheme, ...] = (
     *(DormandPrince853(), DormandPrince853(rtol=1e-6), DormandPrince54(rtol=1e-6)),
@@ -185,10 +174,10 @@ def recommend(
     t_end, tolerance = positive_number("t_end", t_end), positive_number("tolerance", tolerance)
     check_ways(schemes, corrections)
     seconds = positive_number("seconds", seconds)
-    enough, double = _REFERENCE * tolerance, None if isinstance(compiled, Single) else compiled
+    enough, double = 0.1 * tolerance, None if isinstance(compiled, Single) else compiled
     start = None if state is None else finite_array("state", state, (model.nx,))
     p = model.parameters.values(parameters)
-    limits = {"accuracy": enough, "enough": enough, "work": _PROOF * seconds, "seconds": seconds}
+    limits = {"accuracy": enough, "enough": enough, "work": 1e10 / 60 * seconds, "seconds": seconds}
     reference = certify(model, t_end, start, control, compiled=double, parameters=p, **limits)
 
     ways = [
@@ -199,7 +188,7 @@ def recommend(
         ways,
         _AccuracyTarget(
             reference.nodes,
-            _MARGIN * tolerance - reference.error,
+            0.7 * tolerance - reference.error,
             time.perf_counter() + seconds,
             seconds,
         ),
@@ -264,13 +253,14 @@ def _find_cheapest(ways: Sequence[Case], goal: _AccuracyTarget) -> tuple[_Choice
     best: _Choice | None = None
     told, late = [], []
     events = build_switching(ways[0].model) is not None
-    speed = 1.0  # instructions of the best explicit scheme in a second
+    speed = 1.0  # instructions of the best explicit scheme per second
     for case in sorted(
         ways, key=lambda case: (case.scheme.implicit, events and not case.scheme.adaptive)
     ):
         name = abbreviate(case.scheme)
         if case.scheme.implicit and best is not None and not best.case.scheme.implicit:
-            if best.steps > _BOUND * _count_coarsest(best.case, best.end):
+            # More than twice the fewest stable steps are due to accuracy.
+            if best.steps > 2.0 * _count_coarsest(best.case, best.end):
                 told.append(
                     f"{name} left out: stability does not bound the steps of {abbreviate(best.case.scheme)}"
                 )
@@ -321,7 +311,8 @@ def _find_option(case: Case, speed: float, goal: _AccuracyTarget, most: float) -
     `speed`: instructions in a second, where they are not counted.
     """
     if not case.scheme.implicit:
-        price = _Price(case.instructions() * (_OVERHEAD if case.scheme.adaptive else 1.0), 0.0)
+        # Error control and event location double the work.
+        price = _Price(case.instructions() * (2.0 if case.scheme.adaptive else 1.0), 0.0)
         return (_find_loosest if case.scheme.adaptive else _find_fewest)(case, price, goal, most)
     clock = _Price(0.0, speed)
     if case.scheme.adaptive:
@@ -329,8 +320,8 @@ def _find_option(case: Case, speed: float, goal: _AccuracyTarget, most: float) -
     if case.compiled is False:
         return _find_fewest(case, clock, goal, most)
     promising = _find_fewest(
-        replace(case, compiled=False), _Price(0.0, speed / _GAIN), goal, most
-    )  # it takes seconds to compile
+        replace(case, compiled=False), _Price(0.0, speed / 6.0), goal, most
+    )  # compilation takes seconds and makes the code about 6 times as fast
     if promising is None:
         return None
     goal.check_time(0.0, None)
@@ -355,7 +346,7 @@ class _Choice:
 
     def time_loop(self) -> float:
         """Measure the time loop, s."""
-        if not self.case.even or self.steps <= _MANY:
+        if not self.case.even or self.steps <= 2048:
             return min(
                 self.case.run(self.step, energy_balance=False).seconds for _ in range(_REPEATS)
             )
@@ -373,14 +364,12 @@ def _measure(
     swift = replace(case, compiled=False) if uncompiled and case.compiled is None else case
 
     def run(**options: Any) -> Trajectory:
-        return swift.run(
-            step, **options, seconds=max(_LEAST_SECONDS, goal.deadline - time.perf_counter())
-        )
+        return swift.run(step, **options, seconds=max(0.1, goal.deadline - time.perf_counter()))
 
     bare = {"energy_balance": False, "save_every": 10**9}
     first = run(**bare)
     error = distance(end_nodes(case.model, first), goal.nodes) if first.success else np.inf
-    if error <= goal.wanted and not run().success:  # as the user will see it, with its energy
+    if error <= goal.wanted and not run().success:  # with its energy, as the user runs it
         error = np.inf
     seconds = first.seconds
     if price.second and error <= goal.wanted:
@@ -429,8 +418,8 @@ def _find_fewest(case: Case, price: _Price, goal: _AccuracyTarget, most: float) 
     """
     wanted = goal.wanted
     limit = np.ceil(most / price.step) - 1 if price.step else np.inf
-    steps = int(max(1, min(_count_coarsest(case), limit)))  # from there on downwards
-    low, best, each = 0, None, price.step / _PACE
+    steps = int(max(1, min(_count_coarsest(case), limit)))  # the search goes downward from there
+    low, best, each = 0, None, price.step / 1e8
     for _ in range(_TRIES):
         if steps > limit:
             return None
@@ -444,7 +433,7 @@ def _find_fewest(case: Case, price: _Price, goal: _AccuracyTarget, most: float) 
             if now.cost >= most:
                 return None
         if best is None:
-            # as far as the scheme's order says, if it is in its range already
+            # extrapolation with the order of the scheme
             factor = (
                 (now.error / wanted) ** (1 / case.scheme.order) if np.isfinite(now.error) else 2.0
             )
@@ -463,7 +452,7 @@ def _count_coarsest(case: Case, state: Array | None = None) -> int:
     The limit is that of the start and of `state`.
     """
     if case.scheme.implicit:
-        return _FEW
+        return 8
     states = [case.state] if state is None else [case.state, state]
     limit = min(
         stable_step(case.model, x, None, case.scheme, safety=1.0, parameters=case.parameters)

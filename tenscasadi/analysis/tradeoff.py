@@ -37,11 +37,8 @@ from tenscasadi.util.validate import (
     whole_number,
 )
 
-_TIMED = 0.02  # s of one timed run, about: short enough for many, long enough for the clock
 _MOST_REPEATS = 1000
-_TRIAL = 2048  # steps that tell how many take that long
-_MOST = 2**18  # steps of a timed run
-LONGEST = 1 / 20  # of the run: the largest step of a scheme that controls its error
+LONGEST = 1 / 20  # × duration: largest grid step of a scheme with error control
 
 State = Array | Callable[[Model], Array] | None
 
@@ -255,8 +252,9 @@ class Case:
                 / steps
             )
 
-        steps = int(np.clip(_TIMED / seconds(_TRIAL), _TRIAL, _MOST))
-        steps = 2 ** int(np.log2(steps))  # what the loop does in one call divides it
+        # A run of 0.02 s is long enough for the clock. The loop takes powers of 2 per call.
+        steps = int(np.clip(0.02 / seconds(2048), 2048, 2**18))
+        steps = 2 ** int(np.log2(steps))
         return median(seconds(steps) for _ in range(repeats))
 
     def _choose_control(self) -> ControlInput:

@@ -15,8 +15,6 @@ from numpy.typing import ArrayLike
 from tenscasadi.scene.control_function import ControlFunction
 from tenscasadi.util.validate import SMALLEST, Array, Indices, finite_array
 
-_SAME = 1e-9  # of a step: as close as this to its end is there
-
 ControlInput = ArrayLike | Callable[[float], ArrayLike] | ControlFunction | None
 
 
@@ -123,10 +121,8 @@ def sample_control(
         table = _check_lengths("control", _array(control, nu), positive)
         intervals = len(table)
         if table.ndim == 2 and intervals > 1 and nu:
-            steps = intervals * -(
-                -steps // intervals
-            )  # so that the control changes between two steps
-            # Integers only: a rounded time would put a change one step off.
+            steps = intervals * -(-steps // intervals)  # the control changes between steps
+            # Integers only, since a rounded time could shift a change by one step.
             return SampledControl(
                 steps,
                 t_end,
@@ -163,7 +159,7 @@ def cut_steps(inputs: SampledControl, breaks: Array, near: float | None = None) 
     ends = inputs.times(np.arange(inputs.steps + 1))
     place = np.clip(np.searchsorted(ends, inside), 1, inputs.steps)
     away = np.minimum(abs(inside - ends[place]), abs(inside - ends[place - 1]))
-    least = _SAME * (ends[place] - ends[place - 1]) if near is None else near
+    least = 1e-9 * (ends[place] - ends[place - 1]) if near is None else near
     inside = inside[away > np.maximum(least, 4 * np.spacing(inputs.t_end))]
     if not len(inside):
         return inputs

@@ -29,17 +29,12 @@ from tenscasadi.util.validate import Array
 DRIFTED_BARS = 0.01  # relative length error that the message reports
 LOST_ENERGY = 0.05  # share of the exchanged energy that the message reports
 LOST_TRUST = 0.5  # share of the exchanged energy at which a run is not trustworthy
-_ROUNDING = {
-    False: 1e-9,
-    True: 1e-5,
-}  # relative rounding error of energies in double and single precision
 OFF = 1e-6  # relative constraint violation of a start that is not reported
 WRONG_START = 0.2  # relative constraint violation of a start at which a run is not trustworthy
 SPOKEN_GROWTH = float(np.log(1.5))  # spurious log growth of a mode that the message reports
 LOST_GROWTH = float(np.log(10.0))  # log growth at which a run is not trustworthy
 # × stable step: longer steps do not resolve damped strings that go slack
 _COARSE = 0.5
-_MOST_LOOKS = 8  # sets of taut strings at which a run is linearized
 # rounding error of differences of state entries, relative to the largest entry
 _EPSILON = 64 * float(np.finfo(float).eps)
 
@@ -95,14 +90,10 @@ def describe_doubts(
     looks = [] if scheme.adaptive or scheme.implicit or not model.nx else _group_states(model, run)
     growth, limit, when = _find_growth(model, scheme, run, looks)
     drift = float(run.bar_length_error.max())
-    found = (
-        [f"bars are off by up to {drift:.2g} of their length (correction=Projection() holds them)"]
-        if drift > DRIFTED_BARS
-        else []
-    )
+    found = [describe_drift(drift)] if drift > DRIFTED_BARS else []
     parts = run.energy_parts
     scale = float(parts[:, 0].max() + np.ptp(parts[:, 1:], axis=0).sum())
-    rounding = _ROUNDING[isinstance(compiled, Single)] * float(
+    rounding = (1e-5 if isinstance(compiled, Single) else 1e-9) * float(
         np.abs(parts).max() + run.tension.sum(axis=1).max() * np.ptp(run.nodes)
     )
     s = model.structure
@@ -117,7 +108,7 @@ def describe_doubts(
     largest = float(np.abs(run.energy_error).max())
     trusted = not largest > max(LOST_TRUST * scale, rounding)  # NaN: not known
     if largest > max(LOST_ENERGY * scale, rounding):
-        found.append(f"energy is off by {largest:.2g} J where {scale:.2g} J move")
+        found.append(describe_energy_error(largest, scale))
     if run.step > limit:
         cure = f"try step={0.9 * limit:.2g}"
         text = f"the step {run.step:g} s is above the stability limit {limit:.3g} s of {type(scheme).__name__} at t = {when:g} s: {cure}"
@@ -238,9 +229,10 @@ def _group_states(model: Model, run: Trajectory) -> list[_StateGroup]:
     kind = kind.ravel()
     rates = [_string_values(model, run, name) for name in ("stiffness", "damping")]
     danger = taut[first] @ sum(part / (part.max(initial=0.0) or 1.0) for part in rates)
-    chosen = set(
-        np.argsort(-danger, kind="stable")[: _MOST_LOOKS if model.nx <= DENSE else 1].tolist()
-    ) | {int(kind[0]), int(kind[last])}
+    chosen = set(np.argsort(-danger, kind="stable")[: 8 if model.nx <= DENSE else 1].tolist()) | {
+        int(kind[0]),
+        int(kind[last]),
+    }
     strongest = int(run.force_density.max(axis=1, initial=0.0).argmax())
     groups = []
     for k in sorted(chosen):
@@ -309,6 +301,16 @@ def off_constraints(model: Model, state: Array, tolerance: float) -> str:
     """
     violation = constraint_violation(model, state)
     return "" if violation <= tolerance else describe_violation(violation)
+
+
+def describe_drift(error: float) -> str:
+    """Describe the largest relative error of bar lengths."""
+    return f"bars are off by up to {error:.2g} of their length (correction=Projection() holds them)"
+
+
+def describe_energy_error(error: float, moved: float) -> str:
+    """Describe an energy error beside the exchanged energy [J]."""
+    return f"energy is off by {error:.2g} J where {moved:.2g} J move"
 
 
 def describe_violation(violation: float) -> str:

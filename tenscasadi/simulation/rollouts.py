@@ -36,8 +36,6 @@ from tenscasadi.simulation.time_grid import describe_unseen
 from tenscasadi.simulation.verdict import Runs, judge
 from tenscasadi.util.validate import flag, instance, whole_number
 
-_LOOKS = 100  # measurements during a run
-
 
 def rollouts(
     model: Model,
@@ -149,7 +147,7 @@ def rollouts(
             plan.controls,
             intervals,
             every,
-            look_every=max(1, inputs.steps // _LOOKS),
+            look_every=max(1, inputs.steps // 100),
             parameters=p,
             feedback=feedback,
             threads=workers,

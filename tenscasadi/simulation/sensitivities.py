@@ -47,10 +47,7 @@ from tenscasadi.util.validate import (
 By = Literal["state", "control", "parameters"]
 Mode = Literal["forward", "adjoint"]
 Output = ca.Function | Callable[[Any, Any], Any] | None
-# of the largest entry of a state: a run that ends farther from where these steps end was made by
-# other steps
-_SAME = 1e-6
-_ADJOINT = 2.0  # cost of a gradient in tangents
+_SAME = 1e-6  # relative difference of final states above which the steps are not those of the run
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,9 +147,9 @@ def sensitivities(  # noqa: PLR0913  options of the run and of the derivatives
     over : {"end", "run"}
         "end": the output at the end of the run. "run": its integral over time by the scheme, m = 1.
     by : {"state", "control", "parameters"}
-        Inputs. "state": the initial state. "control": the control in each interval of a table, or a
-        control added in each step to a function of time. "parameters": those of the model, with the
-        same start and control.
+        "state" is the initial state. "control" is the control in each interval of a table, or a
+        control added in each step to a function of time. "parameters" are those of the model, with
+        the same start and control.
     parameters : array_like, shape (np,), or mapping of str to array_like, optional
         Values of the model's parameters, as for `simulate`. Default: nominal.
     mode : {"forward", "adjoint"}, optional
@@ -245,7 +242,8 @@ def sensitivities(  # noqa: PLR0913  options of the run and of the derivatives
     }[by]
     task = PassSetup(steps, laid.states(run.time, run.states), grid, owner, entries)
     rows, columns = output.size1_out(0), int(np.prod(task.shape))
-    chosen = mode or ("forward" if columns <= _ADJOINT * rows else "adjoint")
+    # A gradient costs about as much as two tangents.
+    chosen = mode or ("forward" if columns <= 2.0 * rows else "adjoint")
     if run.time[-1] < request.t_end * (1 - 1e-9):
         unknown = np.full(rows, np.nan), np.full((rows, *task.shape), np.nan)
         found = Sensitivities(

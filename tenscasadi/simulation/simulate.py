@@ -25,8 +25,6 @@ from tenscasadi.util.validate import (
     whole_number,
 )
 
-_ROWS = 1000  # saved rows if save_every is None
-
 
 def simulate(  # noqa: PLR0913  the options of a run
     model: Model,
@@ -99,9 +97,9 @@ def simulate(  # noqa: PLR0913  the options of a run
         Motion at the saved times with its errors. A run ends early if it diverges, its scheme
         fails or Ctrl-C stops it. It diverges if the state is not finite or a bar is off by 10 % of
         its length. `success` is then False and `message` gives the reason. The same holds for
-        finished runs that are not trustworthy. Their start violates bars and joints by more than a
-        fifth of lengths and speeds, unstable steps make a vibration grow tenfold, or the stages
-        do not resolve a function of time.
+        finished runs that are not trustworthy, for one of three reasons. The start violates bars
+        and joints by more than a fifth of lengths and speeds. Unstable steps make a vibration grow
+        tenfold. The stages do not resolve a function of time.
 
     Raises
     ------
@@ -145,7 +143,7 @@ def simulate(  # noqa: PLR0913  the options of a run
     laid = lay_run(model, start, t_end, step, scheme, control, p)
     inputs = laid.inputs
     every = (
-        max(1, -(-inputs.steps // _ROWS))
+        max(1, -(-inputs.steps // 1000))
         if save_every is None
         else whole_number("save_every", save_every, 1)
     )

@@ -18,9 +18,6 @@ from tenscasadi.integrators.scheme import Scheme, equations
 from tenscasadi.integrators.stabilization import Correction, correct
 
 CHUNK = 256  # steps per call, between saved states
-# instructions × directions that a C compiler takes seconds for
-_LONG = 3000
-_WIDEST = 8  # directions
 
 
 class Steps(NamedTuple):
@@ -43,10 +40,11 @@ class Steps(NamedTuple):
 def choose_width(model: Model, directions: int) -> int:
     """Choose the number of directions per call.
 
-    Directions share common terms, but the compile time grows with their number.
+    Directions share common terms, but the compile time grows with their number. It is seconds for
+    3000 instructions × directions.
     """
     return int(
-        np.clip(_LONG // max(count_instructions(model.ode), 1), 1, min(_WIDEST, max(directions, 1)))
+        np.clip(3000 // max(count_instructions(model.ode), 1), 1, min(8, max(directions, 1)))
     )
 
 

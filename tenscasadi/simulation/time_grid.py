@@ -26,8 +26,6 @@ from tenscasadi.simulation.control_input import (
 )
 from tenscasadi.util.validate import Array, positive_number
 
-_LEAST = 2048  # smallest number of parts of a run, with eight samples each
-_AT_ONCE = 16384  # parts that are sampled in one call
 UNSEEN = "changes within steps"  # in messages on unresolved functions of time
 
 
@@ -311,12 +309,12 @@ def _compare_quadratures(function: ca.Function, ends: Array, order: int) -> tupl
     Returns the differences (K,) and the integral of the function's absolute value.
     """
     points, weights = np.polynomial.legendre.leggauss(8)
-    divisions = -(-_LEAST // (len(ends) - 1))
+    divisions = -(-2048 // (len(ends) - 1))  # at least 2048 parts in all
     fine = ((np.arange(divisions)[:, None] + (1 + points) / 2) / divisions).ravel()
     fine_weights = np.tile(weights / 2 / divisions, divisions)
     coarse, coarse_weights = _lobatto(max(2, (order + 3) // 2))
     unseen, size = [], 0.0
-    block = max(1, _AT_ONCE // divisions)
+    block = max(1, 16384 // divisions)  # bounds the memory
     for begin in range(0, len(ends) - 1, block):
         starts = ends[begin : begin + block + 1]
         lengths = np.diff(starts)[:, None]

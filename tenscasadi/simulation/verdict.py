@@ -24,6 +24,8 @@ from tenscasadi.simulation.diagnosis import (
     WRONG_START,
     constraint_violation,
     describe_doubts,
+    describe_drift,
+    describe_energy_error,
     describe_violation,
     explain_divergence,
 )
@@ -34,11 +36,6 @@ from tenscasadi.simulation.time_grid import describe_unseen
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
 from tenscasadi.util.validate import Array
 
-_ROUNDING = 1e-9  # relative rounding error of energies
-# runs with the largest energy error that are tested, beside the first, the last and, for each of a
-# few parameters, the two extremes
-_LOOKED_AT = 2
-_FEW = 8  # parameters or controls that are compared one by one; of more, their sum
 _MOST = 50  # tested runs above the stability limit, or with lost energy
 _LIMIT = "stability limit"
 
@@ -155,17 +152,10 @@ def judge(run: Runs) -> tuple[NDArray[np.bool_], NDArray[np.str_]]:
     for k in np.flatnonzero(violation > OFF).tolist():
         told[k] += f"; the start is {describe_violation(violation[k])}"
     success &= violation <= WRONG_START
-    worst = dict(
-        zip(
-            WORST,
-            result.worst.T if result.worst is not None else np.empty((len(WORST), n)),
-            strict=True,
-        )
-    )
+    extremes: Any = result.worst  # rollouts always measure it
+    worst = dict(zip(WORST, extremes.T, strict=True))
     for k in np.flatnonzero(success & (worst["bar_length_error"] > DRIFTED_BARS)).tolist():
-        told[k] += (
-            f"; bars are off by up to {worst['bar_length_error'][k]:.2g} of their length (correction=Projection() holds them)"
-        )
+        told[k] += f"; {describe_drift(worst['bar_length_error'][k])}"
     moved = (
         worst["kinetic"]
         + worst["elastic_high"]
@@ -180,13 +170,13 @@ def judge(run: Runs) -> tuple[NDArray[np.bool_], NDArray[np.str_]]:
         + abs(worst["gravity_high"])
     )
     off = np.where(
-        worst["energy_error"] > _ROUNDING * size,
+        worst["energy_error"] > 1e-9 * size,
         worst["energy_error"] / np.maximum(moved, 1e-300),
         0.0,
     )
     for k in np.flatnonzero(success & (off > LOST_ENERGY)).tolist():
         told[k] += (
-            f"; energy is off by {worst['energy_error'][k]:.2g} J where {moved[k]:.2g} J move: try a smaller step"
+            f"; {describe_energy_error(worst['energy_error'][k], moved[k])}: try a smaller step"
         )
     _look_closer(run, off, success, told)
     if run.unseen and not run.scheme.adaptive:
@@ -269,11 +259,13 @@ def _look_closer(run: Runs, share: Array, success: NDArray[np.bool_], told: NDAr
     order = left[
         np.argsort(-np.nan_to_num(share[left]), kind="stable")
     ].tolist()  # the most likely to be wrong first
-    chosen = {int(left[0]), int(left[-1]), *order[:_LOOKED_AT]}
+    # The first, the last, the two largest energy errors, and the extremes of up to 8 parameters or
+    # controls; of more, of their sum.
+    chosen = {int(left[0]), int(left[-1]), *order[:2]}
     for values in (run.parameters, run.controls[:, 0]):
         if len(values) > 1 and values.shape[1]:
             columns = (
-                values[left] if values.shape[1] <= _FEW else values[left].sum(axis=1, keepdims=True)
+                values[left] if values.shape[1] <= 8 else values[left].sum(axis=1, keepdims=True)
             )
             chosen |= {
                 int(left[pick(column)]) for column in columns.T for pick in (np.argmin, np.argmax)

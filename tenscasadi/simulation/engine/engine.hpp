@@ -1,5 +1,5 @@
-// Motions through time, LANES at once. Around it stand: lanes.hpp; where the model's code is in the same library OWN_MODEL, its struct;
-// and the two functions declared below as those of the scheme. z is the state x and, with `work`, the energy supplied by forces.
+// Integration loop that advances LANES runs at once. The library also contains lanes.hpp and the two functions of the scheme declared
+// below. OWN_MODEL is the struct of a model in the same library. z is the state x and, with `work`, the energy supplied by forces.
 
 #ifndef casadi_int
 #define casadi_int long long int
@@ -7,26 +7,26 @@
 
 enum { FINISHED, NOT_FINITE, BEYOND, BROKEN, STOPPED, UNSOLVED, STUCK, TIRED };
 enum { BARS, JOINTS, ENERGY, KINETIC, ELASTIC_LOW, ELASTIC_HIGH, GRAVITY_LOW, GRAVITY_HIGH, WORST };
-enum { REST, NEXT, MEMORY = 11 };                      // of a scheme that controls its error: time left, step to try next, and more
-enum { ENERGY_0, BARS_0, WORK, JUMPS, CARRIED };       // of a motion that goes on in another request; its memory follows
-enum { TOLD = 5 };                                     // measures of a kept row: errors of bars and joints, three energies
-enum { CHECKED = 64 };                                 // trial steps from one look at their lengths to the next
+enum { REST, NEXT, MEMORY = 11 };                      // memory of error control: time left, next trial step, and more
+enum { ENERGY_0, BARS_0, WORK, JUMPS, CARRIED };       // of a run that continues in another request; its memory follows
+enum { TOLD = 5 };                                     // measures of a saved row: errors of bars and joints, three energies
+enum { CHECKED = 64 };                                 // trial steps between checks of their length
 
 typedef int (*Call)(const lanes **, lanes **, casadi_int *, lanes *, int);
 
 struct Model {
-  int64_t nx, nw, nu, work, jumps, measures, modes, errors, stages;  // modes and errors: of a scheme that controls its error
+  int64_t nx, nw, nu, work, jumps, measures, modes, errors, stages;  // modes and errors: for error control
   int64_t size_arg, size_res, size_iw, size_w;
   Call ode;      // (z, w) -> zdot; w: control, parameters and modes
-  Call step;     // (z, w, h, numbers) -> z after a step; of schemes that are no table of Runge and Kutta
+  Call step;     // (z, w, h, numbers) -> z after a step; for schemes without a tableau
   Call prepare;  // (z, memory, w) -> length of a trial step, w with the modes
   Call decide;   // (z, memory, w, numbers, h, w with modes, z after, errors, first and last slope) -> z, memory
-  Call project;  // (x, w) -> x on its bars and joints
+  Call project;  // (x, w) -> projected x
   Call effect;   // (x before, x after, w) -> movement of a node, energy added by a correction
   Call measure;  // (x, w) -> errors of bars and joints, energies, and more
   Call energy;   // (x, w) -> total energy
   Call stage;    // (x, w) -> cost rate of an interval
-  Call final;    // (x, w) -> cost of the end
+  Call final;    // (x, w) -> terminal cost
 };
 
 #ifdef OWN_MODEL
@@ -37,32 +37,32 @@ static const Model own = OWN_MODEL;
 #endif
 
 struct Request {
-  // motions; numbers from the states, inputs and parameters of one to those of the next, 0 where all share one; width of a row of inputs
+  // runs; strides of states, inputs and parameters, 0 if all runs share one row; width of a row of inputs
   int64_t motions, state_stride, input_stride, parameter_stride, width;
-  // intervals of time: the row of the inputs in each, its steps and their length; whether feedback decides anew at its start
+  // intervals: row of the inputs, number and length of steps; whether feedback is updated at the start
   int64_t intervals;
   const int64_t *row, *count;
   const double *length;
   const int64_t *decides;
-  const double *states, *inputs, *parameters;  // no parameters: inputs hold them, too
-  // feedback: controls, states, gains of each decision, and limits; no gains: none
+  const double *states, *inputs, *parameters;  // without parameters, inputs contain them
+  // feedback: controls, states and gains of each update, and limits; none without gains
   const int64_t *decision;
   const double *given, *reference, *gains, *lower, *upper;
-  int64_t referred;  // entries of the state that are fed back
-  const double *numbers;  // of the scheme, such as tolerances
-  int64_t counted, trials;  // how many numbers; trial steps in a step of the grid
-  double shortest;  // of a trial step
-  // steps from one correction, kept row and look to the next; 0: none. Steps before this request, and of all requests of these motions
+  int64_t referred;  // number of state entries in the feedback
+  const double *numbers;  // numbers of the scheme, such as tolerances
+  int64_t counted, trials;  // count of numbers; largest number of trial steps in a grid step
+  double shortest;  // shortest trial step
+  // steps between corrections, saved rows and checks; 0: none. Steps before this request and in all requests of these runs
   int64_t correct_every, save_every, look_every, rows, begin, total;
-  double broken, beyond, largest;  // largest: of a start
+  double broken, beyond, largest;  // largest: bound of a start
   // results
   double *last, *saved, *measured, *corrected, *worst, *cost, *carry;
   int64_t *status, *fault, *good;
-  // shared by the threads that work on a request
+  // shared by the threads of a request
   int64_t *next, *done, *stop;
 };
 
-struct Room {  // of one thread
+struct Room {  // workspace of one thread
   const Model *model;
   lanes *z, *after, *w, *measure, *first, *worst, *bars, *jumped, *u, *numbers, *memory, *kept, *v, *errors, *slopes, *point, *entry, *work;
   casadi_int *iw;
@@ -70,9 +70,9 @@ struct Room {  // of one thread
   lanes **res;
 };
 
-// Length of a step -> z after it, in room.after; 0: done.
+// Take a step of length h; the result is in room.after. Returns 0 on success.
 static int take_step(Room &room, lanes h);
-// Length of a trial step -> z after it in room.after, errors, and slopes at both ends; 0: done.
+// Take a trial step; the results are room.after, errors, and slopes at both ends. Returns 0 on success.
 static int try_step(Room &room, lanes h, const lanes *&first, const lanes *&last);
 
 template <int A, int R>
@@ -83,8 +83,8 @@ static inline int evaluate(const Room &room, Call function, const lanes *const (
 }
 
 struct Group {
-  int64_t start, pending;  // pending: kept row whose next correction is to be measured
-  int live;  // motions of this group; lanes beyond repeat the last one
+  int64_t start, pending;  // pending: saved row whose next correction is measured
+  int live;  // runs of this group; further lanes repeat the last one
   int64_t status[LANES], fault[LANES], good[LANES];
 
   int64_t motion(int k) const { return start + (k < live ? k : live - 1); }
@@ -116,7 +116,7 @@ static void decide(const Request &q, Room &room, int64_t decision) {
     for (int64_t j = 0; j < q.referred; ++j) sum += lanes(G[i * q.referred + j]) * (room.z[j] - lanes(x[j]));
     lanes value = lanes(u[i]) - sum;
     for (int k = 0; k < LANES; ++k) {
-      double v = get(value, k);  // what is not a number stays so
+      double v = get(value, k);  // NaN stays NaN
       set(room.w[i], k, v < q.lower[i] ? q.lower[i] : v > q.upper[i] ? q.upper[i] : v);
     }
   }
@@ -124,7 +124,7 @@ static void decide(const Request &q, Room &room, int64_t decision) {
 
 static lanes supplied(const Room &room) { return MODEL.work ? room.z[MODEL.nx] + room.jumped[0] : room.jumped[0]; }
 
-// The fault of one motion.
+// Detect the failure of one run.
 static int64_t fault_of(const Request &q, const Room &room, int k, int64_t step) {
   int64_t fault = FINISHED;
   for (int i = 0; i < MODEL.nx; ++i) {
@@ -139,7 +139,7 @@ static int64_t fault_of(const Request &q, const Room &room, int k, int64_t step)
   return fault;
 }
 
-// Whether all motions of a group are on their way and in order, seen at once.
+// Return whether all runs of a group are active and valid, by one test.
 static bool all_fine(const Request &q, const Group &g, const Room &room) {
   lanes fine = 1.0, beyond = q.beyond;
   for (int i = 0; i < MODEL.nx; ++i) fine = fine && fabs(room.z[i]) <= beyond;
@@ -149,7 +149,7 @@ static bool all_fine(const Request &q, const Group &g, const Room &room) {
   return true;
 }
 
-// Measure where motions are, and mark those that are lost.
+// Measure the states and mark the runs that failed.
 static void look(const Request &q, Group &g, Room &room, int64_t step) {
   if (MODEL.measures) {
     evaluate(room, MODEL.measure, {room.z, room.w}, {room.measure});
@@ -170,7 +170,7 @@ static void look(const Request &q, Group &g, Room &room, int64_t step) {
     bool low = i == ELASTIC_LOW || i == GRAVITY_LOW;
     lanes worst = !step ? now[i] : low ? fmin(room.worst[i], now[i]) : fmax(room.worst[i], now[i]);
     for (int k = 0; k < g.live; ++k)
-      if (g.status[k]) set(worst, k, get(room.worst[i], k));  // as it was when the motion was lost
+      if (g.status[k]) set(worst, k, get(room.worst[i], k));  // as before the failure
     room.worst[i] = worst;
   }
 }
@@ -195,7 +195,7 @@ static void measure_correction(const Request &q, Group &g, Room &room, const lan
   g.pending = -1;
 }
 
-// A step of fixed length.
+// Take a step of fixed length.
 static int advance(const Request &q, Group &g, Room &room, double length, bool correct) {
   if (take_step(room, length)) return UNSOLVED;
   if (correct) {
@@ -210,7 +210,7 @@ static int advance(const Request &q, Group &g, Room &room, double length, bool c
   return FINISHED;
 }
 
-// Trial steps to the end of a step of the grid; one lane. A step that is given up leaves z where it began.
+// Take trial steps to the end of a grid step, with one lane. A failure leaves z at the start of the grid step.
 static int try_steps(const Request &q, Room &room, double length) {
   room.memory[REST] = length;
   for (int64_t i = 0; i < MODEL.nw; ++i) room.v[i] = room.w[i];
@@ -242,7 +242,7 @@ static int control_error(const Request &q, Room &room, double length) {
   return code;
 }
 
-// The controls of the next interval; what changing them does to the energy counts as supplied.
+// Set the controls of the next interval. The energy change by the new controls counts as supplied.
 static void hold(const Request &q, const Group &g, Room &room, int64_t interval, bool account) {
   lanes before, after;
   if (account) evaluate(room, MODEL.energy, {room.z, room.w}, {&before});
@@ -363,7 +363,7 @@ static char *make_room(Room &room, int64_t counted) {
 
 extern "C" __attribute__((visibility("default"))) int64_t motion_lanes(void) { return LANES; }
 
-// Roll motions until none is left that no other thread has taken. 0: done, 2: no memory.
+// Integrate runs until no thread finds another one. Returns 0 on success, 2 without memory.
 extern "C" __attribute__((visibility("default"))) int motion_roll(const Model *model, const Request *request) {
   Room room;
   room.model = model;
@@ -380,7 +380,7 @@ extern "C" __attribute__((visibility("default"))) int motion_roll(const Model *m
   return 0;
 }
 
-// Measures (rows, measures) of states (rows, nx) under w (rows, nw); one lane.
+// Compute measures (rows, measures) of states (rows, nx) and inputs w (rows, nw), with one lane.
 extern "C" __attribute__((visibility("default"))) int motion_observe(const Model *model, int64_t rows, const double *x, const double *w, double *out) {
   Room room;
   room.model = model;

@@ -41,7 +41,6 @@ FAULTS = {
     BEYOND: "the state is beyond any physical size",
     BROKEN: f"a bar is off by more than {BROKEN_BARS:.0%} of its length",
 }
-_LOOKS = 100  # measurements during a run
 
 
 class Request(NamedTuple):
@@ -114,7 +113,7 @@ def roll(request: Request, limit: float = np.inf, progress: bool = False) -> Run
             _lay_pieces(inputs, kept, controls, pieces),
             inputs.steps,
             request.every,
-            look_every=max(1, inputs.steps // _LOOKS),
+            look_every=max(1, inputs.steps // 100),
             longest=inputs.longest,
             watch=Watch(lambda done: bar.update(done - bar.n), deadline),
         )

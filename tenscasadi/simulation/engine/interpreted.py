@@ -29,11 +29,8 @@ from tenscasadi.simulation.engine.step_code import KernelFunctions
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.validate import Array
 
-_BLOCK = 256  # runs that are integrated together
 _FOLDED = 32  # steps per call: a call from Python costs as much as a step of a ball
-_CHECKED = 64  # trial steps between checks of their length
 _REST, _NEXT = (Memory._fields.index(name) for name in ("rest", "step"))
-_LOW = [4, 6]  # columns of `WORST` that hold minima
 Values = Mapping[str, Any]
 
 
@@ -44,7 +41,7 @@ class Interpreted:
 
     def __init__(self, program: KernelFunctions) -> None:
         functions, self.sizes = dict(program.functions), program.sizes
-        self.together = 1 if program.adaptive else _BLOCK
+        self.together = 1 if program.adaptive else 256
         if program.adaptive and program.tableau is not None:
             control = ErrorControl(*(functions.pop(name) for name in ErrorControl._fields))
             functions["attempt"] = build_attempt(control, program.tableau)
@@ -127,7 +124,7 @@ class Interpreted:
                 return FINISHED
             if q["stop"][0]:
                 return STOPPED
-            if trial % _CHECKED == 0 and memory[0, _NEXT] < q["shortest"] * length:
+            if trial % 64 == 0 and memory[0, _NEXT] < q["shortest"] * length:
                 return STUCK
         return TIRED
 
@@ -274,7 +271,8 @@ class Loop:
         if self.step == 0:
             self.worst = np.where(fine[:, None], now, np.nan)
         new = np.maximum(self.worst, now)
-        new[:, _LOW] = np.minimum(self.worst, now)[:, _LOW]
+        minima = [4, 6]  # columns of `WORST`
+        new[:, minima] = np.minimum(self.worst, now)[:, minima]
         self.worst = np.where(fine[:, None], new, self.worst)
 
     def _keep(self, row: int) -> None:

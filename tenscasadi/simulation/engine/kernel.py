@@ -47,9 +47,7 @@ from tenscasadi.util.compile import (
 from tenscasadi.util.validate import LARGEST, Array
 
 BROKEN_BARS = 0.1  # relative length error of a diverged run
-_BEYOND = 1e12  # state entries above this are not physical in any unit
 SHORTEST = 1e-13  # × grid spacing: shorter trial steps make no progress
-_POLL = 0.05  # time between two progress checks of the threads, s
 
 
 class Backend(Protocol):
@@ -275,7 +273,7 @@ class Kernel:
             "correct_every": self._every,
             "rows": 0 if result.saved is None else result.saved.shape[1],
             "broken": BROKEN_BARS,
-            "beyond": _BEYOND,
+            "beyond": 1e12,  # not physical in any unit
             "largest": LARGEST,
             "last": result.states,
             **{name: value for name, value in result._asdict().items() if name != "states"},
@@ -342,7 +340,7 @@ def _wait(
     """
     done = False
     while not done:
-        wake.wait(_POLL)
+        wake.wait(0.05)  # s between two progress reports
         wake.clear()
         done = over()
         if watch is not None:

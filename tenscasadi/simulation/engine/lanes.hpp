@@ -1,5 +1,5 @@
-// Lanes: LANES doubles that go through the same instructions, one motion in each. What CasADi writes in C compiles with it as its number.
-// A lane has no truth value: code that branches on numbers does not compile, rather than follow the first lane.
+// Number type of LANES doubles, one for each run. C code by CasADi compiles with it as casadi_real.
+// It has no truth value, so code that branches on numbers does not compile instead of following the first lane.
 #include <math.h>
 #include <stdint.h>
 #include <stdlib.h>
@@ -23,7 +23,7 @@ struct lanes {
   lanes() = default;
   lanes(double x) : v(x - (lanes_v){}) {}
   lanes(lanes_v x) : v(x) {}
-  // 1 where a comparison holds, 0 elsewhere, as in C
+  // 1 if a comparison holds, else 0, as in C
   lanes(lanes_m m) : v((lanes_v)(m & (lanes_m)((lanes_v){} + 1.0))) {}
 };
 
@@ -42,7 +42,7 @@ static inline lanes operator!(lanes a) { return (lanes_m)(a.v == 0.0); }
 static inline lanes operator&&(lanes a, lanes b) { return (lanes_m)((a.v != 0.0) & (b.v != 0.0)); }
 static inline lanes operator||(lanes a, lanes b) { return (lanes_m)((a.v != 0.0) | (b.v != 0.0)); }
 
-// a where c is true, else b; a lane that is not taken may hold anything
+// a if c is true, else b; the other value may be anything
 static inline lanes choose(lanes_m c, lanes_v a, lanes_v b) { return (lanes_v)(((lanes_m)a & c) | ((lanes_m)b & ~c)); }
 static inline lanes select(lanes c, lanes a) { return (lanes_v)((lanes_m)a.v & (c.v != 0.0)); }
 static inline lanes fmax(lanes a, lanes b) { return choose((a.v > b.v) | (b.v != b.v), a.v, b.v); }

@@ -42,7 +42,6 @@ CALLS = (
 )
 _OWN = ("nx", "nw", "nu", "work", "jumps", "measures", "modes", "errors", "stages")
 MODEL_SIZES = (*_OWN, "size_arg", "size_res", "size_iw", "size_w")
-_MOST_INPUTS = 10  # number of inputs of `decide`, the longest
 
 # CasADi writes if_else as a sum of these. Operands are variables or loop entries.
 _OPERAND = r"\w+(?:\[\w+\])?|\(\*\w+\+\+\)"
@@ -235,7 +234,7 @@ def room_sizes(program: KernelFunctions) -> dict[str, int]:
     """Return the workspace sizes of the Functions."""
     functions = program.functions.values()
     return {
-        "size_arg": max(_MOST_INPUTS, *(f.sz_arg() for f in functions)),
+        "size_arg": max(10, *(f.sz_arg() for f in functions)),  # `decide` has 10 inputs
         "size_res": max(2, *(f.sz_res() for f in functions)),
         "size_iw": max(f.sz_iw() for f in functions),
         "size_w": max(f.sz_w() for f in functions),

@@ -18,7 +18,6 @@ from tenscasadi.simulation.engine.request import Intervals, RunPiece
 from tenscasadi.util.compile import Single
 from tenscasadi.util.validate import Array
 
-_REPORTED = 0.01  # × extent of the motion: larger errors enter the message
 _LOOSER = 10.0  # tolerance factor of the first repetition
 
 
@@ -61,7 +60,8 @@ class _Repetition:
         self._request, self._run, self._nodes, self._deadline = request, run, nodes, deadline
         self.motion = float(np.ptp(nodes, axis=0).max(initial=0.0))
         rounding = 1e-5 if isinstance(request.compiled, Single) else 1e-9  # × extent of the model
-        self.least = max(_REPORTED * self.motion, rounding * extent(request.model))
+        # The message reports errors above 1 % of the motion.
+        self.least = max(0.01 * self.motion, rounding * extent(request.model))
 
     def compare(self, times: float) -> float:
         """Compute the distance to a coarser or finer run [m].

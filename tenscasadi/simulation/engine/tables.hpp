@@ -1,5 +1,5 @@
-// A table is looked up in each lane. CasADi's code for doubles, in namespace scalar, tells which of its values; a table of one number is then
-// interpolated in all lanes at once, to the same rounding.
+// Look up a table in each lane. CasADi's code for doubles, in namespace scalar, selects the values. A table with one output is then
+// interpolated in all lanes at once, with the same rounding.
 static inline void casadi_interpn(lanes *res, casadi_int ndim, const double *grid, const casadi_int *offset, const double *values,
                                   const lanes *x, const casadi_int *lookup_mode, casadi_int m, casadi_int *iw, lanes *) {
   if (ndim == 1) {
