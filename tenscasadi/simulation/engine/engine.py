@@ -29,6 +29,7 @@ from tenscasadi.simulation.engine.request import (
     Intervals,
     Rolled,
     RunPiece,
+    gather_steps,
 )
 from tenscasadi.simulation.engine.step_code import Account
 from tenscasadi.simulation.engine.sundials_runs import SundialsRuns
@@ -174,18 +175,6 @@ def _lay_pieces(
             pieces.append(piece)
         yield piece
         first, most = first + count, min(2 * most, 65536)
-
-
-def gather_steps(held: Array, lengths: Array) -> RunPiece:
-    """Merge steps of equal length and input into intervals.
-
-    `held` (S, nw) are the inputs and `lengths` (S,) the lengths [s] of the steps.
-    """
-    changed = np.append(True, (held[1:] != held[:-1]).any(axis=1))
-    begins = np.flatnonzero(changed | np.append(True, lengths[1:] != lengths[:-1]))
-    row = np.cumsum(changed)[begins] - 1
-    steps = np.diff(np.append(begins, len(lengths)))
-    return RunPiece(Intervals(row, steps, lengths[begins]), held[changed][None])
 
 
 def _gather(

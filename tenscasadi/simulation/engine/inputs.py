@@ -13,7 +13,7 @@ import numpy as np
 from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.strings import RestLength
 from tenscasadi.simulation.control_input import ControlProfile, SampledControl, sample_control
-from tenscasadi.simulation.engine.request import Intervals, count_runs
+from tenscasadi.simulation.engine.request import Intervals, count_runs, gather_steps
 from tenscasadi.simulation.feedback import Feedback
 from tenscasadi.simulation.time_grid import lay_grid
 from tenscasadi.util.validate import (
@@ -74,19 +74,13 @@ def read_parameters(model: Model, given: Any) -> Array:
             {name: value for name, value in given.items() if name not in tables}
             | dict.fromkeys(tables.keys() - layout.places, 0)
         )
-        checked = {
-            name: _table(f"parameters[{shown(name)}]", value, layout.places[name])
-            for name, value in tables.items()
-        }
-        rows = np.tile(
-            shared,
-            (
-                count_runs(
-                    **{f"parameters[{name!r}]": len(value) for name, value in checked.items()}
-                ),
-                1,
-            ),
-        )
+        checked = {}
+        for name, value in tables.items():
+            place = layout.places[name]
+            shape = (None, place.stop - place.start)
+            checked[name] = finite_array(f"parameters[{shown(name)}]", value, shape)
+        counts = {f"parameters[{name!r}]": len(value) for name, value in checked.items()}
+        rows = np.tile(shared, (count_runs(**counts), 1))
         for name, value in checked.items():
             rows[:, layout.places[name]] = value
     elif nesting(given) < 2:
@@ -95,10 +89,6 @@ def read_parameters(model: Model, given: Any) -> Array:
         rows = finite_array("parameters", given, (None, len(layout)))
     layout.check(rows)
     return rows
-
-
-def _table(field: str, value: Any, place: slice) -> Array:
-    return finite_array(field, value, (None, place.stop - place.start))
 
 
 def _stack_rows(rows: list[Array], size: int) -> Array:
@@ -115,10 +105,8 @@ def read_controls(model: Model, controls: Any, p: Array) -> ControlSchedule:
     nu = model.nu
     if isinstance(controls, Feedback):
         given, known = controls.controls.shape[1], controls.states.shape[1]
-        if given != nu or known - 2 * model.nq not in (
-            0,
-            1,
-        ):  # the clock is not fed back
+        clock = known - 2 * model.nq  # not fed back
+        if given != nu or clock not in (0, 1):
             raise ValueError(
                 f"controls is a Feedback of {given} controls and {known} states: the model has {nu} and {model.nx}"
             )
@@ -215,24 +203,12 @@ def gather_intervals(
     """Merge equal steps into intervals and prepare the feedback arrays."""
     if inputs.ends is None:
         count = plan.controls.shape[1]  # equal intervals
-        row, steps, length = (
-            np.arange(count),
-            np.full(count, inputs.steps // count),
-            np.full(count, inputs.step),
-        )
+        row, steps = np.arange(count), np.full(count, inputs.steps // count)
+        length = np.full(count, inputs.step)
     else:
-        owner, lengths = (
-            inputs.window(0, inputs.steps)[:, 0].astype(np.int64),
-            inputs.lengths(0, inputs.steps),
-        )
-        begins = np.flatnonzero(
-            np.concatenate([[True], (np.diff(owner) != 0) | (np.diff(lengths) != 0)])
-        )
-        row, steps, length = (
-            owner[begins],
-            np.diff(np.append(begins, inputs.steps)),
-            lengths[begins],
-        )
+        piece = gather_steps(inputs.window(0, inputs.steps), inputs.lengths(0, inputs.steps))
+        own, steps, length = piece.intervals
+        row = piece.inputs[0, own, 0].astype(np.int64)
     if plan.feedback is None:
         return Intervals(row, steps, length), None
     plan_size, referred = len(plan.feedback.controls), 2 * model.nq
@@ -269,10 +245,5 @@ def controls_at(plan: ControlSchedule, model: Model, time: Array, saved: Any, k:
     row = np.searchsorted(f.time, time + 1e-9, side="right") - 1
     gain = np.minimum(row, len(f.controls) - 1)
     away = saved[k][:, :known] - f.states[row, :known]
-    return np.asarray(
-        np.clip(
-            f.controls[gain] - np.einsum("tux,tx->tu", f.gains[gain][:, :, :known], away),
-            f.lower,
-            f.upper,
-        )
-    )
+    change = np.einsum("tux,tx->tu", f.gains[gain][:, :, :known], away)
+    return np.asarray(np.clip(f.controls[gain] - change, f.lower, f.upper))

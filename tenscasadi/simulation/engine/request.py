@@ -96,6 +96,18 @@ class RunPiece(NamedTuple):
     inputs: Array
 
 
+def gather_steps(held: Array, lengths: Array) -> RunPiece:
+    """Merge steps of equal length and input into intervals.
+
+    `held` (S, nw) are the inputs and `lengths` (S,) the lengths [s] of the steps.
+    """
+    changed = np.append(True, (held[1:] != held[:-1]).any(axis=1))
+    begins = np.flatnonzero(changed | np.append(True, lengths[1:] != lengths[:-1]))
+    row = np.cumsum(changed)[begins] - 1
+    steps = np.diff(np.append(begins, len(lengths)))
+    return RunPiece(Intervals(row, steps, lengths[begins]), held[changed][None])
+
+
 class Rolled(NamedTuple):
     """Results of n runs.
 
