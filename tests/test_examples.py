@@ -187,7 +187,13 @@ NAMES = sorted(path.stem for path in EXAMPLES.glob("*.py"))
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(name, marks=[pytest.mark.slow] * (name == IN_A_BROWSER)) for name in NAMES],
+    [
+        pytest.param(
+            name,
+            marks=[pytest.mark.slow] * name.startswith("benchmark_"),
+        )
+        for name in NAMES
+    ],
 )
 def test_example(name, tmp_path, monkeypatch, capsys):
     if name == IN_A_BROWSER and chromium() is None:

@@ -46,7 +46,10 @@ def test_fourth_order_convergence_to_the_certified_solution(
 
 
 @BOTH
-@pytest.mark.parametrize("name", FINE)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.slow] * (name == "dbar_regular")) for name in FINE],
+)
 def test_certified_solution_to_a_nanometre(name: str, coordinates: Coordinates) -> None:
     case = certified(name)
     assert trajectory_error(case, case.data["t"], FINE[name], coordinates).max() < 1e-9

@@ -170,6 +170,7 @@ def test_an_undamped_mass_returns_to_its_height() -> None:
     assert np.abs(run.energy_error).max() < 2e-3
 
 
+@pytest.mark.slow
 def test_the_error_of_a_bounce_is_of_order_two_and_of_order_one_with_damping() -> None:
     end = 0.6  # between the first impact and the second
     damped = float(bounce(end, 6e-6, 20.0).nodes[-1, 0, 2])

@@ -80,7 +80,13 @@ CHOICES = {
 }
 
 
-@pytest.mark.parametrize("name", CHOICES)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] * name.startswith(("six bars", "nine bars")))
+        for name in CHOICES
+    ],
+)
 def test_first_attempt_finds_the_optimum(name):
     make, said = CHOICES[name]
     problem = make()

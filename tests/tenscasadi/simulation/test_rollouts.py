@@ -496,6 +496,7 @@ def test_what_changes_faster_than_any_steps_is_told_and_not_trusted() -> None:
     assert "NodalForce.values changes within steps near t = " in many.message[0]
 
 
+@pytest.mark.slow
 def test_each_motion_whose_energy_is_lost_is_no_success() -> None:
     """Masses bounce on ground that is stiff for the step: also where many of them lose or gain more than half of what moves."""
     mass = tc.Structure([(0, 0, 0.5)], node_mass=1.0)
