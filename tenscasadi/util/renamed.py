@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping
-from typing import Any
+from functools import wraps
+from typing import Any, TypeVar
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
 def find_renamed(package: str, names: Mapping[str, tuple[str, Any]]) -> Callable[[str], Any]:
@@ -19,3 +22,23 @@ def find_renamed(package: str, names: Mapping[str, tuple[str, Any]]) -> Callable
         return value
 
     return find
+
+
+def rename_keywords(**names: str) -> Callable[[_Function], _Function]:
+    """Accept old keywords of a function, given as old="new", with a warning."""
+
+    def decorate(function: _Function) -> _Function:
+        @wraps(function)
+        def call(*arguments: Any, **keywords: Any) -> Any:
+            for old, new in names.items():
+                if old in keywords:
+                    message = f"{function.__name__}({old}=) is deprecated: use {new}="
+                    if new in keywords:
+                        raise TypeError(f"{message}, and leave {old} out")
+                    warnings.warn(message, DeprecationWarning, stacklevel=2)
+                    keywords[new] = keywords.pop(old)
+            return function(*arguments, **keywords)
+
+        return call  # type: ignore[return-value]
+
+    return decorate
