@@ -20,7 +20,7 @@ def departures(model: Model, place: float, speed: float) -> ca.Function:
     if model.scene.structure.held.any() or model.scene.ground is not None:
         q, v, _ = model.split(x)
     else:
-        N = model.nodes(x)
+        N = model.nodes(x).T
         bars = {frozenset(bar) for bar in model.structure.bars.tolist()}
         pairs = [
             (a, b) for a, b in combinations(range(N.shape[1]), 2) if frozenset((a, b)) not in bars

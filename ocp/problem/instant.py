@@ -54,12 +54,12 @@ class Instant:
     @cached_property
     def nodes(self) -> Any:
         """Nodes 3×n of the scene's structure, m."""
-        return self.model.nodes(self.state)[:, : len(self.model.scene.structure.nodes)]
+        return self.model.nodes(self.state).T[:, : len(self.model.scene.structure.nodes)]
 
     @cached_property
     def velocities(self) -> Any:
         """Velocities 3×n of these nodes, m/s."""
-        return self.model.velocities(self.state)[:, : len(self.model.scene.structure.nodes)]
+        return self.model.velocities(self.state).T[:, : len(self.model.scene.structure.nodes)]
 
     @cached_property
     def lengths(self) -> Any:
@@ -117,7 +117,7 @@ class Instant:
         if winds(self.model):
             return self.control
         s = self.model.structure
-        along = norms(self._across(self.model.nodes(self.state), s.strings))
+        along = norms(self._across(self.model.nodes(self.state).T, s.strings))
         given = per_item("stiffness", stiffness, len(self.model.scene.structure.strings))
         whole = ca.DM(
             nonnegative("stiffness", given, "string", strict=True)[s.string_parent]

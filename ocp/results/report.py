@@ -172,7 +172,7 @@ def _missed(problem: Problem, replay: Trajectory) -> tuple[Missed, ...]:
             np.interp(share * replay.time[-1], replay.time, column) for column in replay.states.T
         ]
         x = ca.SX.sym("x", model.nx)
-        rows = goal.rows(model.scene.structure, model.nodes(x), model.velocities(x))
+        rows = goal.rows(model.scene.structure, model.nodes(x).T, model.velocities(x).T)
         misses = np.abs(
             np.asarray(ca.Function("rows", [x], [ca.densify(rows.value)])(state).full()).ravel()
         )

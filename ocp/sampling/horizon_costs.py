@@ -103,7 +103,8 @@ def _misses(problem: Problem, now: Instant, sizes: dict[str, float]) -> Any:
     model, structure = problem.model, problem.model.scene.structure
     x = ca.SX.sym("x", model.nx)
     rows = stack(
-        goal.rows(structure, model.nodes(x), model.velocities(x)) for goal in problem.final_goals
+        goal.rows(structure, model.nodes(x).T, model.velocities(x).T)
+        for goal in problem.final_goals
     )
     misses = (
         ca.Function("misses", [x], [ca.sumsqr(rows.value / ca.DM(rows.sizes(sizes)))])

@@ -115,7 +115,7 @@ class Motions:
                 )
             )
             rows = stack(
-                goal.rows(structure, model.nodes(x), model.velocities(x)) for goal in goals
+                goal.rows(structure, model.nodes(x).T, model.velocities(x).T) for goal in goals
             )
             if not rows.names:
                 continue

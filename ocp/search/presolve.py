@@ -282,7 +282,7 @@ def _whole_motions(problem: Problem, state: Array) -> Array:
     J = ca.Function(
         "columns",
         [x],
-        [ca.jacobian(ca.vertcat(ca.vec(model.nodes(x)), ca.vec(model.velocities(x))), x)],
+        [ca.jacobian(ca.vertcat(ca.vec(model.nodes(x).T), ca.vec(model.velocities(x).T)), x)],
     )(state)
     wanted = np.column_stack(
         [np.concatenate([part.ravel() for part in column]) for column in columns]

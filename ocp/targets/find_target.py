@@ -126,7 +126,7 @@ class _Finder:
         self.x, duration = ca.SX.sym("x", model.nx), ca.SX.sym("T")
         self.y = ca.vertcat(self.x, duration)
         self.scale = np.append(scales.state, scales.time)
-        N, V, structure = model.nodes(self.x), model.velocities(self.x), model.scene.structure
+        N, V, structure = model.nodes(self.x).T, model.velocities(self.x).T, model.scene.structure
         self.goals = stack(goal.rows(structure, N, V) for goal in problem.final_goals)
         # a free start can have any momentum
         self.invariants = [
@@ -294,7 +294,7 @@ class _Finder:
         Returns combinations (k, m) of m squared distances, their gradients, and the pairs (m, 2).
         """
         structure, nodes = self.problem.model.scene.structure, self._nodes(y)
-        placed = ca.jacobian(ca.vec(self.problem.model.nodes(self.x)[:, : len(nodes)]), self.y)
+        placed = ca.jacobian(ca.vec(self.problem.model.nodes(self.x)[: len(nodes), :].T), self.y)
         by_y = ca.DM(ca.Function("moves", [self.y], [placed])(y)).sparse()
         moves = sp.csr_array(sp.csr_array(by_y) * (self.scale / self.scales.length))
         # clock and duration do not change distances
@@ -314,7 +314,7 @@ class _Finder:
 
         They are functions of x, relative to the structure's size.
         """
-        N = self.problem.model.nodes(self.x)
+        N = self.problem.model.nodes(self.x).T
         d = N[:, pairs[:, 0].tolist()] - N[:, pairs[:, 1].tolist()]
         return ca.sum1(d * d).T / self.scales.length**2
 

@@ -55,7 +55,7 @@ def find_free_start(problem: Problem, scales: Scales) -> FreeStartRows | None:
         return None
     model, near, structure = problem.model, problem.first_state, problem.model.scene.structure
     first, last = ca.SX.sym("x0", model.nx), ca.SX.sym("x", model.nx)
-    N0, V0 = model.nodes(first), model.velocities(first)
+    N0, V0 = model.nodes(first).T, model.velocities(first).T
     kept = {rows.kind: rows for rows in invariants(model, near, first, ca.SX(problem.shortest))}
     known: list[tuple[str, Array]] = []
     imposed = []
@@ -74,7 +74,7 @@ def find_free_start(problem: Problem, scales: Scales) -> FreeStartRows | None:
         _check_momentum(momentum, first, near, scales)
         known.append(("momentum", _gradient(momentum, first, near, scales)))
     before = N0[:, : len(structure.nodes)].T, V0[:, : len(structure.nodes)].T
-    N, V = model.nodes(last), model.velocities(last)
+    N, V = model.nodes(last).T, model.velocities(last).T
     repeats = stack(replace(goal, start=before).rows(structure, N, V) for goal in problem.repeating)
     at_near = replace(repeats, value=ca.substitute(repeats.value, first, ca.DM(near)))
     reduction = reduce_rows(

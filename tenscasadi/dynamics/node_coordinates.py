@@ -113,8 +113,8 @@ class NodeCoordinates:
 
         Returns
         -------
-        ndarray, shape (..., n, 3), or CasADi matrix
-            Positions, m; 3×n where x is CasADi.
+        ndarray, shape (..., n, 3), or CasADi matrix, shape (n, 3)
+            Positions [m].
         """
         return self._physical(x, 0, self.mechanism.N.T)
 
@@ -128,8 +128,8 @@ class NodeCoordinates:
 
         Returns
         -------
-        ndarray, shape (..., n, 3), or CasADi matrix
-            Velocities, m/s; 3×n where x is CasADi.
+        ndarray, shape (..., n, 3), or CasADi matrix, shape (n, 3)
+            Velocities [m/s].
         """
         return self._physical(x, 1, np.zeros_like(self.mechanism.N.T))
 
@@ -223,9 +223,8 @@ class NodeCoordinates:
 
     def _physical(self, x: Any, part: int, elsewhere: Array) -> Any:
         if isinstance(x, (ca.SX, ca.MX)):
-            return self.unpack(check_column("x", x, self.nx))[part][
-                :, self.mechanism.first.tolist()
-            ]
+            columns = self.unpack(check_column("x", x, self.nx))[part]
+            return columns[:, self.mechanism.first.tolist()].T
         states = rows_of_size("x", x, self.nx, "states")
         result = np.broadcast_to(
             self.mechanism.local(elsewhere.ravel()), (*states.shape[:-1], elsewhere.size)

@@ -205,7 +205,7 @@ def sensitivities(  # noqa: PLR0913  options of the run and of the derivatives
 
     >>> import tenscasadi as tc
     >>> model = tc.Model(tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity()))
-    >>> found = tc.sensitivities(model, t_end=1.0, step=0.01, of=lambda x, u: model.nodes(x)[0, 1], compiled=False)
+    >>> found = tc.sensitivities(model, t_end=1.0, step=0.01, of=lambda x, u: model.nodes(x)[1, 0], compiled=False)
     >>> found.mode, found.jacobian.shape
     ('adjoint', (1, 6))
     >>> round(float(found.jacobian[0] @ [0, 0, 0, 1, 0, 1]), 4)

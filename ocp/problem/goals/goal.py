@@ -179,7 +179,7 @@ class SoftGoal(Goal, FinalCost, kind="SoftGoal"):
         model = end.model
         return self.weight * ca.sumsqr(
             self.rows(
-                model.scene.structure, model.nodes(end.state), model.velocities(end.state)
+                model.scene.structure, model.nodes(end.state).T, model.velocities(end.state).T
             ).value
         )
 

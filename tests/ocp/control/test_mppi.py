@@ -216,7 +216,7 @@ def test_it_says_how_many_samples_count():
 
 
 X, U, T = ca.SX.sym("x", CROSS.nx), ca.SX.sym("u", CROSS.nu), ca.SX.sym("t")
-ASIDE = (CROSS.nodes(X)[0, 2] - 0.3) ** 2  # a CasADi expression
+ASIDE = (CROSS.nodes(X)[2, 0] - 0.3) ** 2  # a CasADi expression
 OWN = {
     "Function of state and control": ca.Function("aside", [X, U], [ASIDE]),
     "Function of time, too": ca.Function("aside", [X, U, T], [ASIDE]),

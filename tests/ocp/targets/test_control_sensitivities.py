@@ -37,8 +37,8 @@ def test_conserved_rows_are_not_controllable(conserved):
     structure = tc.shapes.prism(10)
     model = driven(structure)
     x = ca.SX.sym("x", model.nx)
-    V = model.velocities(x)
-    places = model.nodes(x)
+    V = model.velocities(x).T
+    places = model.nodes(x).T
     bars = structure.bars
     middles = (places[:, bars[:, 0].tolist()] + places[:, bars[:, 1].tolist()]) / 2
     speeds = (V[:, bars[:, 0].tolist()] + V[:, bars[:, 1].tolist()]) / 2

@@ -39,8 +39,8 @@ def test_imposed_rows_are_independent_of_the_invariants():
 def test_shape_rows_feel_the_flex_that_lengths_do_not():
     model = driven(PRISM)
     x = ca.SX.sym("x", model.nx)
-    nodes = model.nodes(x)
-    goal = ocp.StringLengths(PRISM.string_lengths).rows(PRISM, nodes, model.velocities(x)).value
+    nodes = model.nodes(x).T
+    goal = ocp.StringLengths(PRISM.string_lengths).rows(PRISM, nodes, model.velocities(x).T).value
     bars = [
         group.value
         for group in invariants(model, model.initial_state, x, ca.SX(0.0))

@@ -28,7 +28,7 @@ def test_state_and_nodes_are_inverse_and_take_symbols() -> None:
         assert np.allclose(model.velocities(np.stack([x, x])), np.stack([velocities, velocities]))
         symbol = ca.MX.sym("x", model.nx)
         N = ca.Function("N", [symbol], [model.nodes(symbol), model.tension(symbol)])(x)
-        assert np.allclose(N[0].full().T, nodes)
+        assert np.allclose(N[0].full(), nodes)
         assert np.allclose(N[1].full().ravel(), model.tension(x))
 
 

@@ -252,7 +252,7 @@ def test_momentum_at_the_end_is_that_of_the_start():
         model,
         moving(model),
         0.2,
-        of=lambda x, u: ca.sum2(ca.mtimes(model.velocities(x), M)),
+        of=lambda x, u: ca.sum1(ca.mtimes(M, model.velocities(x))).T,
         **STEPS,
     )
     by_node = np.asarray(M).sum(axis=0)
@@ -325,7 +325,7 @@ def test_integrals_over_the_run():
         assert found.value == pytest.approx([0.3])
         assert not found.jacobian.any()
     fall = tc.sensitivities(
-        model, None, 0.3, of=lambda x, u: ca.sum2(model.velocities(x)[2, :]), over="run", **STEPS
+        model, None, 0.3, of=lambda x, u: ca.sum1(model.velocities(x)[:, 2]), over="run", **STEPS
     )
     run = tc.simulate(model, 0.3, **STEPS)
     assert fall.value[0] == pytest.approx(
