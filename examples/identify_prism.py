@@ -110,7 +110,7 @@ def measure(model: tc.Model, start: np.ndarray, repeats: int) -> tuple[float, fl
         for own, fixed in zip(times, (True, False), strict=True):
             began = time.perf_counter()
             if fixed:
-                tc.simulate(model.fixed(values), DURATION, STEP, state=start)
+                tc.simulate(model.with_parameters(values), DURATION, STEP, state=start)
             else:
                 tc.simulate(model, DURATION, STEP, state=start, parameters=values)
             own.append(time.perf_counter() - began)

@@ -157,7 +157,7 @@ def run(
             "parameters are given, and the controller's model has none: give the plant, a model of Scene(..., parameters=...)"
         )
     _check_plant(plant, controller.model)
-    plant = plant.fixed(parameters)
+    plant = plant.with_parameters(parameters)
     n = whole_number("steps", steps, 1, MOST_STEPS)
     if disturbance is not None and not callable(disturbance):
         raise TypeError(

@@ -59,7 +59,7 @@ def resolve(
 ) -> Resolved:
     """Read, check and complete the arguments of a problem. Raises TypeError, ValueError."""
     instance("Problem.model", model, Model, "a tenscasadi.Model")
-    model = model.fixed(parameters)
+    model = model.with_parameters(parameters)
     check_control(model)
     if model.nq == 0:
         raise ValueError("Problem.model has all nodes pinned: there is nothing to move")

@@ -122,7 +122,7 @@ def run_info(arguments: argparse.Namespace) -> int:
     model, given = (
         (Model(scene), None) if simulation is None else (simulation.model, simulation.parameters)
     )
-    s = model.fixed(given).scene.structure
+    s = model.with_parameters(given).scene.structure
     print(f"{source.name}: {source.text}")
     print(
         f"nodes         {len(s.nodes)}, pinned: {', '.join(map(str, sorted({*s.pinned, *s.rollers}))) or 'none'}"

@@ -18,6 +18,7 @@ from tenscasadi.scene.binding import fix
 from tenscasadi.scene.scene import Scene
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.compile import compile_function
+from tenscasadi.util.renamed import RenamedAttribute
 
 
 class Model(Observations):
@@ -95,7 +96,7 @@ class Model(Observations):
         if self.np and self.nq:
             check_parameters(self)
 
-    def fixed(self, parameters: Any = None) -> Model:
+    def with_parameters(self, parameters: Any = None) -> Model:
         """Fix the parameters as constants of a copy.
 
         Parameters
@@ -117,6 +118,8 @@ class Model(Observations):
             self.coordinates,
             "constant" if self.mechanism.constant_length else "current",
         )
+
+    fixed = RenamedAttribute("with_parameters")
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Copies and other processes rebuild the Functions, which are larger than the scene.

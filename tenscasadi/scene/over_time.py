@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import functools
-import warnings
 from typing import Annotated, Any, ClassVar, TypeVar
 
 import casadi as ca
@@ -19,6 +17,7 @@ from tenscasadi.scene.time_functions import (
 )
 from tenscasadi.schema.forms import TIMES
 from tenscasadi.schema.value import Value
+from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import Array, finite_array
 
 Timed = TypeVar("Timed", bound=type)
@@ -27,20 +26,8 @@ Timed = TypeVar("Timed", bound=type)
 def takes_breaks(kind: Timed) -> Timed:
     """Let a class take the earlier name `breaks` of its field `breakpoints`, with a warning."""
     made: Any = kind
-    build = made.__init__
-
-    @functools.wraps(build)
-    def init(self: Any, *args: Any, **fields: Any) -> None:
-        if "breaks" in fields:
-            warnings.warn(
-                f"{kind.__name__}(breaks=...) is deprecated: use breakpoints",
-                DeprecationWarning,
-                stacklevel=2,
-            )
-            fields["breakpoints"] = fields.pop("breaks")
-        build(self, *args, **fields)
-
-    made.__init__, made.earlier_names = init, {"breaks": "breakpoints"}
+    made.earlier_names = {"breaks": "breakpoints"}
+    made.__init__ = rename_keywords(**made.earlier_names)(made.__init__)
     return kind
 
 

@@ -20,6 +20,7 @@ from tenscasadi.schema.definitions import OneOf
 from tenscasadi.schema.forms import ToldApart
 from tenscasadi.structure.structure import Structure
 from tenscasadi.structure.subdivision import segment_counts
+from tenscasadi.util.renamed import RenamedAttribute
 from tenscasadi.util.validate import Indices, instance
 from tenscasadi.util.viewable import Viewable
 
@@ -165,9 +166,11 @@ class Scene(Viewable):
         return self._strings_with("clamps")
 
     @property
-    def pushing_strings(self) -> Indices:
-        """The modelled strings that push where they are shorter than at rest."""
+    def compression_strings(self) -> Indices:
+        """Compression-capable strings of the modeled structure."""
         return self._strings_with("pushes")
+
+    pushing_strings = RenamedAttribute("compression_strings")
 
     @cached_property
     def layout(self) -> ParameterLayout:

@@ -221,7 +221,7 @@ def _group_states(model: Model, run: Trajectory) -> list[_StateGroup]:
     q, v, _ = model.split(ahead)
     q += run.step * v
     taut = np.vstack([run.tension != 0, _find_stretched(model, run, ahead)])
-    taut[:, model.scene.pushing_strings] = True  # they act at any length
+    taut[:, model.scene.compression_strings] = True  # they act at any length
     count, last = len(run.time), len(run.time) - 1
     _, first, kind = np.unique(
         np.packbits(taut, axis=1), axis=0, return_index=True, return_inverse=True

@@ -13,6 +13,7 @@ from scipy.optimize import nnls
 
 from tenscasadi.statics.least_force_density import least_force_density
 from tenscasadi.structure.structure import Structure
+from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.sparse_null_space import RankError, sparse_null_space
 from tenscasadi.util.validate import Array, finite_array, instance, item_mask, nonnegative, per_item
 
@@ -75,11 +76,12 @@ def self_stress(structure: Structure) -> Array:
         ) from None
 
 
+@rename_keywords(pushing="compression_strings")
 def equilibrium_force_density(
     structure: Structure,
     loads: ArrayLike | None = None,
     minimum: ArrayLike = 1.0,
-    pushing: Iterable[int] = (),
+    compression_strings: Iterable[int] = (),
 ) -> Array:
     """Compute the least force densities that hold a structure at rest in its nodes.
 
@@ -95,8 +97,8 @@ def equilibrium_force_density(
         Forces on the nodes, N; by default none.
     minimum : array_like, shape (α,)
         Least force density of each string, N/m, at least 0, or one number for all.
-    pushing : sequence of int
-        Strings that may push, as those of the law `Linear`: no minimum holds for them.
+    compression_strings : sequence of int
+        Compression-capable strings (law `Linear`), for which there is no minimum.
 
     Returns
     -------
@@ -129,7 +131,7 @@ def equilibrium_force_density(
     """
     instance("structure", structure, Structure, "a tenscasadi.Structure")
     alpha = len(structure.strings)
-    pushes = item_mask("pushing", pushing, alpha, "string")
+    pushes = item_mask("compression_strings", compression_strings, alpha, "string")
     least = np.where(
         pushes, 0.0, nonnegative("minimum", per_item("minimum", minimum, alpha), "string")
     )

@@ -26,6 +26,7 @@ from tenscasadi.structure.class_one import (
 from tenscasadi.structure.pins import Normals, read_axes, read_pins, read_rollers
 from tenscasadi.structure.subdivision import cut_strings, segment_counts, segment_shares
 from tenscasadi.util.read_only import ReadOnlyArrays, read_only
+from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import (
     SMALLEST,
     Array,
@@ -327,7 +328,10 @@ class Structure(Viewable, ReadOnlyArrays):
                 kept.update(_layout=self._layout)
         return new._derived(**kept)
 
-    def prestressed(self, force_density: ArrayLike, pushing: Iterable[int] = ()) -> Structure:
+    @rename_keywords(pushing="compression_strings")
+    def prestressed(
+        self, force_density: ArrayLike, compression_strings: Iterable[int] = ()
+    ) -> Structure:
         """Copy the structure with rest lengths for given force densities.
 
         The rest lengths are ρ = s (1 − γ/k) (Appendix A).
@@ -336,8 +340,8 @@ class Structure(Viewable, ReadOnlyArrays):
         ----------
         force_density : array_like, shape (α,)
             γ of each string at these nodes [N/m], at least 0 and below its stiffness.
-        pushing : sequence of int
-            Strings with the law `Linear` in the scene, whose γ may be negative.
+        compression_strings : sequence of int
+            Compression-capable strings, whose γ may be negative (law `Linear`).
 
         Returns
         -------
@@ -350,15 +354,15 @@ class Structure(Viewable, ReadOnlyArrays):
             γ ≥ k, which no positive rest length attains.
         """
         gamma = per_item("force_density", force_density, len(self.strings))
-        pushes = item_mask("pushing", pushing, len(self.strings), "string")
-        nonnegative("force_density", np.where(pushes, 0.0, gamma), "string")
+        either = item_mask("compression_strings", compression_strings, len(self.strings), "string")
+        nonnegative("force_density", np.where(either, 0.0, gamma), "string")
         for i in np.flatnonzero((gamma != 0.0) & (gamma >= self.stiffness)):
             raise ValueError(
                 f"force_density of string {i} is {gamma[i]:g} N/m: it must be below its stiffness, {self.stiffness[i]:g} N/m"
             )
         for i in np.flatnonzero((gamma < 0.0) & (self.stiffness == 0.0)):
             raise ValueError(
-                f"force_density of string {i} is {gamma[i]:g} N/m: its stiffness is 0, it cannot push"
+                f"force_density of string {i} is {gamma[i]:g} N/m: its stiffness is 0, so it carries no compression"
             )
         ratio = np.divide(gamma, self.stiffness, out=np.zeros_like(gamma), where=gamma != 0.0)
         return self.replace(rest_length=self.string_lengths * (1.0 - ratio))

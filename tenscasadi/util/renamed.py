@@ -24,6 +24,22 @@ def find_renamed(package: str, names: Mapping[str, tuple[str, Any]]) -> Callable
     return find
 
 
+class RenamedAttribute:
+    """Old name of an attribute or method of a class, which warns."""
+
+    def __init__(self, new: str) -> None:
+        self.new = new
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.message = f"{owner.__name__}.{name} is deprecated: use {self.new}"
+
+    def __get__(self, instance: Any, owner: type | None = None) -> Any:
+        if instance is None:
+            return self
+        warnings.warn(self.message, DeprecationWarning, stacklevel=2)
+        return getattr(instance, self.new)
+
+
 def rename_keywords(**names: str) -> Callable[[_Function], _Function]:
     """Accept old keywords of a function, given as old="new", with a warning."""
 
@@ -32,7 +48,8 @@ def rename_keywords(**names: str) -> Callable[[_Function], _Function]:
         def call(*arguments: Any, **keywords: Any) -> Any:
             for old, new in names.items():
                 if old in keywords:
-                    message = f"{function.__name__}({old}=) is deprecated: use {new}="
+                    name = function.__qualname__.removesuffix(".__init__")
+                    message = f"{name}({old}=) is deprecated: use {new}="
                     if new in keywords:
                         raise TypeError(f"{message}, and leave {old} out")
                     warnings.warn(message, DeprecationWarning, stacklevel=2)

@@ -202,7 +202,7 @@ def test_modes_of_large_structures_follow_the_parameters():
     p = {"node_mass": 2.0 * structure.node_mass + 0.01}
     given = tc.Model(tc.Scene(structure, parameters=tc.Parameters("node_mass")))
     assert given.nq > 600
-    built = given.fixed(p)
+    built = given.with_parameters(p)
     np.testing.assert_allclose(
         tc.modes(given, count=4, parameters=p).frequency,
         tc.modes(built, count=4).frequency,
@@ -383,7 +383,7 @@ def test_scales_and_groups(parameters, coordinates):
     }
     given = tc.Model(tc.Scene(prism(), parameters=parameters, **loads), coordinates)
     p = given.parameters.nominal * np.random.default_rng(0).uniform(0.8, 1.2, given.np)
-    built = given.fixed(p)
+    built = given.with_parameters(p)
     assert built.np == 0
     assert_same(
         *(

@@ -174,7 +174,7 @@ def test_segments_have_the_law_of_their_string() -> None:
         rest_length=1.2,
     )
     scene = tc.Scene(beam, segments=[3, 2], slack=(tc.Linear(), tc.Clip()))
-    assert scene.pushing_strings.tolist() == [0, 1, 2]
+    assert scene.compression_strings.tolist() == [0, 1, 2]
     assert scene.switching_strings.tolist() == [3, 4]
     model = tc.Model(scene)
     np.testing.assert_allclose(model.tension(model.initial_state), [-20, -20, -20, 0, 0], atol=1e-6)
@@ -188,11 +188,11 @@ def test_only_strings_that_may_push_are_asked_to() -> None:
     load = [(0, 0, 0), (-5.0, 0, 0)]
     with pytest.raises(tc.EquilibriumError):
         tc.equilibrium_force_density(strut, load)
-    gamma = tc.equilibrium_force_density(strut, load, pushing=[0])
+    gamma = tc.equilibrium_force_density(strut, load, compression_strings=[0])
     np.testing.assert_allclose(gamma, [-5.0])
     with pytest.raises(ValueError, match="force_density of string 0 is -5"):
         strut.prestressed(gamma)
-    pressed = strut.prestressed(gamma, pushing=[0])
+    pressed = strut.prestressed(gamma, compression_strings=[0])
     np.testing.assert_allclose(pressed.rest_length, [1.05])
     model = tc.Model(tc.Scene(pressed, forces=tc.NodalForce(load), slack=tc.Linear()))
     np.testing.assert_allclose(model.ode(model.initial_state, []).full(), 0, atol=1e-12)
@@ -209,10 +209,10 @@ def test_the_least_of_pulling_and_pushing() -> None:
     load = [(0, 0, 0), (0, 0, 0), (3.0, 0, 0)]
     np.testing.assert_allclose(tc.equilibrium_force_density(line, load), [4.0, 1.0])
     np.testing.assert_allclose(
-        tc.equilibrium_force_density(line, load, pushing=[0, 1]), [1.5, -1.5]
+        tc.equilibrium_force_density(line, load, compression_strings=[0, 1]), [1.5, -1.5]
     )
     np.testing.assert_allclose(
-        tc.equilibrium_force_density(line, load, minimum=2.0, pushing=[1]), [2.0, -1.0]
+        tc.equilibrium_force_density(line, load, minimum=2.0, compression_strings=[1]), [2.0, -1.0]
     )
 
 

@@ -143,7 +143,7 @@ def ensemble_calls() -> dict[str, Call]:
             lambda given, **k: opened.parameters.values(given, **k),
             {"given": p, "bar_mass": 2.0},
         ),
-        "Model.fixed": (opened.fixed, {"parameters": p}),
+        "Model.with_parameters": (opened.with_parameters, {"parameters": p}),
         "simulate, parameters": (
             tc.simulate,
             {"model": opened, "t_end": 0.02, "step": 0.01, "parameters": p, "compiled": False},

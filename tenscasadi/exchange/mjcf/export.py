@@ -389,7 +389,7 @@ class _Writer:
     def _strings(self) -> None:
         s, pushing, driven = (
             self.s,
-            set(self.scene.pushing_strings.tolist()),
+            set(self.scene.compression_strings.tolist()),
             self.scene.control is not None,
         )
         if not len(s.strings):
@@ -435,7 +435,7 @@ class _Writer:
             ]
         if scene.control is not None and len(s.strings):
             actuator = ET.SubElement(self.root, "actuator")
-            pushing = set(scene.pushing_strings.tolist())
+            pushing = set(scene.compression_strings.tolist())
             for string in range(len(s.strings)):
                 of = {"name": f"string{string}", "tendon": f"string{string}"}
                 if isinstance(scene.control, ForceDensity):

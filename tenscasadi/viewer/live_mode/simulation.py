@@ -142,7 +142,7 @@ class LiveSimulation:
         parameters: Any = None,
     ) -> None:
         instance("model", model, (Model, Scene), "a tenscasadi.Model or Scene")
-        own = (Model(model) if isinstance(model, Scene) else model).fixed(parameters)
+        own = (Model(model) if isinstance(model, Scene) else model).with_parameters(parameters)
         self.model = model = _driven(own)
         self.start_state = np.array(
             model.initial_state if state is None else finite_array("state", state, (model.nx,))

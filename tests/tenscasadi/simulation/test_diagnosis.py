@@ -305,7 +305,7 @@ def test_strings_are_judged_with_the_parameters_of_the_run() -> None:
         start = model.state(pair.nodes, speeds)
         runs = [
             simulate(m, 1.0, step, state=start, parameters=p, compiled=False)
-            for m, p in ((model, values), (model.fixed(values), None))
+            for m, p in ((model, values), (model.with_parameters(values), None))
         ]
         assert runs[0].message == runs[1].message
         assert runs[0].success == runs[1].success

@@ -6,7 +6,7 @@ import inspect
 
 import pytest
 
-from tenscasadi.util.renamed import find_renamed, rename_keywords
+from tenscasadi.util.renamed import RenamedAttribute, find_renamed, rename_keywords
 
 
 @rename_keywords(colour="color")
@@ -33,3 +33,12 @@ def test_old_name_warns_and_unknown_name_is_rejected():
         assert find("Centre") == 3
     with pytest.raises(AttributeError, match="has no attribute 'other'"):
         find("other")
+
+
+def test_old_attribute_warns_and_works():
+    class Cup:
+        color = "red"
+        colour = RenamedAttribute("color")
+
+    with pytest.warns(DeprecationWarning, match=r"Cup\.colour is deprecated: use color"):
+        assert Cup().colour == "red"

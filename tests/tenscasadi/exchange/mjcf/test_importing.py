@@ -75,7 +75,7 @@ def test_laws_controls_and_segments_read_back(tmp_path: Path) -> None:
         found = tc.import_mjcf(tc.export_mjcf(scene, path))
         assert_same(scene.modelled, found.structure)
         assert found.control == scene.control
-        assert found.pushing_strings.tolist() == scene.pushing_strings.tolist()
+        assert found.compression_strings.tolist() == scene.compression_strings.tolist()
     found = tc.import_mjcf(tc.export_mjcf(tc.Scene(prism, control=tc.ForceDensity()), path))
     assert found.control == tc.ForceDensity()
 
@@ -414,4 +414,4 @@ def test_a_servo_told_as_a_general_actuator_is_a_control_by_rest_lengths(tmp_pat
     assert scene.control == tc.RestLength()
     assert scene.structure.stiffness.tolist() == [50.0, 50.0]
     assert scene.structure.damping.tolist() == [2.0, 2.0]
-    assert scene.pushing_strings.tolist() == [0, 1]
+    assert scene.compression_strings.tolist() == [0, 1]
