@@ -22,6 +22,7 @@ from matplotlib.figure import Figure
 import ocp
 import tenscasadi as tc
 from ocp.solvers.base import Solution
+from ocp.solvers.monitor import Monitor
 from ocp.transcription.base import Transcription
 from ocp.transcription.sparse_nlp import Program
 
@@ -48,7 +49,7 @@ class Row(NamedTuple):
 class Plain(ocp.Ipopt):
     """IPOPT as it comes, with the derivatives that CasADi makes of the whole program."""
 
-    def solve(self, program: Program, deadline: float | None = None) -> Solution:
+    def solve(self, program: Program, monitor: Monitor | None = None) -> Solution:
         """The solution."""
         solver = ca.nlpsol(
             "solver",

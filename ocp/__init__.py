@@ -44,7 +44,8 @@ from ocp.sampling.spline_noise import SplineNoise
 from ocp.solve import solve
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.fatrop import Fatrop
-from ocp.solvers.ipopt import Ipopt, Progress
+from ocp.solvers.ipopt import Ipopt
+from ocp.solvers.monitor import Progress
 from ocp.solvers.multipliers import Duals
 from ocp.targets.infeasible_goal import InfeasibleGoalError
 from ocp.transcription.collocation import Collocation, ImplicitMidpoint

@@ -9,6 +9,7 @@ import numpy as np
 
 from ocp.solvers.base import Solution
 from ocp.solvers.ipopt import Ipopt
+from ocp.solvers.monitor import Monitor
 from ocp.targets.target import Target
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.dynamics.model import Model
@@ -36,7 +37,7 @@ def correct(
     read: Read,
     targets: Sequence[Target],
     tolerance: float,
-    deadline: float | None,
+    monitor: Monitor,
 ) -> Solution:
     """Return the solution whose replay misses its goals least: of the program, and of it with goals moved against what the replay misses.
 
@@ -68,7 +69,7 @@ def correct(
             program, lower=lower, upper=upper, first=solution.w, multipliers=solution.multipliers
         )
         again = again or replace(solver, warm=True).prepared(moved)
-        solution = again(moved, deadline)
+        solution = again(moved, monitor)
         iterations += solution.iterations
         if not solution.success:
             break

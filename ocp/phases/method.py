@@ -19,6 +19,7 @@ from ocp.results.result import PlanResult
 from ocp.solvers.base import Outcome, Solution, Solver
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.ipopt import Ipopt
+from ocp.solvers.monitor import Monitor
 from ocp.solvers.multipliers import named_duals
 from ocp.targets.target import Target
 from ocp.transcription.assemble import Stage, assemble
@@ -112,19 +113,19 @@ def solve_phased(
     transcription: Transcription,
     solver: Solver | CondensedNewton,
     guess: InitialGuess | None,
-    deadline: float | None,
+    monitor: Monitor,
     tolerance: float,
 ) -> tuple[Outcome, Target]:
     """Return what was found for a problem with phases, and the target that its replay is measured by.
 
-    transcription: a `Variational`, whose intervals are those of each phase. deadline: of
-    `time.perf_counter`, s; None: no limit. tolerance: how far the replay may end from the goals, m.
+    transcription: a `Variational`, whose intervals are those of each phase. tolerance: how far the
+    replay may end from the goals, m.
     Raises TypeError, ValueError, InfeasibleGoalError.
     """
     if not isinstance(solver, Ipopt):
         raise ValueError(f"solver is {type(solver).__name__}: phases take ocp.Ipopt()")
     task = link_problem(problem, transcription, guess)
-    solution = solver.solve(task.program, deadline)
+    solution = solver.solve(task.program, monitor)
     planned, target = _outcome(task, solution)
     if not planned.success:
         return planned, target
@@ -137,7 +138,7 @@ def solve_phased(
         task.joined,
         task.targets,
         tolerance,
-        deadline,
+        monitor,
     )
     outcome, target = _outcome(task, corrected)
     return outcome._replace(

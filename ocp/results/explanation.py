@@ -12,8 +12,9 @@ import numpy as np
 from ocp.problem.bounds.bound import PathBound, RateBound
 from ocp.problem.path_constraints import path_constraints
 from ocp.problem.problem import Problem
-from ocp.solvers.base import STOPPED, TIME_UP, Solution
+from ocp.solvers.base import Solution
 from ocp.solvers.ipopt import SADDLE
+from ocp.solvers.monitor import STOPPED, TIME_UP
 from ocp.solvers.relaxation import TOO_SLOW, rate_rows, widening
 from ocp.targets.control_sensitivities import ControlSensitivities
 from ocp.targets.target import Target

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import time
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from ocp.sampling.search import Search
 from ocp.sampling.solver import Sampling
 from ocp.sampling.spline_noise import SplineNoise
 from ocp.solvers.base import Outcome
+from ocp.solvers.monitor import STOPPED, TIME_UP, Monitor, Progress
 from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import Guess
 from ocp.transcription.mesh import held_values
@@ -33,6 +33,10 @@ HOPELESS, NEARLY = (
     30.0,
     2.0,
 )  # tolerances, beyond which the steps that contact needs, and finer ones, are not tried
+_STOPS = {
+    TIME_UP: "stopped at the time limit, with the best so far: increase time_limit",
+    STOPPED: "stopped from the keyboard, with the best so far",
+}
 CERTAIN = 0.5  # of the tolerance: plans that miss by more are tried again
 POLISHED = 2  # lineages of a search that are
 
@@ -66,17 +70,17 @@ def solve_sampled(
     transcription: Transcription,
     guess: Guess | None,
     solver: Sampling,
-    deadline: float | None,
+    monitor: Monitor,
     tolerance: float,
 ) -> Outcome:
-    """Return what sampling finds; by the deadline (of `time.perf_counter`, s), or after Ctrl-C, the best so far.
+    """Return what sampling finds; the best so far if the monitor stops it.
 
     transcription: its intervals, and which strings share a force density. guess: where Gauss-Newton
     begins; a search follows where that fails. tolerance: m, what goals may be missed by, and in m
     per duration speeds.
     """
     check_sampling(problem, transcription, solver)
-    return _Method(problem, transcription, solver, deadline, tolerance).run(guess)
+    return _Method(problem, transcription, solver, monitor, tolerance).run(guess)
 
 
 class _Method:
@@ -87,10 +91,10 @@ class _Method:
         problem: Problem,
         transcription: Transcription,
         solver: Sampling,
-        deadline: float | None,
+        monitor: Monitor,
         tolerance: float,
     ) -> None:
-        self._problem, self._solver, self._deadline = problem, solver, deadline
+        self._problem, self._solver, self._monitor = problem, solver, monitor
         self._usual, scales = usual(problem), Scales.of(problem)
         self._shared = transcription.control.groups
         interval = problem.longest * float(transcription.fractions.max())
@@ -205,8 +209,8 @@ class _Method:
             sys.stdout.write(line + "\n")
         if self._solver.watch is not None and self._solver.watch(line) is False:
             self._stopped = "stopped on request, by Sampling(watch=...), with the best so far"
-        if self._deadline is not None and time.perf_counter() > self._deadline:
-            self._stopped = "stopped at the time limit, with the best so far: give more seconds"
+        status = self._monitor.follow(Progress(self._iterations, np.nan, self._miss))
+        self._stopped = self._stopped or _STOPS.get(status, "")
         return bool(self._stopped)
 
     def _outcome(self) -> Outcome:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import NamedTuple
@@ -21,7 +20,8 @@ from ocp.search.coordinates import ReducedCoordinates, reduce_coordinates
 from ocp.search.methods import run_method
 from ocp.search.policy import INEXACT, Attempt, attempts, complete, is_inexact
 from ocp.search.task import Method, Task, prepare
-from ocp.solvers.base import TIME_UP, Outcome
+from ocp.solvers.base import Outcome
+from ocp.solvers.monitor import Monitor
 from ocp.solvers.relaxation import TOO_SLOW
 from ocp.transcription.base import ReducedOnly, Transcription
 from ocp.transcription.initial_guess import InitialGuess
@@ -37,11 +37,10 @@ RELIABLE = 1e-2
 
 
 class _Search(NamedTuple):
-    """Arguments of a search. began: of `time.perf_counter`, s; reduced: None where the model is planned as it is."""
+    """Arguments of a search. reduced: None where the model is planned as it is."""
 
     task: Task
     tracked: bool
-    began: float
     automatic: bool
     reduced: ReducedCoordinates | None
 
@@ -58,7 +57,7 @@ def find_plan(
     tracked: bool = False,
 ) -> PlanResult:
     """Find a plan; arguments and errors as of `ocp.solve`."""
-    began = time.perf_counter()
+    monitor = Monitor(seconds)
     given = (
         None
         if transcription is None and solver is None
@@ -71,9 +70,10 @@ def find_plan(
         problem, guess = reduced.problem, reduced.guess(guess)
     limit = RELIABLE * Scales.of(problem).length if tolerance is None else tolerance
     control = PiecewiseConstant() if given is None else given.transcription.control
-    task = prepare(problem, control, limit, None if seconds is None else began + seconds)
+    task = prepare(problem, control, limit, monitor)
     rows = attempts(task, guess) if given is None else [given._replace(guess=guess)]
-    result = _walk(_Search(task, tracked, began, given is None, reduced), rows)
+    with monitor.catching_interrupts():
+        result = _walk(_Search(task, tracked, given is None, reduced), rows)
     if reduced is None:
         return result
     if result.success:
@@ -94,7 +94,7 @@ def _walk(search: _Search, rows: Iterable[Attempt]) -> PlanResult:
         plan = _try(search, attempt)
         tried[attempt.describe()] = plan
         best = plan if best is None else max(best, plan, key=_worth)
-        if plan.success or plan.status in (TIME_UP, TOO_SLOW) or search.task.is_late():
+        if plan.success or plan.status == TOO_SLOW or search.task.monitor.status():
             break
     if best is None:
         raise ValueError("no method takes the problem: give a transcription and a solver")
@@ -110,7 +110,7 @@ def _walk(search: _Search, rows: Iterable[Attempt]) -> PlanResult:
         best,
         message=f"{best.message}; {told}",
         iterations=sum(plan.iterations for plan in tried.values()),
-        seconds=time.perf_counter() - search.began,
+        seconds=search.task.monitor.elapsed,
     )
 
 
@@ -157,7 +157,7 @@ def _record(search: _Search, attempt: Attempt, found: Outcome) -> PlanResult:
         message="",
         objective=found.objective,
         iterations=found.iterations,
-        seconds=time.perf_counter() - search.began,
+        seconds=search.task.monitor.elapsed,
         time=mesh,
         force_density=forces,
         trajectory=motion,

@@ -27,7 +27,7 @@ from ocp.sampling.method import solve_sampled
 from ocp.sampling.solver import Sampling
 from ocp.search.presolve import check_freedom
 from ocp.search.task import Method, Task, prepare
-from ocp.solvers.base import TIME_UP, Outcome, Solution, Solver
+from ocp.solvers.base import Outcome, Solution, Solver
 from ocp.solvers.condensed_newton.method import REMARKS
 from ocp.solvers.correction import (
     TOO_COARSE,
@@ -38,6 +38,7 @@ from ocp.solvers.correction import (
 )
 from ocp.solvers.fatrop import Fatrop
 from ocp.solvers.ipopt import Ipopt
+from ocp.solvers.monitor import Monitor
 from ocp.solvers.multipliers import Duals, named_duals, warm_started
 from ocp.solvers.relaxation import find_rate_relaxation
 from ocp.targets.control_sensitivities import ControlSensitivities
@@ -65,30 +66,30 @@ def run_method(
 
     guess: None for `InverseDynamics()`, and for `Sampling` for none.
     """
-    problem, target, scales, tolerance, deadline = task
+    problem, target, scales, tolerance, monitor = task
     if target is None or scales is None:
         if isinstance(solver, Sampling):
             raise ValueError(
                 "solver is Sampling, and Problem.phases say when nodes stand: leave one of them out"
             )
-        return solve_phased(problem, transcription, solver, guess, deadline, tolerance)
+        return solve_phased(problem, transcription, solver, guess, monitor, tolerance)
     if isinstance(solver, Sampling):
         known = (
             None
             if guess is None
             else evaluate_guess(guess, problem, target, transcription.count).disturbed(problem)
         )
-        return solve_sampled(problem, transcription, known, solver, deadline, tolerance), target
+        return solve_sampled(problem, transcription, known, solver, monitor, tolerance), target
     first = evaluate_guess(guess, problem, target, transcription.count)
-    if task.is_late():
+    if status := monitor.status():
         own = on_mesh(problem.model, first, transcription.fractions, transcription.control)
         late = Outcome(
-            own.states, own.force_density, own.duration, np.nan, False, TIME_UP, 0, why=TOO_LATE
+            own.states, own.force_density, own.duration, np.nan, False, status, 0, why=TOO_LATE
         )
         return late, target
     duals = guess.duals if isinstance(guess, PlanResult) else None
     return solve_program(
-        problem, transcription, target, scales, first, solver, deadline, duals
+        problem, transcription, target, scales, first, solver, monitor, duals
     ), target
 
 
@@ -120,13 +121,12 @@ def solve_program(
     scales: Scales,
     guess: Guess,
     solver: Solver,
-    deadline: float | None = None,
+    monitor: Monitor | None = None,
     duals: Duals | None = None,
 ) -> Outcome:
     """Solve the nonlinear program that a transcription makes of a problem.
 
-    duals: multipliers to start from, where they are known. deadline: of `time.perf_counter`, s;
-    None: no limit.
+    duals: multipliers to start from, where they are known.
     """
     problem = _smooth(problem)
     check_correctable(type(transcription).__name__, transcription.accuracy, solver)
@@ -141,7 +141,7 @@ def solve_program(
     guess = guess if isinstance(solver, Ipopt) and not problem.free_start else disturbed
     program = transcription.program(problem, imposed, scales, guess)
     known = program if duals is None else warm_started(program, imposed, duals)
-    return _outcome(task, _solved(task, imposed, known, deadline))
+    return _outcome(task, _solved(task, imposed, known, monitor))
 
 
 def program_of(
@@ -197,18 +197,17 @@ def _reach(problem: Problem, transcription: Transcription) -> ControlSensitiviti
     )
 
 
-def _solved(task: _Task, imposed: Target, program: Program, deadline: float | None) -> _Found:
+def _solved(task: _Task, imposed: Target, program: Program, monitor: Monitor | None) -> _Found:
     """Solve the program; where limits of rates leave no way, find how much wider they have to be."""
     problem, transcription, solver = task.problem, task.transcription, task.solver
     accuracy = transcription.accuracy
-    limited = {} if deadline is None else {"deadline": deadline}  # own solvers may know none
     if accuracy is not None and isinstance(solver, Correcting):
         measure = transcription.measure_residual(program, problem.model)
-        solution, states, gap = solve_corrected(program, solver, measure, accuracy, deadline)
+        solution, states, gap = solve_corrected(program, solver, measure, accuracy, monitor)
     else:
-        solution, states, gap = Corrected(solver.solve(program, **limited), None, 0.0)
+        solution, states, gap = Corrected(solver.solve(program, monitor), None, 0.0)
     if isinstance(solver, Ipopt):
-        solution = find_rate_relaxation(program, solver, solution, deadline) or solution
+        solution = find_rate_relaxation(program, solver, solution, monitor) or solution
     planned, controls, duration = (np.asarray(value.full()) for value in program.unpack(solution.w))
     lower, upper = problem.control_limits
     # Interior-point methods overstep limits by their tolerance.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import NamedTuple
 
 from ocp.problem.problem import Problem
@@ -11,6 +10,7 @@ from ocp.sampling.solver import Sampling
 from ocp.search.presolve import check_end, check_groups, check_start
 from ocp.solvers.base import Solver
 from ocp.solvers.condensed_newton import CondensedNewton
+from ocp.solvers.monitor import Monitor
 from ocp.targets.find_target import find_target
 from ocp.targets.target import Target
 from ocp.transcription.mesh import Profile
@@ -23,30 +23,27 @@ class Task(NamedTuple):
     """A problem that passed the checks, where its goals lead, and how long a method may take.
 
     target, scales: None for problems with phases, each of which has its own. tolerance: m, that the
-    replay may end from the goals. deadline: of `time.perf_counter`, s; None: no limit.
+    replay may end from the goals. monitor: time limit, stop request and progress.
     """
 
     problem: Problem
     target: Target | None
     scales: Scales | None
     tolerance: float
-    deadline: float | None
-
-    def is_late(self) -> bool:
-        """Return whether the time is over."""
-        return self.deadline is not None and time.perf_counter() >= self.deadline
+    monitor: Monitor
 
 
 def prepare(
-    problem: Problem, control: Profile, tolerance: float, deadline: float | None = None
+    problem: Problem, control: Profile, tolerance: float, monitor: Monitor | None = None
 ) -> Task:
     """Find where the goals lead. Raises ValueError, InfeasibleGoalError for what has no solution."""
     check_groups(problem, control)
+    monitor = Monitor() if monitor is None else monitor
     if problem.phases:
-        return Task(problem, None, None, tolerance, deadline)
+        return Task(problem, None, None, tolerance, monitor)
     scales = Scales.of(problem)
     target = find_target(problem, scales)
     if not problem.free_start:
         check_start(problem)
     check_end(problem, target)
-    return Task(problem, target, scales, tolerance, deadline)
+    return Task(problem, target, scales, tolerance, monitor)

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol
 
+from ocp.solvers.monitor import Monitor
 from ocp.solvers.multipliers import Duals
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.schema.value import Value
 from tenscasadi.util.validate import Array, positive_number, shown, whole_number
-
-STOPPED = "User_Requested_Stop"
-TIME_UP = "Time_Limit_Reached"  # of the whole search, with all that comes before the solver
 
 
 class Solution(NamedTuple):
@@ -67,8 +65,8 @@ class Solver(Protocol):
     def tolerance(self) -> float:
         """Of scaled optimality and constraints."""
 
-    def solve(self, program: Program, deadline: float | None = None) -> Solution:
-        """Return the solution; where there is none by the deadline (of `time.perf_counter`, s), the best iterate with success False."""
+    def solve(self, program: Program, monitor: Monitor | None = None) -> Solution:
+        """Return the solution; the best iterate with success False if the monitor stops it."""
 
 
 def check_options(

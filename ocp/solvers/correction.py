@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
 from ocp.solvers.base import Solution, Solver
+from ocp.solvers.monitor import Monitor
 from ocp.transcription.fine_steps import Measure
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.util.validate import Array
@@ -58,7 +58,7 @@ def solve_corrected(
     solver: Correcting,
     measure: Measure,
     accuracy: float,
-    deadline: float | None = None,
+    monitor: Monitor | None = None,
 ) -> Corrected:
     """Solve a program, and again with moved rows, until the error is within the accuracy.
 
@@ -68,7 +68,7 @@ def solve_corrected(
     discrete rows, which are wrong by its order.
     """
     most, left = 20, 0.7  # rounds; a round that leaves a larger share of the residual is the last
-    solution = solver.solve(program, deadline)
+    solution = solver.solve(program, monitor)
     best, last, iterations = Corrected(solution, None, np.inf), np.inf, solution.iterations
     if not solution.success:
         return best
@@ -78,14 +78,14 @@ def solve_corrected(
         if rest.error < best.error:
             solution = solution._replace(status=best.solution.status, iterations=iterations)
             best = Corrected(solution, rest.states, rest.error)
-        late = deadline is not None and time.perf_counter() > deadline
+        late = monitor is not None and bool(monitor.status())
         # the first solution has the full error of the discretization, and a round costs little
         met = bool(done) and rest.error <= accuracy
         if met or late or done == most or not rest.size < left * last:
             break
         last, program = rest.size, program.shifted(rest.shift, solution.w, solution.multipliers)
         correct = correct or solver.prepare_correction(program)
-        solution = correct(program, deadline)
+        solution = correct(program, monitor)
         iterations += solution.iterations
         if not solution.success:
             break

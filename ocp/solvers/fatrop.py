@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from ocp.solvers.base import NamedSolver, Solution, check_options
+from ocp.solvers.monitor import Monitor
 from ocp.transcription.sparse_nlp import Block, Program, Separable
 from tenscasadi.schema.containers import TableOf
 from tenscasadi.schema.forms import PLAIN
@@ -82,7 +83,7 @@ class Fatrop(NamedSolver, kind="Fatrop"):
         )
 
     def solve(
-        self, program: Program, deadline: float | None = None
+        self, program: Program, monitor: Monitor | None = None
     ) -> Solution:  # it cannot be stopped
         """Solve a program.
 
@@ -90,7 +91,7 @@ class Fatrop(NamedSolver, kind="Fatrop"):
         ----------
         program : Program
             The program.
-        deadline : float, optional
+        monitor : Monitor, optional
             Has no effect: Fatrop ends by `max_iterations` alone.
 
         Returns

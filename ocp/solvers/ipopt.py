@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import ctypes
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
 
-from ocp.solvers.base import STOPPED, TIME_UP, NamedSolver, Solution, check_options
+from ocp.solvers.base import NamedSolver, Solution, check_options
+from ocp.solvers.monitor import STOPPED, Monitor, Progress
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.schema.containers import TableOf
 from tenscasadi.schema.forms import PLAIN, InPython
-from tenscasadi.util.interrupts import on_interrupt
 from tenscasadi.util.validate import Array, positive_number, shown
 
 HSL = ("ma27", "ma57", "ma77", "ma86", "ma97")  # linear solvers that CasADi does not bring along
@@ -43,32 +41,6 @@ BENT = 3  # iterations in a row without positive curvature: a saddle
 SADDLE = "Saddle"
 NOWHERE = "Infeasible_Problem_Detected", "Restoration_Failed"  # it got no nearer to the constraints
 SMALL_VIOLATION = 1e-6  # violation, scaled, below which iterates are judged by their objective
-
-
-class Progress(NamedTuple):
-    """One iteration of a solver, as `Ipopt.watch` is told.
-
-    Attributes
-    ----------
-    iteration : int
-        Number of the iteration, from 0.
-    objective : float
-        Sum of the costs, in their own units.
-    infeasibility : float
-        Largest violation of a constraint, scaled.
-
-    Examples
-    --------
-    >>> import ocp
-    >>> def watch(now: ocp.Progress) -> bool:
-    ...     return now.infeasibility > 1e-3  # False stops the solver
-    >>> watch(ocp.Progress(iteration=3, objective=1.5, infeasibility=0.1))
-    True
-    """
-
-    iteration: int
-    objective: float
-    infeasibility: float
 
 
 Watcher = Callable[[Progress], Any]
@@ -158,15 +130,16 @@ class Ipopt(NamedSolver, kind="Ipopt"):
                 raise TypeError(f"Ipopt.{name} is {shown(getattr(self, name))}: give True or False")
         _check_library(self.options)
 
-    def solve(self, program: Program, deadline: float | None = None) -> Solution:
+    def solve(self, program: Program, monitor: Monitor | None = None) -> Solution:
         """Solve a program.
 
         Parameters
         ----------
         program : Program
             The program.
-        deadline : float, optional
-            Value of `time.perf_counter`, s, after which it stops. By default there is none.
+        monitor : Monitor, optional
+            Time limit and stop request of the search, which shows the progress. By default there
+            is no limit.
 
         Returns
         -------
@@ -179,12 +152,20 @@ class Ipopt(NamedSolver, kind="Ipopt"):
             If IPOPT refuses an option.
         """
         run = self.prepared(program)
+        if monitor is None:
+            own = Monitor()
+            with own.catching_interrupts():
+                return self._run(run, program, own)
+        return self._run(run, program, monitor)
+
+    def _run(self, run: Callable[..., Solution], program: Program, monitor: Monitor) -> Solution:
+        """Solve, and once more from the perturbed guess if that meets a saddle."""
         if program.noise is None or program.multipliers is not None or self.warm:
-            return run(program, deadline)
-        even = run(program, deadline, leaves_saddles=True)
+            return run(program, monitor)
+        even = run(program, monitor, leaves_saddles=True)
         if even.status != SADDLE or not self.restart:
             return even
-        solution = run(program.disturbed(), deadline)
+        solution = run(program.disturbed(), monitor)
         return solution._replace(iterations=even.iterations + solution.iterations)
 
     def prepared(self, program: Program) -> Callable[..., Solution]:
@@ -199,7 +180,7 @@ class Ipopt(NamedSolver, kind="Ipopt"):
         -------
         callable
             Function of a program that differs from this one in limits, start and multipliers alone,
-            and of a deadline (see `solve`) or None; it returns a `Solution`.
+            and of a `Monitor`; it returns a `Solution`.
 
         Raises
         ------
@@ -281,41 +262,23 @@ class BestIterate(ca.Callback):
         super().__init__()
         self._sizes = {"x": size, "f": 1, "g": rows, "lam_x": size, "lam_g": rows, "lam_p": 0}
         self._objective, self._watch = objective, watch
-        self._begin(np.zeros(rows), np.zeros(rows), None, None)
+        self.begin(np.zeros(rows), np.zeros(rows), Monitor(), None)
         self.construct("best", {})
 
-    def _begin(
-        self, lower: Array, upper: Array, deadline: float | None, leaving: ca.Function | None
+    def begin(
+        self, lower: Array, upper: Array, monitor: Monitor, leaving: ca.Function | None
     ) -> None:
-        self._lower, self._upper, self._deadline = (
-            lower,
-            upper,
-            np.inf if deadline is None else deadline,
-        )
+        """Begin to follow a run with these limits of rows.
+
+        leaving: None, or the solver, which stops where it meets a saddle.
+        """
+        self._lower, self._upper, self._monitor = lower, upper, monitor
         self._leaving = leaving
         self._merit = np.inf
         self._count = 0
         self.w: Array | None = None
         self.status = ""
         self.error: Exception | None = None
-
-    @contextmanager
-    def following(
-        self, lower: Array, upper: Array, deadline: float | None, leaving: ca.Function | None
-    ) -> Iterator[None]:
-        """Follow a run with these limits of rows until a deadline; Ctrl-C stops the solver after its iteration; a second time it raises, as usual.
-
-        leaving: None, or the solver, which stops where it meets a saddle.
-        """
-        self._begin(lower, upper, deadline, leaving)
-        try:
-            with on_interrupt(self._stop, then_raise=False):
-                yield
-        finally:
-            self._leaving = None
-
-    def _stop(self) -> None:
-        self.status = STOPPED
 
     def get_n_in(self) -> int:
         """As `nlpsol` has outputs."""
@@ -353,22 +316,17 @@ class BestIterate(ca.Callback):
         )
         if np.isfinite(merit) and merit < self._merit:
             self._merit, self.w = merit, w.copy()
-        try:
-            proceed = (
-                self._watch is None
-                or self._watch(Progress(self._count, float(f[0]) * self._objective, violation))
-                is not False
-            )
-        except KeyboardInterrupt:
-            proceed = False
-        except Exception as error:  # noqa: BLE001  # raised again once the solver has stopped, which would make a failure of it
-            self.error, proceed = error, False
+        now = Progress(self._count, float(f[0]) * self._objective, violation)
         self._count += 1
-        if not proceed:
+        try:
+            if self._watch is not None and self._watch(now) is False:
+                self.status = STOPPED
+        except KeyboardInterrupt:
             self.status = STOPPED
-        elif time.perf_counter() > self._deadline:
-            self.status = TIME_UP
-        elif self._leaving is not None and _bent(self._leaving):
+        except Exception as error:  # noqa: BLE001  # raised again once the solver has stopped, which would make a failure of it
+            self.error, self.status = error, STOPPED
+        self.status = self.status or self._monitor.follow(now)
+        if not self.status and self._leaving is not None and _bent(self._leaving):
             self.status = SADDLE
         np.frombuffer(res[0])[:] = float(bool(self.status))
         return 0
@@ -384,7 +342,7 @@ def _run(
     solver: ca.Function,
     best: BestIterate,
     program: Program,
-    deadline: float | None = None,
+    monitor: Monitor | None = None,
     leaves_saddles: bool = False,
 ) -> Solution:
     known = (
@@ -392,15 +350,20 @@ def _run(
         if program.multipliers is None
         else dict(zip(("lam_g0", "lam_x0"), program.multipliers, strict=True))
     )
-    with best.following(program.lower, program.upper, deadline, solver if leaves_saddles else None):
-        result = solver(
-            x0=program.first,
-            lbx=program.w_lower,
-            ubx=program.w_upper,
-            lbg=program.lower,
-            ubg=program.upper,
-            **known,
-        )
+    best.begin(
+        program.lower,
+        program.upper,
+        Monitor() if monitor is None else monitor,
+        solver if leaves_saddles else None,
+    )
+    result = solver(
+        x0=program.first,
+        lbx=program.w_lower,
+        ubx=program.w_upper,
+        lbg=program.lower,
+        ubg=program.upper,
+        **known,
+    )
     if best.error is not None:
         raise best.error
     stats = solver.stats()

@@ -9,6 +9,7 @@ import numpy as np
 
 from ocp.solvers.base import Solution
 from ocp.solvers.ipopt import NOWHERE, Ipopt
+from ocp.solvers.monitor import Monitor
 from ocp.transcription.sparse_nlp import (
     Block,
     Program,
@@ -29,12 +30,12 @@ MOST = 120  # iterations
 
 
 def find_rate_relaxation(
-    program: Program, solver: Ipopt, failed: Solution, deadline: float | None
+    program: Program, solver: Ipopt, failed: Solution, monitor: Monitor | None
 ) -> Solution | None:
     """Find the motion whose limits of rates have to be relaxed least, after a failure.
 
     None where a solver did not fail for lack of a feasible point, or limits of rates are not to
-    blame. deadline: of `time.perf_counter`, s; None: no limit.
+    blame.
     """
     stopped = (*NOWHERE, "Maximum_Iterations_Exceeded")
     if failed.success or failed.status not in stopped or not program.rows("rate"):
@@ -47,7 +48,7 @@ def find_rate_relaxation(
         watch=None,
         options={**OPTIONS, **solver.options},
     )
-    found = own.solve(widened(program), deadline)
+    found = own.solve(widened(program), monitor)
     w = found.w[:-1]
     if not found.success or widening(program, w) <= ENOUGH:
         return None

@@ -44,7 +44,7 @@ def test_a_time_limit_stops_the_solver_with_the_best_so_far(plan, monkeypatch):
     late = SimpleNamespace(
         perf_counter=lambda: clock() + (1e4 if len(seen) > 2 * plan.iterations else 0.0)
     )  # however loaded the machine is
-    monkeypatch.setattr("ocp.solvers.ipopt.time", late)
+    monkeypatch.setattr("ocp.solvers.monitor.time", late)
     endless = ocp.Ipopt(tolerance=1e-30, max_iterations=10**6, watch=seen.append)
     stopped = ocp.solve(plan.problem, plan.transcription, endless, seconds=1e3)
     assert not stopped.success

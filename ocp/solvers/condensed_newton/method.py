@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from ocp.solvers.base import STOPPED, TIME_UP, NamedSolver, Solution, check_options
+from ocp.solvers.base import NamedSolver, Solution, check_options
 from ocp.solvers.condensed_newton.condensed_program import (
     CondensedProgram,
     Expansion,
@@ -17,8 +16,8 @@ from ocp.solvers.condensed_newton.condensed_program import (
 )
 from ocp.solvers.condensed_newton.interior_point import InteriorPoint
 from ocp.solvers.condensed_newton.iterate import evaluate, polish
+from ocp.solvers.monitor import Monitor, Progress
 from ocp.transcription.sparse_nlp import Program
-from tenscasadi.util.interrupts import on_interrupt
 
 MET = 1e-9  # scaled rows: all are met
 MAX_GROWTH = 1e8  # of unknowns with defects of one; more multiplies rounding errors as much
@@ -85,15 +84,16 @@ class CondensedNewton(NamedSolver, kind="CondensedNewton"):
     def __post_init__(self) -> None:
         check_options("CondensedNewton", self.max_iterations, self.tolerance, self.verbose, {}, "")
 
-    def solve(self, program: Program, deadline: float | None = None) -> Solution:
+    def solve(self, program: Program, monitor: Monitor | None = None) -> Solution:
         """Solve a program.
 
         Parameters
         ----------
         program : Program
             The program.
-        deadline : float, optional
-            Value of `time.perf_counter` [s] after which it stops. By default there is none.
+        monitor : Monitor, optional
+            Time limit and stop request of the search, which shows the progress. By default there
+            is no limit.
 
         Returns
         -------
@@ -116,26 +116,28 @@ class CondensedNewton(NamedSolver, kind="CondensedNewton"):
                 return unsolved._replace(status=UNDETERMINED)
             except np.linalg.LinAlgError:
                 return unsolved._replace(status="stuck")
-            status = self._run(search, deadline)
+            if monitor is None:
+                monitor = Monitor()
+                with monitor.catching_interrupts():
+                    return _polished(of, search, self._run(search, monitor))
+            status = self._run(search, monitor)
             return _polished(of, search, status)
 
-    def _run(self, search: InteriorPoint, deadline: float | None) -> str:
+    def _run(self, search: InteriorPoint, monitor: Monitor) -> str:
         """Take steps until the end, and return its status."""
-        interrupts: list[bool] = []
-        with on_interrupt(lambda: interrupts.append(True), then_raise=False):
-            while True:
-                if status := search.check_end():
-                    return status
-                if search.iterations == self.max_iterations:
-                    return NOT_SETTLED if search.is_still(20, np.inf) else "iterations"
-                if interrupts:
-                    return STOPPED
-                if deadline is not None and time.perf_counter() > deadline:
-                    return TIME_UP
-                if not search.advance():
-                    return "nearly settled" if search.is_still(5, 1e-2) else "stuck"
-                if self.verbose:
-                    sys.stdout.write(search.describe() + "\n")
+        while True:
+            if status := search.check_end():
+                return status
+            if search.iterations == self.max_iterations:
+                return NOT_SETTLED if search.is_still(20, np.inf) else "iterations"
+            point = search.point
+            objective = point.cost * search.of.program.objective
+            if status := monitor.follow(Progress(search.iterations, objective, point.worst)):
+                return status
+            if not search.advance():
+                return "nearly settled" if search.is_still(5, 1e-2) else "stuck"
+            if self.verbose:
+                sys.stdout.write(search.describe() + "\n")
 
     def prepare_correction(self, program: Program) -> Callable[..., Solution]:
         """Prepare solutions of programs whose rows are moved a little from a solved one.
@@ -149,12 +151,12 @@ class CondensedNewton(NamedSolver, kind="CondensedNewton"):
         -------
         callable
             Function of a program that differs from this one in limits of rows, start and duals
-            alone, and of a deadline. It returns the nearest `Solution` that meets the moved rows:
+            alone, and of a `Monitor`. It returns the nearest `Solution` that meets the moved rows:
             near an optimum, its cost exceeds the least one by a difference of second order.
         """
         of = CondensedProgram(program)
 
-        def correct(moved: Program, deadline: float | None = None) -> Solution:
+        def correct(moved: Program, monitor: Monitor | None = None) -> Solution:
             of.move_rows(moved)
             u, s = moved.first[of.u], moved.first[of.s]
             with np.errstate(all="ignore"):

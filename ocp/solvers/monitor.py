@@ -1,0 +1,112 @@
+"""Time limit, stop request and progress of a search, shared by all methods."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import NamedTuple
+
+from tenscasadi.util.interrupts import on_interrupt
+
+STOPPED = "User_Requested_Stop"
+TIME_UP = "Time_Limit_Reached"  # of the whole search, with all that comes before the solver
+QUIET = 2.0  # s before the first line of progress
+
+
+class Progress(NamedTuple):
+    """One iteration of a solver.
+
+    Attributes
+    ----------
+    iteration : int
+        Number of the iteration, from 0.
+    objective : float
+        Sum of the costs, in their own units.
+    infeasibility : float
+        Largest violation of a constraint, scaled.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> def watch(now: ocp.Progress) -> bool:
+    ...     return now.infeasibility > 1e-3  # False stops the solver
+    >>> watch(ocp.Progress(iteration=3, objective=1.5, infeasibility=0.1))
+    True
+    """
+
+    iteration: int
+    objective: float
+    infeasibility: float
+
+
+class Monitor:
+    """Follower of a search: it knows when to stop, and shows the progress.
+
+    Parameters
+    ----------
+    time_limit : float, optional
+        Wall time of the search [s]. By default there is no limit.
+    show : callable, optional
+        Function of a line of text, called at most twice a second. None: nothing is shown.
+
+    Attributes
+    ----------
+    phase : str
+        Current part of the search, for the progress.
+    interrupted : bool
+        Whether a stop was requested, as from the keyboard.
+    """
+
+    def __init__(
+        self, time_limit: float | None = None, show: Callable[[str], object] | None = None
+    ) -> None:
+        self.began = time.perf_counter()
+        self.deadline = math.inf if time_limit is None else self.began + time_limit
+        self.interrupted, self.phase = False, ""
+        self._show, self._next_line = show, self.began + QUIET
+
+    @property
+    def elapsed(self) -> float:
+        """Wall time since the begin [s]."""
+        return time.perf_counter() - self.began
+
+    @property
+    def left(self) -> float:
+        """Wall time that is left [s], inf without a limit."""
+        return self.deadline - time.perf_counter()
+
+    def status(self) -> str:
+        """Return why the search has to stop; "" if it may go on."""
+        if self.interrupted:
+            return STOPPED
+        return TIME_UP if self.left <= 0 else ""
+
+    def follow(self, now: Progress) -> str:
+        """Show the progress of a solver, and return `status`."""
+        clock = time.perf_counter()
+        if self._show is not None and clock >= self._next_line:
+            self._next_line = clock + 0.5
+            left = "" if math.isinf(self.deadline) else f", {max(self.left, 0.0):.0f} s left"
+            self._show(
+                f"{self.phase}: iteration {now.iteration}, violation {now.infeasibility:.1e}, "
+                f"objective {now.objective:.5g}, {self.elapsed:.0f} s{left}"
+            )
+        return self.status()
+
+    @contextmanager
+    def catching_interrupts(self) -> Iterator[None]:
+        """Turn the first Ctrl-C of the block into a stop request; a second one raises, as usual."""
+        with on_interrupt(self._stop, then_raise=False):
+            yield
+
+    def _stop(self) -> None:
+        self.interrupted = True
+
+
+def write_line(line: str) -> None:
+    """Write a line of progress over the one before."""
+    sys.stderr.write(f"\r\033[K{line}")
+    sys.stderr.flush()
