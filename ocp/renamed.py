@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from ocp.targets.infeasible_goal import InfeasibleGoalError
-from tenscasadi.util.renamed import find_renamed
+from tenscasadi.util.renamed import find_attribute
 
-__getattr__ = find_renamed("ocp", {"UnreachableGoal": ("InfeasibleGoalError", InfeasibleGoalError)})
+__getattr__ = find_attribute("ocp", {}, {"UnreachableGoal": "InfeasibleGoalError"})

@@ -5,27 +5,16 @@ Pictures are in `tenscasadi.plots`, which loads matplotlib and is imported by na
 
 from __future__ import annotations
 
-from tenscasadi.analysis.certify import NoReference, Reference, certify
-from tenscasadi.analysis.mode_motion import mode_motion
-from tenscasadi.analysis.modes import Linearization, Modes, linearize, modes
-from tenscasadi.analysis.recommend import NoScheme, Recommendation, recommend
-from tenscasadi.analysis.tradeoff import tradeoff
-from tenscasadi.analysis.tradeoff_table import Row, Tradeoff
+from typing import TYPE_CHECKING
+
 from tenscasadi.dynamics.constraint_forces import RedundantConstraints
 from tenscasadi.dynamics.mechanism import Multipliers
 from tenscasadi.dynamics.model import Model
 from tenscasadi.dynamics.observations import Energy
 from tenscasadi.dynamics.state_space import Constraints
-from tenscasadi.exchange.matlab.save import save_mat
-from tenscasadi.exchange.matlab.structures import load_mat
-from tenscasadi.exchange.matlab.trajectories import load_mat_trajectory
-from tenscasadi.exchange.mjcf import export_mjcf, import_mjcf
-from tenscasadi.exchange.ntrt.load import load_ntrt
-from tenscasadi.exchange.vtk import export_vtk
 from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.rattle import Rattle
 from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853, RungeKutta4
-from tenscasadi.integrators.stability import stable_step
 from tenscasadi.integrators.stabilization import BarLengthCorrection, Projection, projection
 from tenscasadi.integrators.sundials import Cvodes, Idas
 from tenscasadi.io.scene_files import load_scene, load_simulation, save_scene
@@ -46,18 +35,67 @@ from tenscasadi.simulation.rollouts import rollouts
 from tenscasadi.simulation.sensitivities import Sensitivities, sensitivities
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
-from tenscasadi.statics.force_density import (
-    EquilibriumError,
-    equilibrium_force_density,
-    self_stress,
-)
 from tenscasadi.structure import shapes
 from tenscasadi.structure.class_one import ClassOne
 from tenscasadi.structure.structure import Structure
-from tenscasadi.sweeps.sweep import sweep
-from tenscasadi.sweeps.sweep_table import Sweep
 from tenscasadi.util.compile import CompileError, Single
+from tenscasadi.util.renamed import find_attribute
 from tenscasadi.util.version import __version__ as __version__
+
+if TYPE_CHECKING:
+    from tenscasadi.analysis.certify import NoReference, Reference, certify
+    from tenscasadi.analysis.mode_motion import mode_motion
+    from tenscasadi.analysis.modes import Linearization, Modes, linearize, modes
+    from tenscasadi.analysis.recommend import NoScheme, Recommendation, recommend
+    from tenscasadi.analysis.tradeoff import tradeoff
+    from tenscasadi.analysis.tradeoff_table import Row, Tradeoff
+    from tenscasadi.exchange.matlab.save import save_mat
+    from tenscasadi.exchange.matlab.structures import load_mat
+    from tenscasadi.exchange.matlab.trajectories import load_mat_trajectory
+    from tenscasadi.exchange.mjcf import export_mjcf, import_mjcf
+    from tenscasadi.exchange.ntrt.load import load_ntrt
+    from tenscasadi.exchange.vtk import export_vtk
+    from tenscasadi.integrators.stability import stable_step
+    from tenscasadi.statics.force_density import (
+        EquilibriumError,
+        equilibrium_force_density,
+        self_stress,
+    )
+    from tenscasadi.sweeps.sweep import sweep
+    from tenscasadi.sweeps.sweep_table import Sweep
+
+# modules that simulations do not need are imported at first use
+__getattr__ = find_attribute(
+    __name__,
+    {
+        "tenscasadi.analysis.certify": ("NoReference", "Reference", "certify"),
+        "tenscasadi.analysis.mode_motion": ("mode_motion",),
+        "tenscasadi.analysis.modes": ("Linearization", "Modes", "linearize", "modes"),
+        "tenscasadi.analysis.recommend": ("NoScheme", "Recommendation", "recommend"),
+        "tenscasadi.analysis.tradeoff": ("tradeoff",),
+        "tenscasadi.analysis.tradeoff_table": ("Row", "Tradeoff"),
+        "tenscasadi.exchange.matlab.save": ("save_mat",),
+        "tenscasadi.exchange.matlab.structures": ("load_mat",),
+        "tenscasadi.exchange.matlab.trajectories": ("load_mat_trajectory",),
+        "tenscasadi.exchange.mjcf": ("export_mjcf", "import_mjcf"),
+        "tenscasadi.exchange.ntrt.load": ("load_ntrt",),
+        "tenscasadi.exchange.vtk": ("export_vtk",),
+        "tenscasadi.integrators.stability": ("stable_step",),
+        "tenscasadi.statics.force_density": (
+            "EquilibriumError",
+            "equilibrium_force_density",
+            "self_stress",
+        ),
+        "tenscasadi.sweeps.sweep": ("sweep",),
+        "tenscasadi.sweeps.sweep_table": ("Sweep",),
+    },
+    renamed={},
+)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
 
 __all__ = [
     # what is modelled

@@ -210,12 +210,13 @@ def test_no_circle_of_modules():
 
 def test_packages_only_re_export():
     kinds = (ast.Import, ast.ImportFrom, ast.Expr)
+    lazy = ("__all__ =", "if TYPE_CHECKING:", "__getattr__ = find_attribute(", "def __dir__()")
     faults = [
         f"{module} holds more than imports: {ast.unparse(node)[:80]}"
         for module, path in MODULES.items()
         if path.name == "__init__.py"
         for node in TREES[module].body
-        if not isinstance(node, kinds) and not ast.unparse(node).startswith("__all__")
+        if not isinstance(node, kinds) and not ast.unparse(node).startswith(lazy)
     ]
     assert not faults, "\n".join(faults)
 

@@ -8,13 +8,15 @@ from typing import Any
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse.linalg import ArpackError, ArpackNoConvergence, LinearOperator, eigs
 
 from tenscasadi.dynamics.linearization import EquationDerivatives
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Complex, Scheme, check_scheme, stability_limit
+from tenscasadi.util.lazy import lazy_module
 from tenscasadi.util.validate import Array, finite_array, instance, positive_number
+
+linalg = lazy_module("scipy.sparse.linalg")
 
 DENSE = 400  # states up to which all eigenvalues are computed
 # edge of the upper half of the left unit half-disc
@@ -270,16 +272,16 @@ def _largest_eigenvalues(model: Model, state: Array, control: Array) -> Complex:
     start = np.random.default_rng(0).normal(size=model.nx)  # fixed seed: reproducible results
     if not np.all(np.isfinite(along(state, control, start).full())):
         return np.array([complex(np.nan)])
-    operator = LinearOperator(
+    operator = linalg.LinearOperator(
         (model.nx, model.nx), matvec=lambda v: along(state, control, v).full().ravel(), dtype=float
     )
     try:
-        found = eigs(
+        found = linalg.eigs(
             operator, k=6, which="LM", v0=start, tol=1e-3, ncv=40, return_eigenvectors=False
         )
-    except ArpackNoConvergence as error:
+    except linalg.ArpackNoConvergence as error:
         found = error.eigenvalues
-    except ArpackError:
+    except linalg.ArpackError:
         found = []
     if len(found):
         return np.asarray(found, dtype=complex)

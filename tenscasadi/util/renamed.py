@@ -1,24 +1,41 @@
-"""Names of earlier versions that still work, with a warning."""
+"""Names that are found at first use, and old names that warn."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import wraps
+from importlib import import_module
 from typing import Any, TypeVar
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
-def find_renamed(package: str, names: Mapping[str, tuple[str, Any]]) -> Callable[[str], Any]:
-    """Return the `__getattr__` of a package whose `names` have new names and values."""
+def find_attribute(
+    package: str, modules: Mapping[str, Iterable[str]], renamed: Mapping[str, str]
+) -> Callable[[str], Any]:
+    """Build the `__getattr__` of a package.
+
+    Parameters
+    ----------
+    package : str
+        Name of the package.
+    modules : mapping of str to iterable of str
+        Names by the module that has them, which is imported when the first of them is used.
+    renamed : mapping of str to str
+        New names of old ones, which warn.
+    """
+    places = {name: module for module, names in modules.items() for name in names}
 
     def find(name: str) -> Any:
-        if name not in names:
+        if name in renamed:
+            message = f"{package}.{name} is deprecated: use {package}.{renamed[name]}"
+            warnings.warn(message, DeprecationWarning, stacklevel=2)
+            return getattr(import_module(package), renamed[name])
+        if name not in places:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        new, value = names[name]
-        message = f"{package}.{name} is deprecated: use {package}.{new}"
-        warnings.warn(message, DeprecationWarning, stacklevel=2)
+        value = getattr(import_module(places[name]), name)
+        setattr(import_module(package), name, value)
         return value
 
     return find

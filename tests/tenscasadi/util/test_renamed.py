@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import inspect
+import math
+import subprocess
+import sys
 
 import pytest
 
-from tenscasadi.util.renamed import RenamedAttribute, find_renamed, rename_keywords
+import tenscasadi
+from tenscasadi.util.renamed import RenamedAttribute, find_attribute, rename_keywords
 
 
 @rename_keywords(colour="color")
@@ -28,11 +32,25 @@ def test_old_and_new_keyword_together_are_rejected():
 
 
 def test_old_name_warns_and_unknown_name_is_rejected():
-    find = find_renamed("package", {"Centre": ("Center", 3)})
-    with pytest.warns(DeprecationWarning, match=r"package\.Centre is deprecated"):
-        assert find("Centre") == 3
+    find = find_attribute("math", {}, {"circumference_ratio": "pi"})
+    with pytest.warns(DeprecationWarning, match=r"math\.circumference_ratio is deprecated: use"):
+        assert find("circumference_ratio") == math.pi
     with pytest.raises(AttributeError, match="has no attribute 'other'"):
         find("other")
+
+
+def test_lazy_name_is_imported_at_first_use():
+    find = find_attribute("tenscasadi.util", {"math": ["tau"]}, {})
+    assert find("tau") == tenscasadi.util.tau == math.tau  # type: ignore[attr-defined]
+    del tenscasadi.util.tau  # type: ignore[attr-defined]
+
+
+def test_simulations_import_no_analysis():
+    code = "import sys, tenscasadi; print([name for name in sys.modules if name in (%r)])"
+    unneeded = [f"tenscasadi.{part}" for part in ("analysis", "exchange", "statics", "sweeps")]
+    command = [sys.executable, "-c", code % (unneeded,)]
+    assert subprocess.run(command, capture_output=True, text=True).stdout == "[]\n"
+    assert set(tenscasadi.__all__) <= set(dir(tenscasadi))
 
 
 def test_old_attribute_warns_and_works():
