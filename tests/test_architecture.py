@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[1]
 _MODEL = ("util", "schema", "structure", "scene", "dynamics", "integrators", "simulation")
 TENSCASADI = (
     *_MODEL,
-    {"statics", "sweeps", "io"},
+    {"statics", "sweeps", "io", "drawing"},
     {"exchange", "plots", "envs"},
     "analysis",
     "viewer",
@@ -42,13 +42,11 @@ OCP = (
     {"export", "renamed"},
 )
 
-OPEN_TO_OCP = {*_MODEL, "statics", "io"}
+OPEN_TO_OCP = {*_MODEL, "statics", "io", "drawing"}
 # Methods that lead on to what is made of a value, such as `value.view()` and `plan.refine()`: it is
 # imported when they are called, and only there.
 ONWARD = {
     ("tenscasadi.util.viewable", "tenscasadi.viewer.view"),
-    ("ocp.results.exhibit", "tenscasadi.viewer.exhibit"),
-    ("ocp.results.exhibit", "tenscasadi.viewer.motion"),
 }
 # documented paths that only lead into a room
 ENTRANCES = {"tenscasadi.__main__", "tenscasadi.animation"}

@@ -13,11 +13,11 @@ from ocp.plan.many_replays import measure_robustness
 from ocp.plan.robustness import Robustness
 from ocp.plan.serialize import FORMAT, plan_arrays, plan_fields, rebuilt
 from ocp.problem.problem import Problem
-from ocp.results.exhibit import exhibit_of_plan
 from ocp.results.refinement import refine_until_accurate
 from ocp.results.replay import replay_open
 from ocp.results.report import Report, report_of
 from ocp.results.result import PlanResult
+from ocp.results.view_content import describe_plan
 from ocp.search.find_plan import find_plan
 from tenscasadi.dynamics.serialize import find_differences
 from tenscasadi.integrators.runge_kutta import RungeKutta4
@@ -83,7 +83,7 @@ class Plan(PlanResult, Viewable):
     (10, 2)
     """
 
-    _exhibit_ = exhibit_of_plan  # what `tenscasadi.viewer.view` shows
+    _view_content_ = describe_plan  # for pictures
 
     @classmethod
     def of(cls, result: PlanResult) -> Plan:

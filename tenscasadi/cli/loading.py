@@ -12,6 +12,13 @@ def load_ocp() -> Any:
     return ocp
 
 
+def load_viewer() -> Any:
+    """Load the package of the viewer."""
+    import tenscasadi.viewer
+
+    return tenscasadi.viewer
+
+
 def load_plots() -> Any:
     """Load the package of figures and animations, with matplotlib."""
     import tenscasadi.plots.animation

@@ -199,10 +199,10 @@ _VIEW_OPTIONS: _Options = {
     },
     "--port": _number("port (default: one that is free)", int, "N"),
     "--no-browser": {"help": "open no browser: print the address", **_FLAG},
-    "--colour": {
+    "--color": {
         "choices": ("tension", "force density"),
         "default": "tension",
-        "help": "what the colour of strings tells (default: tension)",
+        "help": "quantity that colors the strings (default: tension)",
     },
     "--speed": _number("simulated seconds in each second", default=1.0),
     "--follow": {"help": "keep the first motion in the middle", **_FLAG},

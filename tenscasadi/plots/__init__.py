@@ -1,16 +1,10 @@
-"""Pictures as matplotlib Figures, made without pyplot. The one package that loads matplotlib: import it by name."""
+"""Pictures as matplotlib figures, drawn without pyplot."""
 
 from __future__ import annotations
 
 from tenscasadi.plots.diagrams import Convergence, work_precision
-from tenscasadi.plots.figures import (
-    ForceHistory,
-    errors,
-    force_densities,
-    node_histories,
-    structure,
-    time_lapse,
-)
+from tenscasadi.plots.figures import structure, time_lapse
+from tenscasadi.plots.histories import ForceHistory, errors, force_densities, node_histories
 from tenscasadi.plots.robustness import ReplayErrors, robustness
 from tenscasadi.plots.rollouts import fan, histogram
 

@@ -1,4 +1,4 @@
-"""A motion as an animated GIF, or as an mp4 film."""
+"""Animations of motions as GIF or mp4 files."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from subprocess import CalledProcessError
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -15,31 +16,23 @@ from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from tenscasadi.plots.scene3d import (
-    Canvas,
-    Layer,
-    check_drawable,
-    members_of,
-    tension_colours,
-    tension_label,
-    tension_scale,
-)
+from tenscasadi.drawing.color_scale import ColorScale
+from tenscasadi.drawing.describe import describe_content
+from tenscasadi.drawing.shapes import MotionShapes
+from tenscasadi.drawing.view_content import choose_frame_times
+from tenscasadi.plots.canvas3d import Canvas
 from tenscasadi.scene.ground import Grounds
-from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import file_path, flag, positive_number, text, whole_number
 from tenscasadi.util.whole_file import whole_path
 
 _MOST_FRAMES = 2000
-_PLAYED_EVERYWHERE = [
-    "-pix_fmt",
-    "yuv420p",
-    "-movflags",
-    "+faststart",
-]  # browsers and presentations refuse colours in full
+_COMPATIBLE = ["-pix_fmt", "yuv420p", "-movflags", "+faststart"]  # for browsers and slides
 
 
+@rename_keywords(trajectory="data")
 def animate(
-    trajectory: Trajectory,
+    data: Any,
     path: str | os.PathLike[str],
     *,
     speed: float = 1.0,
@@ -48,25 +41,24 @@ def animate(
     title: str = "",
     progress: bool = False,
 ) -> Path:
-    """Write a motion as an animated GIF, or as an mp4 film.
+    """Write a motion as an animated GIF or as an mp4 film.
 
-    Strings are coloured by tension, in one scale over the whole motion. Each frame shows the kept
-    row next to its time.
+    Strings are colored by tension, with one scale for the whole motion.
 
     Parameters
     ----------
-    trajectory : Trajectory
+    data : Trajectory or ocp.Plan
         The motion.
     path : path-like
-        File to write; its name ends in .gif or in .mp4, which takes ``pip install
+        File to write. Its name ends in .gif, or in .mp4, which requires ``pip install
         'tenscasadi[video]'``.
     speed : float
-        Simulated seconds in each second shown.
+        Simulated seconds per second of the film.
     frames_per_second : int
-        Frames in each second shown. A GIF tells times in hundredths of a second, so 10, 20, 25 and
-        50 play at exactly `speed`.
+        Frames per second of the film. A GIF stores times in hundredths of a second, so that 10, 20,
+        25 and 50 play at exactly `speed`.
     ground : Ground or Terrain or a sequence of them, optional
-        The grounds to draw, such as ``scene.ground``.
+        Grounds besides those of the scene.
     title : str
         Text before the time in each frame.
     progress : bool
@@ -80,11 +72,11 @@ def animate(
     Raises
     ------
     TypeError, ValueError
-        If an argument has a wrong type or value, or there would be more than 2000 frames.
+        An argument has a wrong type or value, or there would be more than 2000 frames.
     ImportError
-        If the film is an mp4 and imageio-ffmpeg is not installed.
+        The film is an mp4 and imageio-ffmpeg is not installed.
     OSError
-        If the file cannot be written.
+        The file cannot be written.
 
     Examples
     --------
@@ -95,43 +87,38 @@ def animate(
     >>> animate(motion, "swing.gif", frames_per_second=10).name
     'swing.gif'
     """
-    check_drawable("trajectory", trajectory)
     target = file_path("path", path)
     text("title", title)
     flag("progress", progress)
     if target.suffix.lower() not in (".gif", ".mp4"):
         raise ValueError(f"path is {os.fspath(path)!r}: give a file name that ends in .gif or .mp4")
     rate = whole_number("frames_per_second", frames_per_second, 1)
-    duration = float(trajectory.time[-1] - trajectory.time[0])
-    count = 1 + round(duration / positive_number("speed", speed) * rate)
-    if count > _MOST_FRAMES:
-        raise ValueError(
-            f"speed is {speed:g}: {duration:g} s would take {count} frames, give a speed of at least {speed * count / _MOST_FRAMES:.2g}"
-        )
-    times = np.linspace(trajectory.time[0], trajectory.time[-1], count)
+    content = describe_content(data, "data", ground)
+    times = choose_frame_times(content, positive_number("speed", speed), rate, _MOST_FRAMES)
+    motion, shapes = content.motions[0], MotionShapes(content)
+    values = np.zeros((1, 0)) if motion.tension is None else motion.tension
+    scale = ColorScale.of("tension", values)
     figure = Figure(figsize=(5.4, 4.6))
-    canvas = Canvas(figure, members_of(trajectory), trajectory.nodes, ground)
-    scale = tension_scale(float(trajectory.tension.max(initial=0.0)))
-    if np.any(trajectory.tension != 0):
-        canvas.colour_bar(scale, tension_label(trajectory.tension[trajectory.tension != 0]))
+    canvas = Canvas(figure, content)
+    if np.any(values != 0):
+        canvas.add_color_bar(scale)
     canvas.fit()
     with (
         whole_path(target) as part,
-        _writer(part, rate) as writer,
+        _open_writer(part, rate) as writer,
         writer.saving(figure, str(part), dpi=100),
     ):
         for time in tqdm(times, unit=" frames", disable=not progress):
-            row = int(np.argmin(np.abs(trajectory.time - time)))
-            colours = tension_colours(scale, trajectory.tension[row])
-            canvas.draw(Layer(trajectory.nodes[row], string_colour=colours))
-            figure.suptitle(f"{title}{', ' if title else ''}t = {trajectory.time[row]:.2f} s")
+            pull = None if motion.tension is None else motion.tension[motion.row_at(time)]
+            canvas.draw(shapes.at_rest(motion.nodes_at(time), pull, scale))
+            figure.suptitle(f"{title}{', ' if title else ''}t = {time:.2f} s")
             writer.grab_frame()
     return target
 
 
 @contextmanager
-def _writer(target: Path, rate: int) -> Iterator[AbstractMovieWriter]:
-    """Writer of frames for a file of this name. Raises ImportError where there is none, OSError where the file cannot be written."""
+def _open_writer(target: Path, rate: int) -> Iterator[AbstractMovieWriter]:
+    """Open the writer of a film. Raises ImportError, OSError."""
     if target.suffix.lower() == ".gif":
         yield PillowWriter(fps=rate)
         return
@@ -143,7 +130,7 @@ def _writer(target: Path, rate: int) -> Iterator[AbstractMovieWriter]:
         ) from error
     with mpl.rc_context({"animation.ffmpeg_path": get_ffmpeg_exe()}):
         try:
-            yield FFMpegWriter(fps=rate, codec="libx264", extra_args=_PLAYED_EVERYWHERE)
+            yield FFMpegWriter(fps=rate, codec="libx264", extra_args=_COMPATIBLE)
         except CalledProcessError as error:
             raise OSError(
                 errno.EIO,

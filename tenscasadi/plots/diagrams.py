@@ -1,4 +1,4 @@
-"""Diagrams of how well something was computed: cost over error of simulations, and the convergence of a solver."""
+"""Work-precision diagrams, and the convergence of solvers."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, Protocol
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
-from tenscasadi.plots.panels import FilePath, curve_colour, make_panels, name_curves, save_figure
+from tenscasadi.plots.panels import FilePath, add_legend, css_color, make_panels, save_figure
 from tenscasadi.util.validate import (
     file_path,
     instance,
@@ -23,9 +23,6 @@ from tenscasadi.util.validate import (
 Points = Sequence[tuple[float, float]]
 _MARKERS = "osD^vPX"
 _DASHES = ("-", "--", ":", "-.")
-_NEAR = (
-    100.0  # times the reference's error: where no curve comes as close, that error need not be seen
-)
 
 
 def work_precision(
@@ -37,26 +34,26 @@ def work_precision(
     cost: str = "seconds per simulated second",
     path: FilePath | None = None,
 ) -> Figure:
-    """Draw a work-precision diagram: cost over position error, one curve for each way to compute.
+    """Draw a work-precision diagram, the cost over the position error.
 
-    Both axes are logarithmic, and more accurate lies to the right. Names that are alike up to the
-    first comma are variants of one scheme and share its colour.
+    Both axes are logarithmic, and more accurate results lie to the right. Names that agree up to
+    the first comma are variants of one scheme and share its color.
 
     Parameters
     ----------
     curves : mapping of str to sequence of (float, float)
-        Points (position error in m, cost) of each way to compute, by name.
+        Points (position error [m], cost) of each scheme, by name.
     front : sequence of (float, float)
-        Points that no other beats in both; they are underlaid in grey.
+        Pareto-optimal points, which are underlaid in gray.
     reference_error : float, optional
-        Error of the reference, m. Smaller errors are drawn there, and shaded where a curve comes
-        near.
+        Error of the reference [m]. Smaller errors are drawn there. Its range is shaded if a curve
+        comes within a factor of 100.
     title : str
         Title of the diagram.
     cost : str
         Label of the vertical axis, with its unit.
     path : path-like, optional
-        File to save the diagram to; its suffix says the format.
+        File to save the diagram to, whose suffix selects the format.
 
     Returns
     -------
@@ -97,7 +94,7 @@ def work_precision(
         head = name.partition(",")[0]
         variant = seen[head] = seen.get(head, -1) + 1
         if points:
-            colour = curve_colour(heads.index(head) if len(heads) > 1 else variant)
+            color = css_color(heads.index(head) if len(heads) > 1 else variant)
             style: dict[str, Any] = {
                 "marker": _MARKERS[variant % len(_MARKERS)],
                 "ls": _DASHES[variant % len(_DASHES)],
@@ -106,24 +103,24 @@ def work_precision(
                 *zip(*_resolved(points, smallest), strict=True),
                 ms=4.5,
                 lw=1.3,
-                color=colour,
+                color=color,
                 label=name,
                 zorder=2,
                 **style,
             )
     if reference_error and any(
-        error < _NEAR * reference_error for points in curves.values() for error, _ in points
+        error < 100 * reference_error for points in curves.values() for error, _ in points
     ):
         ax.axvspan(reference_error / 5, reference_error, color="0.93", zorder=0, lw=0)
         ax.set_xlim(left=reference_error / 5)
     ax.invert_xaxis()
     ax.xaxis.set_major_locator(LogLocator(numticks=9))
-    name_curves(figure, ax, len(curves))
+    add_legend(figure, ax, len(curves))
     return save_figure(figure, path)
 
 
 def _known_error(value: Any) -> float | None:
-    """Return the error of a reference, None where it is infinite. Raises TypeError, ValueError."""
+    """Check the error of a reference; None if it is infinite."""
     return (
         None
         if value is None or (isinstance(value, float) and value == float("inf"))
@@ -140,7 +137,7 @@ def _named_points(curves: Any) -> dict[str, Points]:
 
 
 def _points(field: str, points: Any) -> Points:
-    """Return points as pairs. Raises TypeError, ValueError."""
+    """Check points. Raises TypeError, ValueError."""
     pairs = listed(field, points, "[(1e-3, 0.1)]")
     if not pairs:
         return []
@@ -151,7 +148,10 @@ def _points(field: str, points: Any) -> Points:
 
 
 def _resolved(points: Points, smallest: float) -> list[tuple[float, float]]:
-    """Return the points in order of cost (errors may rise again: rounding); of those not above `smallest` only the cheapest, drawn there."""
+    """Sort points by cost.
+
+    Of those with errors up to `smallest` only the cheapest is kept, and moved there.
+    """
     beyond = sorted((cost, smallest) for error, cost in points if error <= smallest)[:1]
     return [
         *sorted((point for point in points if point[0] > smallest), key=lambda point: point[1]),
@@ -160,7 +160,7 @@ def _resolved(points: Points, smallest: float) -> list[tuple[float, float]]:
 
 
 class Iteration(Protocol):
-    """An iteration as a solver tells of it, such as an `ocp.Progress`."""
+    """Iteration of a solver, such as an `ocp.Progress`."""
 
     @property
     def iteration(self) -> int:
@@ -168,60 +168,57 @@ class Iteration(Protocol):
 
     @property
     def objective(self) -> float:
-        """The sum of the costs."""
+        """Value of the objective."""
 
     @property
     def infeasibility(self) -> float:
-        """The largest violation of a constraint, scaled."""
+        """Largest violation of a constraint, scaled."""
 
 
 class Convergence:
-    """Objective and violated constraints over the iterations of a solver, drawn while it works.
+    """Chart of objective and violation over the iterations of a solver.
 
-    Give it to a solver: ``ocp.Ipopt(watch=plots.Convergence("solver.png"))``.
+    It is a callback of a solver: ``ocp.Ipopt(callback=plots.Convergence("solver.png"))``.
 
     Parameters
     ----------
     path : path-like, optional
-        File that is written anew while the solver works, for a viewer that shows files as they
-        change; None: no file.
+        File that is written again and again during the solution. Default: no file.
     every : float
-        Least wall time between two drawings, s.
+        Shortest time between two drawings [s].
 
     Raises
     ------
     ValueError
-        If `every` is not positive.
+        `every` is not positive.
 
     Examples
     --------
     >>> import ocp
     >>> from tenscasadi import plots
-    >>> watch = plots.Convergence()
-    >>> watch(ocp.Progress(iteration=0, objective=2.5, infeasibility=1e-3))
-    >>> watch.figure().axes[0].get_title()
+    >>> convergence = plots.Convergence()
+    >>> convergence(ocp.Progress(iteration=0, objective=2.5, infeasibility=1e-3))
+    >>> convergence.figure().axes[0].get_title()
     'iteration 0: objective 2.5, largest violation 0.001'
     """
 
     def __init__(self, path: FilePath | None = None, every: float = 2.0) -> None:
         self._path = None if path is None else file_path("path", path)
         self._every = positive_number("every", every)
-        self._told: list[Iteration] = []
+        self._iterations: list[Iteration] = []
         self._drawn = -float("inf")
 
     def __call__(self, now: Iteration) -> None:
-        """Take down an iteration, and draw all where it is time."""
+        """Record an iteration, and draw all if it is time."""
         if not all(hasattr(now, name) for name in ("iteration", "objective", "infeasibility")):
-            raise TypeError(
-                f"now is {shown(now)}: give an ocp.Progress, or what has iteration, objective and infeasibility"
-            )
-        self._told.append(now)
+            raise TypeError(f"now is {shown(now)}: give an ocp.Progress")
+        self._iterations.append(now)
         if self._path is not None and time.monotonic() - self._drawn > self._every:
             save_figure(self.figure(), self._path)
             self._drawn = time.monotonic()
 
     def figure(self) -> Figure:
-        """Draw all iterations so far: the objective, and the largest violation on a logarithmic scale.
+        """Draw the objective and the largest violation so far.
 
         Returns
         -------
@@ -229,15 +226,15 @@ class Convergence:
             Two panels over the iterations.
         """
         title = "no iteration yet"
-        if self._told:
-            last = self._told[-1]
+        if self._iterations:
+            last = self._iterations[-1]
             title = f"iteration {last.iteration}: objective {last.objective:.4g}, largest violation {last.infeasibility:.2g}"
         figure, (above, below) = make_panels(2, "iteration", title, margin=0.05)
-        count = [one.iteration for one in self._told]
-        above.plot(count, [one.objective for one in self._told], ".-", lw=1.2)
-        below.plot(count, [one.infeasibility for one in self._told], ".-", lw=1.2)
+        count = [one.iteration for one in self._iterations]
+        above.plot(count, [one.objective for one in self._iterations], ".-", lw=1.2)
+        below.plot(count, [one.infeasibility for one in self._iterations], ".-", lw=1.2)
         above.set_ylabel("objective")
         below.set_ylabel("largest violation, scaled")
-        if any(one.infeasibility > 0 for one in self._told):
+        if any(one.infeasibility > 0 for one in self._iterations):
             below.set_yscale("log")
         return figure

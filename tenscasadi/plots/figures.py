@@ -1,79 +1,34 @@
-"""Pictures of structures and motions as matplotlib Figures.
+"""3-D pictures of structures, scenes, motions and plans.
 
 No window opens and no global state of matplotlib changes: pyplot is not used.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, Protocol
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import BoundaryNorm
+from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from tenscasadi.plots.panels import (
-    MOST_NAMED,
-    FilePath,
-    curve_colour,
-    curve_width,
-    make_panels,
-    name_curves,
-    save_figure,
-)
-from tenscasadi.plots.scene3d import (
-    Canvas,
-    Layer,
-    check_drawable,
-    cut_colours,
-    members_of,
-    tension_colours,
-    tension_label,
-    tension_scale,
-)
+from tenscasadi.drawing.color_scale import ColorScale
+from tenscasadi.drawing.describe import describe_content
+from tenscasadi.drawing.shapes import MotionShapes
+from tenscasadi.drawing.style import STYLE, interpolate_colors
+from tenscasadi.drawing.view_content import Motion, ViewContent
+from tenscasadi.plots.canvas3d import Canvas
+from tenscasadi.plots.panels import FilePath, save_figure
 from tenscasadi.scene.ground import Grounds
-from tenscasadi.simulation.trajectory import Trajectory
-from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import (
-    Array,
-    finite_array,
-    flag,
-    listed,
-    node_index,
-    per_item,
-    positive_number,
-    text,
-    whole_number,
-)
-
-_MOST_INSTANTS = 1000
+from tenscasadi.util.renamed import rename_keywords
+from tenscasadi.util.validate import Indices, flag, per_item, positive_number, text, whole_number
 
 
-class ForceHistory(Protocol):
-    """Force densities over time: a `Trajectory`, with a row for each time, or a plan, with a row for each interval between times.
-
-    Attributes
-    ----------
-    time : ndarray (T,)
-        Times, s.
-    force_density : ndarray (T, α) or (T − 1, α)
-        Force densities of the strings, N/m.
-    """
-
-    @property
-    def time(self) -> Array:
-        """Times (T,), s."""
-
-    @property
-    def force_density(self) -> Array:
-        """Force densities (T, α) or (T − 1, α), N/m."""
-
-
+@rename_keywords(what="data")
 def structure(
-    what: Structure | Trajectory,
+    data: Any,
     tension: ArrayLike | None = None,
     *,
     time: float | None = None,
@@ -82,28 +37,27 @@ def structure(
     title: str = "",
     path: FilePath | None = None,
 ) -> Figure:
-    """Draw a structure in 3-D, with one scale for all axes.
+    """Draw a structure in 3-D with its surroundings.
 
-    Bars are thick; strings are thin and coloured by tension, grey where they are slack and green
-    where they push; pinned nodes are triangles.
+    Strings are colored by tension, gray if they are slack and green in compression. Supports are
+    triangles, and joints of bars are orange.
 
     Parameters
     ----------
-    what : Structure or Trajectory
+    data : Structure, Scene, Model, Trajectory or ocp.Plan
         A structure, or a motion at one of its times.
-    tension : array_like (α,), optional
-        Tensions of the strings, N; None: those of the structure's rest lengths, or of the
-        trajectory.
+    tension : array_like, shape (α,), optional
+        Tensions of the strings [N]. Default: those of the rest lengths, or of the motion.
     time : float, optional
-        Time of the trajectory, s: the kept row next to it is drawn; None: the end.
+        Time of the motion [s], of which the nearest saved row is drawn. Default: its end.
     labels : bool
         Whether to number the nodes.
     ground : Ground or Terrain or a sequence of them, optional
-        The grounds to draw below it, such as ``scene.ground``.
+        Grounds besides those of the scene.
     title : str
-        Title of the figure; of a trajectory its time unless given.
+        Title of the figure. Default: the time of a motion.
     path : path-like, optional
-        File to save the figure to; its suffix (.png, .pdf, .svg ...) says the format.
+        File to save the figure to, whose suffix (.png, .pdf, .svg ...) selects the format.
 
     Returns
     -------
@@ -113,7 +67,7 @@ def structure(
     Raises
     ------
     TypeError, ValueError
-        If an argument has a wrong type, shape or value.
+        An argument has a wrong type, shape or value.
 
     Examples
     --------
@@ -123,57 +77,58 @@ def structure(
     >>> figure.axes[1].get_ylabel()
     'tension (N)'
     """
-    check_drawable("what", what, (Structure, Trajectory), "a tenscasadi.Structure or Trajectory")
     flag("labels", labels)
     text("title", title)
-    if isinstance(what, Trajectory):
-        row = len(what.time) - 1 if time is None else _nearest_row(what, time)
-        nodes, pull = what.nodes[row], what.tension[row]
-        title = title or f"t = {what.time[row]:.4g} s"
-    else:
-        nodes, pull = (
-            what.nodes,
-            what.stiffness * np.maximum(0.0, what.string_lengths - what.rest_length),
-        )  # γ s, Eq. 99
+    content = describe_content(data, "data", ground)
+    motion = content.motions[0]
+    row = len(motion.time) - 1 if time is None else _find_row(motion, time)
+    if len(motion.time) > 1:
+        title = title or f"t = {motion.time[row]:.4g} s"
+    content = _select_rows(content, np.array([row]))
+    nodes, values = content.motions[0].nodes[0], content.motions[0].tension
+    pull = np.zeros(len(motion.strings)) if values is None else values[0]
     if tension is not None:
-        pull = per_item("tension", tension, len(what.strings))
+        pull = per_item("tension", tension, len(motion.strings))
     figure = Figure(figsize=(6.4, 5.2))
-    canvas = Canvas(figure, members_of(what), nodes, ground)
-    scale = tension_scale(float(pull.max(initial=0.0)))
-    canvas.draw(Layer(nodes, string_colour=tension_colours(scale, pull)))
+    canvas = Canvas(figure, content)
+    scale = ColorScale.of("tension", pull)
+    canvas.draw(MotionShapes(content).at_rest(nodes, pull, scale))
     if np.any(pull != 0):
-        canvas.colour_bar(scale, tension_label(pull))
+        canvas.add_color_bar(scale)
     elif len(pull):
         figure.supxlabel("all strings slack", fontsize=9, color="0.35")
     if labels:
-        canvas.number(nodes)
+        canvas.label(nodes, [str(node) for node in range(len(nodes))])
     figure.suptitle(title)
     canvas.fit()
     return save_figure(figure, path)
 
 
+@rename_keywords(trajectory="data")
 def time_lapse(
-    trajectory: Trajectory,
+    data: Any,
     instants: int = 6,
     *,
     ground: Grounds = None,
     title: str = "",
     path: FilePath | None = None,
 ) -> Figure:
-    """Draw a motion in one 3-D picture: the structure at several times, pale at the start and dark at the end.
+    """Draw a motion in one 3-D picture, at several times.
+
+    The color tells the time, from pale at the start to dark at the end.
 
     Parameters
     ----------
-    trajectory : Trajectory
+    data : Trajectory or ocp.Plan
         The motion.
     instants : int
         Number of times, spread evenly over the motion.
     ground : Ground or Terrain or a sequence of them, optional
-        The grounds to draw, such as ``scene.ground``.
+        Grounds besides those of the scene.
     title : str
         Title of the figure.
     path : path-like, optional
-        File to save the figure to; its suffix (.png, .pdf, .svg ...) says the format.
+        File to save the figure to, whose suffix (.png, .pdf, .svg ...) selects the format.
 
     Returns
     -------
@@ -183,7 +138,7 @@ def time_lapse(
     Raises
     ------
     TypeError, ValueError
-        If an argument has a wrong type, shape or value.
+        An argument has a wrong type, shape or value.
 
     Examples
     --------
@@ -194,307 +149,49 @@ def time_lapse(
     >>> plots.time_lapse(motion, instants=3).axes[1].get_ylabel()
     'time (s)'
     """
-    check_drawable("trajectory", trajectory)
-    count = whole_number("instants", instants, 2, _MOST_INSTANTS)
+    count = whole_number("instants", instants, 2, 1000)
     text("title", title)
-    rows = np.unique(
-        [
-            _nearest_row(trajectory, t)
-            for t in np.linspace(trajectory.time[0], trajectory.time[-1], count)
-        ]
-    )
+    content = describe_content(data, "data", ground)
+    first = content.motions[0]
+    times = np.linspace(first.start, first.end, count)
+    content = _select_rows(content, np.unique([_find_row(first, time) for time in times]))
+    motion = content.motions[0]
+    rows = len(motion.time)
+    colors = interpolate_colors(STYLE.time_ramp, np.linspace(0, 1, rows))
     figure = Figure(figsize=(7.0, 5.4))
-    canvas = Canvas(figure, members_of(trajectory), trajectory.nodes[rows], ground)
-    ramp = cut_colours("viridis_r", 0.05, 1.0)
-    scale = ScalarMappable(BoundaryNorm(np.arange(len(rows) + 1) - 0.5, ramp.N), ramp)
-    colours = np.asarray(scale.to_rgba(np.arange(len(rows))))
-    pale = 0.55 * colours + 0.45  # not transparent: nothing shines through
-    widths = np.linspace(0.6, 1.0, len(rows))
-    canvas.draw(
-        *(
-            Layer(trajectory.nodes[row], colours[k], pale[k], widths[k])
-            for k, row in enumerate(rows)
-        )
-    )
-    bar = canvas.colour_bar(scale, "time (s)", ticks=np.arange(len(rows)))
-    bar.ax.set_yticklabels([f"{t:.3g}" for t in trajectory.time[rows]])
+    canvas = Canvas(figure, content)
+    shapes = []
+    for k, color in enumerate(colors):
+        drawn = MotionShapes(content, tint=(color[0], color[1], color[2]))
+        bars, strings, balls, supports = drawn.at_rest(motion.nodes[k], None, None)
+        pale = (0.55 * strings.colors + 0.45 * 255).astype(
+            np.uint8
+        )  # opaque: nothing shines through
+        drawn_now = [bars, strings._replace(colors=pale), balls]
+        shapes += [shape._replace(radius=0.6 * shape.radius) for shape in drawn_now]
+    shapes.append(supports)
+    canvas.draw(shapes)
+    steps = BoundaryNorm(np.arange(rows + 1) - 0.5, rows)
+    mapped = ScalarMappable(steps, ListedColormap(colors / 255))
+    bar = canvas.add_bar(mapped, label="time (s)", ticks=np.arange(rows))
+    bar.ax.set_yticklabels([f"{time:.3g}" for time in motion.time])
     figure.suptitle(title)
     canvas.fit()
     return save_figure(figure, path)
 
 
-def node_histories(
-    trajectory: Trajectory,
-    nodes: Sequence[int] | None = None,
-    *,
-    title: str = "",
-    path: FilePath | None = None,
-) -> Figure:
-    """Draw the coordinates x, y and z of nodes over time.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-        The motion.
-    nodes : sequence of int, optional
-        Nodes to draw; None: those that move, at most the 12 that move furthest.
-    title : str
-        Title of the figure.
-    path : path-like, optional
-        File to save the figure to; its suffix (.png, .pdf, .svg ...) says the format.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        The figure.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If an argument has a wrong type, shape or value.
-
-    Examples
-    --------
-    >>> import tenscasadi as tc
-    >>> from tenscasadi import plots
-    >>> model = tc.Model(tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity()))
-    >>> motion = tc.simulate(model, t_end=0.2, step=0.01, compiled=False)
-    >>> [axes.get_ylabel() for axes in plots.node_histories(motion).axes]
-    ['x (m)', 'y (m)', 'z (m)']
-    """
-    check_drawable("trajectory", trajectory)
-    chosen = (
-        _furthest_nodes(trajectory)
-        if nodes is None
-        else [
-            node_index("nodes", node, trajectory.nodes.shape[1])
-            for node in listed("nodes", nodes, "[0, 3]")
-        ]
-    )
-    figure, axes = make_panels(3, "time (s)", title)
-    for axis, (ax, name) in enumerate(zip(axes, "xyz", strict=True)):
-        for k, node in enumerate(chosen):
-            ax.plot(
-                trajectory.time,
-                trajectory.nodes[:, node, axis],
-                color=curve_colour(k),
-                label=f"node {node}",
-                lw=curve_width(k, len(chosen)),
-            )
-        ax.set_ylabel(f"{name} (m)")
-        _widen(ax)
-    name_curves(figure, axes[0], len(chosen))
-    return save_figure(figure, path)
-
-
-def force_densities(
-    history: ForceHistory,
-    *,
-    strings: Sequence[int] | None = None,
-    lower: ArrayLike | None = None,
-    upper: ArrayLike | None = None,
-    title: str = "",
-    path: FilePath | None = None,
-) -> Figure:
-    """Draw the force densities of strings over time: of a trajectory as curves, of a plan in steps.
-
-    Parameters
-    ----------
-    history : ForceHistory
-        A trajectory or a plan.
-    strings : sequence of int, optional
-        Strings to draw; None: all.
-    lower : array_like () or (α,), optional
-        Lower bounds, N/m, drawn as dashed lines unless far off.
-    upper : array_like () or (α,), optional
-        Upper bounds, N/m, drawn alike.
-    title : str
-        Title of the figure.
-    path : path-like, optional
-        File to save the figure to; its suffix (.png, .pdf, .svg ...) says the format.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        The figure.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If an argument has a wrong type, shape or value.
-
-    Examples
-    --------
-    >>> import tenscasadi as tc
-    >>> from tenscasadi import plots
-    >>> motion = tc.simulate(tc.Model(tc.Scene(tc.shapes.prism(prestress=50.0))), t_end=0.1, step=0.01, compiled=False)
-    >>> figure = plots.force_densities(motion, strings=[0, 1], upper=80.0)
-    >>> len(figure.axes[0].lines)
-    3
-    """
-    if not (hasattr(history, "time") and hasattr(history, "force_density")):
-        check_drawable("history", history, Trajectory, "a tenscasadi.Trajectory or an ocp.Plan")
-    time = finite_array("history.time", history.time, (None,))
-    gamma = finite_array("history.force_density", history.force_density, (None, None))
-    rows, alpha = gamma.shape
-    if rows not in (len(time), len(time) - 1):
-        raise ValueError(
-            f"history.force_density has {rows} rows: give one for each of the {len(time)} times, or for each of the intervals between"
-        )
-    chosen = (
-        list(range(alpha))
-        if strings is None
-        else [_check_string(index, alpha) for index in listed("strings", strings, "[0, 3]")]
-    )
-    figure, (ax,) = make_panels(1, "time (s)", title)
-    for k, i in enumerate(chosen):
-        if rows == len(time):
-            ax.plot(
-                time,
-                gamma[:, i],
-                color=curve_colour(k),
-                label=f"string {i}",
-                lw=curve_width(k, len(chosen)),
-            )
-        else:
-            ax.stairs(
-                gamma[:, i],
-                time,
-                baseline=None,
-                color=curve_colour(k),
-                label=f"string {i}",
-                lw=curve_width(k, len(chosen)),
-            )
-    for field, bound in (("lower", lower), ("upper", upper)):
-        if bound is not None:
-            per_item(field, _without_infinity(bound), alpha)
-            _draw_bound(
-                ax, field, np.broadcast_to(np.asarray(bound, dtype=float), (alpha,)), chosen, gamma
-            )
-    ax.set_ylabel("force density (N/m)")
-    _widen(ax)
-    name_curves(figure, ax, len(chosen))
-    return save_figure(figure, path)
-
-
-def errors(trajectory: Trajectory, *, title: str = "", path: FilePath | None = None) -> Figure:
-    """Draw the errors of bar lengths, joints and energy over time on a logarithmic scale.
-
-    Errors below 1e-18, and exact zeros, lie on the bottom edge. An error that was not computed has
-    no curve.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-        The motion.
-    title : str
-        Title of the figure.
-    path : path-like, optional
-        File to save the figure to; its suffix (.png, .pdf, .svg ...) says the format.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        The figure.
-
-    Raises
-    ------
-    TypeError
-        If `trajectory` is none.
-
-    Examples
-    --------
-    >>> import tenscasadi as tc
-    >>> from tenscasadi import plots
-    >>> model = tc.Model(tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity()))
-    >>> motion = tc.simulate(model, t_end=0.2, step=0.01, compiled=False)
-    >>> plots.errors(motion).axes[0].get_yscale()
-    'log'
-    """
-    check_drawable("trajectory", trajectory)
-    curves: list[tuple[str, Any]] = [("energy (J)", np.abs(trajectory.energy_error))]
-    if len(trajectory.bars):
-        curves += [
-            ("bar length, relative", trajectory.bar_length_error),
-            ("joint gap (m)", trajectory.joint_error),
-        ]
-    known = np.concatenate([values[np.isfinite(values)] for _, values in curves])
-    positive = known[known > 0]
-    bottom = max(1e-18, 10.0 ** np.floor(np.log10(positive.min())) / 3) if positive.size else 1e-18
-    top = max(3 * positive.max(initial=0.0), 100 * bottom)
-    figure, (ax,) = make_panels(1, "time (s)", title)
-    for k, (name, values) in enumerate(curves):
-        drawn = np.maximum(values, bottom)  # NaN stays NaN
-        largest = np.nanmax(values, initial=0.0)
-        note = (
-            ": not computed"
-            if not np.isfinite(values).any()
-            else ""
-            if largest > bottom
-            else ": below 1e-18"
-            if largest > 0
-            else ": exactly 0"
-        )
-        ax.plot(
-            trajectory.time, drawn, color=curve_colour(k), label=name + note, lw=1.3, clip_on=False
-        )
-    ax.set_yscale("log")
-    ax.set_ylim(bottom, top)
-    ax.set_ylabel("error")
-    name_curves(figure, ax, len(curves))
-    return save_figure(figure, path)
-
-
-def _nearest_row(trajectory: Trajectory, time: float) -> int:
-    """Return the kept row next to `time`."""
+def _find_row(motion: Motion, time: float) -> int:
+    """Find the saved row next to a time."""
     wanted = positive_number("time", time, zero=True)
-    return int(np.argmin(np.abs(trajectory.time - wanted)))
+    return int(np.argmin(np.abs(motion.time - wanted)))
 
 
-def _check_string(index: Any, count: int) -> int:
-    if whole_number("strings", index, 0) >= count:
-        raise ValueError(f"strings names string {index}: strings run from 0 to {count - 1}")
-    return int(index)
-
-
-def _furthest_nodes(trajectory: Trajectory) -> list[int]:
-    """Return the nodes that move, at most the 12 that move furthest, in their order."""
-    way = np.ptp(trajectory.nodes, axis=0).max(axis=1)
-    order = np.argsort(-way, kind="stable")[:MOST_NAMED]
-    return sorted(int(node) for node in order if way[node] > 0) or [int(order[0])]
-
-
-def _without_infinity(bound: ArrayLike) -> Any:
-    try:
-        array = np.array(bound, dtype=float)
-    except Exception:  # noqa: BLE001  an object's own __array__ may raise anything
-        return bound  # refused next, by name
-    return np.where(np.isinf(array), 0.0, array)
-
-
-def _draw_bound(ax: Axes, field: str, bound: Array, chosen: list[int], gamma: Array) -> None:
-    """Draw dashed lines; a single black one where all strings have the same bound. One far off is only told: it would flatten the curves."""
-    low, high = (
-        float(gamma[:, chosen].min(initial=np.inf)),
-        float(gamma[:, chosen].max(initial=-np.inf)),
-    )
-    reach = max(high - low, 0.1 * abs(high))
-    finite = [(k, float(bound[i])) for k, i in enumerate(chosen) if np.isfinite(bound[i])]
-    common = len({value for _, value in finite}) == 1
-    if common and not low - reach <= finite[0][1] <= high + reach:
-        ax.plot([], [], " ", label=f"{field} bound {finite[0][1]:g}")
-    elif common:
-        ax.axhline(finite[0][1], color="black", ls=(0, (5, 3)), lw=0.9, label=f"{field} bound")
-    else:
-        for k, value in finite:
-            if low - reach <= value <= high + reach:
-                ax.axhline(value, color=curve_colour(k), ls=(0, (5, 3)), lw=0.9)
-
-
-def _widen(ax: Axes) -> None:
-    """Widen the vertical axis where rounding around a constant would look like motion."""
-    low, high = ax.get_ylim()
-    if high - low < 1e-6 * max(abs(low), abs(high), 1e-6):
-        middle = (low + high) / 2
-        reach = 0.05 * abs(middle) or 0.05
-        ax.set_ylim(middle - reach, middle + reach)
+def _select_rows(content: ViewContent, rows: Indices) -> ViewContent:
+    """Keep some rows of the first motion, without other motions."""
+    motion = content.motions[0]
+    names = ("time", "nodes", "velocities", "tension", "force_density")
+    given = {name: getattr(motion, name) for name in names}
+    kept: dict[str, Any] = {
+        name: values if values is None else values[rows] for name, values in given.items()
+    }
+    return replace(content, motions=(replace(motion, **kept),))

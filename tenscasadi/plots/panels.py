@@ -1,4 +1,4 @@
-"""Panels of curves: axes in one style, a legend beside them, and figures saved where a path is given."""
+"""Panels of curves in one style, and figures as files."""
 
 from __future__ import annotations
 
@@ -9,14 +9,12 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from tenscasadi.drawing.style import curve_color, format_css
 from tenscasadi.util.validate import file_path, text
 from tenscasadi.util.whole_file import whole_file
 
 FilePath = str | os.PathLike[str]
-LONG_NAME = 40  # characters: more beside the panels would leave them no room
-MOST_NAMED = (
-    12  # curves that one column of the legend names; beyond two columns only their number is told
-)
+MOST_NAMED = 12  # curves with names in a legend column
 
 
 def make_panels(
@@ -26,18 +24,15 @@ def make_panels(
     size: tuple[float, float] | None = None,
     margin: float = 0.0,
 ) -> tuple[Figure, list[Axes]]:
-    """Return a figure of `count` panels, one below the other, that share their horizontal axis.
+    """Make panels one below the other, with a common horizontal axis.
 
-    `size` is in inches; `margin` is the share of the horizontal axis that is left free at both of
-    its ends.
+    `size` is in inches; `margin` is the free fraction of the horizontal axis at both ends.
     """
-    figure = Figure(
-        figsize=size or (7.2, 3.6 if count == 1 else 1.0 + 1.8 * count), layout="constrained"
-    )
+    default = (7.2, 3.6 if count == 1 else 1.0 + 1.8 * count)
+    figure = Figure(figsize=size or default, layout="constrained")
     axes = list(figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
     for ax in axes:
-        ax.grid(visible=True, color="0.9")
-        ax.spines[["top", "right"]].set_visible(False)
+        style_axes(ax)
         ax.margins(x=margin)
     figure.align_ylabels(axes)
     axes[-1].set_xlabel(xlabel)
@@ -45,50 +40,50 @@ def make_panels(
     return figure, axes
 
 
-def curve_colour(k: int) -> Any:
-    """Return the colour of curve `k`; after ten they repeat."""
-    return f"C{k % 10}"
+def style_axes(ax: Axes, grid: str = "both") -> None:
+    """Add grid lines, and remove the upper and the right border."""
+    ax.grid(visible=True, color="0.9", axis=grid)  # type: ignore[arg-type]
+    ax.spines[["top", "right"]].set_visible(False)
+    ax.set_axisbelow(True)
 
 
-def curve_width(k: int, count: int) -> float:
-    """Return the width of curve `k` of `count`: later curves are thinner, so that earlier ones that they cover stay visible."""
-    return 2.6 - 1.6 * k / max(1, count - 1)
+def css_color(k: int) -> str:
+    """Select the color of curve `k` for matplotlib."""
+    return format_css(curve_color(k))
 
 
-def name_curves(figure: Figure, ax: Axes, count: int) -> None:
-    """Add a legend of the curves of `ax` beside the panels, or below them where names are long; too many curves are told as a number."""
+def add_legend(figure: Figure, ax: Axes, count: int) -> None:
+    """Add a legend of `count` curves beside the panels.
+
+    It is below them if names are long. More than two columns of curves are only counted.
+    """
     if count > 2 * MOST_NAMED:
-        ax.annotate(
-            f"{count} curves",
-            (1, 1),
-            xycoords="axes fraction",
-            ha="right",
-            va="top",
-            fontsize=8,
-            color="0.35",
-        )
+        place: dict[str, Any] = {"xycoords": "axes fraction", "ha": "right", "va": "top"}
+        ax.annotate(f"{count} curves", (1, 1), fontsize=8, color="0.35", **place)
     elif count:
         handles, labels = ax.get_legend_handles_labels()
-        below = max(map(len, labels), default=0) > LONG_NAME
-        options: dict[str, Any] = {
-            "loc": "outside lower center" if below else "outside right upper",
-            "ncols": 2 if below or count > MOST_NAMED else 1,
-        }
-        figure.legend(handles, labels, fontsize=8, frameon=False, **options)
+        below = max(map(len, labels), default=0) > 40
+        figure.legend(
+            handles,
+            labels,
+            fontsize=8,
+            frameon=False,
+            loc="outside lower center" if below else "outside right upper",
+            ncols=2 if below or count > MOST_NAMED else 1,
+        )
 
 
 def save_figure(figure: Figure, path: FilePath | None) -> Figure:
-    """Save `figure` where `path` is given, and return it."""
+    """Save a figure if a path is given, and return it."""
     if path is not None:
         target, known = file_path("path", path), figure.canvas.get_supported_filetypes()
-        if target.suffix and target.suffix[1:].lower() not in known:
+        form = target.suffix[1:].lower() or figure.canvas.get_default_filetype()
+        if form not in known:
             raise ValueError(
                 f"path is {os.fspath(path)!r}: give a name that ends in .{', .'.join(known)}"
             )
-        form, drawn = target.suffix[1:].lower() or figure.canvas.get_default_filetype(), BytesIO()
-        figure.savefig(
-            drawn, format=form, dpi=150
-        )  # not into the file: some formats fail in their own ways where the disk is full
+        drawn = BytesIO()  # some formats fail in their own ways if the disk is full
+        figure.savefig(drawn, format=form, dpi=150)
         with whole_file(target if target.suffix else f"{target}.{form}") as file:
             file.write(drawn.getvalue())
     return figure

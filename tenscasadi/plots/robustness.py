@@ -1,8 +1,8 @@
-"""Pictures of how robust a plan is: how many of its replays end how near to the goals, and what matters."""
+"""Robustness of plans: errors of many replays, and their causes."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, Protocol
 
 import numpy as np
@@ -10,57 +10,59 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-from tenscasadi.plots.panels import FilePath, curve_colour, save_figure
+from tenscasadi.plots.panels import FilePath, css_color, save_figure, style_axes
+from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import Array, shown, text
 
 
 class ReplayErrors(Protocol):
-    """Errors of many replays: a `Robustness` of `ocp`.
+    """Errors of many replays, as in `ocp.Robustness`.
 
     Attributes
     ----------
     worst_error : ndarray, shape (n,)
-        Error of each replay, m; inf where it diverges.
+        Error of each replay [m], inf if it diverges.
     tolerance : float
-        What it may be, m.
+        Largest accepted error [m].
     importance : mapping of str to float
-        The share of the errors that each thing which varies brings about.
+        Fraction of the variance of the errors that is due to each varied quantity.
     """
 
     @property
     def worst_error(self) -> Array:
-        """Errors (n,), m."""
+        """Errors (n,) [m]."""
 
     @property
     def tolerance(self) -> float:
-        """The largest that is accepted, m."""
+        """Largest accepted error [m]."""
 
     @property
     def importance(self) -> Mapping[str, float]:
-        """Shares by name."""
+        """Fractions of the variance by name."""
 
 
+@rename_keywords(what="data")
 def robustness(
-    what: ReplayErrors | Mapping[str, ReplayErrors],
+    data: ReplayErrors | Mapping[str, ReplayErrors],
     *,
     title: str = "",
     path: FilePath | None = None,
 ) -> Figure:
-    """Draw the share of replays that end within an error, and what brings the errors about.
+    """Draw the distribution of replay errors, and their causes.
 
     Parameters
     ----------
-    what : Robustness, or mapping of str to Robustness
-        What `Plan.robustness` returns; several by name, such as open loop and tracked.
+    data : Robustness, or mapping of str to Robustness
+        Result of `Plan.robustness`, or several by name, such as open loop and tracked.
     title : str
-        Title of the picture.
+        Title of the figure.
     path : path-like, optional
-        File to save it to; its suffix says the format.
+        File to save the figure to, whose suffix selects the format.
 
     Returns
     -------
     matplotlib.figure.Figure
-        The picture.
+        The figure.
 
     Raises
     ------
@@ -76,20 +78,18 @@ def robustness(
     >>> len(plots.robustness(found).axes)
     2
     """
-    several = _read(what)
+    several = _read_errors(data)
     figure = Figure(figsize=(9.0, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(3, 2))
-    for ax in (left, right):
-        ax.spines[["top", "right"]].set_visible(False)
-        ax.grid(visible=True, color="0.9", axis="both" if ax is left else "x")
-        ax.set_axisbelow(True)
+    style_axes(left)
+    style_axes(right, grid="x")
     for k, (name, one) in enumerate(several.items()):
         ended = np.sort(one.worst_error[np.isfinite(one.worst_error)])
-        shares = 100 * np.arange(1, len(ended) + 1) / len(one.worst_error)
-        left.step(ended, shares, where="post", color=curve_colour(k), label=name or None)
+        percent = 100 * np.arange(1, len(ended) + 1) / len(one.worst_error)
+        left.step(ended, percent, where="post", color=css_color(k), label=name or None)
         left.axvline(
             one.tolerance,
-            color=curve_colour(k)
+            color=css_color(k)
             if len({other.tolerance for other in several.values()}) > 1
             else "0.4",
             ls="--",
@@ -101,7 +101,7 @@ def robustness(
             (one.tolerance, met),
             xytext=(4, -10),
             textcoords="offset points",
-            color=curve_colour(k),
+            color=css_color(k),
             fontsize=9,
         )
     _draw_importance(right, several)
@@ -111,8 +111,8 @@ def robustness(
     left.xaxis.set_minor_formatter(NullFormatter())
     left.set(
         ylim=(0, 102),
-        xlabel="error at the end (m); dashed: tolerance",
-        ylabel="replays that end within it (%)",
+        xlabel="final error (m); dashed: tolerance",
+        ylabel="replays within this error (%)",
     )
     if len(several) > 1:
         left.legend(frameon=False, fontsize=9)
@@ -120,24 +120,22 @@ def robustness(
     return save_figure(figure, path)
 
 
-def _read(what: Any) -> dict[str, ReplayErrors]:
-    """Return what is drawn by name. Raises TypeError, ValueError."""
-    several = dict(what) if isinstance(what, Mapping) else {"": what}
+def _read_errors(data: Any) -> dict[str, ReplayErrors]:
+    """Check the results to draw. Raises TypeError, ValueError."""
+    several = dict(data) if isinstance(data, Mapping) else {"": data}
     if not several:
-        raise ValueError("what is empty: give what plan.robustness(...) returns")
+        raise ValueError("data is empty: give the result of plan.robustness(...)")
     for name, one in several.items():
-        text("what: a name", name)
+        text("data: a name", name)
         if not all(hasattr(one, field) for field in ("worst_error", "tolerance", "importance")):
             raise TypeError(
-                f"what is {shown(one)}: give what plan.robustness(...) returns, or several of them by name"
+                f"data is {shown(one)}: give the result of plan.robustness(...), or several of them by name"
             )
     return several
 
 
 def _draw_importance(ax: Axes, several: Mapping[str, ReplayErrors]) -> None:
-    names: Sequence[str] = list(
-        dict.fromkeys(name for one in several.values() for name in one.importance)
-    )
+    names = list(dict.fromkeys(name for one in several.values() for name in one.importance))
     height = 0.8 / len(several)
     for k, one in enumerate(several.values()):
         places = np.arange(len(names)) + (k - (len(several) - 1) / 2) * height
@@ -145,12 +143,12 @@ def _draw_importance(ax: Axes, several: Mapping[str, ReplayErrors]) -> None:
             places,
             [100 * np.nan_to_num(one.importance.get(name, 0.0)) for name in names],
             height,
-            color=curve_colour(k),
+            color=css_color(k),
         )
     ax.set(
         yticks=np.arange(len(names)),
         yticklabels=names,
         xlim=(0, 100),
-        xlabel="share of the variance of the misses (%)",
+        xlabel="fraction of the variance of the errors (%)",
     )
     ax.invert_yaxis()

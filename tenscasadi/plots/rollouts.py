@@ -1,4 +1,4 @@
-"""Pictures of many motions at once: the fan of a node's path, the histogram of an outcome."""
+"""Statistics of rollouts: fans of node paths, and histograms."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from tenscasadi.plots.panels import FilePath, make_panels, save_figure
+from tenscasadi.plots.panels import FilePath, css_color, make_panels, save_figure
 from tenscasadi.simulation.motions import Rollouts
 from tenscasadi.util.validate import (
-    Array,
     finite_array,
     instance,
     real_array,
@@ -20,36 +19,35 @@ from tenscasadi.util.validate import (
     whole_number,
 )
 
-_SHARES = (0.05, 0.25)  # of the motions below a band, and above it
-_DRAWN = 200  # motions drawn one by one beneath the bands
-
 
 def fan(
     rollouts: Rollouts,
     node: int,
     axes: str = "xyz",
     *,
-    bands: ArrayLike = _SHARES,
+    bands: ArrayLike = (0.05, 0.25),
     title: str = "",
     path: FilePath | None = None,
 ) -> Figure:
-    """Draw the coordinates of a node over time in all motions that succeeded: the median, and bands that hold most of them.
+    """Draw the coordinates of a node over time in all successful rollouts.
+
+    Bands between quantiles surround the median.
 
     Parameters
     ----------
     rollouts : Rollouts
-        Motions with rows kept on the way (`save_every`).
+        Rollouts with saved rows (`save_every`).
     node : int
         Node to draw.
     axes : str
         Coordinates, one panel each, such as "z" or "xy".
     bands : array_like (k,)
-        Shares of the motions that lie below each band, and above it: 0.05 draws the band from the 5
-        % to the 95 % quantile.
+        Fractions of the motions below and above each band: 0.05 draws the band from the 5 % to the
+        95 % quantile.
     title : str
-        Title of the figure; how many motions are drawn unless given.
+        Title of the figure. Default: the number of drawn motions.
     path : path-like, optional
-        File to save the figure to; its suffix (.png, .pdf, .svg ...) says the format.
+        File to save the figure to, whose suffix (.png, .pdf, .svg ...) selects the format.
 
     Returns
     -------
@@ -59,7 +57,7 @@ def fan(
     Raises
     ------
     TypeError, ValueError
-        If an argument has a wrong type or value, or no motion succeeded.
+        An argument has a wrong type or value, or no motion succeeded.
 
     Examples
     --------
@@ -72,29 +70,29 @@ def fan(
     >>> [ax.get_ylabel() for ax in figure.axes]
     ['x of node 2 (m)', 'y of node 2 (m)']
     """
-    good = _succeeded(rollouts)
+    good = _find_successful(rollouts)
     if not text("axes", axes) or sorted(set(axes) & set("xyz")) != sorted(axes):
         raise ValueError(f"axes is {shown(axes)}: give some of x, y and z, each once, such as 'xz'")
-    shares = np.sort(finite_array("bands", bands, (None,)))
-    if np.any((shares < 0) | (shares >= 0.5)):
-        raise ValueError(f"bands is {shares}: give shares of 0 or more, less than 0.5")
+    fractions = np.sort(finite_array("bands", bands, (None,)))
+    if np.any((fractions < 0) | (fractions >= 0.5)):
+        raise ValueError(f"bands is {fractions}: give fractions of at least 0 and less than 0.5")
     places = rollouts.path(node)[good]
     figure, panels = make_panels(
         len(axes), "time (s)", text("title", title) or f"{len(places)} of {len(good)} motions"
     )
     for ax, axis in zip(panels, axes, strict=True):
         values = places[:, :, "xyz".index(axis)]
-        drawn = values[np.linspace(0, len(values) - 1, min(len(values), _DRAWN)).astype(int)]
+        drawn = values[np.linspace(0, len(values) - 1, min(len(values), 200)).astype(int)]
         ax.plot(rollouts.time, drawn.T, color="0.6", linewidth=0.4, alpha=0.35, zorder=1)
-        for k, share in enumerate(shares):
-            low, high = np.quantile(values, [share, 1 - share], axis=0)
-            label = f"{share:.0%} … {1 - share:.0%}"
+        for k, fraction in enumerate(fractions):
+            low, high = np.quantile(values, [fraction, 1 - fraction], axis=0)
+            label = f"{fraction:.0%} … {1 - fraction:.0%}"
             ax.fill_between(
                 rollouts.time,
                 low,
                 high,
-                color="C0",
-                alpha=0.18 + 0.5 * (k + 1) / (len(shares) + 1),
+                color=css_color(0),
+                alpha=0.18 + 0.5 * (k + 1) / (len(fractions) + 1),
                 linewidth=0,
                 zorder=2 + k,
                 label=label,
@@ -102,7 +100,7 @@ def fan(
         ax.plot(
             rollouts.time,
             np.median(values, axis=0),
-            color="C1",
+            color=css_color(1),
             linewidth=1.6,
             zorder=9,
             label="median",
@@ -122,23 +120,25 @@ def histogram(
     title: str = "",
     path: FilePath | None = None,
 ) -> Figure:
-    """Draw how an outcome is distributed over the motions that succeeded, with its median and its 5 % and 95 % quantiles.
+    """Draw the histogram of a quantity over all successful rollouts.
+
+    Lines mark its median and its 5 % and 95 % quantiles.
 
     Parameters
     ----------
     rollouts : Rollouts
-        Motions.
+        Rollouts.
     outcome : array_like (n,)
-        What came out of each motion, such as a coordinate of `rollouts.final`; what failed may be
-        NaN.
+        Quantity of each motion, such as a coordinate of `rollouts.final`; NaN is allowed for failed
+        ones.
     label : str
-        What it is, with its unit.
+        Name of the quantity, with its unit.
     bins : int, optional
         Number of bars. Default: by the number of motions and their spread.
     title : str
-        Title of the figure; how many motions are counted unless given.
+        Title of the figure. Default: the number of counted motions.
     path : path-like, optional
-        File to save the figure to; its suffix (.png, .pdf, .svg ...) says the format.
+        File to save the figure to, whose suffix (.png, .pdf, .svg ...) selects the format.
 
     Returns
     -------
@@ -148,7 +148,7 @@ def histogram(
     Raises
     ------
     TypeError, ValueError
-        If an argument has a wrong type, shape or value, or no motion succeeded.
+        An argument has a wrong type, shape or value, or no motion succeeded.
 
     Examples
     --------
@@ -161,7 +161,7 @@ def histogram(
     >>> figure.axes[0].get_xlabel()
     'height of the tip (m)'
     """
-    good = _succeeded(rollouts)
+    good = _find_successful(rollouts)
     values = real_array("outcome", outcome, f"an array of shape ({len(good)},)")
     if values.shape != good.shape:
         raise ValueError(
@@ -173,14 +173,15 @@ def histogram(
     figure, (ax,) = make_panels(
         1, label, text("title", title) or f"{len(values)} of {len(good)} motions"
     )
-    ax.hist(values, bins=count if np.ptp(values) > _smallest(values) else 1, color="C0", alpha=0.75)
-    for share, style in ((0.05, ":"), (0.5, "-"), (0.95, ":")):
-        place = float(np.quantile(values, share))
+    rounding = 1e-9 * float(np.abs(values).max())  # equal values are one bar
+    ax.hist(values, bins=count if np.ptp(values) > rounding else 1, color=css_color(0), alpha=0.75)
+    for fraction, style in ((0.05, ":"), (0.5, "-"), (0.95, ":")):
+        place = float(np.quantile(values, fraction))
         ax.axvline(
             place,
-            color="C1",
+            color=css_color(1),
             linestyle=style,
-            label=f"{'median' if share == 0.5 else f'{share:.0%}'}: {place:.4g}",
+            label=f"{'median' if fraction == 0.5 else f'{fraction:.0%}'}: {place:.4g}",
         )
     ax.set_ylabel("motions")
     ax.set_axisbelow(True)
@@ -190,13 +191,8 @@ def histogram(
     return save_figure(figure, path)
 
 
-def _succeeded(rollouts: Rollouts) -> Any:
-    instance("rollouts", rollouts, Rollouts, "what tenscasadi.rollouts returns")
+def _find_successful(rollouts: Rollouts) -> Any:
+    instance("rollouts", rollouts, Rollouts, "the result of tenscasadi.rollouts")
     if not rollouts.success.any():
         raise ValueError("rollouts: no motion succeeded, there is nothing to draw")
     return rollouts.success
-
-
-def _smallest(values: Array) -> float:
-    """Return the spread below which rounding alone makes values differ: bars could not be told apart."""
-    return 1e-9 * float(np.abs(values).max())

@@ -1,8 +1,7 @@
-"""Values that can be looked at: in a browser, or as a page."""
+"""Method `view` of values that the viewer shows."""
 
 from __future__ import annotations
 
-import os
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -12,50 +11,19 @@ if TYPE_CHECKING:
 class Viewable:
     """Base of values that `tenscasadi.viewer.view` shows."""
 
-    def view(
-        self,
-        *,
-        html: str | os.PathLike[str] | None = None,
-        host: str = "127.0.0.1",
-        port: int | None = None,
-        title: str = "",
-        ground: Any = None,
-        colour: str = "tension",
-        speed: float = 1.0,
-        follow: bool = False,
-        browser: bool | None = None,
-        wait: bool | None = None,
-    ) -> View:
-        """Look at it in a browser, or write it as a page; see `tenscasadi.viewer.view`.
+    def view(self, **options: Any) -> View:
+        """Show the value in a browser, or write it as a page.
 
         Parameters
         ----------
-        html : path-like, optional
-            Page to write in place of starting the viewer; its name ends in .html.
-        host : str
-            Address to listen on; others than 127.0.0.1 let other machines see and steer the viewer,
-            of which it warns.
-        port : int, optional
-            Port. Default: one that is free.
-        title : str
-            Title.
-        ground : Ground or Terrain or a sequence of them, optional
-            Grounds to draw besides those of a scene, such as ``scene.ground``.
-        colour : {"tension", "force density"}
-            What the colour of strings tells.
-        speed : float
-            Simulated seconds in each second shown.
-        follow : bool
-            Whether the middle of the structure stays in view.
-        browser : bool, optional
-            Whether to open the browser. Default: where there is a display.
-        wait : bool, optional
-            Whether to return only when Ctrl-C is pressed. Default: in scripts, not where one types.
+        **options
+            Keywords of `tenscasadi.viewer.view`, such as ``html="page.html"``, ``ground=`` and
+            ``color=``.
 
         Returns
         -------
         tenscasadi.viewer.View
-            The view. In a notebook it shows itself, and no server is started.
+            The view. In a notebook it displays itself, and no server is started.
 
         Raises
         ------
@@ -66,20 +34,6 @@ class Viewable:
         TypeError, ValueError
             An argument is wrong.
         """
-        from tenscasadi.viewer.view import (
-            view,
-        )  # it knows all that can be viewed, and needs what not everybody has
+        from tenscasadi.viewer.view import view  # requires viser, and knows all viewable values
 
-        return view(
-            self,
-            html=html,
-            host=host,
-            port=port,
-            title=title,
-            ground=ground,
-            colour=colour,
-            speed=speed,
-            follow=follow,
-            browser=browser,
-            wait=wait,
-        )
+        return view(self, **options)

@@ -1,9 +1,11 @@
-"""Motions in a browser: played, compared, saved as pages, and driven while they are computed."""
+"""Motions in a browser: played, compared, saved as pages, and simulated interactively."""
 
 from __future__ import annotations
 
 from tenscasadi.viewer.live_mode.live import Live, live
-from tenscasadi.viewer.live_mode.simulation import LiveSimulation, Stepping
+from tenscasadi.viewer.live_mode.options import LiveOptions
+from tenscasadi.viewer.live_mode.simulation import LiveSimulation
+from tenscasadi.viewer.renamed import __getattr__ as __getattr__
 from tenscasadi.viewer.view import View, view
 
-__all__ = ["Live", "LiveSimulation", "Stepping", "View", "live", "view"]
+__all__ = ["Live", "LiveOptions", "LiveSimulation", "View", "live", "view"]

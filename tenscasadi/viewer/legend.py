@@ -1,97 +1,77 @@
-"""Legends: the meaning of colours and sizes, with numbers and units, as HTML: the same in the live panel and in saved pages."""
+"""Legend as HTML, for the live panel and for saved pages."""
 
 from __future__ import annotations
 
 from html import escape
 
-from tenscasadi.viewer.canvas import Canvas, ghost_colour
-from tenscasadi.viewer.colours import (
-    BAR,
-    JOINT,
-    OBSTACLE,
-    PIN,
-    PUSHING,
-    RAMP,
-    SLACK,
-    TARGET,
-    Rgb,
-    Scale,
-    css,
-)
-from tenscasadi.viewer.exhibit import Exhibit
-from tenscasadi.viewer.scenery import grid_spacing
+from tenscasadi.drawing.color_scale import ColorScale
+from tenscasadi.drawing.scenery import find_view, grid_spacing
+from tenscasadi.drawing.style import STYLE, Rgb, format_css
+from tenscasadi.drawing.view_content import ViewContent
+from tenscasadi.viewer.canvas import VIEW_MARGIN, Canvas
 
 
-def legend(canvas: Canvas) -> str:
-    """Return the legend of what a canvas shows."""
-    exhibit = canvas.exhibit
-    parts = [_ramp(canvas.scale)] if canvas.scale is not None else []
-    rows = [_row(colour, told) for colour, told in _kinds(canvas)]
-    parts.append(f'<div style="margin-top:6px">{"".join(rows)}</div>')
-    parts += [
-        f'<div style="margin-top:4px;color:#666">{escape(told)}</div>' for told in _told(exhibit)
-    ]
-    return (
-        f'<div style="font:12px/1.45 system-ui,sans-serif;padding:4px 8px">{"".join(parts)}</div>'
+def build_legend(canvas: Canvas) -> str:
+    """Build the legend of a canvas."""
+    scale = "" if canvas.scale is None else _build_scale(canvas.scale)
+    rows = "".join(_build_row(color, text) for color, text in _list_colors(canvas))
+    notes = "".join(
+        f'<div class="note">{escape(note)}</div>' for note in _list_notes(canvas.content)
     )
+    style = "font:12px/1.45 system-ui,sans-serif;padding:4px 8px"
+    return f'<div style="{style}">{scale}<div style="margin-top:6px">{rows}</div>{notes}</div>'
 
 
-def _ramp(scale: Scale) -> str:
-    """Return the bar of colours with numbers from 0 to the largest value."""
-    stops = ",".join(css(colour) for colour in RAMP)
-    numbers = (
-        "".join(f"<span>{share * scale.largest:.3g}</span>" for share in (0, 0.5, 1))
-        if scale.largest > 0
-        else "<span>0</span>"
-    )
-    bar = (
-        f'<div style="height:10px;border-radius:2px;background:linear-gradient(90deg,{stops})"></div>'
-        if scale.largest > 0
-        else ""
-    )
-    told = f"<div>{escape(scale.label)} of strings ({escape(scale.unit)})</div>"
-    return f'{told}{bar}<div style="display:flex;justify-content:space-between">{numbers}</div>'
+def _build_scale(scale: ColorScale) -> str:
+    """Build the bar of colors with numbers from 0 to the end of the scale."""
+    title = f"<div>{escape(scale.quantity)} of strings ({escape(scale.unit)})</div>"
+    if scale.largest <= 0:
+        return title
+    stops = ",".join(format_css(color) for color in STYLE.ramp)
+    style = f"height:10px;border-radius:2px;background:linear-gradient(90deg,{stops})"
+    end = "≥ " if scale.highest > scale.largest else ""
+    numbers = ("0", f"{scale.largest / 2:.3g}", f"{end}{scale.largest:.3g}")
+    spans = "".join(f"<span>{number}</span>" for number in numbers)
+    row = f'<div style="display:flex;justify-content:space-between">{spans}</div>'
+    return f'{title}<div style="{style}"></div>{row}'
 
 
-def _kinds(canvas: Canvas) -> list[tuple[Rgb, str]]:
-    """Return the colours that are there, with what they mean."""
-    exhibit, first, scale = canvas.exhibit, canvas.exhibit.motions[0], canvas.scale
+def _list_colors(canvas: Canvas) -> list[tuple[Rgb, str]]:
+    """List the colors in the picture with their meaning."""
+    content, first, scale = canvas.content, canvas.content.motions[0], canvas.scale
+    single = first.copies == 1
     rows: list[tuple[Rgb, str]] = []
-    if len(exhibit.motions) > 1 or first.copies > 1:
-        rows += [
-            (ghost_colour(exhibit, k) or BAR, motion.name)
-            for k, motion in enumerate(exhibit.motions)
-        ]
+    if len(content.motions) > 1 or not single:
+        rows += [(layer.tint or STYLE.bar, layer.shapes.motion.name) for layer in canvas.layers]
     elif len(first.bars):
-        rows.append((BAR, "bars"))
-    if scale is None and len(first.strings) and first.copies == 1:
-        rows.append((SLACK, "strings"))
+        rows.append((STYLE.bar, "bars"))
+    if scale is None and len(first.strings) and single:
+        rows.append((STYLE.slack, "strings"))
     if scale is not None and scale.slack:
-        rows.append((SLACK, "slack strings, thin"))
-    if scale is not None and scale.pushing:
-        rows.append((PUSHING, f"strings that push, up to {-scale.least:.3g} {scale.unit}"))
+        rows.append((STYLE.slack, "slack strings, thin"))
+    if scale is not None and scale.lowest < 0:
+        text = f"strings in compression, up to {-scale.lowest:.3g} {scale.unit}"
+        rows.append((STYLE.compression, text))
     if canvas.has_joints:
-        rows.append((JOINT, "joints of bars"))
-    if first.copies == 1 and len(first.pinned):
-        rows.append((PIN, "pinned nodes and rollers"))
-    if exhibit.obstacles or exhibit.boxes:
-        rows.append((OBSTACLE, "obstacles, and boxes to stay in"))
-    if len(exhibit.targets):
-        rows.append((TARGET, "targets of nodes"))
+        rows.append((STYLE.joint, "joints of bars"))
+    if single and len(first.pinned):
+        rows.append((STYLE.support, "supports"))
+    if content.obstacles or content.boxes:
+        rows.append((STYLE.obstacle, "obstacles and limits of the space"))
+    if len(content.targets):
+        rows.append((STYLE.target, "targets of nodes"))
     return rows
 
 
-def _told(exhibit: Exhibit) -> list[str]:
-    low, high = exhibit.corners()
+def _list_notes(content: ViewContent) -> list[str]:
+    low, high = content.corners
     size = f"size {' × '.join(f'{extent:.3g}' for extent in high - low)} m"
-    grid = (
-        f"; lines of the ground {grid_spacing(1.2 * float((high - low).max())):g} m apart"
-        if exhibit.grounds
-        else ""
-    )
-    return [size + grid, *exhibit.notes]
+    if content.grounds:
+        least, most = find_view(content, VIEW_MARGIN)
+        size += f"; grid lines {grid_spacing(float((most - least).max())):g} m apart"
+    return [size, *content.notes]
 
 
-def _row(colour: Rgb, told: str) -> str:
-    dot = f'<span style="display:inline-block;width:10px;height:10px;border-radius:5px;margin-right:6px;background:{css(colour)}"></span>'
-    return f"<div>{dot}{escape(told)}</div>"
+def _build_row(color: Rgb, text: str) -> str:
+    style = f"display:inline-block;width:10px;height:10px;border-radius:5px;margin-right:6px;background:{format_css(color)}"
+    return f'<div><span style="{style}"></span>{escape(text)}</div>'

@@ -1,4 +1,4 @@
-"""`view`: structures, scenes, motions and plans in a browser, or as a page that anybody can open."""
+"""Structures, scenes, motions and plans in a browser, or as a page."""
 
 from __future__ import annotations
 
@@ -9,13 +9,16 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from tenscasadi.scene.ground import Grounds, checked_grounds
+from tenscasadi.drawing.color_scale import QUANTITIES
+from tenscasadi.drawing.describe import describe_content
+from tenscasadi.drawing.view_content import ViewContent
+from tenscasadi.scene.ground import Grounds
+from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import choice, file_path, flag, positive_number, text
 from tenscasadi.util.whole_file import whole_file
-from tenscasadi.viewer.canvas import QUANTITIES, Canvas
-from tenscasadi.viewer.exhibit import Exhibit, exhibit_of, standing_on
+from tenscasadi.viewer.canvas import Canvas
 from tenscasadi.viewer.player import Player
-from tenscasadi.viewer.web.page import frame_times, record, with_panel
+from tenscasadi.viewer.web.page import add_panel, record_page
 from tenscasadi.viewer.web.server import LOOPBACK, address, start_server
 from tenscasadi.viewer.web.serving import check_serving, in_notebook, open_and_wait, stop
 
@@ -23,27 +26,27 @@ FilePath = str | os.PathLike[str]
 
 
 class View:
-    """Something to look at: in the browser by `show`, as a file by `save`, in a notebook by itself.
+    """View of motions: in the browser by `show`, as a file by `save`.
 
-    `view` returns one.
+    In a notebook it displays itself. `view` returns one.
 
     Parameters
     ----------
-    exhibit : Exhibit
-        Motions and what stands beside them, as `exhibit_of` gives them.
+    content : ViewContent
+        Motions and their surroundings.
     title : str
         Title.
-    colour : {"tension", "force density"}
-        What the colour of strings tells.
+    color : {"tension", "force density"}
+        Quantity that colors the strings.
     speed : float
-        Simulated seconds in each second shown.
+        Simulated seconds per second.
     follow : bool
         Whether the middle of the first motion stays in view.
 
     Attributes
     ----------
     url : str or None
-        Where the viewer is, while it is shown.
+        Address of the viewer while it is shown.
 
     Examples
     --------
@@ -54,17 +57,17 @@ class View:
     """
 
     def __init__(
-        self, exhibit: Exhibit, title: str, colour: str, speed: float, follow: bool
+        self, content: ViewContent, title: str, color: str, speed: float, follow: bool
     ) -> None:
-        self.exhibit, self.title = exhibit, title
-        self._colour, self._speed, self._follow = colour, speed, follow
+        self.content, self.title = content, title
+        self._color, self._speed, self._follow = color, speed, follow
         self._server: Any = None
         self.player: Player | None = None
         self.url: str | None = None
 
     def __repr__(self) -> str:
-        told = ", ".join(motion.name for motion in self.exhibit.motions)
-        return f"View({told}{'' if self.url is None else f', at {self.url}'})"
+        names = ", ".join(motion.name for motion in self.content.motions)
+        return f"View({names}{'' if self.url is None else f', at {self.url}'})"
 
     def show(
         self,
@@ -78,14 +81,14 @@ class View:
         Parameters
         ----------
         host : str
-            Address to listen on; others than 127.0.0.1 let other machines see and steer the viewer,
-            of which it warns.
+            Address to listen on. Addresses other than 127.0.0.1 let other machines see and control
+            the viewer, and cause a warning.
         port : int, optional
-            Port. Default: one that is free.
+            Port. Default: a free one.
         browser : bool, optional
-            Whether to open the browser. Default: where there is a display.
+            Whether to open the browser. Default: if there is a display.
         wait : bool, optional
-            Whether to return only when Ctrl-C is pressed. Default: in scripts, not where one types.
+            Whether to wait for Ctrl-C. Default: in scripts, but not in interactive sessions.
 
         Returns
         -------
@@ -110,7 +113,7 @@ class View:
         return self
 
     def wait(self) -> None:
-        """Return when Ctrl-C is pressed, and close the viewer."""
+        """Wait for Ctrl-C, and close the viewer."""
         try:
             threading.Event().wait()
         except KeyboardInterrupt:
@@ -125,7 +128,7 @@ class View:
         self._server = self.player = self.url = None
 
     def save(self, path: FilePath) -> Path:
-        """Write one self-contained page, which plays in any browser without a network or anything installed.
+        """Write a self-contained page, which plays in any browser offline.
 
         Parameters
         ----------
@@ -144,7 +147,7 @@ class View:
         OSError
             The file cannot be written.
         TypeError, ValueError
-            `path` is none, or the page would have more than 3000 frames.
+            `path` is invalid, or the page would have more than 3000 frames.
         """
         target = _html_path("path", path)
         page = self.page().encode(errors="replace")  # a title may hold half of a character
@@ -153,7 +156,7 @@ class View:
         return target
 
     def page(self) -> str:
-        """Return the page that `save` writes.
+        """Build the page that `save` writes.
 
         Returns
         -------
@@ -167,21 +170,21 @@ class View:
         ValueError
             It would have more than 3000 frames.
         """
-        frame_times(self.exhibit.start, self.exhibit.end, self._speed, 30)
         server = start_server()
         try:
             canvas = self._canvas(server)
-            return with_panel(record(server, canvas, self._speed), canvas, self.title, self._speed)
+            page = record_page(server, canvas, self._speed)
+            return add_panel(page, canvas, self.title, self._speed)
         finally:
             stop(server)
 
     def _canvas(self, server: Any) -> Canvas:
-        canvas = Canvas(server, self.exhibit, self._colour)
-        canvas.follow(self._follow)
+        canvas = Canvas(server, self.content, self._color)
+        canvas.followed = self._follow
         return canvas
 
     def _repr_html_(self) -> str:
-        """Return the page within a notebook."""
+        """Build the page for a notebook."""
         return f'<iframe srcdoc="{escape(self.page(), quote=True)}" width="100%" height="560" style="border:1px solid #ddd"></iframe>'
 
     def __enter__(self) -> View:
@@ -196,6 +199,7 @@ class View:
         self.close()
 
 
+@rename_keywords(colour="color")
 def view(
     things: Any,
     *,
@@ -204,44 +208,46 @@ def view(
     port: int | None = None,
     title: str = "",
     ground: Grounds = None,
-    colour: str = "tension",
+    color: str = "tension",
     speed: float = 1.0,
     follow: bool = False,
     browser: bool | None = None,
     wait: bool | None = None,
 ) -> View:
-    """Look at structures, scenes, motions and plans in a browser, over each other.
+    """Show structures, scenes, motions and plans in a browser.
+
+    Several of them are superimposed.
 
     Parameters
     ----------
     things : Structure, Scene, Model, Trajectory, Rollouts or ocp.Plan, or a list, or a mapping of
     names to them
-        What to show. The first motion is solid, and its strings tell what they bear by their
-        colour; others are seen through.
+        Things to show. The first motion is opaque, with strings colored by their forces. Others are
+        transparent.
     html : path-like, optional
-        Page to write in place of starting the viewer; its name ends in .html.
+        Page to write instead of starting the viewer; its name ends in .html.
     host : str
-        Address to listen on; others than 127.0.0.1 let other machines see and steer the viewer, of
-        which it warns.
+        Address to listen on. Addresses other than 127.0.0.1 let other machines see and control the
+        viewer, and cause a warning.
     port : int, optional
-        Port. Default: one that is free.
+        Port. Default: a free one.
     title : str
         Title. Default: the names of the motions.
     ground : Ground or Terrain or a sequence of them, optional
-        Grounds to draw besides those of the scenes, such as ``scene.ground``.
-    colour : {"tension", "force density"}
-        What the colour of strings tells.
+        Grounds besides those of the scenes.
+    color : {"tension", "force density"}
+        Quantity that colors the strings.
     speed : float
-        Simulated seconds in each second shown.
+        Simulated seconds per second.
     follow : bool
         Whether the middle of the first motion stays in view.
     browser, wait : bool, optional
-        Whether to open the browser, and to return only when Ctrl-C is pressed; see `View.show`.
+        Whether to open the browser, and to wait for Ctrl-C; see `View.show`.
 
     Returns
     -------
     View
-        The view. In a notebook it shows itself, and no server is started.
+        The view. In a notebook it displays itself, and no server is started.
 
     Raises
     ------
@@ -254,9 +260,8 @@ def view(
 
     Notes
     -----
-    A page holds what is seen at 30 frames a second, with its own player: play, pause, scrub, speed,
-    and which parts are visible. Labels on click, following, and other colours need the viewer
-    itself.
+    A page contains 30 frames per second and its own player: play, pause, time, speed, and
+    visibility. Labels on click, following, and other colors need the viewer.
 
     Examples
     --------
@@ -267,12 +272,12 @@ def view(
     View(prism)
     """
     target = None if html is None else _html_path("html", html)
-    choice("colour", colour, *QUANTITIES)
+    choice("color", color, *QUANTITIES)
     positive_number("speed", speed)
     flag("follow", follow)
-    exhibit = standing_on(exhibit_of(things), checked_grounds(ground, "ground"))
-    name = text("title", title) or ", ".join(motion.name for motion in exhibit.motions)
-    found = View(exhibit, name, colour, float(speed), follow)
+    content = describe_content(things, "things", ground)
+    name = text("title", title) or ", ".join(motion.name for motion in content.motions)
+    found = View(content, name, color, float(speed), follow)
     if target is not None:
         found.save(target)
     elif not in_notebook():

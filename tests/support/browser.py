@@ -91,8 +91,8 @@ def picture(page: Any, **clip: float) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(shot)).convert("RGB"), dtype=float) / 255
 
 
-def coloured(image: np.ndarray) -> float:
-    """The share of a picture that is not white."""
+def colored_fraction(image: np.ndarray) -> float:
+    """Fraction of a picture that is not white."""
     return float((image.min(axis=2) < 0.95).mean())
 
 

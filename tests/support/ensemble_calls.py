@@ -90,7 +90,7 @@ def ensemble_calls() -> dict[str, Call]:
         "html": "page.html",
         "title": "a cross",
         "ground": tc.Ground(),
-        "colour": "tension",
+        "color": "tension",
         "speed": 1.0,
         "follow": False,
     }

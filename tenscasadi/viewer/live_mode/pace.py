@@ -1,26 +1,25 @@
-"""How fast a motion goes by the clock on the wall, and how far it falls behind."""
+"""Speed of a simulation relative to the wall clock."""
 
 from __future__ import annotations
 
 from collections import deque
 
-_WINDOW = 1.0  # s over which speed is measured
-_LATE = 0.1  # s that may be caught up; more is let go
-_AS_ASKED = 0.95  # of the speed that was asked for: less is said
+_WINDOW = 1.0  # s, over which the speed is measured
+_DELAY = 0.1  # s, which may be caught up; more is dropped
 
 
 class Pace:
-    """Tells how many ticks are due, and measures how many are done.
+    """Counter of due and computed ticks.
 
-    Time is given by the caller, s by any clock that increases. What cannot be caught up in a tenth
-    of a second is let go: the motion is then slower than was asked for, and `words` says so.
+    The caller gives times of any increasing clock [s]. A delay of more than a tenth of a second is
+    dropped. The simulation is then slower than requested, which `message` reports.
 
     Parameters
     ----------
     tick : float
-        Time of the motion in a tick, s.
+        Simulated time of a tick [s].
     speed : float
-        Time of the motion in a second.
+        Simulated seconds per second.
 
     Examples
     --------
@@ -42,7 +41,7 @@ class Pace:
 
     @property
     def speed(self) -> float:
-        """Time of the motion in a second, as asked for."""
+        """Requested speed, in simulated seconds per second."""
         return self._speed
 
     @speed.setter
@@ -51,73 +50,43 @@ class Pace:
         self.rest()
 
     def rest(self) -> None:
-        """Start anew, as after a pause: nothing is due."""
+        """Start again after a pause, with no due ticks."""
         self._debt, self._last = 0.0, None
         self._log.clear()
 
     def due(self, now: float) -> int:
-        """Return how many whole ticks are due.
-
-        Parameters
-        ----------
-        now : float
-            The time, s.
-
-        Returns
-        -------
-        int
-            Ticks to compute now.
-        """
+        """Count the whole ticks that are due at a time [s]."""
         if self._last is None:
             self._last = now
             self._log.append((now, 0))
         self._debt += (now - self._last) * self._speed / self.tick
-        self._debt = min(self._debt, max(1.0, _LATE * self._speed / self.tick))
+        self._debt = min(self._debt, max(1.0, _DELAY * self._speed / self.tick))
         self._last = now
         return int(self._debt + 1e-9)
 
     def done(self, ticks: int, now: float) -> None:
-        """Count ticks that were computed.
-
-        Parameters
-        ----------
-        ticks : int
-            How many.
-        now : float
-            The time after them, s.
-        """
+        """Record computed ticks, and the time after them [s]."""
         self._debt -= ticks
         self._log.append((now, ticks))
         while len(self._log) > 2 and now - self._log[1][0] >= _WINDOW:
             self._log.popleft()
 
     def wait(self, now: float) -> float:
-        """Return the time until the next tick is due, s.
-
-        Parameters
-        ----------
-        now : float
-            The time, s.
-
-        Returns
-        -------
-        float
-            The wait, not below 0.
-        """
+        """Compute the time until the next tick is due [s]."""
         passed = 0.0 if self._last is None else now - self._last
         return max(0.0, (1.0 - self._debt) * self.tick / self._speed - passed)
 
     @property
     def measured(self) -> float:
-        """Time of the motion in a second, as measured over the last one; NaN before half of it has passed."""
+        """Measured speed over the last second; NaN at the beginning."""
         if len(self._log) < 2 or (span := self._log[-1][0] - self._log[0][0]) < _WINDOW / 2:
             return float("nan")
         return sum(ticks for _, ticks in list(self._log)[1:]) * self.tick / span
 
     @property
-    def words(self) -> str:
-        """Words on the speed: "" where it is as asked for."""
+    def message(self) -> str:
+        """Report of a speed below the requested one; "" if it is reached."""
         measured = self.measured
-        if not measured < _AS_ASKED * self._speed:
+        if not measured < 0.95 * self._speed:
             return ""
         return f"{measured:.2g} times real time: this machine is too slow for {self._speed:g}, try a larger step or another scheme"

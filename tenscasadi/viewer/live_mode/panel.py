@@ -1,4 +1,4 @@
-"""The panel of a live motion: pause, reset, speed, save, sliders, and what there is to say."""
+"""Panel of an interactive simulation."""
 
 from __future__ import annotations
 
@@ -8,54 +8,84 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tenscasadi.drawing.color_scale import ColorScale
+from tenscasadi.drawing.describe import describe_content
+from tenscasadi.drawing.style import STYLE
+from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import RestLength
-from tenscasadi.viewer.canvas import QUANTITIES
+from tenscasadi.viewer.canvas import Canvas, linearize_colors
+from tenscasadi.viewer.controls import ViewControls, add_speed
 from tenscasadi.viewer.live_mode.pace import Pace
-from tenscasadi.viewer.live_mode.sliders import MOST, Slider, single
-from tenscasadi.viewer.live_mode.stage import Stage
+from tenscasadi.viewer.live_mode.simulation import LiveSimulation
+from tenscasadi.viewer.live_mode.sliders import MOST, Slider, build_slider
 
 if TYPE_CHECKING:
     import viser
 
-SPEEDS = ("0.05", "0.1", "0.2", "0.5", "1", "2", "5")
 _POSITIONS = 400  # of a slider
-_STIFFER = 5.0  # than the usual spring at the pointer: more would shake
 
 
-class Panel:
-    """Inputs of the panel. What is done with them is handed to `do`, which runs it between two ticks.
+class LivePanel:
+    """Canvas and controls of an interactive simulation.
+
+    Parameters
+    ----------
+    server : viser.ViserServer
+        Server.
+    simulation : LiveSimulation
+        Simulation.
+    pace : Pace
+        Speed of the simulation.
+    sliders : list of Slider
+        Sliders of the strings.
+    do : callable
+        Executes an order between two ticks.
 
     Attributes
     ----------
     running : bool
-        Whether time goes on.
+        Whether the time runs.
     """
 
     def __init__(
         self,
         server: viser.ViserServer,
-        stage: Stage,
+        simulation: LiveSimulation,
         pace: Pace,
         sliders: list[Slider],
         do: Callable[[Callable[[], Any]], None],
     ) -> None:
-        self.stage, self.simulation, self.pace, self._do = stage, stage.simulation, pace, do
-        self.running = True
-        self._said = ""
+        self.simulation, self.pace, self._do = simulation, pace, do
+        self.canvas = Canvas(server, describe_content(simulation.model.scene))
+        self.canvas.followed = not _is_supported(simulation.model.scene)
+        self.canvas.scale = None
+        self.controls = ViewControls(server, self.canvas, do)
+        self.running, self._said = True, ""
         self._inputs: list[tuple[Slider, Any]] = []
+        radius = self.canvas.content.bar_radius
+        self._arrow = server.scene.add_arrows(
+            "/shown/pull",
+            np.zeros((1, 2, 3)),
+            linearize_colors(STYLE.load),
+            shaft_radius=0.6 * radius,
+            head_radius=1.5 * radius,
+            head_length=4.0 * radius,
+            visible=False,
+        )
         gui = server.gui
-        gui.configure_theme(show_logo=False, show_share_button=False)
         self._status = gui.add_html("")
         self._play = gui.add_button("Pause")
         self._play.on_click(lambda _: do(lambda: self.run(not self.running)))
-        gui.add_button("Reset", hint="back to the start, with the control of the start").on_click(
-            lambda _: do(self.reset)
-        )
-        self._add_speed(gui)
-        self._add_looks(gui)
+        hint = "back to the initial state and control"
+        gui.add_button("Reset", hint=hint).on_click(lambda _: do(self.reset))
+        add_speed(gui, pace.speed, lambda speed: do(lambda: setattr(pace, "speed", speed)))
+        self.controls.add_follow()
+        if simulation.model.nu:
+            self.controls.add_color()
         self._add_pull(gui)
         self._add_sliders(gui, sliders)
-        self._legend = gui.add_html(stage.legend())
+        self.show()
+        self.controls.add_legend()
 
     def add_saving(
         self,
@@ -64,131 +94,137 @@ class Panel:
         save: Callable[[], None],
         download: Callable[[Any], None],
     ) -> None:
-        """Add the buttons that save what is recorded: to the path that was given, and by the browser."""
+        """Add the buttons that save the recording to a path and by the browser."""
         if path is not None:
             gui.add_button("Save", hint=f"writes {path}").on_click(lambda _: self._do(save))
-        button = gui.add_button(
-            "Download", hint="the recorded motion as a file of tenscasadi.Trajectory"
-        )
+        hint = "the recording as a file of tenscasadi.Trajectory"
+        button = gui.add_button("Download", hint=hint)
         button.on_click(lambda event: self._do(lambda: download(event.client)))
 
-    # --- what a person does ---
+    # --- actions of a person ---
 
     def run(self, running: bool) -> None:
-        """Go on, or pause."""
+        """Continue or pause."""
         self.running = running
-        self._play.label = "Pause" if running else "Go on"
+        self._play.label = "Pause" if running else "Continue"
         self.pace.rest()
 
     def reset(self) -> None:
-        """Go back to the start."""
+        """Return to the initial state and control."""
         self.simulation.reset()
-        self.stage.recolour(self.stage.colour)
+        self.canvas.scale = None
         self.refresh()
         self.say("")
         self.pace.rest()
 
     def say(self, text: str) -> None:
-        """Say something until the next reset, or until something else is said."""
+        """Display a message until the next one or a reset."""
         self._said = text
 
-    # --- what is shown ---
+    def find_node(self, part: str, index: int, seen: Any) -> int:
+        """Find the movable node nearest to a position on a node, bar or string."""
+        structure, pullable = self.simulation.model.structure, self.simulation.pullable
+        ends = np.array([index]) if part == "nodes" else np.asarray(getattr(structure, part))[index]
+        ends = ends[(ends < len(pullable)) & pullable[np.minimum(ends, len(pullable) - 1)]]
+        if not len(ends):
+            raise ValueError(f"nothing of {part}[{index}] can be pulled")
+        away = self.simulation.nodes[ends] - self.canvas.locate(seen)
+        return int(ends[np.argmin(np.einsum("ij,ij->i", away, away))])
+
+    # --- display ---
 
     def show(self) -> None:
-        """Bring the scene to the present state."""
-        if self.stage.show():
-            self._legend.content = self.stage.legend()
+        """Show the present state."""
+        frame = self.simulation.frame
+        values = np.nan_to_num(np.asarray(frame.values(self.canvas.quantity)))
+        scale = self.canvas.scale
+        if scale is not None and scale.quantity == self.canvas.quantity:
+            self.canvas.scale = scale.widen(values)
+        elif np.any(values):
+            self.canvas.scale = ColorScale.of(self.canvas.quantity, values)
+        if scale != self.canvas.scale:
+            self.controls.update_legend()
+        self.canvas.draw([frame])
+        pull = self.simulation.pull
+        self._arrow.visible = pull is not None
+        if pull is not None:
+            ends = self.canvas.shift([frame.nodes[pull.node], pull.target])
+            self._arrow.points = ends.astype(np.float32)[None]
 
     def tell(self) -> None:
-        """Bring the words to the present state."""
-        simulation, words = self.simulation, self.pace.words if self.running else ""
-        lines = [
-            f"<b>t = {simulation.time:.2f} s</b>"
-            + ("" if self.running or simulation.fault else ", paused")
-        ]
+        """Display the time, the speed and messages."""
+        simulation, slowness = self.simulation, self.pace.message if self.running else ""
+        stopped = "" if self.running or simulation.fault else ", paused"
+        lines = [f"<b>t = {simulation.time:.2f} s</b>{stopped}"]
         if simulation.pull is not None:
-            lines.append(
-                f"pull at node {simulation.pull.node}: {np.linalg.norm(simulation.pull_force):.3g} N"
-            )
-        lines += [escape(text) for text in (words, self._said) if text]
+            force = np.linalg.norm(simulation.pull_force)
+            lines.append(f"pull at node {simulation.pull.node}: {force:.3g} N")
+        lines += [escape(text) for text in (slowness, self._said) if text]
         if simulation.fault:
-            lines.append(
-                f'<span style="color:#b71c1c">The motion has {escape(simulation.fault)}. Reset starts again.</span>'
-            )
-        content = f'<div style="font:13px/1.45 system-ui,sans-serif;padding:4px 8px" class="live-status">{"<br>".join(lines)}</div>'
+            fault = f"The simulation {escape(simulation.fault)}. Reset starts again."
+            lines.append(f'<span style="color:#b71c1c">{fault}</span>')
+        style = "font:13px/1.45 system-ui,sans-serif;padding:4px 8px"
+        content = f'<div style="{style}" class="live-status">{"<br>".join(lines)}</div>'
         if content != self._status.content:
             self._status.content = content
 
     def refresh(self, moved: int | None = None) -> None:
-        """Bring the sliders to the present control, but for the one that somebody moves: it is further by now."""
+        """Move the sliders to the present control, except the one that a person moves."""
         for place, (slider, entry) in enumerate(self._inputs):
             value = slider.read(self.simulation)
             if place != moved and not abs(value - entry.value) <= 0.5 * entry.step:
                 entry.value = value
 
-    # --- building ---
+    def drive(self, place: int, value: float) -> None:
+        """Apply the value of a slider."""
+        self._inputs[place][0].apply(self.simulation, value)
+        self.refresh(place)
 
-    def _add_speed(self, gui: viser.GuiApi) -> None:
-        asked = f"{self.pace.speed:g}"
-        speeds = SPEEDS if asked in SPEEDS else tuple(sorted({*SPEEDS, asked}, key=float))
-        chosen = gui.add_dropdown(
-            "Speed", speeds, initial_value=asked, hint="simulated seconds in each second"
-        )
-
-        def change(_: Any) -> None:
-            if chosen.value in speeds:  # whatever a page sends
-                self._do(lambda: setattr(self.pace, "speed", float(chosen.value)))
-
-        chosen.on_update(change)
-
-    def _add_looks(self, gui: viser.GuiApi) -> None:
-        follow = gui.add_checkbox(
-            "Follow", self.stage.followed, hint="keep the middle of the structure in view"
-        )
-        follow.on_update(
-            lambda _: self._do(lambda: setattr(self.stage, "followed", bool(follow.value)))
-        )
-        if self.simulation.model.nu:
-            colour = gui.add_dropdown("Colour", tuple(QUANTITIES), initial_value=self.stage.colour)
-
-            def change(_: Any) -> None:
-                if colour.value in QUANTITIES:
-                    self._do(lambda: self.stage.recolour(colour.value))
-
-            colour.on_update(change)
+    # --- construction ---
 
     def _add_pull(self, gui: viser.GuiApi) -> None:
         if not self.simulation.pullable.any():
-            gui.add_html(
-                '<div style="font:12px system-ui,sans-serif;padding:4px 8px">Nothing can be pulled: the forces change over time.</div>'
-            )
+            style = "font:12px system-ui,sans-serif;padding:4px 8px"
+            reason = "No node can be pulled: all are pinned, or nodal forces vary with time."
+            gui.add_html(f'<div style="{style}">{reason}</div>')
             return
         usual = self.simulation.pull_stiffness
-        hint = "drag a node, bar or string with the mouse: a spring pulls its nearest node to the pointer"
-        spring = gui.add_slider(
-            "Pull (N/m)", 0.0, _STIFFER * usual, _STIFFER * usual / _POSITIONS, usual, hint=hint
-        )
+        most = 5.0 * usual  # a stiffer spring vibrates
+        hint = "drag a node, bar or string with the mouse: a spring pulls its nearest node"
+        spring = gui.add_slider("Pull (N/m)", 0.0, most, most / _POSITIONS, usual, hint=hint)
 
         def change(_: Any) -> None:
-            value = float(spring.value)
-            if np.isfinite(value):
-                self._do(
-                    lambda: setattr(
-                        self.simulation, "pull_stiffness", min(max(value, 0.0), _STIFFER * usual)
-                    )
-                )
+            stiffness = float(np.clip(np.nan_to_num(spring.value), 0.0, most))
+            self._do(lambda: setattr(self.simulation, "pull_stiffness", stiffness))
 
         spring.on_update(change)
+        for part in ("nodes", "bars", "strings"):
+            if part in self.canvas.layers[0].batches:
+                self.canvas.layers[0].batches[part].on_drag(self._drag(part))
+
+    def _drag(self, part: str) -> Callable[[Any], Any]:
+        async def drag(event: Any) -> None:  # in the order in which the pointer moves
+            phase, index = event.phase, event.instance_index
+            ends = event.start_position, event.end_position
+            self._do(lambda: self._pull(part, phase, index, *ends))
+
+        return drag
+
+    def _pull(self, part: str, phase: str, index: int, begin: Any, end: Any) -> None:
+        simulation = self.simulation
+        if phase == "start":
+            node = self.find_node(part, int(index), begin)
+            simulation.grab(node, self.canvas.locate(end))
+        elif phase == "end":
+            simulation.release()
+        elif simulation.pull is not None:
+            simulation.grab(simulation.pull.node, self.canvas.locate(end))
 
     def _add_sliders(self, gui: viser.GuiApi, sliders: list[Slider]) -> None:
         if not sliders:
             return
-        kind = (
-            "Rest lengths (m)"
-            if isinstance(self.simulation.model.scene.control, RestLength)
-            else "Force densities (N/m)"
-        )
-        with gui.add_folder(kind):
+        by_length = isinstance(self.simulation.model.scene.control, RestLength)
+        with gui.add_folder("Rest lengths (m)" if by_length else "Force densities (N/m)"):
             for slider in sliders:
                 self._add_slider(gui, slider)
             if self.simulation.model.nu > MOST:
@@ -196,31 +232,28 @@ class Panel:
 
     def _add_slider(self, gui: viser.GuiApi, slider: Slider) -> Any:
         step = (slider.high - slider.low) / _POSITIONS
-        entry = gui.add_slider(
-            slider.name, slider.low, slider.high, step, slider.read(self.simulation)
-        )
+        value = slider.read(self.simulation)
+        entry = gui.add_slider(slider.name, slider.low, slider.high, step, value)
         place = len(self._inputs)
         self._inputs.append((slider, entry))
 
-        async def change(
-            event: Any,
-        ) -> None:  # at once and in order: `refresh` must not come in between
+        async def change(event: Any) -> None:  # at once and in order, before the next `refresh`
             if event.client is not None:  # a person, not `refresh`
                 value = float(entry.value)
-                self._do(lambda: self._drive(place, value))
+                self._do(lambda: self.drive(place, value))
 
         entry.on_update(change)
         return entry
 
     def _add_choice(self, gui: viser.GuiApi) -> None:
-        """Add a number of a string, and the slider of that string."""
+        """Add the number of a string, and its slider."""
         count = self.simulation.model.nu
         number = gui.add_number("String", 0, min=0, max=count - 1, step=1)
-        entry = self._add_slider(gui, single(self.simulation, 0))
+        entry = self._add_slider(gui, build_slider(self.simulation, 0))
         place = len(self._inputs) - 1
 
         def choose() -> None:
-            slider = single(self.simulation, min(max(int(number.value), 0), count - 1))
+            slider = build_slider(self.simulation, min(max(int(number.value), 0), count - 1))
             self._inputs[place] = (slider, entry)
             entry.label, entry.min, entry.max = slider.name, slider.low, slider.high
             entry.step = (slider.high - slider.low) / _POSITIONS
@@ -228,6 +261,8 @@ class Panel:
 
         number.on_update(lambda _: self._do(choose))
 
-    def _drive(self, place: int, value: float) -> None:
-        self._inputs[place][0].apply(self.simulation, value)
-        self.refresh(place)
+
+def _is_supported(scene: Scene) -> bool:
+    """Return whether a scene keeps the structure from falling without end."""
+    held = bool(scene.structure.fixed.any()) or bool(scene.structure.rollers)
+    return held or bool(scene.grounds) or scene.gravity is None

@@ -1,4 +1,4 @@
-"""Rows that a motion without a known end leaves behind, in a memory that is bounded."""
+"""Recording of a simulation in bounded memory."""
 
 from __future__ import annotations
 
@@ -6,37 +6,30 @@ import numpy as np
 
 from tenscasadi.util.validate import Array, Indices
 
-_BYTES = 2e8
-
 
 class Recording:
-    """Rows (width,), each at a tick, of which no more are kept than fit: then every other one goes, and so many fewer come.
+    """Recording of rows at ticks.
+
+    When the memory is full, every other row is removed, and from then on only every other one is
+    kept.
 
     Parameters
     ----------
     width : int
-        Numbers of a row.
+        Numbers per row.
     bytes_ : float
         Memory.
     """
 
-    def __init__(self, width: int, bytes_: float = _BYTES) -> None:
+    def __init__(self, width: int, bytes_: float = 2e8) -> None:
         self.width = width
         self._most = max(16, int(bytes_ / (8 * (width + 1))))
         self._ticks: list[int] = []
         self._rows: list[Array] = []
-        self.every = 1  # ticks from one row to the next
+        self.every = 1  # ticks between kept rows
 
     def keep(self, tick: int, row: Array) -> None:
-        """Keep a row, in place of the one of the same tick if there is one.
-
-        Parameters
-        ----------
-        tick : int
-            Its tick, not before the last one.
-        row : ndarray, shape (width,)
-            The numbers.
-        """
+        """Keep a row (width,), which replaces one of the same tick."""
         while (self._ticks and self._ticks[-1] >= tick) or (
             len(self._ticks) > 1 and self._ticks[-1] % self.every
         ):
@@ -57,11 +50,5 @@ class Recording:
             )
 
     def rows(self) -> tuple[Indices, Array]:
-        """Return the ticks (T,) and rows (T, width) that are kept.
-
-        Returns
-        -------
-        tuple of ndarray
-            Both, in order.
-        """
+        """Return the kept ticks (T,) and rows (T, width)."""
         return np.array(self._ticks), np.array(self._rows)

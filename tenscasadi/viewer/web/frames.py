@@ -1,4 +1,4 @@
-"""Pages that tell how many frames a second they draw, where these are few."""
+"""Display of the frame rate on slow pages."""
 
 from __future__ import annotations
 
@@ -44,18 +44,10 @@ _SCRIPT = """<script>
 </script>"""
 
 
-def with_frames(page: str) -> str:
-    """Return a page of viser's that tells how many frames a second it draws, where these are fewer than the player sends.
+def add_frame_rate(page: str) -> str:
+    """Add the display of the frame rate to a page of viser.
 
-    Parameters
-    ----------
-    page : str
-        HTML.
-
-    Returns
-    -------
-    str
-        The page, with a script at the beginning of its head.
+    It appears if the rate is lower than that of the player.
     """
     head = page.index("<head>") + len("<head>")
     return page[:head] + _SCRIPT + page[head:]

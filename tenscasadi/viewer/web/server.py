@@ -1,4 +1,7 @@
-"""The web server of the viewer: for this machine alone, and deaf to all that a page has no business to ask."""
+"""Web server of the viewer.
+
+It serves only this machine by default, and ignores all messages that a page has no reason to send.
+"""
 
 from __future__ import annotations
 
@@ -14,16 +17,12 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from tenscasadi.util.validate import instance, shown, whole_number
-from tenscasadi.viewer.web.frames import with_frames
+from tenscasadi.viewer.web.frames import add_frame_rate
 
 LOOPBACK = "127.0.0.1"
-_FIRST_PORT, _PORTS = 8080, 1000
-_LARGEST_MESSAGE = (
-    2**20
-)  # bytes of what a page may send at once: a pointer's place takes some hundred
-_LARGEST_TEXT, _MOST_VALUES = 4096, 64
-# All that a page may say: where its camera is, what was clicked or dragged, the value of an input.
-_HEARD = {
+_PORTS = range(8080, 9080)
+# Messages that a page may send: its camera, clicks, drags and values of inputs.
+_ACCEPTED = {
     "ViewerCameraMessage",
     "SceneNodeClickMessage",
     "SceneNodeDragMessage",
@@ -35,11 +34,11 @@ _starting = threading.Lock()
 
 
 class OpenToNetwork(UserWarning):
-    """Warns that other machines can see the viewer and use its controls."""
+    """Warning that other machines can see the viewer and use its controls."""
 
 
 def import_viser() -> Any:
-    """Return the module viser. Raises ImportError that says how to install it."""
+    """Import viser. Raises ImportError with the cure."""
     try:
         import viser
         import viser.infra
@@ -51,24 +50,24 @@ def import_viser() -> Any:
 
 
 def start_server(host: str = LOOPBACK, port: int | None = None) -> Any:
-    """Start a web server of viser's.
+    """Start a web server of viser.
 
-    Pages of other sites, and names that resolve to this machine, are refused. Of what a page sends
-    the server hears the place of its camera, clicks, drags and values of inputs: no uploads, no
-    request to be published, nothing that would read or write a file.
+    It rejects pages of other sites, and foreign names that resolve to this machine. From a page it
+    accepts the camera, clicks, drags and values of inputs. Uploads, publishing and all that would
+    read or write a file are ignored.
 
     Parameters
     ----------
     host : str
-        Address to listen on: 127.0.0.1 is reached from this machine alone. Other ones are reached
-        from elsewhere, without a password.
+        Address to listen on. 127.0.0.1 is accessible from this machine alone. Other addresses are
+        accessible from elsewhere, without a password.
     port : int, optional
         Port. Default: the first free one from 8080 on.
 
     Returns
     -------
     viser.ViserServer
-        The server, which runs in a thread of its own until its `stop` is called.
+        The server, which runs in its own thread until `stop` is called.
 
     Raises
     ------
@@ -77,7 +76,7 @@ def start_server(host: str = LOOPBACK, port: int | None = None) -> Any:
     OSError
         There is no such address, or the port is taken.
     TypeError, ValueError
-        The host or the port is none.
+        The host or the port is invalid.
 
     Warns
     -----
@@ -90,14 +89,14 @@ def start_server(host: str = LOOPBACK, port: int | None = None) -> Any:
         raise ValueError(f"port is {port}: give one from 1 to 65535, or None for a free one")
     local = _is_local(host)
     with _starting:
-        free = _free_port(host, port)
+        free = _find_port(host, port)
         if not local:
             warnings.warn(
                 f"host is {host}: other machines can see this viewer and use its controls, without a password; {LOOPBACK} is for this machine alone",
                 OpenToNetwork,
                 stacklevel=2,
             )
-        with _guarded_serve(local) as guarded, silent():
+        with _guard_server(local) as guarded, silence_viser():
             server = viser.ViserServer(host=host, port=free, verbose=False)
     connection = server._websock_server
     if not guarded or (port is not None and server.get_port() != port):
@@ -108,16 +107,15 @@ def start_server(host: str = LOOPBACK, port: int | None = None) -> Any:
             else f"viser {viser.__version__} starts its server in a way that cannot be guarded: install 1.1"
         )
     _restrict(connection)
-    connection.on_client_connect(
-        _restrict
-    )  # what a page says is heard twice: by the server, and by its own connection
-    connection.disconnect_all_clients()  # who came before that comes again
+    # The server and the connection of each page have handlers of their own.
+    connection.on_client_connect(_restrict)
+    connection.disconnect_all_clients()  # pages that were faster connect again
     return server
 
 
 @contextlib.contextmanager
-def silent() -> Iterator[None]:
-    """Keep to itself what viser prints when it starts and ends, on the terminal and in notebooks: rich, by which it does, has one console."""
+def silence_viser() -> Iterator[None]:
+    """Suppress the output of viser, which prints through the console of rich."""
     import rich
 
     console = rich.get_console()
@@ -129,18 +127,7 @@ def silent() -> Iterator[None]:
 
 
 def address(server: Any) -> str:
-    """Return the address of a server's page, for a browser on this machine.
-
-    Parameters
-    ----------
-    server : viser.ViserServer
-        The server.
-
-    Returns
-    -------
-    str
-        Such as http://127.0.0.1:8080.
-    """
+    """Build the address of a server's page, such as http://127.0.0.1:8080."""
     host = server.get_host()
     if host in ("0.0.0.0", "::", ""):
         host = LOOPBACK
@@ -151,32 +138,30 @@ def address(server: Any) -> str:
     )
 
 
-def _addresses(host: str) -> list[tuple[Any, ...]]:
+def _find_addresses(host: str) -> list[tuple[Any, ...]]:
+    """Find the families and socket addresses of a host. Raises OSError."""
+    kind, flags = socket.SOCK_STREAM, socket.AI_PASSIVE
     try:
-        return [
-            (family, place)
-            for family, _, _, _, place in socket.getaddrinfo(
-                host or None, 0, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
-            )
-        ]
+        found = socket.getaddrinfo(host or None, 0, type=kind, flags=flags)
     except (OSError, UnicodeError) as error:
         raise OSError(
             f"host is {shown(host)}: there is no such address on this machine ({error}), give {LOOPBACK}"
         ) from None
+    return [(family, place) for family, _, _, _, place in found]
 
 
 def _is_local(host: str) -> bool:
-    return all(
-        ipaddress.ip_address(place[0].partition("%")[0]).is_loopback
-        for _, place in _addresses(host)
-    )
+    return all(_is_loopback(place[0].partition("%")[0]) for _, place in _find_addresses(host))
 
 
-def _free_port(host: str, port: int | None) -> int:
-    """Return the port, or the first free one. Raises OSError: viser would try on for ever where there is no such address."""
-    places = _addresses(host)
+def _find_port(host: str, port: int | None) -> int:
+    """Check the port, or find the first free one. Raises OSError.
+
+    viser itself would search without end if there is no such address.
+    """
+    places = _find_addresses(host)
     reason: OSError | None = None
-    for candidate in range(_FIRST_PORT, _FIRST_PORT + _PORTS) if port is None else [port]:
+    for candidate in _PORTS if port is None else [port]:
         try:
             for family, place in places:
                 with socket.socket(family, socket.SOCK_STREAM) as test:
@@ -188,16 +173,19 @@ def _free_port(host: str, port: int | None) -> int:
             reason = error
     if port is not None:
         raise OSError(
-            f"port {port} of {host} cannot be had ({reason}): give another one, or None for a free one"
+            f"port {port} of {host} is not available ({reason}): give another one, or None for a free one"
         )
     raise OSError(
-        f"host is {shown(host)}: none of its ports {_FIRST_PORT} to {_FIRST_PORT + _PORTS - 1} can be had ({reason})"
+        f"host is {shown(host)}: none of its ports {_PORTS[0]} to {_PORTS[-1]} is available ({reason})"
     )
 
 
 @contextlib.contextmanager
-def _guarded_serve(local: bool) -> Iterator[list[bool]]:
-    """Let viser start a server that checks each request: viser has no option for it. Yields a list that is not empty once it has."""
+def _guard_server(local: bool) -> Iterator[list[bool]]:
+    """Let viser start a server that checks each request, for which it has no option.
+
+    Yields a list that is not empty once the server has started so.
+    """
     import websockets.asyncio.server as module
 
     original, used = module.serve, []
@@ -205,20 +193,16 @@ def _guarded_serve(local: bool) -> Iterator[list[bool]]:
     def serve(*arguments: Any, process_request: Any = None, **options: Any) -> Any:
         used.append(True)
 
-        def checked(connection: Any, request: Any) -> Any:
-            refusal = refuse(request.path, request.headers, local)
+        def check(connection: Any, request: Any) -> Any:
+            refusal = refuse_request(request.path, request.headers, local)
             if refusal:
                 return connection.respond(403, refusal + "\n")
             response = process_request(connection, request)
-            return (
-                response
-                if response is None or request.path.partition("?")[0] not in _PAGE
-                else _with_frames(response)
-            )
+            is_page = request.path.partition("?")[0] in ("/", "/index.html")
+            return response if response is None or not is_page else _extend_page(response)
 
-        return original(
-            *arguments, process_request=checked, **{**options, "max_size": _LARGEST_MESSAGE}
-        )
+        # A message of a page has some hundred bytes, and a picture that was asked for more.
+        return original(*arguments, process_request=check, **{**options, "max_size": 2**20})
 
     module.serve = serve  # type: ignore[assignment, misc]
     try:
@@ -227,35 +211,21 @@ def _guarded_serve(local: bool) -> Iterator[list[bool]]:
         module.serve = original  # type: ignore[misc]
 
 
-def _with_frames(response: Any) -> Any:
-    """Return the answer that holds the page with what `with_frames` adds to it."""
+def _extend_page(response: Any) -> Any:
+    """Add the display of the frame rate to the page in a response."""
     packed = response.headers.get("Content-Encoding") == "gzip"
-    body = with_frames(
-        (gzip.decompress(response.body) if packed else response.body).decode()
-    ).encode()
+    page = gzip.decompress(response.body) if packed else response.body
+    body = add_frame_rate(page.decode()).encode()
     response.body = gzip.compress(body, 1) if packed else body
     del response.headers["Content-Length"]
     response.headers["Content-Length"] = str(len(response.body))
     return response
 
 
-def refuse(path: str, headers: Any, local: bool) -> str:
-    """Say why a request is refused, "" if it is not.
+def refuse_request(path: str, headers: Any, local: bool) -> str:
+    """Explain why a request is refused; "" if it is not.
 
-    Parameters
-    ----------
-    path : str
-        What is asked for.
-    headers : mapping
-        Headers of the request.
-    local : bool
-        Whether the server is for this machine alone: the name that the page knows it by must then
-        be this machine's own.
-
-    Returns
-    -------
-    str
-        The reason.
+    If the server is `local`, the page must know it by a name of this machine.
     """
     host, origin = headers.get("Host") or "", headers.get("Origin")
     try:
@@ -263,15 +233,11 @@ def refuse(path: str, headers: Any, local: bool) -> str:
         site = None if origin is None else urlsplit(origin).netloc
     except ValueError:
         return "no such host"
-    if (
-        local and name != "localhost" and not _is_loopback(name)
-    ):  # a site whose name resolves to this machine
+    if local and name != "localhost" and not _is_loopback(name):  # a name that resolves to here
         return f"this viewer is for the machine that it runs on, not for {shown(name)}"
-    if (
-        site is not None and site.lower() != host.lower()
-    ):  # browsers let any site connect, and tell which one
+    if site is not None and site.lower() != host.lower():  # browsers let any site connect
         return "pages of other sites are refused"
-    if ":" in path.replace("%3a", ":").replace("%3A", ":").partition("?")[0]:  # a drive of Windows
+    if ":" in path.lower().replace("%3a", ":").partition("?")[0]:  # a drive of Windows
         return "no such file"
     return ""
 
@@ -284,43 +250,33 @@ def _is_loopback(name: str) -> bool:
 
 
 def _restrict(connection: Any) -> None:
-    """Let a server or connection of viser's hear nothing but `_HEARD`; of inputs nothing but plain values."""
+    """Drop all handlers of messages that are not accepted."""
     handlers = connection._incoming_handlers
     for kind in list(handlers):
-        if kind.__name__ not in _HEARD:
+        if kind.__name__ not in _ACCEPTED:
             connection.unregister_handler(kind)
         elif kind.__name__ == "GuiUpdateMessage":
-            handlers[kind] = [_plain_values(handler) for handler in handlers[kind]]
+            handlers[kind] = [_check_values(handler) for handler in handlers[kind]]
 
 
-def _plain_values(handler: Callable[..., Any]) -> Callable[..., Any]:
-    async def checked(client: Any, message: Any) -> None:
+def _check_values(handler: Callable[..., Any]) -> Callable[..., Any]:
+    async def check(client: Any, message: Any) -> None:
         # viser sets any attribute of an input that a page names
         if set(message.updates) == {"value"} and is_plain(message.updates["value"]):
             await handler(client, message)
 
-    return checked
+    return check
 
 
 def is_plain(value: Any) -> bool:
-    """Tell whether a page may send this as the value of an input: a truth value, finite number, short text, or a few of them.
+    """Return whether a page may send this as the value of an input.
 
-    Parameters
-    ----------
-    value : Any
-        What was sent.
-
-    Returns
-    -------
-    bool
-        Whether it is.
+    It may be a Boolean, a finite number, a short text, or a few of them.
     """
     if isinstance(value, (list, tuple)):
-        return len(value) <= _MOST_VALUES and all(
+        return len(value) <= 64 and all(
             not isinstance(entry, (list, tuple)) and is_plain(entry) for entry in value
         )
     if isinstance(value, str):
-        return len(value) <= _LARGEST_TEXT
-    return isinstance(value, bool) or (
-        isinstance(value, (int, float)) and math.isfinite(value) and abs(value) < 1e300
-    )
+        return len(value) <= 4096
+    return isinstance(value, (bool, int, float)) and math.isfinite(value) and abs(value) < 1e300

@@ -1,4 +1,4 @@
-"""Around a server that runs: the browser that opens, and the script that waits."""
+"""Browser and script beside a running server."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from collections.abc import Callable
 from typing import Any
 
 from tenscasadi.util.validate import flag
-from tenscasadi.viewer.web.server import silent
+from tenscasadi.viewer.web.server import silence_viser
 
 
 def check_serving(browser: bool | None, wait: bool | None) -> None:
-    """Raise TypeError unless both are flags or None."""
+    """Check two flags that may be None. Raises TypeError."""
     for field, value in (("browser", browser), ("wait", wait)):
         if value is not None:
             flag(field, value)
@@ -22,7 +22,7 @@ def check_serving(browser: bool | None, wait: bool | None) -> None:
 def open_and_wait(
     url: str, hold: Callable[[], None], browser: bool | None, wait: bool | None
 ) -> None:
-    """Open the browser, where there is a display or it is asked for, and `hold`, in scripts or where `wait` asks for it."""
+    """Open the browser and hold the script, by default if there is a display and in scripts."""
     if browser if browser is not None else _has_display():
         webbrowser.open(url)
     if wait if wait is not None else not (hasattr(sys, "ps1") or in_notebook()):
@@ -32,8 +32,8 @@ def open_and_wait(
 
 
 def stop(server: Any) -> None:
-    """Stop a server; viser would print that it did."""
-    with silent():
+    """Stop a server silently."""
+    with silence_viser():
         server.stop()
 
 

@@ -34,7 +34,7 @@ def test_a_page_is_written(here, capsys):
 def test_what_is_given_is_handed_on(here, monkeypatch):
     asked = {}
     monkeypatch.setattr(
-        importlib.import_module("tenscasadi.viewer.view"),
+        importlib.import_module("tenscasadi.viewer"),
         "view",
         lambda things, **options: asked.update(things=things, **options),
     )
@@ -47,7 +47,7 @@ def test_what_is_given_is_handed_on(here, monkeypatch):
                 "--port",
                 "9000",
                 "--no-browser",
-                "--colour",
+                "--color",
                 "force density",
                 "--speed",
                 "0.5",
@@ -60,21 +60,21 @@ def test_what_is_given_is_handed_on(here, monkeypatch):
         "run": tc.Trajectory,
         "d-bar": tc.Scene,
     }
-    look = {"colour": "force density", "speed": 0.5, "follow": True, "html": None}
+    look = {"color": "force density", "speed": 0.5, "follow": True, "html": None}
     assert asked == {**look, "host": "127.0.0.1", "port": 9000, "browser": False, "wait": True}
 
 
 def test_live_drives_the_groups_of_the_scene(here, monkeypatch):
     asked = {}
     monkeypatch.setattr(
-        importlib.import_module("tenscasadi.viewer.live_mode.live"),
+        importlib.import_module("tenscasadi.viewer"),
         "live",
         lambda model, **options: asked.update(model=model, **options),
     )
     assert main(["view", "reach", "--live", "--save", "live.npz"]) == 0
     assert asked["groups"] == {"guys": [0, 1, 2, 3]}
     assert asked["model"].velocities(asked["state"])[1] == pytest.approx([0, 0.5, 0])
-    assert (asked["stepping"].step, asked["title"], str(asked["save"])) == (
+    assert (asked["options"].step, asked["title"], str(asked["save"])) == (
         1e-3,
         "reach",
         "live.npz",
@@ -84,7 +84,7 @@ def test_live_drives_the_groups_of_the_scene(here, monkeypatch):
 def test_live_takes_the_parameters_of_the_scene(here, monkeypatch):
     asked = {}
     monkeypatch.setattr(
-        importlib.import_module("tenscasadi.viewer.live_mode.live"),
+        importlib.import_module("tenscasadi.viewer"),
         "live",
         lambda model, **options: asked.update(options),
     )

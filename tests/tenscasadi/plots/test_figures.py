@@ -1,4 +1,4 @@
-"""Pictures: what they show, not how pretty they are."""
+"""3-D pictures and histories: their content, not their beauty."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from types import SimpleNamespace
 import matplotlib as mpl
 import numpy as np
 import pytest
-from matplotlib.colors import to_rgba
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from PIL import Image
 
 import ocp
 import tenscasadi as tc
 from tenscasadi import plots
 from tenscasadi.animation import animate
-from tenscasadi.plots.scene3d import BAR, PUSHING, SLACK
+from tenscasadi.drawing.style import STYLE
 
 
 @pytest.fixture(scope="module")
@@ -42,26 +42,29 @@ def lines(figure):
     return figure.axes[0].collections[0]
 
 
-def colours_of(figure):
-    return {tuple(np.round(colour, 6)) for colour in lines(figure).get_colors()}
+def colors_of(figure):
+    """Colors of the members, without those of nodes."""
+    nodes = np.array([STYLE.node, STYLE.joint])
+    colors = np.round(255 * lines(figure).get_colors()[:, :3]).astype(int)
+    return {tuple(color) for color in colors.tolist() if not (color == nodes).all(axis=1).any()}
 
 
 def test_structure_shows_bars_thicker_than_strings(prism):
     shown = lines(plots.structure(prism))
-    bar = np.all(np.isclose(shown.get_colors(), to_rgba(BAR)), axis=1)
-    widths = np.broadcast_to(shown.get_linewidths(), len(bar))
-    assert bar.sum() / len(bar) == pytest.approx(3 / 12)
-    assert widths[bar].min() > 2 * widths[~bar].max()
+    widths, colors = shown.get_linewidths(), np.round(255 * shown.get_colors()[:, :3])
+    bar, node = ((colors == color).all(axis=1) for color in (STYLE.bar, STYLE.node))
+    assert bar.sum() == 3 * (~bar & ~node).sum() / 9
+    assert np.min(np.array(widths)[bar]) > 2 * np.max(np.array(widths)[~bar & ~node])
 
 
 def test_structure_colours_strings_by_tension(prism):
     tension = np.zeros(9)
     tension[4] = 10.0
-    seen = colours_of(plots.structure(prism, tension))
-    assert tuple(np.round(to_rgba(SLACK), 6)) in seen
+    seen = colors_of(plots.structure(prism, tension))
+    assert STYLE.slack in seen
     assert len(seen) == 3  # bars, slack strings, the taut one
     figure = plots.structure(prism)
-    assert len(colours_of(figure)) == 3  # two tensions of the self-stress
+    assert len(colors_of(figure)) == 3  # two tensions of the self-stress
     assert figure.axes[1].get_ylim() == pytest.approx(
         (0.0, (prism.stiffness * (prism.string_lengths - prism.rest_length)).max())
     )
@@ -69,10 +72,9 @@ def test_structure_colours_strings_by_tension(prism):
 
 def test_structure_says_which_strings_push(prism):
     figure = plots.structure(prism, [-7.0, 0.0, *[5.0] * 7])
-    assert figure.axes[1].get_ylabel() == "tension (N); grey: slack; green: pushing, up to 7 N"
-    assert {tuple(np.round(to_rgba(colour), 6)) for colour in (SLACK, PUSHING)} <= colours_of(
-        figure
-    )
+    label = "tension (N); gray: slack; green: compression, up to 7 N"
+    assert figure.axes[1].get_ylabel() == label
+    assert {STYLE.slack, STYLE.compression} <= colors_of(figure)
 
 
 def test_structure_says_that_all_strings_are_slack():
@@ -108,7 +110,7 @@ def test_nothing_is_cut_off(motion):
 
 def test_time_lapse_shows_the_start_and_the_end(motion):
     shown = np.array(lines(plots.time_lapse(motion, 3))._segments3d)
-    assert len(shown) == 3 * len(plots.structure(motion).axes[0].collections[0]._segments3d)
+    assert len(shown) == 3 * len(lines(plots.structure(motion))._segments3d)
     for nodes in (motion.nodes[0], motion.nodes[-1]):
         assert np.linalg.norm(shown.reshape(-1, 3) - nodes[0], axis=1).min() < 1e-12
 
@@ -141,6 +143,7 @@ def test_a_lone_mass_and_a_net_can_be_drawn():
 def test_node_histories(motion, swing):
     panels = plots.node_histories(motion, [2, 0]).axes
     assert [line.get_label() for line in panels[0].lines] == ["node 2", "node 0"]
+    assert sorted(text.get_text() for text in panels[0].texts) == ["node 0", "node 2"]
     assert panels[1].lines[1].get_ydata() == pytest.approx(motion.nodes[:, 0, 1])
     assert [line.get_label() for line in plots.node_histories(swing).axes[0].lines] == [
         "node 1"
@@ -149,8 +152,17 @@ def test_node_histories(motion, swing):
 
 def test_force_densities_of_a_trajectory(motion):
     ax = plots.force_densities(motion, upper=80.0).axes[0]
-    assert ax.lines[3].get_ydata() == pytest.approx(motion.force_density[:, 3])
-    assert list(ax.lines[9].get_ydata()) == [80.0, 80.0]
+    curves = {line.get_label(): line for line in ax.lines}
+    assert curves["string 3"].get_ydata() == pytest.approx(motion.force_density[:, 3])
+    assert list(ax.lines[-1].get_ydata()) == [80.0, 80.0]
+    assert ax.get_title(loc="right") == "limits: ≤ 80 N/m"
+
+
+def test_equal_strings_share_a_color_and_a_label(prism):
+    rest = tc.simulate(tc.Model(tc.Scene(prism)), 0.1, 0.01, compiled=False)
+    ax = plots.force_densities(rest).axes[0]
+    assert len({line.get_color() for line in ax.lines}) == 2  # horizontal and vertical strings
+    assert [text.get_text() for text in ax.texts] == ["string 0, 1, 2, 3, …", "string 6, 7, 8"]
 
 
 def test_force_densities_of_a_plan_are_steps_with_their_bounds():
@@ -158,7 +170,8 @@ def test_force_densities_of_a_plan_are_steps_with_their_bounds():
         time=np.array([0.0, 1.0, 3.0]), force_density=np.array([[1.0, 2.0], [5.0, 6.0]])
     )
     ax = plots.force_densities(plan, lower=0.0, upper=[8.0, np.inf]).axes[0]
-    assert [patch.get_data().values.tolist() for patch in ax.patches] == [[1.0, 5.0], [2.0, 6.0]]
+    stairs = [patch.get_data().values.tolist() for patch in ax.patches[:2]]
+    assert stairs == [[1.0, 5.0], [2.0, 6.0]]
     assert sorted(line.get_ydata()[0] for line in ax.lines) == [0.0, 8.0]
 
 
@@ -248,10 +261,10 @@ def test_no_global_state(motion):
 @pytest.mark.parametrize(
     ("mistake", "error", "named"),
     [
-        (lambda motion, path: plots.structure(motion.nodes), TypeError, "what"),
+        (lambda motion, path: plots.structure(motion.nodes), TypeError, "data"),
         (lambda motion, path: plots.structure(motion, [1.0]), ValueError, "tension"),
         (lambda motion, path: plots.structure(motion, time=-1.0), ValueError, "time"),
-        (lambda motion, path: plots.time_lapse(None), TypeError, "trajectory"),
+        (lambda motion, path: plots.time_lapse(None), TypeError, "data"),
         (lambda motion, path: plots.time_lapse(motion, 1), ValueError, "instants"),
         (lambda motion, path: plots.node_histories(motion, [6]), ValueError, "nodes"),
         (lambda motion, path: plots.force_densities(motion, strings=[9]), ValueError, "strings"),
@@ -310,43 +323,39 @@ def test_mistakes_are_named(mistake, error, named, motion, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_of_what_holds_a_motion_the_message_says_where(motion, prism, tmp_path):
-    duration = float(motion.time[-1])
-    model = tc.Model(tc.Scene(prism, control=tc.ForceDensity()))
-    plan = ocp.solve(
-        ocp.Problem(
-            model, duration, costs=[ocp.Effort()], bounds=[ocp.ForceDensityLimits(0.0, 100.0)]
-        ),
-        ocp.MultipleShooting(2),
-    )
-    loop = ocp.ClosedLoop(motion, np.ones(1))
-    for draw in (
-        plots.time_lapse,
-        plots.node_histories,
-        plots.errors,
-        lambda what: animate(what, tmp_path / "motion.gif"),
-    ):
-        with pytest.raises(
-            TypeError, match=r"^trajectory is Plan\(.*\): give its replay\(\) or trajectory$"
-        ):
+@pytest.fixture(scope="module")
+def plan(prism):
+    model = tc.Model(tc.Scene(prism, control=tc.ForceDensity(), ground=tc.Ground(height=-0.5)))
+    bounds = [ocp.ForceDensityLimits(0.0, 100.0), ocp.Obstacle((1.0, 0.0, 0.5), 0.2)]
+    problem = ocp.Problem(model, 0.1, costs=[ocp.Effort()], bounds=bounds)
+    return ocp.solve(problem, ocp.MultipleShooting(2))
+
+
+def test_pictures_of_a_plan_show_its_scene(plan, tmp_path):
+    for draw in (plots.structure, plots.time_lapse):
+        axes = draw(plan).axes[0]
+        surfaces = [part for part in axes.collections if isinstance(part, Poly3DCollection)]
+        assert len(surfaces) == 2  # ground and obstacle
+        assert axes.get_xlim()[1] > 1.2
+        assert axes.get_zlim()[0] < -0.5
+    assert animate(plan, tmp_path / "plan.gif", frames_per_second=10).stat().st_size > 1000
+
+
+def test_a_scene_is_drawn_with_its_ground(prism):
+    scene = tc.Scene(prism, ground=tc.Ground(height=-0.2))
+    for data in (scene, tc.Model(scene)):
+        axes = plots.structure(data).axes[0]
+        assert any(isinstance(part, Poly3DCollection) for part in axes.collections)
+
+
+def test_other_things_are_rejected_with_the_cure(plan):
+    for draw in (plots.node_histories, plots.errors):
+        with pytest.raises(TypeError, match=r"^trajectory is Plan\(.*such as plan\.trajectory"):
             draw(plan)
-        with pytest.raises(
-            TypeError, match=r"^trajectory is ClosedLoop\(.*\): give its trajectory$"
-        ):
-            draw(loop)
-        with pytest.raises(TypeError, match=r"^trajectory is .*: give a tenscasadi\.Trajectory$"):
-            draw(prism)
-    with pytest.raises(
-        TypeError, match=r"^what is Plan\(.*\): give its replay\(\) or trajectory or structure$"
-    ):
-        plots.structure(plan)
-    with pytest.raises(TypeError, match=r"^what is .*: give its structure$"):
-        plots.structure(model)
-    with pytest.raises(TypeError, match=r"^history is ClosedLoop\(.*\): give its trajectory$"):
-        plots.force_densities(loop)
-    with pytest.raises(
-        TypeError, match=r"^history is .*: give a tenscasadi\.Trajectory or an ocp\.Plan$"
-    ):
-        plots.force_densities(prism)
+    with pytest.raises(TypeError, match=r"^data is 3: give a Structure, Scene"):
+        plots.structure(3)
+    with pytest.raises(TypeError, match=r"^history is 3: give a tenscasadi\.Trajectory or an ocp"):
+        plots.force_densities(3)
+    with pytest.warns(DeprecationWarning, match="use data="):
+        plots.structure(what=plan)
     assert plots.force_densities(plan).axes
-    assert not list(tmp_path.iterdir())

@@ -1,4 +1,4 @@
-"""A canvas and its player, as the server holds them: no browser is needed."""
+"""Canvas and player as the server holds them, without a browser."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ import pytest
 from moving import thrown
 
 import tenscasadi as tc
+from tenscasadi.drawing.style import STYLE
 from tenscasadi.viewer import view
-from tenscasadi.viewer.colours import PUSHING, RAMP, SLACK, Scale, linear
+from tenscasadi.viewer.canvas import linearize_colors
 
 pytest.importorskip("viser", reason="the extra [view] is not installed")
 
@@ -28,72 +29,69 @@ def shown(motion):
         yield found
 
 
-def colours(found):
-    return np.array(found.player.canvas.layers[0].strings.batched_colors)
+def batch(found, part, layer=0):
+    return found.player.canvas.layers[layer].batches[part]
 
 
-def test_colours_run_from_the_first_to_the_last_of_the_ramp():
-    scale = Scale.of("tension", "N", [np.array([0.0, 2.0, 4.0, -1.0, np.nan])])
-    assert (scale.largest, scale.slack, scale.pushing, scale.least) == (4.0, True, True, -1.0)
-    np.testing.assert_array_equal(
-        scale.colours(np.array([0.0, -1.0, 4.0, 2.0, np.nan])),
-        [SLACK, PUSHING, RAMP[-1], RAMP[len(RAMP) // 2], SLACK],
-    )
-    np.testing.assert_array_equal(
-        linear(np.array([0, 255, 188], dtype=np.uint8)), [0, 255, 128]
-    )  # sRGB's 188 is half of the light
+def colors(found):
+    return np.array(batch(found, "strings").batched_colors)
 
 
-def test_strings_take_the_colour_of_what_they_bear(shown, motion):
+def test_colors_become_linear_light():
+    found = linearize_colors(np.array([0, 255, 188], dtype=np.uint8))
+    np.testing.assert_array_equal(found, [0, 255, 128])  # sRGB's 188 is half of the light
+
+
+def test_strings_are_colored_by_the_chosen_quantity(shown, motion):
     player = shown.player
     player.show(0.2)
-    np.testing.assert_array_equal(
-        colours(shown), linear(player.canvas.scale.colours(motion.tension[20]))
-    )
-    before = colours(shown)
-    player._recolour("force density")
-    assert player.canvas.scale.unit == "N/m"
-    np.testing.assert_array_equal(
-        colours(shown), linear(player.canvas.scale.colours(motion.force_density[20]))
-    )
-    assert not np.array_equal(before, colours(shown))
-    assert "force density of strings (N/m)" in player._legend.content
-    player._recolour("nonsense")  # as a page could send it
-    assert player.canvas.colour == "force density"
+    scale = player.canvas.scale
+    np.testing.assert_array_equal(colors(shown), linearize_colors(scale.colors(motion.tension[20])))
+    before = colors(shown)
+    player.controls.color_by("force density")
+    player.show(0.2)
+    scale = player.canvas.scale
+    assert scale.unit == "N/m"
+    expected = linearize_colors(scale.colors(motion.force_density[20]))
+    np.testing.assert_array_equal(colors(shown), expected)
+    assert not np.array_equal(before, colors(shown))
+    assert "force density of strings (N/m)" in player.controls._legend.content
+    player.controls.color_by("nonsense")  # as a page could send it
+    assert player.canvas.quantity == "force density"
 
 
-def test_following_keeps_the_middle_where_it_was(shown, motion):
+def test_following_keeps_the_middle_in_place(shown, motion):
     canvas = shown.player.canvas
-    canvas.follow(True)
+    canvas.followed = True
     shown.player.show(0.4)
-    middle = motion.nodes[40].mean(axis=0) + np.array(canvas.root.position)
-    np.testing.assert_allclose(middle, motion.nodes[0].mean(axis=0), atol=1e-12)
-    canvas.follow(False)
-    np.testing.assert_array_equal(canvas.root.position, 0.0)
+    places = np.array(batch(shown, "nodes").batched_positions)
+    start = motion.nodes[0].mean(axis=0)
+    np.testing.assert_allclose(places.mean(axis=0) + canvas.root.position, start, atol=1e-6)
+    np.testing.assert_allclose(canvas.locate(places), motion.nodes[40], atol=1e-6)
+    canvas.followed = False
+    shown.player.show(0.4)
+    np.testing.assert_allclose(batch(shown, "nodes").batched_positions, motion.nodes[40], atol=1e-6)
 
 
-def test_motions_of_other_lengths_stay_where_they_end(shown, motion):
+def test_shorter_motions_stay_at_their_end(shown, motion):
     shown.player.show(0.5)
-    first, second = shown.player.canvas.layers
-    np.testing.assert_allclose(first.nodes.batched_positions, motion.nodes[-1], atol=1e-6)
-    np.testing.assert_allclose(second.nodes.batched_positions, motion.nodes[30], atol=1e-6)
+    for layer, row in ((0, -1), (1, 30)):
+        places = batch(shown, "nodes", layer).batched_positions
+        np.testing.assert_allclose(places, motion.nodes[row], atol=1e-6)
     shown.player.show(7.0)
     assert shown.player.time == 0.5
 
 
-def test_it_plays_at_its_speed_and_stops_at_the_end_unless_it_repeats(shown):
+def test_it_plays_at_its_speed_and_stops_at_the_end(shown):
     player = shown.player
-    player._set_speed("0.1", ("0.1", "1"))
-    player._set_speed("1e9", ("0.1", "1"))  # as a page could send it
-    assert player.speed == 0.1
+    player.speed = 0.1
     player.show(0.0)
     began = clock.perf_counter()
     player.play(True)
     while player.time < 0.05:
         clock.sleep(0.01)
-    assert clock.perf_counter() - began > 0.4  # a tenth of the time, but for a frame
-    player.speed = 5.0
-    player._loop.value = False
+    assert clock.perf_counter() - began > 0.4  # a tenth of the time, except for a frame
+    player.speed, player.repeats = 5.0, False
     while player.playing:
         clock.sleep(0.01)
     assert player.time == 0.5
@@ -103,16 +101,17 @@ def test_it_plays_at_its_speed_and_stops_at_the_end_unless_it_repeats(shown):
     player.play(False)
 
 
-def test_slack_strings_are_thin(motion):
+def test_slack_strings_are_thin():
     prism = tc.shapes.prism(stiffness=100.0)
     loose = prism.replace(rest_length=np.where(np.arange(9) < 3, 2.0, 0.9) * prism.string_lengths)
     with loose.view(browser=False, wait=False) as found:
-        widths = np.array(found.player.canvas.layers[0].strings.batched_scales)[:, 0]
+        widths = np.array(batch(found, "strings").batched_scales)[:, 0]
         np.testing.assert_allclose(widths[:3], 0.5 * widths[3], rtol=1e-6)
-        np.testing.assert_array_equal(colours(found)[:3], np.tile(linear(SLACK), (3, 1)))
+        slack = np.tile(linearize_colors(STYLE.slack), (3, 1))
+        np.testing.assert_array_equal(colors(found)[:3], slack)
 
 
-def test_what_diverged_is_drawn_without_the_rest():
+def test_lost_nodes_are_not_drawn():
     flown = thrown(0.1)
     nodes = flown.nodes.copy()
     nodes[5:] = np.nan
@@ -121,22 +120,17 @@ def test_what_diverged_is_drawn_without_the_rest():
     )
     with lost.view(browser=False, wait=False) as found:
         found.player.show(0.09)
-        for batch in (found.player.canvas.layers[0].bars, found.player.canvas.layers[0].strings):
-            assert np.isfinite(batch.batched_positions).all()
-            np.testing.assert_array_equal(batch.batched_scales, 0.0)
+        for part in ("bars", "strings"):
+            assert np.isfinite(batch(found, part).batched_positions).all()
+            np.testing.assert_array_equal(batch(found, part).batched_scales, 0.0)
 
 
-def test_all_sizes_are_seen():
-    for size in (1e-6, 1.0, 1e6):
-        prism = tc.shapes.prism(height=size, radius=0.5 * size)
-        with prism.view(browser=False, wait=False) as found:
-            canvas = found.player.canvas
-            away = np.linalg.norm(found._server.initial_camera.position - prism.nodes.mean(axis=0))
-            assert 1 < away / size < 10
-            assert 1e-3 < canvas.radius / size < 0.1
-            assert (
-                found._server.initial_camera.near
-                < 0.1 * away
-                < away
-                < found._server.initial_camera.far
-            )
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
+def test_structures_of_all_sizes_are_visible(size):
+    prism = tc.shapes.prism(height=size, radius=0.5 * size)
+    with prism.view(browser=False, wait=False) as found:
+        camera = found._server.initial_camera
+        distance = np.linalg.norm(camera.position - prism.nodes.mean(axis=0))
+        assert 1 < distance / size < 10
+        assert 1e-3 < found.content.bar_radius / size < 0.1
+        assert camera.near < 0.1 * distance < distance < camera.far

@@ -1,4 +1,4 @@
-"""Labels tell what was clicked, with the numbers of the time that is shown."""
+"""Labels describe items with the quantities of the displayed frame."""
 
 from __future__ import annotations
 
@@ -7,8 +7,12 @@ import pytest
 from moving import thrown
 
 import tenscasadi as tc
-from tenscasadi.viewer.labels import count, describe, places
-from tenscasadi.viewer.motion import of_rollouts, of_trajectory
+from tenscasadi.drawing.describe import describe_rollouts, describe_trajectory
+from tenscasadi.viewer.labels import count_items, describe_item, find_places
+
+
+def describe(motion, kind, index, time):
+    return describe_item(motion, motion.frame_at(time), kind, index)
 
 
 @pytest.fixture(scope="module")
@@ -17,7 +21,7 @@ def trajectory():
 
 
 def test_labels_tell_lengths_forces_and_units(trajectory):
-    motion = of_trajectory(trajectory, "thrown")
+    motion = describe_trajectory(trajectory, "thrown")
     row, string = 7, 4
     a, b = trajectory.strings[string]
     length = np.linalg.norm(trajectory.nodes[row, b] - trajectory.nodes[row, a])
@@ -39,7 +43,7 @@ def test_labels_tell_lengths_forces_and_units(trajectory):
 def test_slack_strings_say_so():
     prism = tc.shapes.prism(stiffness=10.0)
     loose = prism.replace(rest_length=2 * prism.string_lengths)
-    motion = of_trajectory(
+    motion = describe_trajectory(
         tc.simulate(tc.Model(tc.Scene(loose)), 0.02, 0.01, compiled=False), "loose"
     )
     assert describe(motion, "strings", 0, 0.0).endswith("\nslack")
@@ -47,21 +51,21 @@ def test_slack_strings_say_so():
 
 def test_copies_count_their_own_nodes():
     model = tc.Model(tc.Scene(tc.shapes.double_pendulum(), gravity=tc.Gravity((0, -9.81, 0))))
-    motion = of_rollouts(
+    motion = describe_rollouts(
         tc.rollouts(model, 0.1, 0.01, states=np.tile(model.initial_state, (3, 1)), save_every=5),
         "many",
     )
-    assert count(motion, "bars") == 6
+    assert count_items(motion, "bars") == 6
     assert describe(motion, "bars", 3, 0.0).startswith("bar 1 of motion 1, nodes 1 – 2\n")
     assert describe(motion, "nodes", 8, 0.0).startswith("node 2 of motion 2\n")
 
 
 def test_labels_stand_in_the_middle_of_members(trajectory):
-    motion = of_trajectory(trajectory, "thrown")
+    motion = describe_trajectory(trajectory, "thrown")
     nodes = trajectory.nodes[5].copy()
     np.testing.assert_allclose(
-        places(motion, "bars", nodes),
+        find_places(motion, "bars", nodes),
         (nodes[trajectory.bars[:, 0]] + nodes[trajectory.bars[:, 1]]) / 2,
     )
     nodes[0] = np.nan
-    assert np.isfinite(places(motion, "nodes", nodes)).all()
+    assert np.isfinite(find_places(motion, "nodes", nodes)).all()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from browser import coloured, picture, wait_until
+from browser import colored_fraction, picture, wait_until
 from moving import thrown
 
 from tenscasadi.viewer import view
@@ -26,7 +26,9 @@ def motion():
 def shown(motion, open_page):
     with view(motion, title="prism", browser=False, wait=False) as found:
         page = open_page(found.url)
-        wait_until(page, lambda: coloured(picture(page, **CANVAS)) > 0.01, "the canvas is drawn")
+        wait_until(
+            page, lambda: colored_fraction(picture(page, **CANVAS)) > 0.01, "the canvas is drawn"
+        )
         yield found, page
 
 
@@ -35,7 +37,7 @@ def press(page, name):
 
 
 def places(found):
-    return np.array(found.player.canvas.layers[0].nodes.batched_positions)
+    return np.array(found.player.canvas.layers[0].batches["nodes"].batched_positions)
 
 
 def canvas(page):
@@ -136,7 +138,7 @@ def test_a_click_labels_a_string_with_its_numbers(shown, motion):
     nodes = motion.nodes[50]
     x, y = on_page(found, page, nodes[motion.strings].mean(axis=1)[6])
     page.mouse.click(x, y)
-    clicked = found.player.labels.clicked
+    clicked = found.player.controls.labels.clicked
     wait_until(page, lambda: clicked, "something is clicked")
     ((_, kind, index),) = clicked
     assert kind in ("strings", "bars")
@@ -153,10 +155,10 @@ def test_a_click_labels_a_string_with_its_numbers(shown, motion):
         (9, "bars", 0),
         (0, "feet", 0),
     ):  # what a page can send
-        found.player.labels.toggle(wrong)
+        found.player.controls.labels.toggle(wrong)
     assert len(clicked) == 1
-    found.player._click(0, kind, index)
-    assert not clicked
+    found.player.controls.click(0, kind, index)
+    wait_until(page, lambda: not clicked, "the label goes")
     assert page.faults == []
 
 
@@ -168,9 +170,13 @@ def test_numbers_of_nodes_are_written_beside_them(shown, motion):
     page.get_by_text("Numbers", exact=True).click()
     page.get_by_text("Numbers of nodes").click()
     wait_until(
-        page, lambda: len(found.player.labels._numbered["nodes"]) == 6, "there are six numbers"
+        page,
+        lambda: len(found.player.controls.labels.numbers["nodes"]) == 6,
+        "there are six numbers",
     )
-    for label, node in zip(found.player.labels._numbered["nodes"], motion.nodes[50], strict=True):
+    for label, node in zip(
+        found.player.controls.labels.numbers["nodes"], motion.nodes[50], strict=True
+    ):
         np.testing.assert_allclose(label.position, node, atol=1e-6)
     wait_until(page, lambda: apart(canvas(page), before) > 1e-3, "the numbers are seen")
     assert page.faults == []

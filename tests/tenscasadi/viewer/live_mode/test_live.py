@@ -8,29 +8,31 @@ import time
 
 import numpy as np
 import pytest
-from browser import coloured, picture, wait_until
+from browser import colored_fraction, picture, wait_until
 from visitor import CAMERA, connect, say, wait_for
 
 import tenscasadi as tc
-from tenscasadi.viewer import Stepping, live
+from tenscasadi.viewer import LiveOptions, live
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'tenscasadi[view]'")
 PRISM = tc.Scene(tc.shapes.prism(prestress=50.0, stiffness=1000.0, damping=2.0))
-VIRTUAL = Stepping(compiled=False)
+VIRTUAL = LiveOptions(compiled=False)
 CANVAS = {"x": 0.0, "y": 160.0, "width": 560.0, "height": 400.0}
 # viser's own, where what can be dragged is touched: the page goes on
 KNOWN = "Unable to preventDefault inside passive event listener invocation."
 
 
 def quiet(scene=PRISM, **options):
-    return live(scene, **{"stepping": VIRTUAL, "browser": False, "wait": False, **options})
+    return live(scene, **{"options": VIRTUAL, "browser": False, "wait": False, **options})
 
 
 @pytest.fixture
 def shown(open_page, tmp_path):
     with quiet(save=tmp_path / "saved.npz") as motion:
         page = open_page(motion.url, width=1000, height=700)
-        wait_until(page, lambda: coloured(picture(page, **CANVAS)) > 0.01, "the canvas is drawn")
+        wait_until(
+            page, lambda: colored_fraction(picture(page, **CANVAS)) > 0.01, "the canvas is drawn"
+        )
         yield motion, page
         assert [fault for fault in page.faults if fault != KNOWN] == []
 
@@ -106,11 +108,11 @@ def pull(motion, page):
         "the spring ends at the pointer",
     )
     wait_until(page, lambda: np.linalg.norm(run.nodes[node] - begin) > 0.2, "the node follows")
-    assert motion._stage._arrow.visible
+    assert motion.panel._arrow.visible
     wait_until(page, lambda: "pull at node 3" in status(page), "the panel tells")
     page.mouse.up()
     wait_until(page, lambda: run.pull is None, "the mouse lets go")
-    wait_until(page, lambda: not motion._stage._arrow.visible, "the arrow goes")
+    wait_until(page, lambda: not motion.panel._arrow.visible, "the arrow goes")
 
 
 def pause_save_and_reset(motion, page, tmp_path):
@@ -135,13 +137,13 @@ def pause_save_and_reset(motion, page, tmp_path):
     wait_until(page, lambda: run.time == 0 and "t = 0.00 s" in status(page), "it is at the start")
     assert (run.control == run.start_control).all()
     wait_until(page, lambda: at(page, 2) == pytest.approx(run.start_control[0]), "sliders go back")
-    press(page, "Go on")
+    press(page, "Continue")
     wait_until(page, lambda: run.time > 0, "it goes on")
 
 
 def test_a_motion_that_breaks_down_says_so_on_the_page_and_starts_again(open_page):
     stiff = tc.Scene(PRISM.structure.replace(stiffness=1e6, damping=0.0))
-    with quiet(stiff, stepping=Stepping(step=0.01, compiled=False)) as motion:
+    with quiet(stiff, options=LiveOptions(step=0.01, compiled=False)) as motion:
         page = open_page(motion.url, width=1000, height=700)
         motion.do(
             lambda: motion.simulation.set_control([0], 0.5 * motion.simulation.start_control[0])
@@ -156,7 +158,7 @@ def test_a_motion_that_breaks_down_says_so_on_the_page_and_starts_again(open_pag
             "it is at the start",
         )
         wait_until(page, lambda: "Reset" not in status(page), "the message goes")
-        press(page, "Go on")
+        press(page, "Continue")
         wait_until(page, lambda: motion.simulation.time > 0, "it goes on")
         assert page.faults == []
 
@@ -164,7 +166,9 @@ def test_a_motion_that_breaks_down_says_so_on_the_page_and_starts_again(open_pag
 def test_a_page_that_is_closed_lets_go(open_page):
     with quiet() as motion:
         page = open_page(motion.url, width=1000, height=700)
-        wait_until(page, lambda: coloured(picture(page, **CANVAS)) > 0.01, "the canvas is drawn")
+        wait_until(
+            page, lambda: colored_fraction(picture(page, **CANVAS)) > 0.01, "the canvas is drawn"
+        )
         x, y, scale = pixel(motion, page, PRISM.structure.nodes[3])
         page.mouse.move(x, y)
         page.mouse.down()
@@ -181,7 +185,7 @@ def test_a_page_that_is_closed_lets_go(open_page):
 
 def test_messages_that_no_page_of_ours_sends_do_nothing(tmp_path):
     with quiet(save=tmp_path / "saved.npz") as motion:
-        layer = motion._stage.layer
+        layer = motion.panel.canvas.layers[0]
         with connect(motion._server) as page:
             say(page, **CAMERA)
             wait_for(motion._server.get_clients, "the page is known")
@@ -193,11 +197,11 @@ def test_messages_that_no_page_of_ours_sends_do_nothing(tmp_path):
                 "modifier": None,
             }
             drag |= {
-                "owner": layer.nodes._impl.api._owner_id,
+                "owner": layer.batches["nodes"]._impl.api._owner_id,
                 "start_position": (0.0, 0.0, 0.0),
                 "end_position": (1.0, 0.0, 0.0),
             }
-            for name in (layer.nodes.name, layer.bars.name, layer.strings.name):
+            for name in [batch.name for batch in layer.batches.values()]:
                 for index in (10**9, -5, None, np.inf):
                     say(page, **drag, name=name, phase="start", instance_index=index)
                 for place in ((np.nan, 0.0, 0.0), (np.inf, 0.0, 0.0), (1e300, 1e300, 1e300)):
@@ -234,9 +238,9 @@ def test_messages_that_no_page_of_ours_sends_do_nothing(tmp_path):
                 lambda: motion.simulation.control[-1] == motion.panel._inputs[-1][0].low,
                 "all has been heard",
             )
-            assert motion._thread.is_alive()
+            assert motion._runner.is_alive
             assert np.isfinite(motion.simulation.nodes).all()
-            say(page, **drag, name=layer.nodes.name, phase="start", instance_index=2)
+            say(page, **drag, name=layer.batches["nodes"].name, phase="start", instance_index=2)
             wait_for(
                 lambda: motion.simulation.pull is not None and motion.simulation.pull.node == 2,
                 "what is right is heard",
@@ -252,7 +256,7 @@ def test_whoever_waits_for_the_trajectory_gets_it_when_the_viewer_closes():
         found = []
         waiting = threading.Thread(target=lambda: found.append(motion.trajectory()), daemon=True)
         waiting.start()
-        motion._ended = True  # as by close, in the middle of an order
+        motion._runner._ended = True  # as by close, in the middle of an order
         going.set()
         waiting.join(20.0)
         assert len(found) == 1
@@ -269,8 +273,8 @@ def test_what_cannot_be_saved_is_said(tmp_path):
 
 
 def test_a_motion_that_is_too_slow_says_by_how_much():
-    with quiet(stepping=Stepping(step=1e-5, compiled=False)) as motion:
-        wait_for(lambda: "times real time" in motion._pace.words, "it says so")
+    with quiet(options=LiveOptions(step=1e-5, compiled=False)) as motion:
+        wait_for(lambda: "times real time" in motion._pace.message, "it says so")
         wait_for(lambda: "times real time" in motion.panel._status.content, "the panel, too")
         assert 0 < motion._pace.measured < 0.9
 
@@ -283,43 +287,39 @@ def pause(motion):
     time.sleep(0.1)  # until it is shown
 
 
-def test_what_falls_is_followed():
+def shown_nodes(motion):
+    canvas = motion.panel.canvas
+    return np.array(canvas.layers[0].batches["nodes"].batched_positions) + canvas.root.position
+
+
+def test_falling_structures_are_followed():
     falling = tc.Scene(PRISM.structure, gravity=tc.Gravity())
-    with quiet(falling) as motion:
-        stage = motion._stage
-        assert stage.followed  # nothing holds it: it would be out of sight soon
-        wait_for(lambda: motion.simulation.time > 0.5, "it falls")
-        pause(motion)
-        assert motion.simulation.nodes[:, 2].max() < 0
-        shown = np.array(stage.layer.nodes.batched_positions)
-        np.testing.assert_allclose(
-            shown.mean(axis=0), PRISM.structure.nodes.mean(axis=0), atol=1e-5
-        )
-        np.testing.assert_allclose(stage.place(shown), motion.simulation.nodes, atol=1e-5)
     grounded = tc.Scene(PRISM.structure, gravity=tc.Gravity(), ground=tc.Ground(height=-2.0))
-    with quiet(grounded) as motion:
-        stage = motion._stage
-        assert not stage.followed
-        motion.do(lambda: setattr(stage, "followed", True))
-        wait_for(lambda: motion.simulation.time > 0.3, "it falls")
-        pause(motion)
-        shown = np.array(stage.layer.nodes.batched_positions) + stage.canvas.root.position
-        np.testing.assert_allclose(
-            shown.mean(axis=0), PRISM.structure.nodes.mean(axis=0), atol=1e-5
-        )
-        np.testing.assert_allclose(stage.place(shown), motion.simulation.nodes, atol=1e-5)
+    for scene, follows in ((falling, True), (grounded, False)):
+        with quiet(scene) as motion:
+            canvas = motion.panel.canvas
+            assert canvas.followed == follows  # it would be out of sight soon
+            motion.do(lambda canvas=canvas: setattr(canvas, "followed", True))
+            wait_for(lambda run=motion.simulation: run.time > 0.3, "it falls")
+            pause(motion)
+            shown, start = shown_nodes(motion), PRISM.structure.nodes.mean(axis=0)
+            np.testing.assert_allclose(shown.mean(axis=0), start, atol=1e-5)
+            located = canvas.locate(shown)
+            np.testing.assert_allclose(located, motion.simulation.nodes, atol=1e-5)
     with quiet() as motion:
-        assert not motion._stage.followed
+        assert not motion.panel.canvas.followed
 
 
 def test_force_densities_have_sliders_and_colours():
     with quiet(
         tc.Scene(PRISM.structure, control=tc.ForceDensity()), groups={"ring": [0, 1, 2]}
     ) as motion:
-        motion.do(lambda: motion.panel._drive(1, 0.0))
+        motion.do(lambda: motion.panel.drive(1, 0.0))
         wait_for(lambda: (motion.simulation.control[:3] == 0).all(), "they are driven")
-        motion.do(lambda: motion._stage.recolour("force density"))
-        wait_for(lambda: motion._stage.canvas.scale.label == "force density", "the legend changes")
+        motion.do(lambda: motion.panel.controls.color_by("force density"))
+        wait_for(
+            lambda: motion.panel.canvas.scale.quantity == "force density", "the legend changes"
+        )
         assert motion.panel._inputs[0][1].value < 1.0  # the slider of all strings follows
 
 

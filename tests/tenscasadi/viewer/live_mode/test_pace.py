@@ -25,14 +25,14 @@ def test_a_fast_machine_keeps_real_time():
     pace = Pace(1 / 60)
     assert run(pace, 0.001, 5.0) == pytest.approx(300, abs=2)
     assert pace.measured == pytest.approx(1.0, rel=0.03)
-    assert pace.words == ""
+    assert pace.message == ""
 
 
 def test_slow_motion_and_fast_motion():
     for speed in (0.1, 3.0):
         pace = Pace(1 / 60, speed)
         assert run(pace, 0.0005, 4.0) == pytest.approx(240 * speed, abs=2)
-        assert pace.words == ""
+        assert pace.message == ""
 
 
 def test_a_slow_machine_says_how_slow_and_does_not_pile_up_what_is_due():
@@ -40,8 +40,8 @@ def test_a_slow_machine_says_how_slow_and_does_not_pile_up_what_is_due():
     total = run(pace, 0.05, 6.0)
     assert total == pytest.approx(6.0 / 0.05, rel=0.06)
     assert pace.measured == pytest.approx((1 / 60) / 0.05, rel=0.06)
-    assert pace.words.startswith("0.3")
-    assert "real time" in pace.words
+    assert pace.message.startswith("0.3")
+    assert "real time" in pace.message
     assert pace.due(6.05) <= 6  # and not the 240 ticks that were never computed
     assert pace.due(1e6) <= 6
 

@@ -9,10 +9,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import tenscasadi as tc
-from tenscasadi.viewer.live_mode.simulation import LiveSimulation, Stepping
+from tenscasadi.viewer.live_mode.simulation import LiveOptions, LiveSimulation
 
 PRISM = tc.shapes.prism(prestress=50.0, stiffness=1000.0, damping=2.0)
-VIRTUAL = Stepping(compiled=False)
+VIRTUAL = LiveOptions(compiled=False)
 
 
 def mass_on_a_string(**options):
@@ -29,7 +29,7 @@ def mass_on_a_string(**options):
 
 
 def test_what_is_done_by_hand_is_what_simulate_does_of_a_table():
-    run = LiveSimulation(tc.Scene(PRISM, gravity=tc.Gravity((0, 0, -1.0))), stepping=VIRTUAL)
+    run = LiveSimulation(tc.Scene(PRISM, gravity=tc.Gravity((0, 0, -1.0))), options=VIRTUAL)
     table = []
     for k in range(12):
         run.set_control([k % 9], (0.9 + 0.01 * k) * run.start_control[k % 9])
@@ -57,7 +57,7 @@ def test_what_is_done_by_hand_is_what_simulate_does_of_a_table():
 
 
 def test_a_pull_is_the_force_of_a_damped_spring():
-    run = LiveSimulation(mass_on_a_string(gravity=tc.Gravity()), stepping=VIRTUAL)
+    run = LiveSimulation(mass_on_a_string(gravity=tc.Gravity()), options=VIRTUAL)
     target = np.array([0.3, 0.0, -1.2])
     run.grab(1, target)
     pull = run.pull
@@ -92,7 +92,7 @@ def test_a_pull_is_the_force_of_a_damped_spring():
 
 
 def test_a_node_that_is_pulled_comes_to_the_pointer_and_rests_there():
-    free = LiveSimulation(tc.Scene(PRISM), stepping=VIRTUAL)
+    free = LiveSimulation(tc.Scene(PRISM), options=VIRTUAL)
     target = free.nodes[3] + [0.4, 0.1, 0.2]
     free.grab(3, target)
     free.advance(60 * 20)
@@ -104,7 +104,7 @@ def test_a_node_that_is_pulled_comes_to_the_pointer_and_rests_there():
 
 
 def test_force_densities_are_driven_too():
-    run = LiveSimulation(tc.Scene(PRISM, control=tc.ForceDensity()), stepping=VIRTUAL)
+    run = LiveSimulation(tc.Scene(PRISM, control=tc.ForceDensity()), options=VIRTUAL)
     run.set_control(range(9), 0.0)
     run.advance(3)
     assert (run.observed["force_density"] == 0).all()
@@ -115,7 +115,7 @@ def test_force_densities_are_driven_too():
 
 
 def test_reset_goes_back_to_the_start():
-    run = LiveSimulation(tc.Scene(PRISM), stepping=VIRTUAL)
+    run = LiveSimulation(tc.Scene(PRISM), options=VIRTUAL)
     run.set_control([0], 0.5)
     run.grab(4, (1.0, 1.0, 1.0))
     run.advance(5)
@@ -134,7 +134,7 @@ def test_reset_goes_back_to_the_start():
 
 def test_a_motion_that_breaks_down_says_so_and_can_be_reset():
     stiff = tc.Scene(PRISM.replace(stiffness=1e6, damping=0.0))
-    run = LiveSimulation(stiff, stepping=Stepping(step=0.01, compiled=False))
+    run = LiveSimulation(stiff, options=LiveOptions(step=0.01, compiled=False))
     run.set_control([0], 0.5 * run.start_control[0])
     done = run.advance(200)
     assert done < 200
@@ -152,7 +152,7 @@ def test_a_motion_that_breaks_down_says_so_and_can_be_reset():
 
 
 def test_the_default_step_is_stable():
-    run = LiveSimulation(tc.Scene(PRISM.replace(stiffness=1e6)), stepping=VIRTUAL)
+    run = LiveSimulation(tc.Scene(PRISM.replace(stiffness=1e6)), options=VIRTUAL)
     assert run.step <= 0.5 * tc.stable_step(run.model, safety=1.0)
     assert run.advance(30) == 30
 
@@ -166,9 +166,9 @@ def test_any_scheme_goes(scheme):
     correction = tc.Projection() if not isinstance(scheme, tc.Rattle) else None
     run = LiveSimulation(
         mass_on_a_string(gravity=tc.Gravity()),
-        stepping=Stepping(0.002, scheme, correction, compiled=False),
+        options=LiveOptions(0.002, scheme, correction, compiled=False),
     )
-    reference = LiveSimulation(mass_on_a_string(gravity=tc.Gravity()), stepping=VIRTUAL)
+    reference = LiveSimulation(mass_on_a_string(gravity=tc.Gravity()), options=VIRTUAL)
     for one in (run, reference):
         one.set_control([0], 0.8)
         one.grab(1, (0.1, 0.0, -1.0))
@@ -179,7 +179,7 @@ def test_any_scheme_goes(scheme):
 
 def test_machine_code_does_the_same():
     runs = [
-        LiveSimulation(mass_on_a_string(), stepping=Stepping(step=5e-4, compiled=compiled))
+        LiveSimulation(mass_on_a_string(), options=LiveOptions(step=5e-4, compiled=compiled))
         for compiled in (None, False)
     ]
     for run in runs:
@@ -189,7 +189,7 @@ def test_machine_code_does_the_same():
 
 
 def test_a_trajectory_is_saved_and_read(tmp_path):
-    run = LiveSimulation(tc.Scene(PRISM), stepping=VIRTUAL)
+    run = LiveSimulation(tc.Scene(PRISM), options=VIRTUAL)
     run.advance(4)
     kept = run.trajectory()
     assert (
@@ -203,7 +203,7 @@ def test_a_trajectory_is_saved_and_read(tmp_path):
 
 def test_forces_that_change_over_time_leave_no_pull():
     forces = tc.NodalForce(lambda t: [[0, 0, 0], [np.sin(t), 0, 0]])
-    run = LiveSimulation(mass_on_a_string(forces=forces), stepping=VIRTUAL)
+    run = LiveSimulation(mass_on_a_string(forces=forces), options=VIRTUAL)
     assert not run.pullable.any()
     with pytest.raises(ValueError, match="node 1 cannot be pulled"):
         run.grab(1, (0, 0, 0))
@@ -215,9 +215,9 @@ def test_parameters_have_the_values_that_are_given(stiffness):
     scene = mass_on_a_string(parameters=tc.Parameters("stiffness"))
     values = None if stiffness is None else {"stiffness": stiffness}
     built = replace(scene, parameters=None, structure=scene.structure.replace(**(values or {})))
-    plain = LiveSimulation(built, stepping=VIRTUAL)
+    plain = LiveSimulation(built, options=VIRTUAL)
     runs = [
-        LiveSimulation(given, stepping=VIRTUAL, parameters=values)
+        LiveSimulation(given, options=VIRTUAL, parameters=values)
         for given in (tc.Model(scene), scene)
     ]
     for one in (plain, *runs):
@@ -226,7 +226,7 @@ def test_parameters_have_the_values_that_are_given(stiffness):
 
 
 def test_odd_input_is_refused_by_name():
-    run = LiveSimulation(mass_on_a_string(), stepping=VIRTUAL)
+    run = LiveSimulation(mass_on_a_string(), options=VIRTUAL)
     for value, words in ((0.0, "rest length 0 m"), (-1.0, "rest length -1"), (np.nan, "value")):
         with pytest.raises(ValueError, match=words):
             run.set_control([0], value)
@@ -238,8 +238,8 @@ def test_odd_input_is_refused_by_name():
             run.grab(node, target)
     for wrong in ({"step": 0.0}, {"tick": -1.0}, {"step": np.nan}):
         with pytest.raises(ValueError, match=r"step|tick"):
-            Stepping(**wrong)
+            LiveOptions(**wrong)
     with pytest.raises(TypeError, match="model is"):
         LiveSimulation("prism")
     with pytest.raises(ValueError, match="state"):
-        LiveSimulation(mass_on_a_string(), state=[1.0], stepping=VIRTUAL)
+        LiveSimulation(mass_on_a_string(), state=[1.0], options=VIRTUAL)

@@ -6,21 +6,21 @@ import numpy as np
 import pytest
 
 import tenscasadi as tc
-from tenscasadi.viewer.live_mode.simulation import LiveSimulation, Stepping
-from tenscasadi.viewer.live_mode.sliders import MOST, single, sliders_of
+from tenscasadi.viewer.live_mode.simulation import LiveOptions, LiveSimulation
+from tenscasadi.viewer.live_mode.sliders import MOST, build_slider, choose_sliders
 
-VIRTUAL = Stepping(compiled=False)
+VIRTUAL = LiveOptions(compiled=False)
 PRISM = tc.shapes.prism(prestress=50.0, stiffness=1000.0)
 BALL = tc.shapes.six_bar_ball(prestress=50.0, stiffness=1000.0)
 
 
 def simulation(structure, **options):
-    return LiveSimulation(tc.Scene(structure, **options), stepping=VIRTUAL)
+    return LiveSimulation(tc.Scene(structure, **options), options=VIRTUAL)
 
 
 def test_few_strings_have_one_each_and_one_for_all():
     run = simulation(PRISM)
-    sliders = sliders_of(run)
+    sliders = choose_sliders(run)
     assert [slider.name for slider in sliders] == [
         "all (factor)",
         *(f"string {k}" for k in range(9)),
@@ -37,22 +37,22 @@ def test_few_strings_have_one_each_and_one_for_all():
 
 def test_many_strings_that_are_alike_share_one():
     run = simulation(BALL)
-    sliders = sliders_of(run)
+    sliders = choose_sliders(run)
     assert len(sliders) == 1
     assert sliders[0].strings == tuple(range(24))
     assert sliders[0].name.startswith("24 strings: 0, 1, 2")
     unlike = tc.Structure(
         BALL.nodes, BALL.bars, BALL.strings, rest_length=np.linspace(0.4, 0.6, 24)
     )
-    sliders = sliders_of(simulation(unlike))
+    sliders = choose_sliders(simulation(unlike))
     assert len(sliders) == 1 <= MOST
     assert sliders[0].factor
-    assert single(run, 7).strings == (7,)
+    assert build_slider(run, 7).strings == (7,)
 
 
 def test_groups_of_ones_own():
     run = simulation(PRISM)
-    sliders = sliders_of(run, {"top": [0, 1, 2], "mixed": (0, 8)})
+    sliders = choose_sliders(run, {"top": [0, 1, 2], "mixed": (0, 8)})
     assert [slider.name for slider in sliders[1:]] == ["top", "mixed (factor)"]
     sliders[2].apply(run, 1.2)
     np.testing.assert_allclose(run.control[[0, 8]], 1.2 * run.start_control[[0, 8]])
@@ -63,23 +63,23 @@ def test_groups_of_ones_own():
         ({3: [0]}, "groups"),
     ):
         with pytest.raises((TypeError, ValueError), match=words):
-            sliders_of(run, wrong)
+            choose_sliders(run, wrong)
 
 
 def test_force_densities_run_from_zero():
     run = simulation(PRISM, control=tc.ForceDensity())
-    sliders = sliders_of(run)
+    sliders = choose_sliders(run)
     assert all(slider.low == 0 for slider in sliders)
     assert sliders[1].high == pytest.approx(3 * run.start_control[0])
     slack = simulation(
         PRISM.replace(rest_length=10.0), control=tc.ForceDensity()
     )  # no force at the start: a factor on it does nothing
-    assert all(not slider.factor and slider.high == 100 for slider in sliders_of(slack))
+    assert all(not slider.factor and slider.high == 100 for slider in choose_sliders(slack))
 
 
 def test_what_a_page_sends_beyond_the_ends_is_cut_and_no_number_is_nothing():
     run = simulation(PRISM)
-    slider = sliders_of(run)[1]
+    slider = choose_sliders(run)[1]
     slider.apply(run, -5.0)
     assert run.control[0] == pytest.approx(slider.low)
     slider.apply(run, 1e9)
@@ -90,4 +90,4 @@ def test_what_a_page_sends_beyond_the_ends_is_cut_and_no_number_is_nothing():
 
 
 def test_no_strings_no_sliders():
-    assert sliders_of(simulation(tc.shapes.pendulum())) == []
+    assert choose_sliders(simulation(tc.shapes.pendulum())) == []

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from browser import coloured, picture, wait_until
+from browser import colored_fraction, picture, wait_until
 from moving import thrown
 
 from tenscasadi.viewer import view
-from tenscasadi.viewer.web.page import MOST_FRAMES, frame_times
 
 
 @pytest.fixture(scope="module")
@@ -20,7 +19,9 @@ def test_a_page_plays_and_goes_where_it_is_told(motion, open_page, tmp_path):
     view({"falling": motion}, html=tmp_path / "prism.html", speed=0.5)
     page = open_page((tmp_path / "prism.html").as_uri())
     canvas = {"x": 0.0, "y": 160.0, "width": 560.0, "height": 380.0}
-    wait_until(page, lambda: coloured(picture(page, **canvas)) > 0.01, "the canvas is drawn")
+    wait_until(
+        page, lambda: colored_fraction(picture(page, **canvas)) > 0.01, "the canvas is drawn"
+    )
     clock = page.locator("#shown-time")
     told = float(clock.inner_text().split()[0])
     wait_until(page, lambda: float(clock.inner_text().split()[0]) != told, "the clock runs")
@@ -52,14 +53,3 @@ def test_a_page_plays_and_goes_where_it_is_told(motion, open_page, tmp_path):
     assert page.title() == "falling"
     assert page.faults == []
     assert all(url.startswith(("file:", "data:", "blob:")) for url in page.asked)
-
-
-def test_frames_are_even_and_not_too_many():
-    np.testing.assert_allclose(frame_times(1.0, 3.0, 2.0, 30), np.linspace(1, 3, 31))
-    assert len(frame_times(0.0, 1e-9, 1.0, 30)) == 2
-    with pytest.raises(
-        ValueError,
-        match="speed is 1: 1000 s would take 30001 frames in the page, give a speed of at least 10",
-    ):
-        frame_times(0.0, 1000.0, 1.0, 30)
-    assert len(frame_times(0.0, 1000.0, 10.01, 30)) <= MOST_FRAMES

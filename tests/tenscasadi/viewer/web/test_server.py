@@ -9,7 +9,13 @@ import sys
 import pytest
 from visitor import CAMERA, connect, say, wait_for
 
-from tenscasadi.viewer.web.server import OpenToNetwork, address, is_plain, refuse, start_server
+from tenscasadi.viewer.web.server import (
+    OpenToNetwork,
+    address,
+    is_plain,
+    refuse_request,
+    start_server,
+)
 
 viser = pytest.importorskip(
     "viser", reason="viser is not installed: pip install 'tenscasadi[view]'"
@@ -154,9 +160,11 @@ def test_what_is_plain():
 
 def test_a_server_for_others_knows_itself_by_any_name():
     headers = {"Host": "lab.example:8080", "Origin": "http://lab.example:8080"}
-    assert refuse("/", headers, local=False) == ""
-    assert "for the machine" in refuse("/", headers, local=True)
-    assert "other sites" in refuse("/", headers | {"Origin": "http://evil.example"}, local=False)
+    assert refuse_request("/", headers, local=False) == ""
+    assert "for the machine" in refuse_request("/", headers, local=True)
+    assert "other sites" in refuse_request(
+        "/", headers | {"Origin": "http://evil.example"}, local=False
+    )
 
 
 def test_ports():

@@ -1,0 +1,130 @@
+"""Conversion of structures, scenes, motions and plans into the content of a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from tenscasadi.drawing.view_content import Motion, ViewContent
+from tenscasadi.dynamics.model import Model
+from tenscasadi.scene.ground import Grounds, checked_grounds
+from tenscasadi.scene.scene import Scene
+from tenscasadi.scene.strings import Clip, StringLaw
+from tenscasadi.simulation.motions import Rollouts, node_positions
+from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.structure.structure import Structure
+from tenscasadi.util.validate import Indices, shown, text
+
+_KINDS = "Structure, Scene, Model, Trajectory, Rollouts or ocp.Plan"
+MOST_COPIES = 60  # drawn motions of rollouts: more are no longer told apart
+
+
+def describe_content(things: Any, field: str = "things", ground: Grounds = None) -> ViewContent:
+    """Describe one thing, a list of things, or a mapping of names to things.
+
+    Objects of other packages describe themselves by a method ``_view_content_()``. `field` names
+    the things in errors, and `ground` holds grounds besides those of the scenes.
+    """
+    if isinstance(things, Mapping):
+        named = [(text(field, name), thing) for name, thing in things.items()]
+    else:
+        named = [("", one) for one in (things if isinstance(things, (list, tuple)) else [things])]
+    if not named:
+        raise ValueError(f"{field} is empty: give at least one {_KINDS}")
+    parts = []
+    for name, thing in named:
+        part = _describe(thing, name)
+        if part is None:
+            raise TypeError(f"{field} is {shown(thing)}: give a {_KINDS}, a list or a mapping")
+        parts.append(part)
+    motions = tuple(motion for part in parts for motion in part.motions)
+    if len({motion.name for motion in motions}) < len(motions):
+        motions = tuple(
+            replace(motion, name=f"{k + 1}: {motion.name}") for k, motion in enumerate(motions)
+        )
+    grounds = [ground for part in parts for ground in part.grounds]
+    grounds += checked_grounds(ground, "ground")
+    return ViewContent(
+        motions,
+        tuple({id(ground): ground for ground in grounds}.values()),
+        tuple(ball for part in parts for ball in part.obstacles),
+        tuple(box for part in parts for box in part.boxes),
+        np.concatenate([part.targets for part in parts]),
+        tuple(chart for part in parts for chart in part.charts),
+        tuple(dict.fromkeys(note for part in parts for note in part.notes)),
+    )
+
+
+def _describe(thing: Any, name: str) -> ViewContent | None:
+    """Describe one thing; None if its type is unknown."""
+    if isinstance(thing, Structure):
+        return ViewContent((describe_structure(thing, name or "structure"),))
+    if isinstance(thing, Model):
+        thing = thing.scene
+    if isinstance(thing, Scene):
+        motion = describe_structure(thing.modelled, name or "scene", thing.string_laws)
+        return ViewContent((motion,), thing.grounds)
+    if isinstance(thing, Trajectory):
+        notes = () if thing.success else (f"{name or 'trajectory'}: {thing.message}",)
+        return ViewContent((describe_trajectory(thing, name or "trajectory"),), notes=notes)
+    if isinstance(thing, Rollouts):
+        failed = np.count_nonzero(~thing.success)
+        notes = (f"{failed} of {len(thing.success)} motions failed",) if failed else ()
+        return ViewContent((describe_rollouts(thing, name or "rollouts"),), notes=notes)
+    describe = getattr(thing, "_view_content_", None)
+    content = describe() if callable(describe) else None
+    return content if isinstance(content, ViewContent) else None
+
+
+def describe_structure(
+    structure: Structure, name: str, laws: Iterable[tuple[StringLaw, Indices]] | None = None
+) -> Motion:
+    """Describe a structure at rest, with the string forces of its rest lengths.
+
+    `laws` are those of its strings; by default all have `Clip`.
+    """
+    s, every = structure, np.arange(len(structure.strings))
+    density = np.zeros(len(s.strings))
+    for law, some in [(Clip(), every)] if laws is None else laws:
+        length, rest, stiffness = s.string_lengths[some], s.rest_length[some], s.stiffness[some]
+        found = law.force_density(length**2, rest, stiffness, None, length)
+        density[some] = np.where(length > 0, np.asarray(found).ravel(), 0.0)
+    tension = density * s.string_lengths
+    return Motion(
+        name,
+        np.zeros(1),
+        s.nodes[None],
+        s.bars,
+        s.strings,
+        np.array(sorted({*s.pinned, *s.rollers}), dtype=np.intp),
+        tension=tension[None],
+        force_density=density[None],
+    )
+
+
+def describe_trajectory(trajectory: Trajectory, name: str) -> Motion:
+    """Describe a trajectory."""
+    t = trajectory
+    return Motion(
+        name, t.time, t.nodes, t.bars, t.strings, t.pinned, t.velocities, t.tension, t.force_density
+    )
+
+
+def describe_rollouts(rollouts: Rollouts, name: str) -> Motion:
+    """Describe evenly selected rollouts as copies of one structure."""
+    total = len(rollouts.states)
+    chosen = np.unique(np.linspace(0, total - 1, min(total, MOST_COPIES)).round().astype(int))
+    paths = node_positions(rollouts, slice(None), chosen).swapaxes(0, 1)  # (T, copies, n, 3)
+    offsets = len(rollouts.place) * np.arange(len(chosen))
+    bars, strings, pinned = (
+        np.concatenate([indices + offset for offset in offsets])
+        for indices in (rollouts.bars, rollouts.strings, rollouts.pinned)
+    )
+    some = f"{len(chosen)} of {total}" if len(chosen) < total else f"{total}"
+    nodes = paths.reshape(len(rollouts.time), -1, 3)
+    return Motion(
+        f"{name}: {some} motions", rollouts.time, nodes, bars, strings, pinned, copies=len(chosen)
+    )

@@ -1,0 +1,260 @@
+"""Content of a picture: motions, their surroundings, and curves over time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tenscasadi.drawing.style import STYLE
+from tenscasadi.util.validate import Array, Indices
+
+
+class NodeForces(NamedTuple):
+    """Forces on the nodes of a motion.
+
+    Attributes
+    ----------
+    name : {"load", "reaction", "contact"}
+        Kind of force, which selects its color.
+    at : callable
+        Computes the forces (n, 3) [N] at a row of the motion.
+    """
+
+    name: str
+    at: Callable[[int], Array]
+
+
+class Frame(NamedTuple):
+    """Motion at one time.
+
+    Attributes
+    ----------
+    nodes : ndarray, shape (n, 3)
+        Positions [m].
+    velocities : ndarray, shape (n, 3), or None
+        Velocities [m/s].
+    tension, force_density : ndarray, shape (α,), or None
+        Forces [N] and force densities [N/m] of the strings.
+    """
+
+    nodes: Array
+    velocities: Array | None = None
+    tension: Array | None = None
+    force_density: Array | None = None
+
+    def values(self, quantity: str) -> Array | None:
+        """Select the "tension" or the "force density" of the strings."""
+        return self.tension if quantity == "tension" else self.force_density
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Nodes of a structure over time.
+
+    Attributes
+    ----------
+    name : str
+        Name in legends.
+    time : ndarray, shape (T,)
+        Times [s].
+    nodes : ndarray, shape (T, n, 3)
+        Positions [m].
+    bars, strings : ndarray of int, shape (β, 2) and (α, 2)
+        Nodes at the ends of each member.
+    pinned : ndarray of int
+        Nodes with supports.
+    velocities : ndarray, shape (T, n, 3), optional
+        Velocities [m/s] for the interpolation between rows. Default: linear.
+    tension, force_density : ndarray, shape (T, α), optional
+        Forces [N] and force densities [N/m] of the strings.
+    copies : int
+        Number of equal structures in the arrays.
+    forces : tuple of NodeForces
+        Forces that are drawn as arrows.
+    """
+
+    name: str
+    time: Array
+    nodes: Array
+    bars: Indices
+    strings: Indices
+    pinned: Indices
+    velocities: Array | None = None
+    tension: Array | None = None
+    force_density: Array | None = None
+    copies: int = 1
+    forces: tuple[NodeForces, ...] = ()
+
+    @property
+    def start(self) -> float:
+        """First time [s]."""
+        return float(self.time[0])
+
+    @property
+    def end(self) -> float:
+        """Last time [s]."""
+        return float(self.time[-1])
+
+    def row_at(self, time: float) -> int:
+        """Find the last row at or before a time."""
+        row = np.searchsorted(self.time, time, side="right") - 1
+        return int(np.clip(row, 0, len(self.time) - 1))
+
+    def nodes_at(self, time: float) -> Array:
+        """Interpolate the nodes (n, 3) [m] by a cubic Hermite spline.
+
+        Before the first and after the last row the nodes are at rest.
+        """
+        k = self.row_at(time)
+        if k + 1 >= len(self.time) or time <= self.time[k]:
+            return np.asarray(self.nodes[k])
+        h = float(self.time[k + 1] - self.time[k])
+        s = (time - float(self.time[k])) / h
+        first, second = self.nodes[k], self.nodes[k + 1]
+        with np.errstate(over="ignore", invalid="ignore"):
+            if self.velocities is None:
+                return np.asarray(first + s * (second - first))
+            slope = s * (1 - s) ** 2 * self.velocities[k] - s**2 * (1 - s) * self.velocities[k + 1]
+            return np.asarray(first + s**2 * (3 - 2 * s) * (second - first) + h * slope)
+
+    def frame_at(self, time: float) -> Frame:
+        """Interpolate the nodes, and select the other quantities of the row before."""
+        row = self.row_at(time)
+        others = (self.velocities, self.tension, self.force_density)
+        return Frame(
+            self.nodes_at(time), *(values if values is None else values[row] for values in others)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Chart:
+    """Curves over time with their limits.
+
+    Attributes
+    ----------
+    title, unit : str
+        Quantity and its unit.
+    time : ndarray, shape (T,)
+        Times [s].
+    values : ndarray, shape (T, m) or (T − 1, m)
+        Values at the times, or constant between consecutive times.
+    names : tuple of str
+        Names of the curves.
+    lower, upper : ndarray, shape (m,), optional
+        Limits, infinite where there is none.
+    shaded : tuple of (float, float)
+        Intervals of time with a gray background, such as contact [s].
+    """
+
+    title: str
+    unit: str
+    time: Array
+    values: Array
+    names: tuple[str, ...]
+    lower: Array | None = None
+    upper: Array | None = None
+    shaded: tuple[tuple[float, float], ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class ViewContent:
+    """Content of a picture.
+
+    Attributes
+    ----------
+    motions : tuple of Motion
+        Superimposed motions, the first of them opaque.
+    grounds : tuple of Surface
+        Planes and height fields.
+    obstacles : tuple of (center, radius)
+        Spheres [m].
+    boxes : tuple of (corner, corner)
+        Boxes that nodes stay in [m].
+    targets : ndarray, shape (k, 3)
+        Target positions of nodes [m].
+    charts : tuple of Chart
+        Curves beside the picture.
+    notes : tuple of str
+        Remarks below the legend.
+    """
+
+    motions: tuple[Motion, ...]
+    grounds: tuple[Any, ...] = ()
+    obstacles: tuple[tuple[Any, float], ...] = ()
+    boxes: tuple[tuple[Array, Array], ...] = ()
+    targets: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    charts: tuple[Chart, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    def start(self) -> float:
+        """First time of any motion [s]."""
+        return min(motion.start for motion in self.motions)
+
+    @property
+    def end(self) -> float:
+        """Last time of any motion [s]."""
+        return max(motion.end for motion in self.motions)
+
+    @cached_property
+    def corners(self) -> tuple[Array, Array]:
+        """Corners of a box around all motions [m].
+
+        Outliers are ignored, such as the nodes of a motion that diverged.
+        """
+        rows = [motion.nodes[0] for motion in self.motions]
+        rows += [motion.nodes.reshape(-1, 3) for motion in self.motions]
+        first = _finite(np.concatenate(rows[: len(self.motions)]))
+        if not len(first):
+            return np.full(3, -0.5), np.full(3, 0.5)
+        center, extent = (first.max(0) + first.min(0)) / 2, float(np.ptp(first, axis=0).max()) or 1
+        points = _finite(np.concatenate(rows))
+        points = points[(np.abs(points - center) <= 20 * extent).all(axis=1)]
+        low, high = points.min(axis=0), points.max(axis=0)
+        margin = 0.0 if np.any(high > low) else 0.5
+        return low - margin, high + margin
+
+    @property
+    def size(self) -> float:
+        """Largest extent of all motions [m]."""
+        low, high = self.corners
+        return float((high - low).max())
+
+    @cached_property
+    def bar_radius(self) -> float:
+        """Radius of bars [m].
+
+        It is a fraction of the median member length, but large enough to be visible.
+        """
+        motion, whole = self.motions[0], self.size
+        members = motion.bars if len(motion.bars) else motion.strings
+        ends = motion.nodes[0][members]
+        lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+        typical = float(np.median(lengths)) if len(members) else 0.0
+        length = typical if 0 < typical < np.inf else whole
+        return max(STYLE.min_radius * whole, STYLE.bar_radius * length)
+
+
+def _finite(points: Array) -> Array:
+    return points[np.isfinite(points).all(axis=1)]
+
+
+def choose_frame_times(
+    content: ViewContent, speed: float, frames_per_second: int, most: int
+) -> Array:
+    """Choose the times of the frames of a film [s], including both ends.
+
+    `speed` is in simulated seconds per second. Raises ValueError if there would be more than `most`
+    frames.
+    """
+    duration = content.end - content.start
+    steps = max(round(duration / speed * frames_per_second), int(duration > 0))
+    if steps >= most:
+        raise ValueError(
+            f"speed is {speed:g}: {duration:g} s would take {steps + 1} frames, give a speed of at least {speed * (steps + 1) / most:.2g}"
+        )
+    return np.linspace(content.start, content.end, steps + 1)

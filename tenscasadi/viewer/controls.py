@@ -1,0 +1,114 @@
+"""Controls that recorded and live motions share: color, visibility, labels and legend."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from tenscasadi.drawing.color_scale import QUANTITIES
+from tenscasadi.viewer.canvas import PARTS, Canvas
+from tenscasadi.viewer.labels import KINDS, Labels
+from tenscasadi.viewer.legend import build_legend
+
+if TYPE_CHECKING:
+    import viser
+
+FRAME_RATE = 30  # pictures per second
+SPEEDS = ("0.01", "0.02", "0.05", "0.1", "0.2", "0.5", "1", "2", "5", "10")
+
+
+class ViewControls:
+    """Controls of the picture.
+
+    Parameters
+    ----------
+    server : viser.ViserServer
+        Server.
+    canvas : Canvas
+        Canvas.
+    change : callable
+        Executes a change of the picture, and redraws it.
+    """
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        canvas: Canvas,
+        change: Callable[[Callable[[], Any]], None],
+    ) -> None:
+        self.canvas, self._change, self._gui = canvas, change, server.gui
+        self.labels = Labels(server, canvas)
+        server.gui.configure_theme(show_logo=False, show_share_button=False)
+        self._legend: Any = None
+
+    def add_follow(self) -> None:
+        """Add the box that keeps the structure in view."""
+        follow = partial(setattr, self.canvas, "followed")
+        self._add_box("Follow", self.canvas.followed, follow, "keep the structure in view")
+
+    def add_color(self) -> None:
+        """Add the choice of the quantity that colors the strings."""
+        choice = self._gui.add_dropdown(
+            "Color", tuple(QUANTITIES), initial_value=self.canvas.quantity
+        )
+        choice.on_update(lambda _: self._change(lambda: self.color_by(choice.value)))
+
+    def add_visibility(self) -> None:
+        """Add a box for each of several motions."""
+        for layer in self.canvas.layers if len(self.canvas.layers) > 1 else ():
+            self._add_box(layer.shapes.motion.name, True, partial(setattr, layer.root, "visible"))
+
+    def add_labels(self) -> None:
+        """Add the boxes that number nodes and members, and label clicked ones."""
+        with self._gui.add_folder("Numbers", expand_by_default=False):
+            for kind in KINDS:
+                if kind in self.canvas.layers[0].batches:
+                    self._add_box(f"Numbers of {kind}", False, partial(self.labels.number, kind))
+        for k, layer in enumerate(self.canvas.layers):
+            for kind in PARTS:
+                if kind in KINDS and kind in layer.batches:
+                    layer.batches[kind].on_click(
+                        lambda event, k=k, kind=kind: self.click(k, kind, event.instance_index)
+                    )
+
+    def add_legend(self) -> None:
+        """Add the legend."""
+        self._legend = self._gui.add_html(build_legend(self.canvas))
+
+    def update_legend(self) -> None:
+        """Bring the legend up to date."""
+        if self._legend is not None:
+            self._legend.content = build_legend(self.canvas)
+
+    def color_by(self, quantity: str) -> None:
+        """Color strings by a quantity; unknown ones, which a page can send, are ignored."""
+        if quantity in QUANTITIES:
+            self.canvas.color_by(quantity)
+            self.update_legend()
+
+    def click(self, motion: int, kind: str, index: int | None) -> None:
+        """Toggle the label of a clicked item."""
+        if isinstance(index, int):
+            self._change(lambda: self.labels.toggle((motion, kind, index)))
+
+    def _add_box(
+        self, name: str, value: bool, apply: Callable[[bool], Any], hint: str | None = None
+    ) -> None:
+        """Add a check box that changes the picture."""
+        box = self._gui.add_checkbox(name, value, hint=hint)
+        box.on_update(lambda _: self._change(lambda: apply(bool(box.value))))
+
+
+def add_speed(gui: viser.GuiApi, speed: float, set_speed: Callable[[float], Any]) -> None:
+    """Add the choice of the speed."""
+    current = f"{speed:g}"
+    speeds = tuple(sorted({*SPEEDS, current}, key=float))
+    hint = "simulated seconds per second"
+    choice = gui.add_dropdown("Speed", speeds, initial_value=current, hint=hint)
+
+    def update(_: Any) -> None:
+        if choice.value in speeds:  # a page can send any text
+            set_speed(float(choice.value))
+
+    choice.on_update(update)
