@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from tenscasadi.util.renamed import find_renamed
-from tenscasadi.viewer.live_mode.options import LiveOptions
+from tenscasadi.util.renamed import find_attribute
 
-__getattr__ = find_renamed("tenscasadi.viewer", {"Stepping": ("LiveOptions", LiveOptions)})
+__getattr__ = find_attribute("tenscasadi.viewer", {}, {"Stepping": "LiveOptions"})

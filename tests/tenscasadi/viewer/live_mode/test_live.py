@@ -310,7 +310,7 @@ def test_falling_structures_are_followed():
         assert not motion.panel.canvas.followed
 
 
-def test_force_densities_have_sliders_and_colours():
+def test_force_densities_have_sliders_and_colors():
     with quiet(
         tc.Scene(PRISM.structure, control=tc.ForceDensity()), groups={"ring": [0, 1, 2]}
     ) as motion:
@@ -318,7 +318,8 @@ def test_force_densities_have_sliders_and_colours():
         wait_for(lambda: (motion.simulation.control[:3] == 0).all(), "they are driven")
         motion.do(lambda: motion.panel.controls.color_by("force density"))
         wait_for(
-            lambda: motion.panel.canvas.scale.quantity == "force density", "the legend changes"
+            lambda: getattr(motion.panel.canvas.scale, "quantity", "") == "force density",
+            "the legend changes",
         )
         assert motion.panel._inputs[0][1].value < 1.0  # the slider of all strings follows
 
@@ -335,3 +336,10 @@ def test_odd_input_is_refused_before_there_is_a_server():
     ):
         with pytest.raises((TypeError, ValueError), match=words):
             quiet(**wrong)
+
+
+def test_the_old_name_of_the_options_warns():
+    from tenscasadi import viewer
+
+    with pytest.warns(DeprecationWarning, match="use tenscasadi.viewer.LiveOptions"):
+        assert viewer.Stepping is LiveOptions
