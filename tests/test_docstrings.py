@@ -22,6 +22,7 @@ import tenscasadi
 import tenscasadi.envs
 import tenscasadi.viewer
 from ocp.results.planned_forces import PlannedForces
+from tenscasadi.schema.value import Value
 from tenscasadi.util.tables import Tabular
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -80,8 +81,10 @@ def faults(name: str, codes: set[str]) -> list[str]:
 def methods(name: str, cls: type) -> Iterator[str]:
     inherited = [vars(base) for base in (Tabular, PlannedForces) if issubclass(cls, base)]
     for own, value in ChainMap(vars(cls), *inherited).items():
-        if not own.startswith("_") and (
-            inspect.isfunction(value) or isinstance(value, (classmethod, staticmethod))
+        if (
+            not own.startswith("_")
+            and own not in vars(Value)
+            and (inspect.isfunction(value) or isinstance(value, (classmethod, staticmethod)))
         ):
             yield f"{name}.{own}"
 

@@ -27,8 +27,8 @@ from tenscasadi.io.structure_section import OfStructure
 from tenscasadi.scene.strings import Control, ForceDensity
 from tenscasadi.schema.containers import Either, TableOf
 from tenscasadi.schema.definitions import OneOf, definition
-from tenscasadi.schema.forms import PER_ITEM, STATE, Word
-from tenscasadi.schema.reading import Item, Names, NotWritten, call
+from tenscasadi.schema.field_types import PER_ITEM, STATE, Word
+from tenscasadi.schema.reading import Item, NotWritten, call
 from tenscasadi.simulation.declared import Simulation
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import positive_number, whole_number
@@ -119,9 +119,10 @@ def file_schema() -> dict[str, Any]:
     return scene_schema({"plan": PLAN})
 
 
-def read_plan(item: Item, names: Names, simulation: Simulation) -> dict[str, Any]:
+def read_plan(item: Item, simulation: Simulation) -> dict[str, Any]:
     """Return the arguments of `ocp.solve` that [plan] tells, beside a scene and its start. Raises SceneFileError."""
-    part, table = PLAN.read(item, names), item.table()
+    item = item._replace(names=simulation.scene.structure.names)
+    part, table = PLAN.read(item), item.table()
     _check_each(table, part, simulation.scene.structure)
     scene = replace(
         simulation.scene, control=part.control or simulation.scene.control or ForceDensity()
@@ -175,7 +176,7 @@ def write_plan(problem: Problem, way: Mapping[str, Any]) -> dict[str, Any]:
         asked["duration"] = problem.duration
     if problem.free_start or not np.array_equal(problem.first_state, model.initial_state):
         asked["start"] = problem.start
-    return PLAN.write(PlanPart(**asked, **way))
+    return PLAN.write(vars(PlanPart(**asked, **way)))
 
 
 def _refuse_functions(problem: Problem) -> None:

@@ -8,11 +8,11 @@ from typing import Any
 
 from ocp.io.plan_section import WAY, read_plan, write_plan
 from ocp.problem.problem import Problem
-from tenscasadi.io.document import read_document
-from tenscasadi.io.scene_files import read_scene, write_document, write_scene
+from tenscasadi.io.document import read_document, write_document
+from tenscasadi.io.scene_files import read_scene, write_scene
 from tenscasadi.io.simulation_section import START, read_simulation
 from tenscasadi.scene.scene import Scene
-from tenscasadi.schema.reading import Document, Names, NotWritten
+from tenscasadi.schema.reading import Document, NotWritten
 from tenscasadi.simulation.declared import Simulation
 from tenscasadi.util.validate import file_path, instance
 
@@ -99,13 +99,13 @@ def load_arguments(path: str | os.PathLike[str]) -> dict[str, Any]:
     6
     """
     document = read_document(path)
-    scene, names = read_scene(document)
+    scene = read_scene(document)
     item = document.section("plan")
     if item is None:
         raise document.root.error(
             "it has no [plan]: give one with duration, goals, bounds and costs"
         )
-    return read_plan(item, names, _simulation(document, scene, names))
+    return read_plan(item, _simulation(document, scene))
 
 
 def save_problem(problem: Problem, path: str | os.PathLike[str], **way: Any) -> Path:
@@ -165,11 +165,12 @@ def save_problem(problem: Problem, path: str | os.PathLike[str], **way: Any) -> 
     return write_document(target, tables)
 
 
-def _simulation(document: Document, scene: Scene, names: Names) -> Simulation:
+def _simulation(document: Document, scene: Scene) -> Simulation:
     """Return what [start] and [simulation] tell; without the latter of no certain length."""
     if document.section("simulation") is not None:
-        return read_simulation(document, scene, names)
+        return read_simulation(document, scene)
     first = document.section("start")
-    return Simulation(
-        scene, 1.0, **(START.read(first, names).options(scene) if first is not None else {})
-    )
+    if first is None:
+        return Simulation(scene, 1.0)
+    start = START.read(first._replace(names=scene.structure.names))
+    return Simulation(scene, 1.0, **start.options(scene))

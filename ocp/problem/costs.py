@@ -10,7 +10,7 @@ import casadi as ca
 from numpy.typing import ArrayLike
 
 from ocp.problem.instant import Instant
-from tenscasadi.schema.forms import PER_ITEM
+from tenscasadi.schema.field_types import PER_ITEM
 from tenscasadi.schema.value import Value
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import (

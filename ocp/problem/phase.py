@@ -17,7 +17,7 @@ from ocp.problem.goals.periodic import Periodic
 from ocp.problem.goals.waypoints import Waypoint
 from ocp.problem.instant import symbolic
 from tenscasadi.dynamics.model import Model
-from tenscasadi.schema.forms import SPAN, Members
+from tenscasadi.schema.field_types import SPAN, Members
 from tenscasadi.schema.value import Value
 from tenscasadi.util.validate import (
     Array,

@@ -16,7 +16,7 @@ from ocp.problem.phase import read_items
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import projection
 from tenscasadi.io.structure_section import OfStructure
-from tenscasadi.schema.forms import STATE
+from tenscasadi.schema.field_types import STATE
 from tenscasadi.schema.value import Value
 from tenscasadi.util.read_only import read_only
 from tenscasadi.util.validate import Array, finite_array, nesting

@@ -11,7 +11,7 @@ import casadi as ca
 from ocp.problem.costs import RunningCost, check_weight
 from ocp.problem.instant import Instant
 from tenscasadi.schema.containers import MapOf
-from tenscasadi.schema.time_formula import MovingPlace
+from tenscasadi.schema.field_types import MOVING_PLACE
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import call_user_function, coordinates, node_index, number, shown
 
@@ -51,7 +51,7 @@ class Tracking(RunningCost, kind="Tracking"):
     [3, 4]
     """
 
-    positions: Annotated[Mapping[int, Place | Callable[[Any], Any]], MapOf("node", MovingPlace())]
+    positions: Annotated[Mapping[int, Place | Callable[[Any], Any]], MapOf("node", MOVING_PLACE)]
     weight: float = 1.0
 
     def __post_init__(self) -> None:

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from ocp.sampling.spline_noise import SplineNoise
 from ocp.solvers.base import NamedSolver
 from tenscasadi.schema.containers import ListOf
-from tenscasadi.schema.forms import InPython, Members
+from tenscasadi.schema.field_types import InPython, Members
 from tenscasadi.util.validate import flag, shown, whole_number
 
 MOST = 1_000_000

@@ -13,7 +13,7 @@ from ocp.solvers.base import NamedSolver, Solution, check_options
 from ocp.solvers.monitor import Monitor
 from ocp.transcription.sparse_nlp import Block, Program, Separable
 from tenscasadi.schema.containers import TableOf
-from tenscasadi.schema.forms import PLAIN
+from tenscasadi.schema.field_types import Option
 from tenscasadi.util.validate import Array, Indices
 
 REFUSED = (
@@ -70,7 +70,7 @@ class Fatrop(NamedSolver, kind="Fatrop"):
     max_iterations: int = 300
     tolerance: float = 1e-8
     verbose: bool = False
-    options: Annotated[Mapping[str, Any], TableOf(PLAIN)] = field(default_factory=dict)
+    options: Annotated[Mapping[str, Any], TableOf(Option())] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_options(

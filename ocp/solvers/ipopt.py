@@ -15,7 +15,7 @@ from ocp.solvers.base import NamedSolver, Solution, check_options
 from ocp.solvers.monitor import STOPPED, Monitor, Progress
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.schema.containers import TableOf
-from tenscasadi.schema.forms import PLAIN, InPython
+from tenscasadi.schema.field_types import InPython, Option
 from tenscasadi.util.validate import Array, positive_number, shown
 
 HSL = ("ma27", "ma57", "ma77", "ma86", "ma97")  # linear solvers that CasADi does not bring along
@@ -104,7 +104,7 @@ class Ipopt(NamedSolver, kind="Ipopt"):
     max_iterations: int = 300
     tolerance: float = 1e-8
     verbose: bool = False
-    options: Annotated[Mapping[str, Any], TableOf(PLAIN)] = field(default_factory=dict)
+    options: Annotated[Mapping[str, Any], TableOf(Option())] = field(default_factory=dict)
     seconds: float | None = None
     watch: Annotated[Watcher | None, InPython()] = None
     warm: bool = False

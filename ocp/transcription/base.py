@@ -33,7 +33,7 @@ from tenscasadi.dynamics.constraint_forces import nodal_forces
 from tenscasadi.dynamics.model import Model
 from tenscasadi.schema.containers import Either
 from tenscasadi.schema.definitions import OneOf
-from tenscasadi.schema.forms import TIMES, WHOLE
+from tenscasadi.schema.field_types import TIMES, WHOLE
 from tenscasadi.schema.value import Value
 from tenscasadi.util.validate import Array, Indices, instance, positive_number
 

@@ -17,7 +17,7 @@ from ocp.transcription.mesh import Profile, node_values, profile_at
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stability import fastest_rate
 from tenscasadi.integrators.stabilization import projection
-from tenscasadi.schema.forms import PATH, TABLE
+from tenscasadi.schema.field_types import PATH, TABLE
 from tenscasadi.schema.value import Value
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import Array, finite_array, positive_number, shown, whole_number

@@ -11,7 +11,7 @@ import numpy as np
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.schema.containers import ListOf
-from tenscasadi.schema.forms import Members
+from tenscasadi.schema.field_types import Members
 from tenscasadi.schema.value import Value
 from tenscasadi.util.casadi_tools import hermite_cubic
 from tenscasadi.util.validate import (

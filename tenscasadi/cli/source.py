@@ -54,13 +54,13 @@ class Source:
 
     def scene(self) -> Scene:
         """Return the scene. Raises SceneFileError, OSError."""
-        return read_scene(self.document)[0]
+        return read_scene(self.document)
 
     def simulation(
         self, gravity: float | None = None, projection: int | None = None, **changes: Any
     ) -> Simulation:
         """Return the simulation, but for what is given here; gravity: m/s² downwards, 0: none; projection: steps from one to the next."""
-        told = read_simulation(self.document, *read_scene(self.document), changes.get("t_end"))
+        told = read_simulation(self.document, self.scene(), changes.get("t_end"))
         if gravity is not None:
             down = positive_number("gravity", gravity, zero=True)
             changes["scene"] = replace(
@@ -75,10 +75,9 @@ class Source:
     @property
     def string_groups(self) -> dict[str, list[int]]:
         """Strings by the names of their groups."""
-        return {
-            name: list(strings)
-            for name, strings in read_scene(self.document)[1].named.get("string", {}).items()
-        }
+        names = self.scene().structure.names
+        groups = names.named["string"].items()
+        return {name: list(strings) for name, strings in groups if not name.endswith("]")}
 
     def has(self, section: str) -> bool:
         """Tell whether the file has a table of this name."""

@@ -27,7 +27,9 @@ from tenscasadi.util.validate import Array, Indices, finite_array
 
 Content = Mapping[str, Any]
 
-_MEMBERS = [name for name in PARAMETERS if name not in ("pinned", "rollers")]
+_MEMBERS = [
+    name for name in PARAMETERS if name not in ("pinned", "rollers") and "_names" not in name
+]
 _GROUND = list(dict.fromkeys(field.name for kind in (Ground, Terrain) for field in fields(kind)))
 _LAYOUT = [name for name in Layout._fields if name != "P"]
 _INDICES = "bars strings string_parent layout.physical layout.bar_columns layout.string_columns layout.tied segments pressure.faces supports.nodes"

@@ -1,108 +1,127 @@
-"""Scene files as data: TOML with its includes merged and its declared numbers computed; every value knows where it stands."""
+"""Scene files as data: TOML or JSON with their includes and declared numbers."""
 
 from __future__ import annotations
 
 import graphlib
 import os
 import re
-import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from tenscasadi.schema.formulas import RESERVED
-from tenscasadi.schema.reading import Document, Item, Place, SceneFileError, nearest
-from tenscasadi.schema.toml_places import MOST_PLACES, Key, TooMuch, find_lines
+from tenscasadi.schema.reading import Document, Item, SceneFileError, nearest
+from tenscasadi.schema.text import TextError, parse, to_json, to_toml
 from tenscasadi.util.validate import file_path, shown
+from tenscasadi.util.whole_file import whole_file
 
-FORMAT = 1
-HEAD = ("format", "units", "include", "numbers")
-SECTIONS = ("structure", "scene", "start", "simulation", "plan")
-LARGEST_FILE = 16_000_000  # bytes, of a file and of all that it includes
-MOST_FILES = 32
-MOST_NUMBERS = 1000
-_NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
-_LINE = re.compile(r" \(at (?:line (\d+), column \d+|end of document)\)")
+HEAD: Mapping[str, Any] = {"format": 1, "units": "SI"}
+ENDINGS = (".toml", ".json")
+SECTIONS = {
+    "structure": "Nodes, bars and strings, or a shape by its name.",
+    "scene": "Control, loads, grounds, and models of the strings.",
+    "start": "Initial positions and velocities.",
+    "simulation": "Duration, scheme and steps of a simulation.",
+    "plan": "Optimal control problem: goals, bounds, costs, and how to solve it.",
+}
+LARGEST_FILE = 16_000_000  # bytes of a file with its includes
+MOST_VALUES = 1_000_000  # keys and entries of lists
 
 
-def read_document(path: str | os.PathLike[str]) -> Document:
-    """Read a scene file and all that it includes; nothing in them is run, and no other file is opened.
+def read_document(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> Document:
+    """Read a scene file with its includes.
 
-    Raises SceneFileError, and OSError where there is no such file.
+    Nothing in the files is run, and no other file is opened. `changes` such as
+    "simulation.step=0.01" take precedence over the file. Raises SceneFileError, OSError.
     """
     source = file_path("path", path)
     if not source.exists():
         raise FileNotFoundError(2, "No such file", os.fspath(path))
     reader = _Reader()
-    data, places = reader.read(source, source.name, ())
-    document = Document(source, data, {}, MappingProxyType(places))
+    data = reader.read(source, source.name, ())
+    for change in changes:
+        data = _merge(data, reader.parse(*_split_change(change)))
+    document = Document(source.name, data, {}, tuple(reader.sources))
     for name in data:
-        if name not in (*HEAD, *SECTIONS):
-            raise document.root.child(name).error(
-                f"is no part of a scene file: {nearest(name, (*SECTIONS, *HEAD))}"
-            )
-    numbers = _numbers(document)
-    return Document(source, MappingProxyType(data), MappingProxyType(numbers), document.places)
+        if name not in (*HEAD, "include", "numbers", *SECTIONS):
+            cure = nearest(name, (*SECTIONS, *HEAD, "include", "numbers"))
+            raise document.root.child(name).error(f"is no part of a scene file: {cure}")
+    return replace(document, numbers=_compute_numbers(document))
+
+
+def write_document(path: Path, tables: Mapping[str, Any]) -> Path:
+    """Write tables to a scene file, by its ending as TOML or JSON. Raises OSError."""
+    text = (to_json if path.suffix == ".json" else to_toml)({**HEAD, **tables})
+    with whole_file(path) as file:
+        file.write(text.encode("utf-8"))
+    return path
+
+
+def _split_change(change: str) -> tuple[str, str, str]:
+    """Return the name, text and language of a change; a value that is no TOML is text."""
+    key, _, value = change.partition("=")
+    name = f"--set {change}"
+    if not re.fullmatch(r"[\w-]+(\.[\w-]+)*", key):
+        raise ValueError(f"set is {shown(change)}: give KEY=VALUE, such as simulation.step=0.01")
+    try:
+        parse(f"{key} = {value}", "toml", MOST_VALUES)
+    except TextError:
+        value = to_toml({"x": value}).partition(" = ")[2]
+    return name, f"{key} = {value}", "toml"
 
 
 class _Reader:
-    """Counts what is read, so that includes have an end."""
+    """Reader of one file and its includes; it counts their size."""
 
     def __init__(self) -> None:
-        self._bytes = self._files = self._places = 0
+        self.sources: list[tuple[str, str]] = []
+        self._bytes = self._values = 0
 
-    def read(
-        self, path: Path, name: str, above: tuple[Path, ...]
-    ) -> tuple[dict[str, Any], dict[Key, Place]]:
-        """Return the data of a file, that of its includes below it, and the places of all keys; `above`: files that include it."""
-        text = self._text(path, name)
-        own, places = _parse(text, name, MOST_PLACES - self._places)
-        self._places += len(places)
-        document = Document(Path(name), own, {}, places)
+    def read(self, path: Path, name: str, above: tuple[Path, ...]) -> dict[str, Any]:
+        """Read the merged data of a file that the files `above` include."""
+        content = self._load(path, name)
+        own = self.parse(name, content, path.suffix[1:])
+        document = Document(name, own, {}, ((name, content),))
         _check_head(document)
         data: dict[str, Any] = {}
-        merged: dict[Key, Place] = {}
-        here = path.resolve()
-        for item in (
-            document.root.child("include").entries('a list of files, such as ["mast.toml"]')
-            if "include" in own
-            else []
-        ):
-            target = _included(item, path.parent)
-            if target.resolve() in (*above, here):
+        here = (*above, path.resolve())
+        wanted = 'a list of files, such as ["mast.toml"]'
+        for item in document.root.child("include").entries(wanted) if "include" in own else []:
+            target = _find_included(item, path.parent)
+            if target.resolve() in here:
                 raise item.error(
                     f"is {item.value!r}, which includes this file again: leave one out"
                 )
-            more, their = self.read(
-                target, (Path(name).parent / str(item.value)).as_posix(), (*above, here)
-            )
-            _merge(data, more)
-            merged |= their
-        _merge(data, own)
-        return data, merged | places
+            inner = self.read(target, (Path(name).parent / str(item.value)).as_posix(), here)
+            data = _merge(data, inner)
+        self.sources += document.sources
+        return _merge(data, own)
 
-    def _text(self, path: Path, name: str) -> str:
-        self._files += 1
-        if self._files > MOST_FILES:
-            raise SceneFileError(
-                f"more than {MOST_FILES} files include each other: write fewer", name
-            )
+    def parse(self, name: str, text: str, language: str) -> dict[str, Any]:
+        """Parse a text and count its values. Raises SceneFileError."""
+        try:
+            data = parse(text, "json" if language == "json" else "toml", MOST_VALUES - self._values)
+        except TextError as error:
+            raise SceneFileError(str(error), name, error.line) from None
+        self._values += sum(map(text.count, ",=:["))
+        if name.startswith("--"):
+            self.sources.append((name, text))
+        return data
+
+    def _load(self, path: Path, name: str) -> str:
         if not path.is_file():  # opening a FIFO would wait for another process
             raise SceneFileError("path is no regular file: give a file in TOML", name or '""')
         try:
             with open(path, "rb") as file:
                 content = file.read(LARGEST_FILE - self._bytes + 1)
         except OSError as error:
-            raise SceneFileError(
-                f"it cannot be read ({error.strerror}): give a file that can", name
-            ) from None
-        self._bytes += len(content)
+            cure = f"it cannot be read ({error.strerror}): give a file that can"
+            raise SceneFileError(cure, name) from None
+        self._bytes += len(content) + LARGEST_FILE // 100  # so that includes have an end
         if self._bytes > LARGEST_FILE:
-            raise SceneFileError(
-                f"with its includes it has more than {LARGEST_FILE / 1e6:g} MB: give smaller files",
-                name,
-            )
+            most = f"{LARGEST_FILE / 1e6:g} MB or 100 files"
+            raise SceneFileError(f"with its includes it has more than {most}: give less", name)
         try:
             return content.decode("utf-8-sig")
         except UnicodeDecodeError as error:
@@ -112,58 +131,27 @@ class _Reader:
             ) from None
 
 
-def _parse(text: str, name: str, most: int) -> tuple[dict[str, Any], dict[Key, Place]]:
-    if sys.version_info >= (3, 11):
-        import tomllib
-    else:
-        import tomli as tomllib
-    try:
-        lines = find_lines(text, most)
-    except TooMuch as error:
-        raise SceneFileError(str(error), name, error.line) from None
-    try:
-        data = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        found = _LINE.search(str(error))
-        fault = _LINE.sub("", str(error)) or "nested too deep"
-        end = text.count("\n") + 1
-        raise SceneFileError(
-            f"it is no TOML, {fault}: correct it there",
-            name,
-            int(found[1] or end) if found else None,
-        ) from None
-    return data, {key: Place(name, line) for key, line in lines.items()}
-
-
 def _check_head(document: Document) -> None:
-    for name, right in {"format": FORMAT, "units": "SI"}.items():
+    for name, right in HEAD.items():
+        text = f'"{right}"' if isinstance(right, str) else f"{right}"
         if name not in document.data:
-            raise SceneFileError(
-                f"it has no {name}: begin with {name} = {right!r}".replace("'", '"'),
-                document.path.as_posix(),
-                None,
-                name,
-            )
+            message = f"it has no {name}: begin with {name} = {text}"
+            raise SceneFileError(message, document.name, None, name)
         item = document.root.child(name)
         if item.value != right or isinstance(item.value, bool):
-            raise item.error(
-                f"is {shown(item.value)}: give "
-                + f"{right!r}, all that this version reads".replace("'", '"')
-            )
+            raise item.error(f"is {shown(item.value)}: give {text}, all that this version reads")
 
 
-def _included(item: Item, folder: Path) -> Path:
-    """Return the file that an entry of `include` names, in the folder of the file that says it or below. Raises SceneFileError."""
+def _find_included(item: Item, folder: Path) -> Path:
+    """Find an included file, in the folder of the including file or below. Raises SceneFileError."""
     name = item.text('the name of a file, such as "mast.toml"')
     parts = name.split("/")
-    if (
-        not name.endswith(".toml")
-        or any(part in ("", ".", "..") or not part.isprintable() for part in parts)
-        or set(name) & set('\\:*?"<>|')
-    ):
-        raise item.error(
-            f"is {shown(name)}: give a .toml file in this file's folder or below it, such as 'parts/mast.toml'"
+    odd = any(part in ("", ".", "..") or not part.isprintable() for part in parts)
+    if not name.endswith(ENDINGS) or odd or set(name) & set('\\:*?"<>|'):
+        cure = (
+            "give a .toml or .json file in this file's folder or below, such as 'parts/mast.toml'"
         )
+        raise item.error(f"is {shown(name)}: {cure}")
     target = folder.joinpath(*parts)
     if not os.path.lexists(target):
         raise item.error(f"is {shown(name)}: there is no such file")
@@ -176,49 +164,34 @@ def _included(item: Item, folder: Path) -> Path:
     return target
 
 
-def _merge(data: dict[str, Any], over: Mapping[str, Any]) -> None:
-    """Put `over` over `data`: keys of tables one by one, but a value of another kind takes the whole place."""
+def _merge(data: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """Merge tables key by key; a table of another kind or shape replaces the whole table."""
+    merged = dict(data)
     for name, value in over.items():
-        old = data.get(name)
-        if (
-            isinstance(old, dict)
-            and isinstance(value, dict)
-            and not {"kind", "shape"} & value.keys()
-        ):
-            old = data[name] = dict(old)
-            _merge(old, value)
-        else:
-            data[name] = value
+        old = merged.get(name)
+        whole = not isinstance(value, dict) or {"kind", "shape"} & value.keys()
+        merged[name] = value if whole or not isinstance(old, dict) else _merge(old, value)
+    return merged
 
 
-def _numbers(document: Document) -> dict[str, float]:
-    """Return the declared numbers, each computed after those that it names. Raises SceneFileError."""
+def _compute_numbers(document: Document) -> dict[str, float]:
+    """Compute the declared numbers, each after those that it names. Raises SceneFileError."""
     section = document.root.child("numbers").table() if "numbers" in document.data else {}
-    if len(section) > MOST_NUMBERS:
-        raise document.root.child("numbers").error(
-            f"has {len(section)} entries: give at most {MOST_NUMBERS}"
-        )
     needs: dict[str, set[str]] = {}
     for name, item in section.items():
-        if not _NAME.fullmatch(name) or name in RESERVED:
-            raise item.error(
-                f"{name!r} cannot be the name of a number: give letters, digits and _, and none of {', '.join(sorted(RESERVED))}"
-            )
-        needs[name] = (
-            set(item.formula().names) & section.keys() if isinstance(item.value, str) else set()
-        )
+        if not (name.isidentifier() and name.isascii()) or name in RESERVED:
+            cure = f"give letters, digits and _, and none of {', '.join(sorted(RESERVED))}"
+            raise item.error(f"{name!r} cannot be the name of a number: {cure}")
+        needs[name] = set(item.formula().names) if isinstance(item.value, str) else set()
+    numbers: dict[str, float] = {}
     try:
-        order = list(graphlib.TopologicalSorter(needs).static_order())
+        for name in graphlib.TopologicalSorter(needs).static_order():
+            if name in section:
+                computed = replace(document, numbers=numbers)
+                numbers[name] = section[name]._replace(document=computed).number()
     except graphlib.CycleError as error:
         circle = list(reversed(error.args[1]))
-        raise section[circle[0]].error(
-            f"depends on itself ({' needs '.join(circle)}): give one of them a value"
-        ) from None
-    numbers: dict[str, float] = {}
-    for name in order:
-        numbers[name] = Item(
-            section[name].value,
-            section[name].key,
-            Document(document.path, {}, numbers, document.places),
-        ).number()
+        cure = "give one of them a value"
+        message = f"depends on itself ({' needs '.join(circle)}): {cure}"
+        raise section[circle[0]].error(message) from None
     return {name: numbers[name] for name in section}

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from tenscasadi.io.document import FORMAT, read_document
+from tenscasadi.io.document import read_document, write_document
 from tenscasadi.io.simulation_section import read_simulation, write_simulation
-from tenscasadi.io.structure_section import STRUCTURE
+from tenscasadi.io.structure_section import StructureSection
 from tenscasadi.scene.scene import Scene
 from tenscasadi.schema.definitions import definition
-from tenscasadi.schema.reading import MOST_ENTRIES, Document, Item, Names, NotWritten, call
-from tenscasadi.schema.toml_writer import to_toml
+from tenscasadi.schema.reading import Document, Item, NotWritten
 from tenscasadi.simulation.declared import Simulation
-from tenscasadi.util.validate import file_path, instance, shown
-from tenscasadi.util.whole_file import whole_file
-
-HEAD: Mapping[str, Any] = {"format": FORMAT, "units": "SI"}
+from tenscasadi.util.validate import file_path, instance
 
 SCENE = definition(Scene)
 
@@ -60,7 +55,7 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
     ...     tc.load_scene(path).gravity
     Gravity(acceleration=(0.0, 0.0, -9.81))
     """
-    return read_scene(read_document(path))[0]
+    return read_scene(read_document(path))
 
 
 def load_simulation(path: str | os.PathLike[str]) -> Simulation:
@@ -98,7 +93,7 @@ def load_simulation(path: str | os.PathLike[str]) -> Simulation:
     'finished 100 steps of 0.001 s'
     """
     document = read_document(path)
-    return read_simulation(document, *read_scene(document))
+    return read_simulation(document, read_scene(document))
 
 
 def save_scene(scene: Scene | Simulation, path: str | os.PathLike[str]) -> Path:
@@ -141,47 +136,28 @@ def save_scene(scene: Scene | Simulation, path: str | os.PathLike[str]) -> Path:
     """
     instance("scene", scene, (Scene, Simulation), "a tenscasadi.Scene or a tenscasadi.Simulation")
     target = file_path("path", path)
-    return write_document(target, write_scene(scene))
+    try:
+        tables = write_scene(scene)
+    except NotWritten as error:
+        raise ValueError(f"scene cannot be written, {error}") from None
+    return write_document(target, tables)
 
 
-def read_scene(document: Document) -> tuple[Scene, Names]:
-    """Return the scene of [structure] and [scene], and what nodes and members are called. Raises SceneFileError."""
+def read_scene(document: Document) -> Scene:
+    """Read [structure] and [scene]. Raises SceneFileError."""
     item = document.section("structure")
     if item is None:
-        raise document.root.error(
-            'it has no [structure]: give one with nodes, or with shape = "prism"'
-        )
-    structure, names = STRUCTURE.read(item, Names())
-    given = document.section("scene")
-    table: dict[str, Item] = {} if given is None else given.table()
-    fields = SCENE.read_fields(table, names)
-    segments = fields.get("segments", 1)
-    if (
-        sum(segments) if isinstance(segments, list) else segments * len(structure.strings)
-    ) > MOST_ENTRIES:
-        raise table["segments"].error(
-            f"is {shown(segments)}: give less, all strings together may have {MOST_ENTRIES} segments"
-        )
-    return call(
-        Scene, item if given is None else given, table, {"structure": structure, **fields}
-    ), names
+        cure = 'give one with nodes, or with shape = "prism"'
+        raise document.root.error(f"it has no [structure]: {cure}")
+    structure = StructureSection().read(item)
+    given = document.section("scene") or Item({}, item.key, document)
+    return SCENE.read(given._replace(names=structure.names), structure=structure)  # type: ignore[no-any-return]
 
 
 def write_scene(scene: Scene | Simulation) -> dict[str, Any]:
-    """Return the tables of a scene or a simulation. Raises ValueError where a part cannot be written, by its name."""
+    """Write the tables of a scene or a simulation. Raises NotWritten."""
     own = scene.scene if isinstance(scene, Simulation) else scene
-    try:
-        tables = {"structure": STRUCTURE.write(own.structure), "scene": SCENE.write(own)}
-        if isinstance(scene, Simulation):
-            tables |= write_simulation(scene)
-    except NotWritten as error:
-        raise ValueError(f"scene cannot be written, {error}") from None
+    tables = {"structure": StructureSection().write(own.structure), "scene": SCENE.write(own)}
+    if isinstance(scene, Simulation):
+        tables |= write_simulation(scene)
     return {name: table for name, table in tables.items() if table}
-
-
-def write_document(path: Path, tables: Mapping[str, Any]) -> Path:
-    """Write tables to a scene file, its head before them, and return its path. Raises OSError."""
-    text = to_toml({**HEAD, **tables})
-    with whole_file(path) as file:
-        file.write(text.encode("utf-8"))
-    return path

@@ -1,4 +1,4 @@
-"""The [start] and [simulation] of scene files."""
+"""Sections [start] and [simulation]."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from typing import Annotated, Any
 import numpy as np
 
 from tenscasadi.scene.scene import Scene
-from tenscasadi.schema.containers import Either, MapOf
+from tenscasadi.schema.containers import Either, for_items
 from tenscasadi.schema.definitions import definition
-from tenscasadi.schema.forms import POINTS, TIMES, VECTOR, Index
-from tenscasadi.schema.reading import Document, Names, call
+from tenscasadi.schema.field_types import POINTS, TIMES, VECTOR, Index
+from tenscasadi.schema.reading import Document, call
 from tenscasadi.simulation.declared import Simulation
 from tenscasadi.util.validate import Array
 
-_ROWS = Either((Mapping,), MapOf("node", VECTOR), POINTS)
+_ROWS = for_items("node", VECTOR, POINTS)
 
 
 @dataclass(frozen=True)
 class Start:
-    """How a motion starts.
+    """Initial positions and velocities.
 
     Parameters
     ----------
@@ -29,16 +29,16 @@ class Start:
         Positions at the start, m; nodes that a table does not name are where the structure has
         them.
     velocities : array_like, shape (n, 3), or mapping of int to array_like, shape (3,)
-        Velocities at the start, m/s, beside `velocity` and `spin`; nodes that a table does not name
-        have none.
+        Velocities at the start, m/s, in addition to `velocity` and `spin`; nodes that a table does
+        not name have none.
     velocity : sequence of float, shape (3,)
         Velocity of the whole structure, m/s.
     spin : sequence of float, shape (3,)
         Angular velocity of the whole structure, rad/s.
     about : int or sequence of float, shape (3,)
-        Node or point that it spins about; by default the mean of the nodes.
+        Node or point of the spin axis; by default the mean of the nodes.
     project : bool
-        Whether the start is moved onto bars and joints: the nearest state that keeps them.
+        Whether the start is projected onto bars and joints: the nearest state that keeps them.
     state : array_like, shape (nx,)
         The start as a state of the model, in place of all others.
     """
@@ -53,90 +53,69 @@ class Start:
 
     def __post_init__(self) -> None:
         if self.about is not None and self.spin is None:
-            raise ValueError(
-                "about is given without spin: give spin = [x, y, z], too, or leave it out"
-            )
-        if self.state is not None:
-            for name in ("nodes", "velocities", "velocity", "spin"):
-                if getattr(self, name) is not None:
-                    raise ValueError(
-                        f"{name} stands beside state, which says it all: leave one of them out"
-                    )
+            raise ValueError("about is given without spin: give spin = [x, y, z], or leave it out")
+        for name in ("nodes", "velocities", "velocity", "spin"):
+            if self.state is not None and getattr(self, name) is not None:
+                cure = "leave one of them out"
+                raise ValueError(f"{name} stands beside state, which says it all: {cure}")
 
     def options(self, scene: Scene) -> dict[str, Any]:
-        """Return what `Simulation` has in place of these."""
+        """Convert to the fields of `Simulation`."""
         rest = scene.structure.nodes
-        nodes = None if self.nodes is None else self._rows(self.nodes, rest)
-        velocities = (
-            None if self.velocities is None else self._rows(self.velocities, np.zeros_like(rest))
-        )
+        nodes = _fill_rows(self.nodes, rest)
+        velocities = _fill_rows(self.velocities, np.zeros_like(rest))
         if self.velocity is not None or self.spin is not None:
-            velocities = (0.0 if velocities is None else velocities) + self._rigid(
-                rest if nodes is None else nodes
-            )
-        return {
-            "nodes": nodes,
-            "velocities": velocities,
-            "project": self.project,
-            "state": self.state,
-        }
+            places = rest if nodes is None else nodes
+            rigid = np.zeros_like(rest) if self.velocity is None else np.asarray(self.velocity)
+            if self.spin is not None:
+                rigid = rigid + np.cross(self.spin, places - self._center(places))
+            velocities = rigid + (np.zeros_like(places) if velocities is None else velocities)
+        moved = {"nodes": nodes, "velocities": velocities}
+        return {**moved, "project": self.project, "state": self.state}
 
-    def _rigid(self, nodes: Array) -> Array:
-        moved = np.zeros_like(nodes) + (0.0 if self.velocity is None else np.asarray(self.velocity))
-        if self.spin is None:
-            return moved
-        middle = (
-            nodes.mean(axis=0)
-            if self.about is None
-            else nodes[self.about]
-            if isinstance(self.about, int)
-            else np.asarray(self.about)
-        )
-        return np.asarray(moved + np.cross(self.spin, nodes - middle))
+    def _center(self, nodes: Array) -> Array:
+        if self.about is None:
+            return np.asarray(nodes.mean(axis=0))
+        return np.asarray(nodes[self.about] if isinstance(self.about, int) else self.about)
 
-    @staticmethod
-    def _rows(given: Any, others: Array) -> Array:
-        if not isinstance(given, Mapping):
-            return np.array(given, dtype=float).reshape(-1, 3)
-        rows = np.array(others)
-        for node, row in given.items():
-            rows[node] = row
-        return rows
+
+def _fill_rows(given: Any, others: Array) -> Array | None:
+    if not isinstance(given, Mapping):
+        return None if given is None else np.array(given, dtype=float).reshape(-1, 3)
+    rows = np.array(others)
+    for node, row in given.items():
+        rows[node] = row
+    return rows
 
 
 SIMULATION = definition(Simulation)
 START = definition(Start, "start")
 
 
-def read_simulation(
-    document: Document, scene: Scene, names: Names, t_end: float | None = None
-) -> Simulation:
-    """Return the simulation of [start] and [simulation]; `t_end`, s, is told where the file need not. Raises SceneFileError."""
-    told = document.section("simulation")
-    if told is None and t_end is None:
-        raise document.root.error(
-            "it has no [simulation]: give one with t_end, the end of the run in s"
-        )
-    item, table = (document.root, {}) if told is None else (told, told.table())
-    options = SIMULATION.read_fields(table, names)
-    first = document.section("start")
-    started = START.read(first, names).options(scene) if first is not None else {}
-    begun = first.table() if first is not None else {}
-    moved = [begun[name] for name in ("velocities", "velocity", "spin") if name in begun]
-    where = {**begun, **({"velocities": moved[0]} if moved else {}), **table}
-    if "t_end" not in table:
-        if t_end is None:
-            raise item.error("has no t_end: give the end of the run, s")
-        options["t_end"] = t_end
-    simulation: Simulation = call(Simulation, item, where, {"scene": scene, **options, **started})
-    call(simulation.check, item, where, {})
+def read_simulation(document: Document, scene: Scene, t_end: float | None = None) -> Simulation:
+    """Read [start] and [simulation]; `t_end` is for files without one. Raises SceneFileError."""
+    item, first = document.section("simulation"), document.section("start")
+    if item is None and t_end is None:
+        cure = "give one with t_end, the end of the run in s"
+        raise document.root.error(f"it has no [simulation]: {cure}")
+    item, given = (document.root, {}) if item is None else (item, item.table())
+    item = item._replace(names=scene.structure.names)
+    table = {name: entry._replace(names=item.names) for name, entry in given.items()}
+    options: dict[str, Any] = {"scene": scene, "t_end": t_end, **SIMULATION.read_fields(table)}
+    where: dict[str, Any] = {}
+    if first is not None:
+        options |= START.read(first._replace(names=item.names)).options(scene)
+        where = first.table()
+        moving = [where[name] for name in ("velocities", "velocity", "spin") if name in where]
+        where |= {"velocities": moving[0]} if moving else {}
+    if options["t_end"] is None:
+        raise item.error("has no t_end: give the end of the run, s")
+    simulation: Simulation = call(Simulation, item, where | table, options)
+    call(simulation.check, item, where | table, {})
     return simulation
 
 
 def write_simulation(simulation: Simulation) -> dict[str, Any]:
-    """Return the tables [start] and [simulation]. Raises NotWritten."""
-    start = {
-        name: getattr(simulation, name) for name in ("nodes", "velocities", "project", "state")
-    }
-    tables = {"start": START.write(Start(**start)), "simulation": SIMULATION.write(simulation)}
-    return {name: table for name, table in tables.items() if table}
+    """Write [start] and [simulation]. Raises NotWritten."""
+    start = {name: getattr(simulation, name) for name in START.fields if hasattr(simulation, name)}
+    return {"start": START.write(start), "simulation": SIMULATION.write(vars(simulation))}

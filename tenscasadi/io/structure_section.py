@@ -1,344 +1,241 @@
-"""The [structure] of scene files: a shape by its name, or nodes, bars and strings, alone or in groups with their properties."""
+"""Section [structure]: a shape by its name, or nodes, bars and strings, alone or in groups."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from tenscasadi.dynamics.serialize import structure_to_arrays
-from tenscasadi.io.structure_forms import BARS, OPTIONS, STRINGS, MemberGroups, NodesForm, Turn
+from tenscasadi.io.structure_types import MemberGroups, NodeTable, PerItem, Turn
+from tenscasadi.schema.containers import ListOf, MapOf, for_items
 from tenscasadi.schema.definitions import Definition, definition
-from tenscasadi.schema.forms import (
-    Form,
-    Schema,
-    Schemas,
-)
-from tenscasadi.schema.reading import Item, Names, NotWritten, Which, call, nearest
+from tenscasadi.schema.field_types import VECTOR, FieldType, Members, Numbers, Schema, Schemas, Word
+from tenscasadi.schema.reading import Item, ItemKind, Names, NotWritten, call, nearest
+from tenscasadi.structure.names import find_names, name_members
 from tenscasadi.structure.shapes import Shape
-from tenscasadi.structure.structure import PARAMETERS, Structure
-from tenscasadi.util.validate import Array
+from tenscasadi.structure.structure import Structure
 
-_Groups = Mapping[
-    str, tuple[list[list[int]], dict[str, Any]]
-]  # members and properties of each group
+BARS = ("bar_mass", "bar_radius")
+STRINGS = ("stiffness", "damping", "string_mass", "rest_length", "force_density")
+_OTHERS = {  # properties of members, and the values where a file gives none
+    **{"bar_mass": 1.0, "bar_radius": 0.0, "stiffness": 100.0, "damping": 0.0, "string_mass": 0.0},
+    **{"rest_length": np.nan, "force_density": np.nan},
+}
+_TYPES: dict[str, FieldType] = {
+    "nodes": NodeTable(),
+    "bars": MemberGroups("bar", BARS),
+    "strings": MemberGroups("string", STRINGS),
+    **{name: PerItem("bar", _OTHERS[name]) for name in BARS},
+    **{name: PerItem("string", _OTHERS[name]) for name in STRINGS},
+    "node_mass": PerItem("node", 0.0),
+    "pinned": for_items("node", Word(), Members("node")),
+    "rollers": MapOf("node", Numbers(((3,), (None, 3)))),
+    **dict.fromkeys(("node_names", "bar_names", "string_names"), ListOf(Word())),
+}
 
 
-def _finish(
-    structure: Structure,
-    item: Item,
-    table: Mapping[str, Item],
-    groups: Mapping[str, _Groups],
-    force_density: Any,
-    rest_length: Any,
-    turn: Turn | None,
-    move: Any,
-) -> Structure:
-    """Return the structure with the force densities or rest lengths of its strings, turned, then moved. Raises SceneFileError.
+@dataclass(frozen=True)
+class _Placement:
+    """Changes of a structure that files may ask for.
 
     Parameters
     ----------
     force_density : array_like, shape (α,)
-        Force density with which strings start, N/m, below their stiffness: it sets their rest
-        lengths.
+        Initial force density of strings, N/m, below their stiffness: it sets their rest lengths.
     turn : table
         Rotation of all nodes about an axis through the origin.
     move : sequence of float, shape (3,)
         Displacement of all nodes after that, m.
     """
-    count = len(structure.strings)
-    lengths, pulls = (
-        _per_string(name, value, count, table)
-        for name, value in (("rest_length", rest_length), ("force_density", force_density))
-    )
-    both = ~np.isnan(lengths) & ~np.isnan(pulls)
-    if both.any():
-        raise item.error(
-            f"gives string {int(np.argmax(both))} rest_length and force_density, which say the same: leave one of them out"
-        )
-    if not np.isnan(pulls).all():
-        structure = _build(
-            item,
-            table,
-            groups,
-            {"force_density": np.where(np.isnan(pulls), 0.0, pulls)},
-            structure.prestressed,
-        )
-    if not np.isnan(lengths).all():
-        rest_lengths = np.where(np.isnan(lengths), structure.rest_length, lengths)
-        structure = _build(item, table, groups, {"rest_length": rest_lengths}, structure.replace)
-    return _place(structure, turn, move, item, table)
+
+    force_density: Annotated[Any, PerItem("string", np.nan)] = None
+    turn: Turn | None = None
+    move: Annotated[Any, VECTOR] = None
 
 
-def shapes() -> dict[str, Definition]:
-    """Return the definitions of all shapes by name: their own arguments, and those of `Structure`."""
+_LATER = definition(_Placement).fields
+_NAMES = ("node_names", "bar_names", "string_names")
+_FIRST = ("nodes", "bars", "strings", *_NAMES)  # read before the options, which may use names
+_PLAIN = definition(Structure, "nodes", "shape", types=tuple(_TYPES.items()))
+NODES = replace(_PLAIN, fields={**_PLAIN.fields, **_LATER})
+OPTIONS = {name: own for name, own in NODES.fields.items() if name not in _FIRST}
+
+
+def find_shapes() -> dict[str, Definition]:
+    """Find the definitions of all shapes: their arguments, and the options of `Structure`."""
+    own = {name: definition(build, name, "shape") for name, build in Shape.members.items()}
+    names = {name: NODES.fields[name] for name in _NAMES}
     return {
-        name: Definition(
-            build, {**definition(build, name).fields, **OPTIONS}, name, more=(Structure, _finish)
-        )
-        for name, build in Shape.members.items()
+        name: replace(shape, fields={**shape.fields, **names, **OPTIONS})
+        for name, shape in own.items()
     }
 
 
-def _pins(structure: Structure) -> Any:
-    """Return the nodes that are pinned, with axes where some are pinned along some only."""
-    return (
-        list(structure.pinned)
-        if all(axes == "xyz" for axes in structure.pinned.values())
-        else structure.pinned
-    )
-
-
-FROM_NODES = Definition(
-    Structure,
-    {
-        "nodes": NodesForm(),
-        "bars": MemberGroups("bar", tuple(BARS)),
-        "strings": MemberGroups("string", tuple(STRINGS)),
-        **OPTIONS,
-    },
-    "nodes",
-    more=(_finish,),
-)
+# --- reading and writing ---
 
 
 @dataclass(frozen=True)
-class StructureForm(Form):
+class StructureSection(FieldType):
     """The table [structure]."""
 
-    def read(self, item: Item, names: Names) -> tuple[Structure, Names]:
-        """Return the structure, and what its parts are called."""
+    def read(self, item: Item) -> Structure:
+        """Read the structure. Raises SceneFileError."""
         table = item.table()
         if "shape" not in table:
             return _read_nodes(item, table)
-        name = table["shape"].text("the name of a shape")
+        name = table.pop("shape")
         if "nodes" in table:
             raise table["nodes"].error("stands beside shape: give one of them")
-        known = shapes()
-        if name not in known:
-            raise table["shape"].error(f"is {name!r}: {nearest(name, known)}")
-        own = {key: entry for key, entry in table.items() if key != "shape"}
-        return _read_shape(known[name], item, own)
+        known = find_shapes()
+        if name.text("the name of a shape") not in known:
+            raise name.error(f"is {name.value!r}: {nearest(name.value, known)}")
+        return _read_shape(known[name.value], item, table)
 
     def write(self, value: Any) -> dict[str, Any]:
-        """Return nodes, bars and strings. Raises NotWritten where `subdivide` or `from_matrices` made the structure."""
-        plain = Structure(**{name: getattr(value, name) for name in PARAMETERS})
-        other = structure_to_arrays(plain)
-        if any(
-            not np.array_equal(array, other[name])
-            for name, array in structure_to_arrays(value).items()
-        ):
+        """Write nodes, bars and strings."""
+        fields = dict(value.to_fields())
+        if fields.keys() - NODES.fields.keys():
             raise NotWritten(
-                "Structure: it has columns or segments that `from_matrices` or `subdivide` made, which files do not hold: "
-                "give Scene(segments=...) in place of subdivide, or keep it in Python"
+                "Structure: it has columns or segments that `from_matrices` or `subdivide` made,"
+                " which files do not hold: give Scene(segments=...) in place of subdivide, or keep"
+                " it in Python"
             )
-        given = {name: getattr(value, name) for name in PARAMETERS} | {"pinned": _pins(value)}
-        written = FROM_NODES.write(given)
-        written.pop("rest_length", None)
-        if not np.array_equal(value.rest_length, value.string_lengths):
-            written["rest_length"] = FROM_NODES.fields["rest_length"].write(value.rest_length)
-        return {name: content for name, content in written.items() if content not in ([], {})}
+        if all(axes == "xyz" for axes in value.pinned.values()):
+            fields["pinned"] = list(value.pinned)
+        if np.array_equal(value.rest_length, value.string_lengths):
+            del fields["rest_length"]
+        written = NODES.write(fields)
+        del written["shape"]
+        return written
 
     def schema(self, kinds: Schemas) -> Schema:
-        """Return all shapes, and nodes."""
-        return {
-            "anyOf": [
-                *(shape.schema(kinds, "shape", tagged=True) for shape in shapes().values()),
-                FROM_NODES.schema(kinds, "shape"),
-            ]
-        }
-
-
-STRUCTURE = StructureForm()
+        """Build the schema of all shapes, and of nodes."""
+        shapes = [shape.schema(kinds, tagged=True) for shape in find_shapes().values()]
+        return {"anyOf": [*shapes, NODES.schema(kinds)]}
 
 
 @dataclass(frozen=True)
-class OfStructure(Form):
-    """Values of a structure, given by a table with a ``shape`` as in [structure]; or by another form."""
+class OfStructure(FieldType):
+    """Values of a structure, given by a table with a ``shape``; or by another type."""
 
     take: Literal["nodes", "string_lengths"]
-    other: Form
+    other: FieldType
 
-    def read(self, item: Item, names: Names) -> Any:
-        """Return what the structure has, or what the other form reads."""
+    def read(self, item: Item) -> Any:
+        """Read the attribute of the structure, or the other type."""
         if isinstance(item.value, dict) and "shape" in item.value:
-            structure, _ = StructureForm().read(item, Names())
-            return getattr(structure, self.take)
-        return self.other.read(item, names)
+            return getattr(StructureSection().read(item), self.take)
+        return self.other.read(item)
 
     def write(self, value: Any) -> Any:
-        """Return what the other form writes."""
+        """Write the other type."""
         return self.other.write(value)
 
     def schema(self, kinds: Schemas) -> Schema:
-        """Return both."""
-        return {
-            "anyOf": [
-                self.other.schema(kinds),
-                *(shape.schema(kinds, "shape", tagged=True) for shape in shapes().values()),
-            ]
-        }
+        """Build the schema of both."""
+        shapes = [shape.schema(kinds, tagged=True) for shape in find_shapes().values()]
+        return {"anyOf": [self.other.schema(kinds), *shapes]}
 
 
-def _read_shape(own: Definition, item: Item, table: dict[str, Item]) -> tuple[Structure, Names]:
+Groups = Mapping[str, list[tuple[range, Item, Any]]]  # indices, items and values by property
+
+
+def _read_shape(own: Definition, item: Item, table: dict[str, Item]) -> Structure:
     first = {name: entry for name, entry in table.items() if name not in OPTIONS}
-    arguments = own.read_fields(first, Names())
-    bare = own.make(
-        item, table, {name: value for name, value in arguments.items() if name != "prestress"}
-    )
-    names = _names_of(own, bare, arguments)
-    options = own.read_fields(
-        {name: entry for name, entry in table.items() if name in OPTIONS}, names
-    )
     for name in ("force_density", "rest_length"):
-        if name in options and "prestress" in arguments:
-            raise table[name].error(
-                "stands beside prestress, which says the same: leave one of them out"
-            )
-    later = {
-        name: options.pop(name, None) for name in ("force_density", "rest_length", "turn", "move")
-    }
-    structure = own.make(item, table, arguments | options)
-    return _finish(structure, item, table, {}, **later), names
+        if name in table and "prestress" in first:
+            cure = "leave one of them out"
+            raise table[name].error(f"stands beside prestress, which says the same: {cure}")
+    plain = {name: entry for name, entry in first.items() if name != "prestress"}
+    names = own.read(item._replace(value={name: table[name].value for name in plain})).names
+    given = own.read_fields(first) | _read_options(own, table, names)
+    return _build(own.build, given, item, table, {})
 
 
-def _names_of(own: Definition, structure: Structure, arguments: Mapping[str, Any]) -> Names:
-    """Return what parts of a shape are called: rings of prisms and membranes, and the strings between them."""
-    counts: dict[Which, int] = {
-        "node": len(structure.nodes),
-        "bar": len(structure.bars),
-        "string": len(structure.strings),
-    }
-    if own.kind == "prism":
-        p = len(structure.bars)
-        ends = {"bottom": range(p), "top": range(p, 2 * p)}
-        return Names(counts, {"node": ends, "string": {**ends, "vertical": range(2 * p, 3 * p)}})
-    if own.kind == "membrane":
-        p, q = (arguments.get(name, own.defaults[name]) for name in ("p", "q"))
-        ends = {"bottom": range(p), "top": range(p * (q - 1), p * q)}
-        return Names(
-            counts,
-            {
-                "node": ends,
-                "string": {
-                    **ends,
-                    "rings": range(p, p * (q - 1)),
-                    "helices": range(p * q, counts["string"]),
-                },
-            },
-        )
-    return Names(counts)
-
-
-def _read_nodes(item: Item, table: dict[str, Item]) -> tuple[Structure, Names]:
-    for name, entry in table.items():
-        if name not in FROM_NODES.fields:
-            raise entry.error(
-                f"is no field of a structure: {nearest(name, (*FROM_NODES.fields, 'shape'))}"
-            )
+def _read_nodes(item: Item, table: dict[str, Item]) -> Structure:
+    for name in table:
+        if name not in NODES.fields:
+            cure = nearest(name, (*NODES.fields, "shape"))
+            raise table[name].error(f"is no field of a structure: {cure}")
     if "nodes" not in table:
-        raise item.error(
-            'has neither nodes nor shape: give nodes = [[0, 0, 0], [0, 0, 1]], or shape = "prism"'
-        )
-    nodes, node_names = FROM_NODES.fields["nodes"].read(table["nodes"], Names())
-    names = Names({"node": len(nodes)}, {"node": node_names})
-    groups = {
-        part: FROM_NODES.fields[part].read(table[part], names) if part in table else {}
-        for part in ("bars", "strings")
-    }
-    names = _count(names, groups)
-    rest = {name: entry for name, entry in table.items() if name not in ("nodes", *groups)}
-    given: dict[str, Any] = FROM_NODES.read_fields(rest, names)
-    for part, properties in {"bars": BARS, "strings": STRINGS}.items():
-        for name in properties:
-            value = _gathered(name, groups[part], given.get(name), table)
-            if value is not None:
-                given[name] = value
-    later = {
-        name: given.pop(name, None) for name in ("force_density", "rest_length", "turn", "move")
-    }
-    members = {
-        part: [pair for pairs, _ in found.values() for pair in pairs]
-        for part, found in groups.items()
-    }
-    structure = _build(item, table, groups, {"nodes": nodes, **members, **given})
-    return _finish(structure, item, table, groups, **later), names
+        cure = 'give nodes = [[0, 0, 0], [0, 0, 1]], or shape = "prism"'
+        raise item.error(f"has neither nodes nor shape: {cure}")
+    nodes, names = _TYPES["nodes"].read(table["nodes"])
+    given: dict[str, Any] = {"nodes": nodes, "node_names": names}
+    given |= NODES.read_fields({name: table[name] for name in _NAMES if name in table})
+    groups: dict[str, Any] = {}
+    for which in ("bar", "string"):
+        if (part := f"{which}s") in table:
+            found = _TYPES[part].read(table[part]._replace(names=_find_names(given)))
+            given = {part: found.pairs, f"{which}_names": name_members(found.groups)} | given
+            groups |= found.properties
+    given |= _read_options(NODES, table, _find_names(given))
+    for name, parts in groups.items():
+        if isinstance(given.get(name), list):
+            cure = "give one number for the members of groups that do not"
+            raise table[name].error(f"is a list, and groups say it, too: {cure}")
+        count = len(given["bars" if name in BARS else "strings"])
+        given[name] = np.full(count, given.get(name, _OTHERS[name]))
+        for indices, _, value in parts:
+            given[name][indices.start : indices.stop] = value
+    return _build(Structure, given, item, table, groups)
+
+
+def _find_names(given: Mapping[str, Any]) -> Names:
+    parts: tuple[ItemKind, ...] = ("node", "bar", "string")
+    counts = {which: len(given.get(f"{which}s", ())) for which in parts}
+    return find_names(counts, {which: given.get(f"{which}_names", ()) for which in parts})
+
+
+def _read_options(own: Definition, table: Mapping[str, Item], names: Names) -> dict[str, Any]:
+    named = {key: entry._replace(names=names) for key, entry in table.items() if key in OPTIONS}
+    return own.read_fields(named)
 
 
 def _build(
+    build: Callable[..., Structure],
+    given: dict[str, Any],
     item: Item,
     table: Mapping[str, Item],
-    groups: Mapping[str, _Groups],
-    given: Mapping[str, Any],
-    build: Any = Structure,
+    groups: Groups,
 ) -> Structure:
-    """Return build(**given); what is wrong with a member is told with the place of its group. Raises SceneFileError."""
-    try:
-        return build(**given)  # type: ignore[no-any-return]
-    except (TypeError, ValueError) as error:
-        found = re.search(r"^(\w+) of (bar|string) (\d+) ", str(error))
-        part, index = (f"{found[2]}s", int(found[3])) if found else ("", 0)
-        for name, (pairs, properties) in groups.get(part, {}).items():
-            if 0 <= index < len(pairs) and found and found[1] in properties:
-                raise table[part].child(name).child(found[1]).error(str(error)) from error
-            index -= len(pairs)
-        return call(build, item, table, given)  # type: ignore[no-any-return]
+    """Build a structure, set its rest lengths, turn it, then move it. Raises SceneFileError."""
 
+    def make(function: Callable[..., Structure], **fields: Any) -> Structure:
+        try:
+            return function(**fields)
+        except (TypeError, ValueError) as error:
+            found = re.match(r"(\w+) of (bar|string) (\d+) ", str(error))
+            for indices, entry, _ in groups.get(found[1], []) if found else []:
+                if found and int(found[3]) in indices:
+                    raise entry.error(str(error)) from error
+            return call(function, item, table, fields)  # type: ignore[no-any-return]
 
-def _gathered(name: str, groups: _Groups, common: Any, table: Mapping[str, Item]) -> Any:
-    """Return a property of all members, NaN where nothing says it; None where no group says it."""
-    if not any(name in properties for _, properties in groups.values()):
-        return common
-    if isinstance(common, list):
-        raise table[name].error(
-            "is a list, and groups say it, too: give one number for the members of groups that do not"
-        )
-    fallback: Any = (
-        {"rest_length": np.nan, "force_density": np.nan}.get(name, FROM_NODES.defaults.get(name))
-        if common is None
-        else common
-    )
-    values = [
-        np.broadcast_to(properties.get(name, fallback), (len(pairs),))
-        for pairs, properties in groups.values()
-    ]
-    return np.concatenate(values)
-
-
-def _per_string(name: str, value: Any, count: int, table: Mapping[str, Item]) -> Array:
-    if isinstance(value, list) and len(value) != count:
-        raise table[name].error(
-            f"has {len(value)} entries: give one number, or one for each of the {count} strings"
-        )
-    return np.array(np.broadcast_to(np.nan if value is None else value, (count,)), dtype=float)
-
-
-def _place(
-    structure: Structure, turn: Turn | None, move: Any, item: Item, table: Mapping[str, Item]
-) -> Structure:
-    """Return the structure turned, then moved."""
-    nodes = structure.nodes
-    if turn is not None:
-        nodes = nodes @ call(turn.matrix, table["turn"], {}, {}).T
-    if move is not None:
-        nodes = nodes + np.asarray(move)
-    return (
-        structure
-        if nodes is structure.nodes
-        else call(structure.replace, item, table, {"nodes": nodes})
-    )
-
-
-def _count(names: Names, groups: Mapping[str, _Groups]) -> Names:
-    counts, named = dict(names.counts), dict(names.named)
-    for which, part in (("bar", "bars"), ("string", "strings")):
-        first, found = 0, {}
-        for name, (pairs, _) in groups[part].items():
-            found[name] = list(range(first, first + len(pairs)))
-            first += len(pairs)
-        counts[which] = first  # type: ignore[index]
-        named[which] = {name: indices for name, indices in found.items() if name}  # type: ignore[index]
-    return replace(names, counts=counts, named=named)
+    later = {name: given.pop(name, None) for name in ("rest_length", *_LATER)}
+    structure = make(build, **given)
+    lengths, forces = np.full((2, len(structure.strings)), np.nan)
+    for name, values in {"rest_length": lengths, "force_density": forces}.items():
+        value = later[name]
+        if isinstance(value, list) and len(value) != len(values):
+            cure = f"give one number, or one for each of the {len(values)} strings"
+            raise table[name].error(f"has {len(value)} entries: {cure}")
+        values[:] = np.nan if value is None else value
+    both = ~np.isnan(lengths) & ~np.isnan(forces)
+    if both.any():
+        text = "rest_length and force_density, which say the same: leave one of them out"
+        raise item.error(f"gives string {int(np.argmax(both))} {text}")
+    if not np.isnan(forces).all():
+        stressed = make(structure.prestressed, force_density=np.nan_to_num(forces)).rest_length
+        lengths = np.where(np.isnan(forces), lengths, stressed)
+    if not np.isnan(lengths).all():
+        rest_length = np.where(np.isnan(lengths), structure.rest_length, lengths)
+        structure = make(structure.replace, rest_length=rest_length)
+    if later["turn"] is not None:
+        rotation = call(later["turn"].matrix, table["turn"], {}, {})
+        structure = make(structure.replace, nodes=structure.nodes @ rotation.T)
+    if later["move"] is not None:
+        structure = make(structure.replace, nodes=structure.nodes + np.asarray(later["move"]))
+    return structure

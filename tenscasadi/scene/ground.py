@@ -11,7 +11,7 @@ from typing import Annotated, Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from tenscasadi.schema.forms import PAIR, TABLE, VECTOR, Members
+from tenscasadi.schema.field_types import PAIR, TABLE, VECTOR, Members
 from tenscasadi.schema.value import Value
 from tenscasadi.util.casadi_tools import is_expression
 from tenscasadi.util.read_only import ReadOnlyArrays

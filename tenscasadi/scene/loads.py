@@ -11,9 +11,8 @@ import numpy as np
 
 from tenscasadi.scene.over_time import OverTime, takes_breaks
 from tenscasadi.scene.time_functions import express
-from tenscasadi.schema.containers import ListOf, MapOf
-from tenscasadi.schema.forms import TIMES, Index, Members
-from tenscasadi.schema.time_formula import NodalForces, Varying
+from tenscasadi.schema.containers import ListOf, MapOf, NodalForces
+from tenscasadi.schema.field_types import TIMES, Index, Members, varying
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import Array, Indices, listed, node_index, number, shown, whole_number
 
@@ -53,7 +52,7 @@ class Gravity(OverTime, kind="Gravity", short="acceleration"):
     """
 
     _quantity: ClassVar[str] = "acceleration"
-    acceleration: Annotated[Any, Varying((3,))] = (0.0, 0.0, -9.81)
+    acceleration: Annotated[Any, varying(3)] = (0.0, 0.0, -9.81)
     times: Annotated[Any, TIMES] = field(default=None, repr=False)
     breakpoints: Annotated[Any, TIMES] = field(default=(), repr=False)
 
@@ -152,7 +151,7 @@ class Pressure(OverTime, kind="Pressure"):
 
     _quantity: ClassVar[str] = "difference"
     faces: Annotated[Sequence[Sequence[int]] | Indices, ListOf(Members("node"))]
-    difference: Annotated[Any, Varying(())]
+    difference: Annotated[Any, varying()]
     times: Annotated[Any, TIMES] = field(default=None, repr=False)
     breakpoints: Annotated[Any, TIMES] = field(default=(), repr=False)
 

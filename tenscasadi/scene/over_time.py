@@ -15,7 +15,7 @@ from tenscasadi.scene.time_functions import (
     interpolate,
     trace,
 )
-from tenscasadi.schema.forms import TIMES
+from tenscasadi.schema.field_types import TIMES
 from tenscasadi.schema.value import Value
 from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import Array, finite_array

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple, cast
 
-from tenscasadi.schema.containers import GroupsOf, ListOf
-from tenscasadi.schema.forms import Word
+from tenscasadi.schema.containers import Either, ListOf, TableOf
+from tenscasadi.schema.field_types import WHOLE, Members, Word
+from tenscasadi.schema.reading import ItemKind
 from tenscasadi.schema.value import Value
 from tenscasadi.util.validate import listed, shown, whole_number
 
@@ -38,7 +39,17 @@ QUANTITIES = {
 GROUPED = "string", "bar", "node", "ground"
 MASSES = "bar_mass", "node_mass", "string_mass"
 
-_ITEMS = {name: quantity.item for name, quantity in QUANTITIES.items() if quantity.item in GROUPED}
+_GROUPS = TableOf(
+    {
+        name: Either(
+            (str,),
+            Word(("all",)),
+            ListOf(ListOf(WHOLE) if own.item == "ground" else Members(cast("ItemKind", own.item))),
+        )
+        for name, own in QUANTITIES.items()
+        if own.item in GROUPED
+    }
+)
 
 Groups = tuple[tuple[str, tuple[tuple[int, ...], ...]], ...]
 
@@ -96,7 +107,7 @@ class Parameters(Value, kind="Parameters"):
 
     names: Annotated[tuple[str, ...], ListOf(Word(tuple(QUANTITIES)))] = ()
     scale: Annotated[tuple[str, ...], ListOf(Word(tuple(QUANTITIES)))] = ()
-    groups: Annotated[Groups, GroupsOf(_ITEMS)] = field(default=())
+    groups: Annotated[Groups, _GROUPS] = field(default=())
 
     @classmethod
     def from_fields(  # type: ignore[override]
@@ -105,20 +116,7 @@ class Parameters(Value, kind="Parameters"):
         scale: Iterable[str] = (),
         groups: Mapping[str, Any] | None = None,
     ) -> Parameters:
-        """Build parameters from their fields by name.
-
-        Parameters
-        ----------
-        names, scale : iterable of str
-            Quantities, see `Parameters`.
-        groups : mapping of str to sequence of sequence of int, or to "all", optional
-            Groups of items that share an entry.
-
-        Returns
-        -------
-        tenscasadi.Parameters
-            The parameters.
-        """
+        """Build parameters from their fields by name."""
         return cls(*names, scale=scale, groups=groups)
 
     def __init__(
@@ -160,6 +158,11 @@ class Parameters(Value, kind="Parameters"):
         read = tuple((name, _read_groups(name, value)) for name, value in (groups or {}).items())
         for attribute, value in {"names": tuple(names), "scale": scaled, "groups": read}.items():
             object.__setattr__(self, attribute, value)
+
+    def to_fields(self) -> dict[str, Any]:
+        """Return the fields as `from_fields` takes them."""
+        groups = {name: "all" if own == ((),) else own for name, own in self.groups}
+        return {"names": self.names, "scale": self.scale, "groups": groups or None}
 
     def __contains__(self, name: str) -> bool:
         return name in self.names or name in self.scale

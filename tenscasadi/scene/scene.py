@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Annotated, Literal, cast
+from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 
@@ -15,9 +15,10 @@ from tenscasadi.scene.parameter_layout import EMPTY, ParameterLayout, lay_out
 from tenscasadi.scene.parameters import Parameters
 from tenscasadi.scene.strings import Clip, Control, ForceDensity, RestLength, StringLaw, read_slack
 from tenscasadi.scene.supports import SupportMotion
-from tenscasadi.schema.containers import EachOf
+from tenscasadi.schema.containers import Either, ListOf, MapOf
 from tenscasadi.schema.definitions import OneOf
-from tenscasadi.schema.forms import ToldApart
+from tenscasadi.schema.field_types import ElsewhereInFile
+from tenscasadi.schema.value import Value
 from tenscasadi.structure.structure import Structure
 from tenscasadi.structure.subdivision import segment_counts
 from tenscasadi.util.renamed import RenamedAttribute
@@ -26,7 +27,7 @@ from tenscasadi.util.viewable import Viewable
 
 
 @dataclass(frozen=True)
-class Scene(Viewable):
+class Scene(Value, Viewable, kind="Scene"):
     """A structure, how it is driven, its loads, and how finely its strings are modelled.
 
     A load that is None builds no expression.
@@ -75,7 +76,7 @@ class Scene(Viewable):
     (9, 18)
     """
 
-    structure: Annotated[Structure, ToldApart()]
+    structure: Annotated[Structure, ElsewhereInFile()]
     control: Control | None = None
     segments: int | Sequence[int] = 1
     ends: Literal["interior", "lumped"] = "interior"
@@ -85,7 +86,12 @@ class Scene(Viewable):
     forces: NodalForce | None = None
     slack: Annotated[
         StringLaw | Sequence[StringLaw] | Mapping[int, StringLaw],
-        EachOf("string", OneOf(StringLaw), Clip()),
+        Either(
+            (Mapping,),
+            MapOf("string", OneOf(StringLaw)),
+            Either((list,), ListOf(OneOf(StringLaw)), OneOf(StringLaw)),
+            unless="kind",
+        ),
     ] = field(default_factory=Clip)
     supports: SupportMotion | None = None
     fractions: Sequence[float] | None = None
@@ -130,6 +136,13 @@ class Scene(Viewable):
                 'tenscasadi.Parameters("stiffness") or None',
             )
         _ = self.modelled, self.layout  # now, so that a fault shows here
+
+    def to_fields(self) -> dict[str, Any]:
+        """Return the fields; laws of strings without those that are `Clip()`."""
+        own = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        if isinstance(self.slack, tuple):
+            own["slack"] = {k: law for k, law in enumerate(self.slack) if law != Clip()}
+        return own
 
     @cached_property
     def modelled(self) -> Structure:

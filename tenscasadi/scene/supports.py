@@ -13,8 +13,8 @@ from tenscasadi.scene.breakpoints import at_edges, find_breakpoints, probe_times
 from tenscasadi.scene.over_time import takes_breaks
 from tenscasadi.scene.time_functions import CURE, check_over_run, express
 from tenscasadi.schema.containers import MapOf
-from tenscasadi.schema.forms import TIMES
-from tenscasadi.schema.time_formula import MovingPoint
+from tenscasadi.schema.field_types import MOVING_POINT, TIMES
+from tenscasadi.schema.time_formula import TimeFormula
 from tenscasadi.schema.value import Value
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, finite_array, node_index, shown
@@ -41,7 +41,7 @@ class SupportMotion(Value, kind="SupportMotion"):
     ----------
     positions : mapping of int to callable
         For each moved node a function of the time, s, that returns (x, y, z), m; at t = 0 where the
-        structure has the node.
+        structure has the node. Three numbers are a constant.
     breakpoints : array_like, shape (B,), optional
         Times at which an acceleration jumps or begins or ends a pulse, s, beside those that
         comparisons, signs and roundings show. Steps of a simulation end there.
@@ -55,7 +55,7 @@ class SupportMotion(Value, kind="SupportMotion"):
     True
     """
 
-    positions: Annotated[Mapping[int, Callable[[Any], Any]], MapOf("node", MovingPoint())]
+    positions: Annotated[Mapping[int, Callable[[Any], Any]], MapOf("node", MOVING_POINT)]
     breakpoints: Annotated[Any, TIMES] = ()
 
     def __post_init__(self) -> None:
@@ -63,12 +63,16 @@ class SupportMotion(Value, kind="SupportMotion"):
             raise TypeError(
                 f"SupportMotion.positions is {shown(self.positions)}: give a mapping of nodes to functions of time"
             )
-        for node, function in self.positions.items():
-            if not callable(function):
+        given: Mapping[int, Any] = self.positions
+        positions: dict[int, Any] = {}
+        for node, function in given.items():
+            constant = isinstance(function, (list, tuple)) and len(function) == 3
+            positions[node] = TimeFormula(tuple(function)) if constant else function
+            if not constant and not callable(function):
                 raise TypeError(
                     f"SupportMotion.positions[{shown(node)}] is {shown(function)}: give a function of time that returns (x, y, z)"
                 )
-        object.__setattr__(self, "positions", dict(self.positions))
+        object.__setattr__(self, "positions", positions)
         object.__setattr__(
             self,
             "breakpoints",

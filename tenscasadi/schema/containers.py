@@ -1,4 +1,4 @@
-"""Forms of values that hold others: lists, tables, and either of two."""
+"""Types of fields that hold others: lists, tables, and either of two."""
 
 from __future__ import annotations
 
@@ -8,212 +8,187 @@ from typing import Any
 
 import numpy as np
 
-from tenscasadi.schema.forms import Form, Members, Schema, Schemas, Wholes
-from tenscasadi.schema.reading import Item, Names, Which, nearest
+from tenscasadi.schema.field_types import FieldType, Schema, Schemas, varying
+from tenscasadi.schema.reading import Item, ItemKind, nearest
+from tenscasadi.schema.time_formula import TimeFormula
 
 
 @dataclass(frozen=True)
-class ListOf(Form):
-    """A list of values of one form; `single`: one value may stand for a list of one."""
+class ListOf(FieldType):
+    """A list of values of one type.
 
-    form: Form
+    Parameters
+    ----------
+    type : FieldType
+        Type of the entries.
+    single : bool
+        Whether a value may stand for a list of one.
+    count : int, optional
+        Number of entries.
+    """
+
+    type: FieldType
     single: bool = False
+    count: int | None = None
 
-    def read(self, item: Item, names: Names) -> list[Any]:
-        """Return the values."""
+    def read(self, item: Item) -> list[Any]:
+        """Read the entries."""
         if self.single and not isinstance(item.value, list):
-            return [self.form.read(item, names)]
-        return [self.form.read(entry, names) for entry in item.entries()]
+            return [self.type.read(item)]
+        entries = item.entries()
+        if self.count not in (None, len(entries)):
+            raise item.error(f"has {len(entries)} entries: give {self.count}")
+        return [self.type.read(entry) for entry in entries]
 
     def write(self, value: Any) -> Any:
-        """Return the values, one alone without a list where it may be."""
-        values = (
-            list(value)
-            if isinstance(value, (Sequence, np.ndarray))
-            else [value]
-            if self.single
-            else list(value)
-        )
-        written = [self.form.write(entry) for entry in values]
+        """Write the entries; one alone without a list where that is allowed."""
+        alone = self.single and not isinstance(value, (Sequence, np.ndarray))
+        written = [self.type.write(entry) for entry in ([value] if alone else value)]
         return written[0] if self.single and len(written) == 1 else written
 
     def schema(self, kinds: Schemas) -> Schema:
-        """Return a list."""
-        one = self.form.schema(kinds)
-        many: Schema = {"type": "array", "items": one}
+        """Build the schema of a list."""
+        one = self.type.schema(kinds)
+        limits = {} if self.count is None else {"minItems": self.count, "maxItems": self.count}
+        many: Schema = {"type": "array", "items": one, **limits}
         return {"anyOf": [one, many]} if self.single else many
 
 
 @dataclass(frozen=True)
-class MapOf(Form):
-    """A table from nodes, bars or strings, by name or index, to values of one form; a group's name stands for all its members."""
+class MapOf(FieldType):
+    """A table from nodes, bars or strings to values; a group stands for all its members."""
 
-    which: Which
-    form: Form
+    which: ItemKind
+    type: FieldType
 
-    def read(self, item: Item, names: Names) -> dict[int, Any]:
-        """Return the values by index."""
+    def read(self, item: Item) -> dict[int, Any]:
+        """Read the values by index."""
         found: dict[int, Any] = {}
         for word, entry in item.table(f"a table from {self.which}s to values").items():
-            value = self.form.read(entry, names)
-            for index in names.find(self.which, word, entry):
+            value = self.type.read(entry)
+            for index in entry.indices(self.which, word):
                 if index in found:
                     raise entry.error(f"gives {self.which} {index} a second time: leave one out")
                 found[index] = value
         return found
 
     def write(self, value: Any) -> dict[str, Any]:
-        """Return a table."""
-        return {str(int(index)): self.form.write(entry) for index, entry in value.items()}
+        """Write a table."""
+        return {str(int(index)): self.type.write(entry) for index, entry in value.items()}
 
     def schema(self, kinds: Schemas) -> Schema:
-        """Return an object with any keys."""
-        return {"type": "object", "additionalProperties": self.form.schema(kinds)}
+        """Build the schema of an object with any keys."""
+        return {"type": "object", "additionalProperties": self.type.schema(kinds)}
 
 
 @dataclass(frozen=True)
-class TableOf(Form):
-    """A table from words to values of one form."""
+class TableOf(FieldType):
+    """A table from words to values.
 
-    form: Form
-    words: tuple[str, ...] = ()
+    Parameters
+    ----------
+    type : FieldType or mapping of str to FieldType
+        Type of all values, or of the value of each known word.
+    """
 
-    def read(self, item: Item, names: Names) -> dict[str, Any]:
-        """Return the values by word."""
+    type: FieldType | Mapping[str, FieldType]
+
+    def read(self, item: Item) -> dict[str, Any]:
+        """Read the values by word."""
         found = {}
         for word, entry in item.table().items():
-            if self.words and word not in self.words:
-                raise entry.error(f"is not known: {nearest(word, self.words)}")
-            found[word] = self.form.read(entry, names)
+            if isinstance(self.type, Mapping) and word not in self.type:
+                raise entry.error(f"is not known: {nearest(word, self.type)}")
+            found[word] = self._type(word).read(entry)
         return found
 
     def write(self, value: Any) -> dict[str, Any]:
-        """Return a table."""
-        return {str(word): self.form.write(entry) for word, entry in dict(value).items()}
+        """Write a table."""
+        return {str(word): self._type(word).write(entry) for word, entry in dict(value).items()}
 
     def schema(self, kinds: Schemas) -> Schema:
-        """Return an object."""
-        one = self.form.schema(kinds)
-        if self.words:
-            return {
-                "type": "object",
-                "properties": dict.fromkeys(self.words, one),
-                "additionalProperties": False,
-            }
-        return {"type": "object", "additionalProperties": one}
+        """Build the schema of an object."""
+        if isinstance(self.type, FieldType):
+            return {"type": "object", "additionalProperties": self.type.schema(kinds)}
+        entries = {word: own.schema(kinds) for word, own in self.type.items()}
+        return {"type": "object", "properties": entries, "additionalProperties": False}
+
+    def _type(self, word: str) -> FieldType:
+        return self.type if isinstance(self.type, FieldType) else self.type[word]
 
 
 @dataclass(frozen=True)
-class Either(Form):
-    """One of two forms: the first for values of these types, in files and in Python, the other for all else."""
+class Either(FieldType):
+    """One of two types: the first for values of some classes, in files and in Python.
 
-    kinds: tuple[type, ...]
-    first: Form
-    other: Form
+    Parameters
+    ----------
+    classes : tuple of type
+        Classes of the first type.
+    first, other : FieldType
+        The types.
+    unless : str
+        Key that makes a table one of the other type.
+    """
 
-    def read(self, item: Item, names: Names) -> Any:
-        """Return what the form that fits reads."""
-        return (self.first if isinstance(item.value, self.kinds) else self.other).read(item, names)
+    classes: tuple[type, ...]
+    first: FieldType
+    other: FieldType
+    unless: str = ""
+
+    def read(self, item: Item) -> Any:
+        """Read the type that fits."""
+        return self._choose(item.value).read(item)
 
     def write(self, value: Any) -> Any:
-        """Return what the form that fits writes."""
-        return (self.first if isinstance(value, self.kinds) else self.other).write(value)
+        """Write the type that fits."""
+        return self._choose(value).write(value)
 
     def schema(self, kinds: Schemas) -> Schema:
-        """Return both."""
+        """Build the schema of both."""
         return {"anyOf": [self.first.schema(kinds), self.other.schema(kinds)]}
 
+    def _choose(self, value: Any) -> FieldType:
+        other = isinstance(value, Mapping) and self.unless in value
+        return self.first if isinstance(value, self.classes) and not other else self.other
 
-@dataclass(frozen=True)
-class Pair(Form):
-    """A pair of arrays, in Python a tuple."""
 
-    form: Form
-
-    def read(self, item: Item, names: Names) -> tuple[Any, ...]:
-        """Return both."""
-        entries = item.entries("two lists")
-        if len(entries) != 2:
-            raise item.error(f"has {len(entries)} entries: give two")
-        return tuple(self.form.read(entry, names) for entry in entries)
-
-    def write(self, value: Sequence[Any]) -> list[Any]:
-        """Return both."""
-        return [self.form.write(entry) for entry in value]
-
-    def schema(self, kinds: Schemas) -> Schema:
-        """Return a list of two."""
-        return {"type": "array", "items": self.form.schema(kinds), "minItems": 2, "maxItems": 2}
+def for_items(which: ItemKind, type: FieldType, other: FieldType) -> Either:
+    """Build the type of a table from some items to values, or of another type."""
+    return Either((Mapping,), MapOf(which, type), other)
 
 
 @dataclass(frozen=True)
-class EachOf(Form):
-    """A value for all items, a list with one for each, or a table from some items to theirs; the others have `others`."""
+class NodalForces(FieldType):
+    """Forces on all nodes, or a table from some nodes to theirs; also over time."""
 
-    which: Which
-    form: Form
-    others: Any
-
-    def read(self, item: Item, names: Names) -> Any:
-        """Read a value, a list or a mapping."""
-        if isinstance(item.value, list):
-            return ListOf(self.form).read(item, names)
-        if isinstance(item.value, dict) and "kind" not in item.value:
-            return MapOf(self.which, self.form).read(item, names)
-        return self.form.read(item, names)
+    def read(self, item: Item) -> Any:
+        """Read forces (n, 3) or (K, n, 3), or a function of time."""
+        if not isinstance(item.value, dict):
+            return varying(None, 3).read(item)
+        given: dict[int, Any] = MapOf("node", varying(3)).read(item)
+        rows = [given.get(node, [0.0] * 3) for node in range(item.names.counts["node"])]
+        if any(isinstance(row, TimeFormula) for row in rows):
+            entries = tuple(
+                row.entries if isinstance(row, TimeFormula) else tuple(row) for row in rows
+            )
+            if any(isinstance(entry, list) for row in entries for entry in row):
+                raise item.error("has tables beside formulas of t: give one of them")
+            return TimeFormula(entries, tuple(item.document.numbers.items()))
+        try:
+            return np.stack(np.broadcast_arrays(*rows), axis=-2).tolist()
+        except ValueError:
+            raise item.error("has tables of several lengths: give each as many rows") from None
 
     def write(self, value: Any) -> Any:
-        """Write a value, or a table of the items that have another than `others`."""
-        if not isinstance(value, tuple):
-            return self.form.write(value)
-        return {
-            str(k): self.form.write(entry) for k, entry in enumerate(value) if entry != self.others
-        }
+        """Write a table of the nodes that have forces."""
+        written = varying(None, 3).write(value)
+        if callable(value):
+            return written
+        array = np.moveaxis(np.asarray(value), -2, 0)
+        some = [k for k, row in enumerate(array) if row.any() or np.signbit(row).any()]
+        return {str(node): array[node].tolist() for node in some}
 
     def schema(self, kinds: Schemas) -> Schema:
-        """Return all three."""
-        return {
-            "anyOf": [
-                self.form.schema(kinds),
-                ListOf(self.form).schema(kinds),
-                MapOf(self.which, self.form).schema(kinds),
-            ]
-        }
-
-
-@dataclass(frozen=True)
-class GroupsOf(Form):
-    """For quantities the groups of items that share a value, by name or index, or "all"."""
-
-    items: Mapping[str, Any]  # "node", "bar", "string", or "ground", by quantity
-
-    def read(self, item: Item, names: Names) -> dict[str, Any]:
-        """Return groups of indices by quantity."""
-        found: dict[str, Any] = {}
-        for name, entry in item.table().items():
-            which = self.items.get(name)
-            if which is None:
-                raise entry.error(f"has no groups: {nearest(name, self.items)}")
-            if entry.value == "all":
-                found[name] = "all"
-            elif which == "ground":
-                found[name] = ListOf(ListOf(Wholes())).read(entry, names)
-            else:
-                found[name] = ListOf(Members(which)).read(entry, names)
-        return found
-
-    def write(self, value: Any) -> dict[str, Any]:
-        """Return groups of indices by quantity."""
-        return {
-            name: "all" if groups == ((),) else [list(group) for group in groups]
-            for name, groups in value
-        }
-
-    def schema(self, kinds: Schemas) -> Schema:
-        """Return a table of the quantities that have groups."""
-        groups = {"anyOf": [{"const": "all"}, ListOf(Members("node")).schema(kinds)]}
-        return {
-            "type": "object",
-            "properties": dict.fromkeys(self.items, groups),
-            "additionalProperties": False,
-        }
+        """Build the schema of rows or a table."""
+        return for_items("node", varying(3), varying(None, 3)).schema(kinds)

@@ -1,4 +1,4 @@
-"""Files as trees of items: every value knows where it stands, and errors say so."""
+"""Values of scene files with their places, for errors that name file, line and key."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ import difflib
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeVar
 
-from tenscasadi.schema.formulas import Formula, FormulaError
-from tenscasadi.schema.toml_places import Key
+from tenscasadi.schema.formulas import Formula
+from tenscasadi.schema.text import Key, find_line
 from tenscasadi.util.validate import LARGEST, shown
 
-Which = Literal["node", "bar", "string"]
-MOST_ENTRIES = 200_000  # of nodes, members, segments
+T = TypeVar("T")
+ItemKind = Literal["node", "bar", "string"]
+MOST_ENTRIES = 200_000  # nodes, members or segments
 
 
 class SceneFileError(ValueError):
-    r"""A fault of a scene file: in which file, line and key, the value, and the cure, on one line.
+    r"""A fault of a scene file, on one line: file, line, key, value and cure.
 
     Parameters
     ----------
@@ -56,46 +56,91 @@ class SceneFileError(ValueError):
         return type(self), (self.message, self.file, self.line, self.key)
 
 
-class Place(NamedTuple):
-    """Where a key stands."""
+class NotWritten(ValueError):
+    """A value that no file can hold; the message gives the reason and the cure."""
 
-    file: str
-    line: int
+
+@dataclass(frozen=True)
+class Names:
+    """Numbers of nodes, bars and strings, and the indices that a name stands for.
+
+    A name is that of one item, or of a group of items.
+    """
+
+    counts: Mapping[ItemKind, int] = field(default_factory=dict)
+    named: Mapping[ItemKind, Mapping[str, Sequence[int]]] = field(default_factory=dict)
+
+    def find(self, which: ItemKind, word: Any) -> list[int]:
+        """Find the indices of an index or a name. Raises ValueError."""
+        named, count = self.named.get(which, {}), self.counts.get(which, 0)
+        if isinstance(word, str) and word in named:
+            return list(named[word])
+        if isinstance(word, str) and re.fullmatch("[0-9]{1,9}", word):  # a key of a table
+            word = int(word)
+        if isinstance(word, str):
+            cure = nearest(word, named) if named else f"give an index of a {which}"
+            raise ValueError(f"names {which} {shown(word)}, which is not there: {cure}")
+        if isinstance(word, bool) or not isinstance(word, int):
+            raise ValueError(f"is {shown(word)}: give the name or index of a {which}")
+        if not 0 <= word < count:
+            indices = f"{which} indices run from 0 to {count - 1}"
+            cure = indices if count else f"there are no {which}s"
+            raise ValueError(f"names {which} {shown(word)}: {cure}")
+        return [word]
 
 
 @dataclass(frozen=True)
 class Document:
-    """A scene file with its includes: plain `data`, the declared `numbers` by name, and the `places` of keys."""
+    """Content of a scene file with its includes.
 
-    path: Path
+    Attributes
+    ----------
+    name : str
+        Name of the file.
+    data : mapping
+        Merged tables.
+    numbers : mapping of str to float
+        Declared numbers.
+    sources : tuple of (str, str)
+        Names and texts of all files that were read; later ones take precedence.
+    """
+
+    name: str
     data: Mapping[str, Any]
-    numbers: Mapping[str, float]
-    places: Mapping[Key, Place]
+    numbers: Mapping[str, float] = field(default_factory=dict)
+    sources: tuple[tuple[str, str], ...] = ()
 
     @property
     def root(self) -> Item:
-        """The whole file as an item."""
+        """The whole document as an item."""
         return Item(self.data, (), self)
 
     def section(self, name: str) -> Item | None:
-        """Return one of `SECTIONS` where the file has it. Raises SceneFileError where it is no table."""
+        """Return a table of the document, None if it has none. Raises SceneFileError."""
         if name not in self.data:
             return None
         found = self.root.child(name)
         found.table()
         return found
 
+    def place(self, key: Key) -> tuple[str, int | None]:
+        """Find the file and the line of a key."""
+        places = [(*find_line(text, key), name) for name, text in reversed(self.sources)]
+        words, line, file = max(places, key=lambda place: place[0], default=(0, 1, self.name))
+        return (file, line) if words and not file.startswith("--") else (file or self.name, None)
+
 
 class Item(NamedTuple):
-    """A value of a document, and its key."""
+    """A value of a document, its key, and the names that it may use."""
 
     value: Any
     key: Key
     document: Document
+    names: Names = Names()
 
     def child(self, name: str | int) -> Item:
-        """Return the value of a key of a table, or the entry of a list."""
-        return Item(self.value[name], (*self.key, name), self.document)
+        """Return the value of a key of a table, or an entry of a list."""
+        return Item(self.value[name], (*self.key, name), self.document, self.names)
 
     def table(self, wanted: str = "a table") -> dict[str, Item]:
         """Return the items of a table by name. Raises SceneFileError."""
@@ -120,25 +165,17 @@ class Item(NamedTuple):
     def number(self, wanted: str = "a number, or a formula in quotes") -> float:
         """Return a number, or the value of a formula. Raises SceneFileError."""
         if isinstance(self.value, str):
-            formula = self.formula()
-            try:
-                return formula.value(self.document.numbers)
-            except FormulaError as error:
-                raise self.error(str(error)) from None
+            return self._call(lambda: Formula(self.value).value(self.document.numbers))
         if isinstance(self.value, bool) or not isinstance(self.value, (int, float)):
             raise self.error(f"is {shown(self.value)}: give {wanted}")
         if not abs(self.value) <= LARGEST:
-            raise self.error(
-                f"is {shown(self.value)}: give a finite number, at most {LARGEST:g} in size"
-            )
+            cure = f"give a finite number, at most {LARGEST:g} in size"
+            raise self.error(f"is {shown(self.value)}: {cure}")
         return float(self.value)
 
     def formula(self) -> Formula:
-        """Return a text as a formula. Raises SceneFileError."""
-        try:
-            return Formula(self.text("a formula in quotes"))
-        except FormulaError as error:
-            raise self.error(str(error)) from None
+        """Parse a text as a formula. Raises SceneFileError."""
+        return self._call(lambda: Formula(self.text("a formula in quotes")))
 
     def whole(self, wanted: str = "a whole number") -> int:
         """Return a whole number, or the value of a formula that is one. Raises SceneFileError."""
@@ -147,101 +184,49 @@ class Item(NamedTuple):
             raise self.error(f"is {found:g}: give {wanted}")
         return int(found)
 
+    def indices(self, which: ItemKind, word: Any = None) -> list[int]:
+        """Find the indices of a name or index, the value by default. Raises SceneFileError."""
+        return self._call(lambda: self.names.find(which, self.value if word is None else word))
+
     def error(self, message: str) -> SceneFileError:
-        """Return the error that tells where this value stands and `message`, which begins as in "is 3: give 4"."""
-        key: Key = self.key
-        while key and key not in self.document.places:
-            key = key[:-1]
-        place = self.document.places.get(key)
-        told = dotted(self.key)
-        return SceneFileError(
-            message,
-            place.file if place else self.document.path.name,
-            place.line if place else None,
-            told,
-        )
+        """Build the error of this value from a message such as "is 3: give 4"."""
+        text = ""
+        for word in self.key:
+            text += f"[{word}]" if isinstance(word, int) else f".{word}" if text else str(word)
+        key = text if len(text) <= 120 else f"{text[:120]} …"
+        return SceneFileError(message, *self.document.place(self.key), key)
 
-
-def dotted(key: Iterable[str | int]) -> str:
-    """Return a key as messages show it, such as ``structure.nodes[3]``."""
-    text = ""
-    for word in key:
-        text += f"[{word}]" if isinstance(word, int) else f".{word}" if text else str(word)
-    return text if len(text) <= 120 else f"{text[:120]} …"
+    def _call(self, function: Callable[[], T]) -> T:
+        try:
+            return function()
+        except SceneFileError:
+            raise
+        except ValueError as error:
+            raise self.error(str(error)) from None
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """Return the cure for a word that is none of those known: the nearest, or a list of them."""
+    """Format the cure for an unknown word: the nearest known one, or a list of them."""
     names = list(known)
-    close = difflib.get_close_matches(word[:80], names, 1)
-    return (
-        f"did you mean {close[0]!r}?"
-        if close
-        else f"give one of {', '.join(names[:30])}"
-        if names
-        else "leave it out"
-    )
-
-
-class NotWritten(ValueError):
-    """A value that no file can hold; the message says why and what to do."""
-
-
-@dataclass(frozen=True)
-class Names:
-    """How many nodes, bars and strings there are, and which indices a name stands for: a node, or all members of a group."""
-
-    counts: Mapping[Which, int] = field(default_factory=dict)
-    named: Mapping[Which, Mapping[str, Sequence[int]]] = field(default_factory=dict)
-
-    def find(self, which: Which, word: Any, item: Item) -> list[int]:
-        """Return the indices that an index or a name stands for. Raises SceneFileError."""
-        named, count = self.named.get(which, {}), self.counts.get(which, 0)
-        if isinstance(word, str) and word in named:
-            return list(named[word])
-        if isinstance(word, str) and word.isascii() and word.isdigit() and len(word) < 10:  # a key
-            word = int(word)
-        if isinstance(word, str):
-            raise item.error(
-                f"names {which} {shown(word)}, which is not there: {nearest(word, named) if named else f'give an index of a {which}'}"
-            )
-        if isinstance(word, bool) or not isinstance(word, int):
-            raise item.error(f"is {shown(word)}: give the name or index of a {which}")
-        if not 0 <= word < count:
-            raise item.error(
-                f"names {which} {shown(word)}: "
-                + (
-                    f"{which} indices run from 0 to {count - 1}"
-                    if count
-                    else f"there are no {which}s"
-                )
-            )
-        return [word]
-
-    def one(self, which: Which, word: Any, item: Item) -> int:
-        """Return the index that an index or a name stands for. Raises SceneFileError, also where it is a group of several."""
-        found = self.find(which, word, item)
-        if len(found) != 1:
-            raise item.error(
-                f"is {shown(word)}, a group of {len(found)} {which}s: give the index of one"
-            )
-        return found[0]
+    if close := difflib.get_close_matches(word[:80], names, 1):
+        return f"did you mean {close[0]!r}?"
+    return f"give one of {', '.join(names[:30])}" if names else "leave it out"
 
 
 def call(
     build: Callable[..., Any], item: Item, table: Mapping[str, Item], given: Mapping[str, Any]
 ) -> Any:
-    """Return build(**given); a TypeError or ValueError becomes the error of the field that it names first. Raises SceneFileError."""
+    """Call `build` with the given fields.
+
+    A TypeError or ValueError becomes a SceneFileError at the field that it names first.
+    """
     try:
         return build(**given)
     except SceneFileError:
         raise
     except (TypeError, ValueError) as error:
         text = str(error)
-        places = {
-            name: found.start()
-            for name in table
-            if (found := re.search(rf"(?<!\w){re.escape(name)}(?!\w)", text))
-        }
+        found = {name: re.search(rf"(?<!\w){re.escape(name)}(?!\w)", text) for name in table}
+        places = {name: match.start() for name, match in found.items() if match}
         where = table[min(places, key=lambda name: places[name])] if places else item
         raise where.error(text) from error

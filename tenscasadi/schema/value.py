@@ -24,9 +24,11 @@ class Value:
     implied : str
         Kind of a table that does not name one.
     earlier_names : mapping of str to str
-        Names of fields in earlier versions, which files may still use, and those of today.
+        Earlier names of fields, which files may still use, and their present names.
     members : dict
-        Members of the family by kind: classes, and functions that make values.
+        Members of the family by kind: classes, and functions that build values.
+    earlier_kinds : dict
+        Earlier names of kinds, which files may still use, and their present names.
     """
 
     kind: ClassVar[str] = ""
@@ -34,20 +36,23 @@ class Value:
     implied: ClassVar[str] = ""
     earlier_names: ClassVar[Mapping[str, str]] = {}
     members: ClassVar[dict[str, Callable[..., Any]]] = {}
+    earlier_kinds: ClassVar[dict[str, str]] = {}
 
     def __init_subclass__(
-        cls, *, kind: str = "", short: str = "", implied: str = "", **more: Any
+        cls, *, kind: str = "", short: str = "", implied: str = "", earlier: str = "", **more: Any
     ) -> None:
         super().__init_subclass__(**more)
         if Value in cls.__bases__:
-            cls.members, cls.short, cls.implied = {}, short, implied
+            cls.members, cls.earlier_kinds, cls.short, cls.implied = {}, {}, short, implied
         cls.kind, cls.short = kind, short or cls.short
         if kind:
             _add(cls, kind, cls)
+        if earlier:
+            cls.earlier_kinds[earlier] = kind
 
     @classmethod
     def maker(cls, function: T) -> T:
-        """Register a function that makes values of this family; its name is the kind."""
+        """Register a function that builds values of this family; its name is the kind."""
         _add(cls, function.__name__, function)
         return function
 
@@ -62,7 +67,7 @@ class Value:
 
 
 def _add(family: type[Value], kind: str, member: Callable[..., Any]) -> None:
-    """Enter a member into its family. Raises TypeError where another one has its kind."""
+    """Enter a member into its family. Raises TypeError if another one has its kind."""
     other = family.members.setdefault(kind, member)
     if other.__qualname__ != member.__qualname__ or other.__module__ != member.__module__:
         raise TypeError(

@@ -21,8 +21,7 @@ from tenscasadi.scene.parameters import QUANTITIES
 from tenscasadi.scene.scene import Scene
 from tenscasadi.schema.containers import TableOf
 from tenscasadi.schema.definitions import OneOf
-from tenscasadi.schema.forms import PER_ITEM, ToldApart
-from tenscasadi.schema.time_formula import Varying
+from tenscasadi.schema.field_types import PER_ITEM, ElsewhereInFile, varying
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.time_grid import lay_run
 from tenscasadi.simulation.trajectory import Trajectory
@@ -99,7 +98,7 @@ class Simulation:
     'finished 100 steps of 0.001 s'
     """
 
-    scene: Annotated[Scene, ToldApart()]
+    scene: Annotated[Scene, ElsewhereInFile()]
     t_end: float
     step: float | None = None
     scheme: Annotated[Scheme, OneOf(NamedScheme)] = field(default_factory=RungeKutta4)
@@ -107,12 +106,14 @@ class Simulation:
     save_every: int | None = None
     coordinates: Literal["reduced", "full"] = "reduced"
     bar_length: Literal["current", "constant"] = "current"
-    nodes: Annotated[Any, ToldApart()] = None
-    velocities: Annotated[Any, ToldApart()] = None
-    project: Annotated[bool, ToldApart()] = False
-    state: Annotated[Any, ToldApart()] = None
-    control: Annotated[Any, Varying((None,))] = None
-    parameters: Annotated[Mapping[str, Any] | None, TableOf(PER_ITEM, tuple(QUANTITIES))] = None
+    nodes: Annotated[Any, ElsewhereInFile()] = None
+    velocities: Annotated[Any, ElsewhereInFile()] = None
+    project: Annotated[bool, ElsewhereInFile()] = False
+    state: Annotated[Any, ElsewhereInFile()] = None
+    control: Annotated[Any, varying(None)] = None
+    parameters: Annotated[
+        Mapping[str, Any] | None, TableOf(dict.fromkeys(QUANTITIES, PER_ITEM))
+    ] = None
     energy_balance: bool = True
 
     def __post_init__(self) -> None:

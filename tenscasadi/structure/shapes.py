@@ -8,8 +8,9 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tenscasadi.schema.forms import PAIR, ToldApart
+from tenscasadi.schema.field_types import PAIR, ElsewhereInFile
 from tenscasadi.schema.value import Value
+from tenscasadi.structure import names
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import (
     Array,
@@ -144,7 +145,7 @@ def prism(
         bottom   0 ──── 1 ──── …      nodes 0 … p−1, at z = 0, node i at (radius, 2π i/p) in polar coordinates
 
     Bars: i → p+(i+1 mod p). Strings: bottom polygon i → i+1, top polygon, vertical i → p+i, p of
-    each.
+    each. They are named ``bottom[0]`` and so on, as are nodes.
 
     Parameters
     ----------
@@ -196,6 +197,11 @@ def prism(
     top = _ring(p, radius, turn - 2 * np.pi / p, height)
     strings = np.concatenate([np.c_[i, after], np.c_[p + i, p + after], np.c_[i, p + i]])
     stress = np.repeat([1.0, 1.0, 2.0 * np.sin(np.pi / p)], p)
+    options = {
+        "node_names": names.name_members([("bottom", p), ("top", p)]),
+        "string_names": names.name_members([("bottom", p), ("top", p), ("vertical", p)]),
+        **options,
+    }
     return _prestressed(
         Structure(np.concatenate([bottom, top]), np.c_[i, p + after], strings, **options),
         stress,
@@ -378,7 +384,7 @@ def membrane(
     q: int = 5,
     radius: float = 1.0,
     length: float = 2.0,
-    node_mass: Annotated[ArrayLike, ToldApart()] = 0.1,
+    node_mass: Annotated[ArrayLike, ElsewhereInFile()] = 0.1,
     **options: Any,
 ) -> Structure:
     """Build a cylindrical membrane of strings (class 0, Sect. 7.3).
@@ -433,6 +439,12 @@ def membrane(
     helices = np.stack(
         [np.c_[lower, lower + p], np.c_[lower, before[: len(lower)] + p]], axis=1
     ).reshape(-1, 2)
+    rings = [("bottom", p), ("rings", p * (q - 2)), ("top", p)]
+    options = {
+        "node_names": names.name_members([("bottom", p), ("", p * (q - 2)), ("top", p)]),
+        "string_names": names.name_members([*rings, ("helices", len(helices))]),
+        **options,
+    }
     return Structure(
         nodes, strings=np.concatenate([np.c_[ring, after], helices]), node_mass=node_mass, **options
     )

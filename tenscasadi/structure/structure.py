@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import csr_array, diags_array
 
+from tenscasadi.schema.reading import Names
+from tenscasadi.schema.value import Value
 from tenscasadi.structure.class_one import (
     ClassOne,
     Layout,
@@ -23,6 +25,8 @@ from tenscasadi.structure.class_one import (
     read_matrices,
     refuse_massless_nodes,
 )
+from tenscasadi.structure.derived import DERIVED, read_derived, write_derived
+from tenscasadi.structure.names import extend_names, find_names, name_segments, read_names
 from tenscasadi.structure.pins import Normals, read_axes, read_pins, read_rollers
 from tenscasadi.structure.subdivision import cut_strings, segment_counts, segment_shares
 from tenscasadi.util.read_only import ReadOnlyArrays, read_only
@@ -45,7 +49,7 @@ from tenscasadi.util.viewable import Viewable
 THICKEST = 1e3  # radius over length: above it M is not positive definite after rounding
 
 
-class Structure(Viewable, ReadOnlyArrays):
+class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
     """Nodes, rigid bars and strings, with masses, stiffness and pins.
 
     A structure is immutable and its arrays are read-only; `replace` makes a modified copy. A scalar
@@ -80,9 +84,14 @@ class Structure(Viewable, ReadOnlyArrays):
     rollers : mapping of int to array_like, shape (3,) or (k, 3)
         Fixed directions of nodes, such as ``{3: (1, 0, 1)}``: the normal of the plane on which a
         node rolls, or two normals of its line.
+    node_names, string_names, bar_names : sequence of str, optional
+        Names, "" for unnamed ones. ``"guys[0]"`` and ``"guys[1]"`` are members of the group
+        ``"guys"``.
 
     Attributes
     ----------
+    names : Names
+        Indices of all names and groups.
     fixed : ndarray of bool, shape (n, 3)
         Whether a node is fixed along x, y and z.
     held : ndarray of bool, shape (n, 3)
@@ -130,9 +139,12 @@ class Structure(Viewable, ReadOnlyArrays):
     bar_inertia: Array
     string_parent: Indices
     string_fraction: Array
+    node_names: tuple[str, ...]
+    string_names: tuple[str, ...]
+    bar_names: tuple[str, ...]
     _layout: Layout
 
-    def __init__(
+    def __init__(  # noqa: PLR0913  one keyword for each property
         self,
         nodes: ArrayLike,
         bars: Iterable[Sequence[int]] | Indices = (),
@@ -146,6 +158,9 @@ class Structure(Viewable, ReadOnlyArrays):
         rest_length: ArrayLike | None = None,
         string_mass: ArrayLike = 0.0,
         rollers: Mapping[int, ArrayLike] = MappingProxyType({}),
+        node_names: Iterable[str] = (),
+        string_names: Iterable[str] = (),
+        bar_names: Iterable[str] = (),
     ) -> None:
         own = self.__dict__
         own["nodes"] = finite_array("nodes", nodes, (None, 3))
@@ -176,6 +191,9 @@ class Structure(Viewable, ReadOnlyArrays):
             own[name] = nonnegative(
                 name, per_item(name, value, count), item, strict=name in ("bar_mass", "rest_length")
             )
+        own["node_names"] = read_names("node_names", node_names, n)
+        own["string_names"] = read_names("string_names", string_names, alpha)
+        own["bar_names"] = read_names("bar_names", bar_names, beta)
         slenderness = self.bar_radius / self.bar_lengths
         for i in np.flatnonzero(slenderness > THICKEST):
             most = f"{THICKEST:g} times its length, {self.bar_lengths[i]:g} m"
@@ -193,6 +211,21 @@ class Structure(Viewable, ReadOnlyArrays):
         self._derived(
             string_parent=np.arange(alpha), string_fraction=np.ones(alpha), _layout=layout
         )
+
+    @classmethod
+    def from_fields(cls, **given: Any) -> Structure:
+        """Restore a structure from the result of `to_fields`."""
+        derived = {name: given.pop(name) for name in DERIVED if name in given}
+        structure = cls(**given)
+        return structure._derived(**read_derived(derived, structure)) if derived else structure
+
+    def to_fields(self) -> dict[str, Any]:
+        """Return the keywords, and the results of `subdivide` and `from_matrices` if there are."""
+        own = {name: getattr(self, name) for name in PARAMETERS}
+        plain, derived = write_derived(Structure(**own)), write_derived(self)
+        changed = any(not np.array_equal(derived[name], plain[name]) for name in DERIVED)
+        own |= {name: dict(own[name]) for name in ("pinned", "rollers")}
+        return own | derived if changed else own
 
     @classmethod
     def from_matrices(
@@ -255,6 +288,13 @@ class Structure(Viewable, ReadOnlyArrays):
         """String connectivity (α, n), with S = N C_sᵀ."""
         return np.asarray(connectivity(self.strings, len(self.nodes)).toarray())
 
+    @property
+    def names(self) -> Names:
+        """Indices of all names and groups of nodes, strings and bars."""
+        parts = {"node": self.nodes, "string": self.strings, "bar": self.bars}
+        counts = {which: len(items) for which, items in parts.items()}
+        return find_names(counts, {which: getattr(self, f"{which}_names") for which in parts})
+
     def mass_matrix(self) -> csr_array:
         """Compute the mass matrix on physical nodes (Eq. 59).
 
@@ -316,6 +356,10 @@ class Structure(Viewable, ReadOnlyArrays):
             raise TypeError(
                 f"replace got {unknown[0]!r}: give keywords of Structure ({', '.join(PARAMETERS)})"
             )
+        for part in ("node", "string", "bar"):
+            own = getattr(self, f"{part}s")
+            if len(changes.get(f"{part}s", own)) != len(own):  # other items, other names
+                changes.setdefault(f"{part}_names", ())
         new = Structure(**{**{name: getattr(self, name) for name in PARAMETERS}, **changes})
         kept: dict[str, Any] = {}
         if np.array_equal(new.strings, self.strings):
@@ -422,6 +466,8 @@ class Structure(Viewable, ReadOnlyArrays):
             nodes=nodes,
             strings=strings,
             node_mass=mass + np.pad(self.node_mass, (0, len(nodes) - len(self.nodes))),
+            node_names=extend_names(self.node_names, len(nodes)),
+            string_names=name_segments(self.string_names, counts),
             stiffness=self.stiffness[parent] / share,
             damping=self.damping[parent] / share,
             rest_length=self.rest_length[parent] * share,

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from tenscasadi.util.validate import Array, Indices, finite_array, listed, nonnegative, whole_number
 
-LARGEST_COUNT = 10**5  # segments of a string
+LARGEST_COUNT = 200_000  # segments of all strings
 
 
 def cut_strings(
@@ -39,15 +39,19 @@ def cut_strings(
 def segment_counts(segments: int | Sequence[int] | Indices, strings: int) -> list[int]:
     """Read the number of segments per string. Raises TypeError, ValueError."""
     if not isinstance(segments, (Sequence, np.ndarray)):
-        return [whole_number("segments", segments, 1, LARGEST_COUNT)] * strings
+        most = max(LARGEST_COUNT // max(strings, 1), 1)
+        return [whole_number("segments", segments, 1, most)] * strings
     counts = listed("segments", segments, "[2, 2, 1]")
     if len(counts) != strings:
         raise ValueError(
             f"segments has {len(counts)} entries: give one number, or one for each of {strings} strings"
         )
-    return [
+    found = [
         whole_number(f"segments[{i}]", count, 1, LARGEST_COUNT) for i, count in enumerate(counts)
     ]
+    if sum(found) > max(LARGEST_COUNT, strings):
+        raise ValueError(f"segments sum to {sum(found)}: give at most {LARGEST_COUNT} in all")
+    return found
 
 
 def segment_shares(count: int, fractions: ArrayLike | None) -> Array:

@@ -24,7 +24,9 @@ def relative(ours: np.ndarray, theirs: np.ndarray) -> float:
 
 
 def assert_same_structure(one: Structure, other: Structure) -> None:
-    """Two structures agree in every keyword, to the last bit."""
+    """Two structures agree in every keyword but names, to the last bit."""
     for name in PARAMETERS:
+        if name.endswith("_names"):
+            continue
         a, b = getattr(one, name), getattr(other, name)
         assert np.array_equal(a, b) if isinstance(a, np.ndarray) else dict(a) == dict(b), name

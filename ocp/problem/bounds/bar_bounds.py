@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from ocp.problem.bounds.bound import PathBound, PathConstraint, broadcast_limits, replace_inf
 from ocp.problem.instant import symbolic
 from tenscasadi.dynamics.model import Model
-from tenscasadi.schema.forms import LIMITS, PER_ITEM
+from tenscasadi.schema.field_types import LIMITS, PER_ITEM
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, nonnegative, number_or_vector, per_item, positive_number
 

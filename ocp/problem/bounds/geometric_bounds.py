@@ -14,7 +14,7 @@ from ocp.problem.bounds.bound import Bound, PathBound, PathConstraint
 from ocp.problem.instant import norms, symbolic
 from tenscasadi.dynamics.model import Model
 from tenscasadi.schema.containers import ListOf
-from tenscasadi.schema.forms import POINT, VECTOR, Members
+from tenscasadi.schema.field_types import POINT, VECTOR, Members
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import (
     Array,

@@ -12,7 +12,7 @@ from ocp.problem.bounds.bound import PathBound, PathConstraint
 from ocp.problem.instant import symbolic
 from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.ground import Surface
-from tenscasadi.schema.forms import Members
+from tenscasadi.schema.field_types import Members
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import instance, listed, node_index, number
 

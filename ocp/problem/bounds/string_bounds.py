@@ -18,7 +18,7 @@ from ocp.problem.bounds.bound import (
 )
 from ocp.problem.instant import symbolic
 from tenscasadi.dynamics.model import Model
-from tenscasadi.schema.forms import LIMITS, PER_ITEM
+from tenscasadi.schema.field_types import LIMITS, PER_ITEM
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, nonnegative, number_or_vector, per_item
 

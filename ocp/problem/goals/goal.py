@@ -17,7 +17,7 @@ from ocp.problem.rows import Rows
 from tenscasadi.dynamics.model import Model
 from tenscasadi.io.structure_section import OfStructure
 from tenscasadi.schema.containers import Either, MapOf
-from tenscasadi.schema.forms import NUMBER, PER_ITEM, POINTS
+from tenscasadi.schema.field_types import NUMBER, PER_ITEM, POINTS
 from tenscasadi.schema.value import Value
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import (

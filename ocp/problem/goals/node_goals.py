@@ -15,7 +15,7 @@ from ocp.problem.rows import Rows
 from tenscasadi.dynamics.model import Model
 from tenscasadi.io.structure_section import OfStructure
 from tenscasadi.schema.containers import Either, MapOf
-from tenscasadi.schema.forms import PER_ITEM, POINT, POINTS
+from tenscasadi.schema.field_types import PER_ITEM, POINT, POINTS
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import (
     Array,

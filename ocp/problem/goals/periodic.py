@@ -14,8 +14,8 @@ from ocp.problem.goals.goal import Goal
 from ocp.problem.rows import Rows
 from tenscasadi.dynamics.model import Model
 from tenscasadi.io.structure_section import OfStructure
-from tenscasadi.schema.containers import Pair
-from tenscasadi.schema.forms import POINT, POINTS
+from tenscasadi.schema.containers import ListOf
+from tenscasadi.schema.field_types import POINT, POINTS
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, coordinates, finite_array
 
@@ -49,7 +49,9 @@ class Periodic(Goal, kind="Periodic"):
     """
 
     shift: Annotated[Sequence[float | None], POINT] = (0.0, 0.0, 0.0)
-    start: Annotated[tuple[ArrayLike, ArrayLike] | None, Pair(OfStructure("nodes", POINTS))] = None
+    start: Annotated[
+        tuple[ArrayLike, ArrayLike] | None, ListOf(OfStructure("nodes", POINTS), count=2)
+    ] = None
 
     @property
     def repeats_start(self) -> bool:

@@ -77,7 +77,7 @@ def faults(events: list[tuple[str, tuple[object, ...]]], folder: Path) -> Iterat
 
 def _is_code(path: object) -> bool:
     text = path.decode() if isinstance(path, bytes) else str(path)
-    return text.startswith("<frozen") or any(
+    return text.startswith(("<frozen", "<formula>")) or any(
         Path(text).resolve().is_relative_to(root) for root in CODE
     )
 

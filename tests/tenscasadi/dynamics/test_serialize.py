@@ -127,6 +127,7 @@ FUNCTIONS: dict[str, Callable[[], tc.Model]] = {
 
 def test_everything_that_a_model_has_is_covered():
     named = {name.split(".")[1] for name in [*OTHER, *FUNCTIONS]} | {"pinned"}  # pinned: fixed
+    named |= {"node_names", "string_names", "bar_names"}
     assert set(PARAMETERS) <= named
     assert {field.name for field in fields(tc.Scene)} - {"structure", "control"} <= named
     assert set(signature(tc.Model).parameters) - {"scene"} <= named

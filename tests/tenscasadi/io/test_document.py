@@ -109,7 +109,7 @@ def test_circles_and_floods_of_includes_are_refused(write, monkeypatch):
     for k in range(12):  # each includes the next twice: 4096 files
         write(f'include = ["c{k + 1}.toml", "c{k + 1}.toml"]\n', f"c{k}.toml")
     write("", "c12.toml")
-    assert "more than 32 files" in str(fault(write('include = ["c0.toml"]\n')))
+    assert "100 files" in str(fault(write('include = ["c0.toml"]\n')))
     monkeypatch.setattr(document, "LARGEST_FILE", 1000)
     assert "MB" in str(fault(write("#" * 1000)))
     write("#" * 600, "half.toml")
@@ -117,12 +117,10 @@ def test_circles_and_floods_of_includes_are_refused(write, monkeypatch):
 
 
 def test_a_flood_of_entries_is_refused_also_where_includes_share_it(write, monkeypatch):
-    monkeypatch.setattr(document, "MOST_PLACES", 100)
+    monkeypatch.setattr(document, "MOST_VALUES", 100)
     write("x = [" + "1," * 60 + "]", "half.toml")
     assert "more than" in str(fault(write("x = [" + "1," * 100 + "]")))
-    found = fault(write('include = ["half.toml"]\nx = [' + "1," * 60 + "]"))
-    assert found.file == "half.toml"
-    assert found.line == 3
+    assert fault(write('include = ["half.toml"]\nx = [' + "1," * 60 + "]")).file == "half.toml"
 
 
 def test_pipes_and_folders_are_refused(tmp_path):
@@ -142,7 +140,7 @@ def test_pipes_and_folders_are_refused(tmp_path):
         ("[numbers]\n'a b' = 1\n", 4, "numbers.a b", "cannot be the name"),
         ("[numbers]\na = true\n", 4, "numbers.a", "give a number"),
         ("[numbers]\na = nan\n", 4, "numbers.a", "finite"),
-        ("[numbers]\na = '1 +'\n", 4, "numbers.a", "ends too early"),
+        ("[numbers]\na = '1 +'\n", 4, "numbers.a", "is no formula"),
         ("[sturcture]\n", 3, "sturcture", "did you mean 'structure'?"),
         ("numbers = 3\n", 3, "numbers", "give a table"),
         ("x = [1,\n 2\n", 5, "", "no TOML"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import sys
 import warnings
 from pathlib import Path
 
@@ -15,6 +17,11 @@ from structures import STRUCTURES
 
 import tenscasadi as tc
 from tenscasadi.dynamics.serialize import structure_to_arrays
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 HEAD = 'format = 1\nunits = "SI"\n'
 
@@ -37,19 +44,45 @@ def assert_same(scene: tc.Scene, other: tc.Scene, seed: int = 0) -> None:
     np.testing.assert_array_equal(one.parameters.nominal, two.parameters.nominal)
 
 
-def written(scene: tc.Scene | tc.Simulation, folder: Path) -> Path:
-    return tc.save_scene(scene, folder / "scene.toml")
+def written(scene: tc.Scene | tc.Simulation, folder: Path, ending: str = "toml") -> Path:
+    return tc.save_scene(scene, folder / f"scene.{ending}")
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
-@given(scenes(), st.integers(0, 99))
-def test_scenes_come_back_to_the_last_bit(tmp_path_factory, scene, seed):
-    path = written(scene, tmp_path_factory.getbasetemp())
+@given(scenes(), st.integers(0, 99), st.sampled_from(["toml", "json"]))
+def test_scenes_come_back_to_the_last_bit(tmp_path_factory, scene, seed, ending):
+    path = written(scene, tmp_path_factory.getbasetemp(), ending)
     loaded = tc.load_scene(path)
     assert_same(scene, loaded, seed)
-    assert written(loaded, path.parent).read_text(encoding="utf-8") == path.read_text(
-        encoding="utf-8"
-    )
+    text = path.read_text(encoding="utf-8")
+    assert written(loaded, path.parent, ending).read_text(encoding="utf-8") == text
+
+
+def test_toml_and_json_hold_the_same(tmp_path):
+    (tmp_path / "mast.toml").write_text(FILE, encoding="utf-8")
+    data = tomllib.loads(FILE)
+    (tmp_path / "mast.json").write_text(json.dumps(data, indent=1), encoding="utf-8")
+    one, other = (tc.load_simulation(tmp_path / f"mast.{ending}") for ending in ("toml", "json"))
+    assert_same(one.scene, other.scene)
+    data["structure"]["strings"]["front"]["stiffness"] = -1
+    (tmp_path / "mast.json").write_text(json.dumps(data, indent=1), encoding="utf-8")
+    with pytest.raises(tc.SceneFileError) as caught:
+        tc.load_simulation(tmp_path / "mast.json")
+    assert caught.value.key == "structure.strings.front.stiffness"
+    line = (tmp_path / "mast.json").read_text(encoding="utf-8").splitlines()[caught.value.line - 1]
+    assert '"stiffness": -1' in line
+
+
+def test_names_come_back(tmp_path):
+    (tmp_path / "mast.toml").write_text(FILE, encoding="utf-8")
+    named = tc.load_scene(tmp_path / "mast.toml")
+    assert named.structure.node_names == ("foot", "top", "a", "b", "c")
+    assert named.structure.string_names == ("front", "guys[0]", "guys[1]")
+    assert named.structure.names.named["string"]["guys"] == [1, 2]
+    again = tc.load_scene(tc.save_scene(named, tmp_path / "again.toml"))
+    for which in ("node", "string", "bar"):
+        name = f"{which}_names"
+        assert getattr(again.structure, name) == getattr(named.structure, name)
 
 
 @pytest.mark.parametrize("name", STRUCTURES)
@@ -115,14 +148,12 @@ def test_earlier_name_of_breakpoints_is_read(tmp_path):
     assert tuple(tc.load_scene(path).gravity.breakpoints) == (0.5,)
 
 
-def test_formulas_that_their_numbers_make_too_deep_are_not_written(tmp_path):
+def test_formulas_that_their_numbers_make_too_long_are_rejected(tmp_path):
     path = tmp_path / "deep.toml"
     path.write_text(
-        f"{HEAD}numbers.a = -1.0\nstructure.shape = 'pendulum'\nscene.gravity = [0, 0, '{'(' * 39}a{')' * 39} * t']"
+        f"{HEAD}numbers.a = -1.5\nstructure.shape = 'pendulum'\nscene.gravity = [0, 0, '{'+'.join('a' * 300)} + t']"
     )
-    with pytest.raises(
-        ValueError, match=r"Gravity.acceleration: with its numbers .* inside each other"
-    ):
+    with pytest.raises(ValueError, match=r"Gravity.acceleration: with its numbers a formula of"):
         tc.save_scene(tc.load_scene(path), tmp_path / "again.toml")
     assert not (tmp_path / "again.toml").exists()
 
@@ -339,7 +370,7 @@ def test_names_groups_and_formulas_mean_what_they_say(tmp_path):
         ("velocities = { top", "velocities = { foot", "start.velocities", "moves a pinned coordinate"),
         ("[start]", "[start]\nkind = 'Clip'", "start.kind", "is no field of start"),
         ("[start]", "[start]\nstate = [1, 2]", "start.velocities", "beside state"),
-        ("[scene]", "[scene]\nsegments = 100000000", "scene.segments", "give less"),
+        ("[scene]", "[scene]\nsegments = 100000000", "scene.segments", "at most"),
         ("[scene]", "[scene]\nsegments = 0", "scene.segments", "at least 1"),
         ("[scene]", "[scene]\ngravity = 9.81", "scene.gravity", "a list of 3 numbers"),
     ],

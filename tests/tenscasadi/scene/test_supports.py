@@ -91,7 +91,7 @@ def test_states_take_the_velocity_of_the_support_and_symbols_see_it_move() -> No
     [
         (lambda: SupportMotion({}), r"SupportMotion\.positions"),
         (lambda: SupportMotion(shaking), r"SupportMotion\.positions"),
-        (lambda: SupportMotion({0: (0, 0, 0)}), r"SupportMotion\.positions\[0\]"),
+        (lambda: SupportMotion({0: (0, 0)}), r"SupportMotion\.positions\[0\]"),
         (lambda: Scene(CHAIN, supports=shaking), r"Scene\.supports"),
         (lambda: Scene(CHAIN, supports=SupportMotion({1: shaking})), r"node 1 is not pinned"),
         (lambda: Scene(CHAIN, supports=SupportMotion({7: shaking})), r"node 7"),

@@ -63,7 +63,7 @@ def test_precedence_is_that_of_python(text):
 
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_functions_of_symbols_are_those_of_numbers(name):
-    arguments = ", ".join(["0.3 * t", "0.7"][: FUNCTIONS[name].arguments])
+    arguments = ", ".join(["0.3 * t", "0.7"][: FUNCTIONS[name]])
     formula, t = Formula(f"{name}({arguments})"), ca.SX.sym("t")
     function = ca.Function("function", [t], [formula.at(t, {})])
     for value in (0.5, 1.0, 3.0):
@@ -85,7 +85,6 @@ def test_functions_of_symbols_are_those_of_numbers(name):
             "sqrt(-1)",
             "1 / 0",
             "1e999",
-            "0x10",
             "(-8) ** 0.5",
             "min(1)",
             "1, 2",
@@ -103,7 +102,6 @@ def test_functions_of_symbols_are_those_of_numbers(name):
         ),
         *(
             "(" * 500 + "1" + ")" * 500,
-            "-" * 900 + "1",
             "1" * 2000,
             "**",
             "2 ** ",
@@ -122,8 +120,10 @@ def test_what_is_no_formula_is_refused_at_once(text):
     assert time.process_time() - began < 1.0
 
 
-def test_long_sums_are_computed():
+def test_long_formulas_are_computed():
     assert Formula("+".join(["1"] * 500)).value({}) == 500.0
+    assert Formula("-" * 900 + "1").value({}) == 1.0
+    assert Formula("1e3 * z[tip] + y[3]").at(0.0, {"z[tip]": 2.0, "y[3]": 1.0}) == 2001.0
 
 
 def test_numbers_take_the_place_of_their_names():

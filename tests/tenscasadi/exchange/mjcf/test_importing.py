@@ -44,6 +44,8 @@ STRUCTURES: dict[str, tc.Structure] = {
 
 def assert_same(one: tc.Structure, other: tc.Structure) -> None:
     for name in PARAMETERS:
+        if name.endswith("_names"):
+            continue
         given, found = getattr(one, name), getattr(other, name)
         if name in ("pinned", "rollers", "string_mass"):
             assert name == "string_mass" or given == found

@@ -1,0 +1,296 @@
+"""Types of fields: each reads a value, writes it, and has a JSON Schema."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tenscasadi.schema.formulas import FormulaError
+from tenscasadi.schema.reading import Item, ItemKind, NotWritten, nearest
+from tenscasadi.schema.time_formula import TimeFormula
+from tenscasadi.util.validate import shown
+
+Schema = dict[str, Any]
+Schemas = dict[str, Schema]  # definitions that `$ref` refers to, by name
+
+FREE = "free"  # in files, in place of None for a coordinate
+_FORMULA = "a number, or a formula in quotes such as 'height / 2 * cos(30 deg)'"
+
+
+class FieldType(ABC):
+    """Type of a field."""
+
+    @abstractmethod
+    def read(self, item: Item) -> Any:
+        """Convert an entry of a file to a Python value. Raises SceneFileError."""
+
+    @abstractmethod
+    def write(self, value: Any) -> Any:
+        """Convert a Python value to numbers, text, lists and tables. Raises NotWritten."""
+
+    @abstractmethod
+    def schema(self, kinds: Schemas) -> Schema:
+        """Build the JSON Schema; definitions are added to `kinds`."""
+
+
+@dataclass(frozen=True)
+class Numbers(FieldType):
+    """A number, or an array of one of several shapes.
+
+    Parameters
+    ----------
+    shapes : tuple of tuple of int or None
+        Allowed shapes; None stands for any size.
+    whole, free, unbounded : bool
+        Whether entries are integers; may be "free", which is None in Python; may be infinite.
+    varying : bool
+        Whether entries of the first shape may be formulas of the time t.
+    """
+
+    shapes: tuple[tuple[int | None, ...], ...] = ((),)
+    whole: bool = False
+    free: bool = False
+    unbounded: bool = False
+    varying: bool = False
+
+    def read(self, item: Item) -> Any:
+        """Read a number, nested lists, or a function of time."""
+        sizes, value = [], item.value
+        while isinstance(value, list):
+            sizes.append(len(value))
+            value = value[0] if value else None
+        fits = [
+            len(shape) == len(sizes)
+            and all(size in (None, own) for size, own in zip(shape, sizes, strict=True))
+            for shape in self.shapes
+        ]
+        if not any(fits):
+            raise item.error(f"is {shown(item.value)}: give {self._describe()}")
+        found = self._read(item, sizes, self.varying and fits[0])
+        if not _has_text(found):
+            return tuple(found) if self.free else found
+        return TimeFormula(_as_tuples(found), tuple(item.document.numbers.items()))
+
+    def _read(self, item: Item, sizes: list[int], varying: bool) -> Any:
+        if sizes:
+            entries = item.entries(self._describe())
+            if len(entries) != sizes[0]:
+                cure = f"give {sizes[0]}, as the first row has"
+                raise item.error(f"has {len(entries)} entries: {cure}")
+            return [self._read(entry, sizes[1:], varying) for entry in entries]
+        if self.free and item.value == FREE:
+            return None
+        if self.unbounded and item.value in (np.inf, "inf"):
+            return np.inf
+        if varying and isinstance(item.value, str) and (formula := item.formula()).varies:
+            numbers = item.document.numbers
+            for word in sorted(formula.names - numbers.keys() - {"t"}):
+                raise item.error(f"{word!r} is not declared: {nearest(word, numbers)} in [numbers]")
+            return item.value
+        return item.whole() if self.whole else item.number(_FORMULA)
+
+    def write(self, value: Any) -> Any:
+        """Write a number, nested lists, or formulas."""
+        if isinstance(value, TimeFormula):
+            try:
+                return value.plain()
+            except FormulaError as error:  # with the numbers it is longer
+                raise NotWritten(f"with its numbers {error}") from None
+        if callable(value):
+            raise NotWritten("a function of time in Python: give formulas or a table at times")
+        if self.free:
+            return [FREE if entry is None else float(entry) for entry in value]
+        try:
+            return np.asarray(value, dtype=int if self.whole else float).tolist()
+        except (TypeError, ValueError):
+            raise NotWritten(f"{shown(value)} is no array of numbers") from None
+
+    def schema(self, kinds: Schemas) -> Schema:
+        """Build the schema of all shapes."""
+        options = []
+        for shape in self.shapes:
+            option: Schema = {"type": ["integer" if self.whole else "number", "string"]}
+            for size in reversed(shape):
+                limits = {} if size is None else {"minItems": size, "maxItems": size}
+                option = {"type": "array", "items": option, **limits}
+            options.append(option)
+        return options[0] if len(options) == 1 else {"anyOf": options}
+
+    def _describe(self) -> str:
+        """Describe the shapes in words."""
+        unit = f'numbers, "{FREE}" where one is free' if self.free else "numbers"
+        words = []
+        for shape in self.shapes:
+            lists = [f"a list of {'' if size is None else f'{size} '}" for size in shape]
+            one = "a whole number" if self.whole else "a number"
+            words.append("rows, each ".join([*lists[:-1], lists[-1] + unit]) if lists else one)
+        return " or ".join(words) + (", also formulas of the time t" if self.varying else "")
+
+
+def _has_text(value: Any) -> bool:
+    return any(map(_has_text, value)) if isinstance(value, list) else isinstance(value, str)
+
+
+def _as_tuples(value: Any) -> Any:
+    return tuple(map(_as_tuples, value)) if isinstance(value, list) else value
+
+
+NUMBER = Numbers()
+VECTOR = Numbers(((3,),))
+PER_ITEM = Numbers(((), (None,)))
+LIMITS = Numbers(((), (None,)), unbounded=True)
+TIMES = Numbers(((None,),))
+PAIR = Numbers(((2,),))
+PATH = Numbers(((None, None, 3),))
+TABLE = Numbers(((None, None),))
+POINTS = Numbers(((None, 3),))
+STATE = Numbers(((None, 3), (None,)))  # positions of nodes, or a state
+SPAN = Numbers(((), (2,)))  # one number, or the least and the greatest
+POINT = Numbers(((3,),), free=True)
+MOVING_POINT = Numbers(((3,),), varying=True)
+MOVING_PLACE = Numbers(((3,),), free=True, varying=True)
+WHOLE = Numbers(whole=True)
+WHOLES = Numbers(((), (None,)), whole=True)
+
+
+def varying(*shape: int | None) -> Numbers:
+    """Build the type of a quantity that may change with time: also a table over times."""
+    return Numbers((shape, (None, *shape)), varying=True)
+
+
+@dataclass(frozen=True)
+class Flag(FieldType):
+    """True or false."""
+
+    def read(self, item: Item) -> bool:
+        """Read a Boolean."""
+        if not isinstance(item.value, bool):
+            raise item.error(f"is {shown(item.value)}: give true or false")
+        return item.value
+
+    def write(self, value: Any) -> bool:
+        """Write a Boolean."""
+        return bool(value)
+
+    def schema(self, kinds: Schemas) -> Schema:
+        """Build the schema of a Boolean."""
+        return {"type": "boolean"}
+
+
+@dataclass(frozen=True)
+class Word(FieldType):
+    """Text, or one of some words."""
+
+    options: tuple[str, ...] = ()
+
+    def read(self, item: Item) -> str:
+        """Read a word."""
+        word = item.text(" or ".join(map(repr, self.options)) or "text")
+        if self.options and word not in self.options:
+            raise item.error(f"is {shown(word)}: {nearest(word, self.options)}")
+        return word
+
+    def write(self, value: Any) -> str:
+        """Write a word."""
+        return str(value)
+
+    def schema(self, kinds: Schemas) -> Schema:
+        """Build the schema of the words."""
+        return {"enum": list(self.options)} if self.options else {"type": "string"}
+
+
+def names_file(option: str) -> bool:
+    """Return whether the name of an option tells of a file or a library."""
+    parts = ("file", "lib", "path", "plugin", "dir", "load", "dump", "write")
+    return any(part in option for part in parts)
+
+
+@dataclass(frozen=True)
+class Option(FieldType):
+    """An option of a solver: a number, a flag or a word; none that names a file or a library."""
+
+    def read(self, item: Item) -> Any:
+        """Read an option."""
+        if names_file(str(item.key[-1])):
+            reason = "nothing is loaded or written because a scene file says so"
+            raise item.error(f"may name a file, and {reason}: leave it out")
+        if not isinstance(item.value, (bool, int, float, str)) or item.value != item.value:
+            raise item.error(f"is {shown(item.value)}: give a number, true, false or a word")
+        return item.value
+
+    def write(self, value: Any) -> Any:
+        """Write an option."""
+        value = value.item() if isinstance(value, np.generic) else value
+        if not isinstance(value, (bool, int, float, str)):
+            raise NotWritten(f"{shown(value)} is no number, flag or word: leave it out")
+        return value
+
+    def schema(self, kinds: Schemas) -> Schema:
+        """Build the schema of an option."""
+        return {"type": ["number", "boolean", "string"]}
+
+
+@dataclass(frozen=True)
+class Index(FieldType):
+    """A node, bar or string by its name or index."""
+
+    which: ItemKind
+
+    def read(self, item: Item) -> int:
+        """Read an index."""
+        found = item.indices(self.which)
+        if len(found) != 1:
+            group = f"a group of {len(found)} {self.which}s"
+            raise item.error(f"is {shown(item.value)}, {group}: give the index of one")
+        return found[0]
+
+    def write(self, value: Any) -> int:
+        """Write an index."""
+        return int(value)
+
+    def schema(self, kinds: Schemas) -> Schema:
+        """Build the schema of an index or a name."""
+        return {"type": ["integer", "string"], "minimum": 0}
+
+
+@dataclass(frozen=True)
+class Members(FieldType):
+    """A list of nodes, bars or strings; the name of a group stands for all its members."""
+
+    which: ItemKind
+
+    def read(self, item: Item) -> list[int]:
+        """Read indices."""
+        entries = item.entries(f"a list of names or indices of {self.which}s")
+        return [index for entry in entries for index in entry.indices(self.which)]
+
+    def write(self, value: Any) -> list[int]:
+        """Write indices."""
+        return [int(index) for index in value]
+
+    def schema(self, kinds: Schemas) -> Schema:
+        """Build the schema of a list."""
+        return {"type": "array", "items": Index(self.which).schema(kinds)}
+
+
+class InPython(FieldType):
+    """A field that only Python can give, such as a function."""
+
+    def read(self, item: Item) -> Any:
+        """Reject the entry."""
+        raise item.error("is a field of Python alone: leave it out")
+
+    def write(self, value: Any) -> Any:
+        """Reject the value."""
+        raise NotWritten("a function in Python: leave it out")
+
+    def schema(self, kinds: Schemas) -> Schema:
+        """Build a schema that nothing fits."""
+        return {"not": {}}
+
+
+class ElsewhereInFile(InPython):
+    """A field that another table of the file holds."""

@@ -1,0 +1,61 @@
+"""Names of nodes, bars and strings, and the items that a name stands for."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from tenscasadi.schema.reading import Names
+from tenscasadi.util.validate import listed, shown, text
+
+_MEMBER = re.compile(r"(.*)\[\d+\]")  # name of a member of a group, such as "guys[2]"
+
+
+def read_names(field: str, value: Any, count: int) -> tuple[str, ...]:
+    """Check the names of items; "" for unnamed ones, none for unnamed items only.
+
+    Raises TypeError or ValueError, also for names that could be indices and names given twice.
+    """
+    names = tuple(text(field, name) for name in listed(field, value, '["foot", "top"]'))
+    if names and len(names) != count:
+        raise ValueError(f"{field} has {len(names)} entries: give {count}, or none")
+    first: dict[str, int] = {}
+    for k, name in enumerate(names):
+        if re.fullmatch(r"[0-9]*", name) and name:
+            raise ValueError(f"{field}[{k}] is {shown(name)}, an index, too: give letters")
+        if name and first.setdefault(name, k) < k:
+            raise ValueError(f"{field}[{k}] is {shown(name)}, as another: give each its own")
+    return names if any(names) else ()
+
+
+def name_members(groups: Iterable[tuple[str, int]]) -> list[str]:
+    """Name the members of groups, given the names and sizes of the groups."""
+    return [
+        group if size == 1 or not group else f"{group}[{k}]"
+        for group, size in groups
+        for k in range(size)
+    ]
+
+
+def name_segments(names: Sequence[str], counts: Sequence[int]) -> list[str]:
+    """Name the segments of strings."""
+    return name_members(zip(names, counts, strict=True)) if names else []
+
+
+def extend_names(names: Sequence[str], count: int) -> list[str]:
+    """Append unnamed items up to a count."""
+    return [*names, *[""] * (count - len(names))] if names else []
+
+
+def find_names(counts: Mapping[Any, int], names: Mapping[Any, Sequence[str]]) -> Names:
+    """Find the indices of all names, and of the groups that names such as "guys[2]" belong to."""
+    found: dict[Any, dict[str, list[int]]] = {}
+    for which, own in names.items():
+        table = found.setdefault(which, {})
+        for k, name in enumerate(own):
+            if name:
+                table[name] = [k]
+            if group := _MEMBER.fullmatch(name):
+                table.setdefault(group[1], []).append(k)
+    return Names(counts, found)

@@ -1,0 +1,52 @@
+"""Names of nodes, bars and strings: checked, kept by copies, and understood as groups."""
+
+from __future__ import annotations
+
+import pytest
+
+import tenscasadi as tc
+
+NODES = [(0, 0, 0), (0, 0, 1), (1, 0, 1)]
+
+
+def mast(**names):
+    return tc.Structure(
+        NODES, bars=[(0, 1)], strings=[(1, 2), (2, 0)], node_mass=1.0, pinned=[0], **names
+    )
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        ({"node_names": ["foot", "top"]}, "node_names has 2 entries: give 3"),
+        ({"node_names": ["foot", "top", "7"]}, "an index, too"),
+        ({"node_names": ["foot", "top", "foot"]}, "as another"),
+        ({"bar_names": [3]}, "bar_names is 3: give text"),
+        ({"string_names": "guys"}, "give a list"),
+    ],
+)
+def test_wrong_names_are_rejected(names, words):
+    with pytest.raises((TypeError, ValueError), match=words):
+        mast(**names)
+
+
+def test_copies_keep_names():
+    named = mast(node_names=["foot", "top", ""], string_names=["guy", "tie"], bar_names=["mast"])
+    assert named.replace(bar_mass=3.0).node_names == ("foot", "top", "")
+    new = {"stiffness": 9.0, "damping": 0.0, "rest_length": 1.0, "string_mass": 0.0}
+    assert named.prestressed(1.0).string_names == ("guy", "tie")
+    assert named.replace(strings=[(1, 2), (2, 0), (0, 1)], **new).string_names == ()
+    parts = named.replace(string_mass=0.1).subdivide([2, 1], "lumped")
+    assert parts.node_names == ("foot", "top", "", "")
+    assert parts.string_names == ("guy[0]", "guy[1]", "tie")
+    assert parts.names.find("string", "guy") == [0, 1]
+
+
+def test_groups_are_found_by_the_names_of_their_members():
+    names = tc.shapes.prism(4).names
+    assert names.find("string", "vertical") == [8, 9, 10, 11]
+    assert names.find("string", "top[2]") == [6]
+    assert names.find("node", "top") == [4, 5, 6, 7]
+    assert names.find("node", 3) == [3]
+    with pytest.raises(ValueError, match="did you mean 'bottom'"):
+        names.find("node", "bottm")
