@@ -335,9 +335,8 @@ def build_effect(model: Model) -> ca.Function:
     energy = model.stacked(model.energy_function)
     before, after = ca.MX.sym("before", model.nx), ca.MX.sym("after", model.nx)
     w = ca.MX.sym("w", model.nw)
-    nodes: list[Any] = [model.nodes(x) for x in (before, after)]
-    shift = nodes[1] - nodes[0]
-    distance = ca.sqrt(ca.mmax(ca.sum1(shift * shift)))
+    shift = model.nodes(after) - model.nodes(before)  # (n, 3)
+    distance = ca.sqrt(ca.mmax(ca.sum2(shift * shift)))
     return ca.Function(
         "effect", [before, after, w], [ca.vertcat(distance, energy(after, w) - energy(before, w))]
     )
