@@ -17,10 +17,9 @@ from ocp.problem.bounds.string_bounds import ForceDensityLimits, RestLengthLimit
 from ocp.problem.control import pulled, winds
 from ocp.results.result import PlanResult
 from ocp.transcription.mesh import profile_at
-from tenscasadi.dynamics.linear_steps import transitions
+from tenscasadi.dynamics.linear_steps import riccati_gains, transitions
 from tenscasadi.dynamics.linearization import tangents
 from tenscasadi.dynamics.model import Model
-from tenscasadi.dynamics.regulator import riccati_gains
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.stability import fastest_rate
 from tenscasadi.simulation.feedback import Feedback

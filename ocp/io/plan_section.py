@@ -22,6 +22,7 @@ from ocp.search.task import MOST_STARTS
 from ocp.solvers.base import NamedSolver
 from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import NamedGuess
+from tenscasadi.dynamics.coordinates import choose_coordinates
 from tenscasadi.io.json_schema import scene_schema
 from tenscasadi.io.structure_section import OfStructure
 from tenscasadi.scene.strings import Control, ForceDensity
@@ -168,7 +169,7 @@ def write_plan(problem: Problem, way: Mapping[str, Any]) -> dict[str, Any]:
         "goals": goals,
         "costs": costs,
     }
-    if model.coordinates != "reduced":
+    if model.coordinates != choose_coordinates(model.scene):
         asked["coordinates"] = model.coordinates
     if model.mechanism.constant_length:
         asked["bar_length"] = "constant"

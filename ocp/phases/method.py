@@ -165,7 +165,7 @@ def link_problem(
     scene, count = problem.model.scene, transcription.count
     air = replace(
         problem,
-        model=Model(replace(scene, ground=None)),
+        model=Model(replace(scene, ground=None), "reduced"),
         duration=problem.duration,
         goals=(),
         phases=(),

@@ -93,7 +93,7 @@ def _in_reduced(model: Model) -> Model:
     if key not in kept:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RedundantConstraints)
-            kept[key] = Model(model.scene)
+            kept[key] = Model(model.scene, "reduced")
     twin: Model = kept[key]
     return twin
 

@@ -16,9 +16,10 @@ from tenscasadi.dynamics.constraint_forces import (
     nodal_forces,
     recover_multipliers,
 )
-from tenscasadi.dynamics.mechanism import Mechanism, scene_mechanism
+from tenscasadi.dynamics.coordinates import scene_mechanism
+from tenscasadi.dynamics.mechanism import Mechanism
 from tenscasadi.dynamics.state_space import StateSpace
-from tenscasadi.util.casadi_tools import sparse
+from tenscasadi.util.casadi_tools import block_inverse, sparse
 from tenscasadi.util.linear_algebra import solve_semidefinite
 
 
@@ -146,4 +147,5 @@ def joint_forces(space: StateSpace, N: Any, V: Any, A: Any, lam: Any, u: Any, ti
     lacking = (
         ca.mtimes(A, sparse(full.M)) - known - nodal_forces(full, full.bar_vectors(N), lam)
     )  # Ω Pᵀ
-    return ca.mtimes(lacking, ca.DM(np.linalg.pinv(full.P.toarray().T)))
+    P = full.P  # its columns are independent, and PᵀP couples those of one node only
+    return ca.mtimes(lacking, sparse(P @ block_inverse(P.T @ P, np.ones(full.joints, bool))))

@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import casadi as ca
-import numpy as np
 
 from tenscasadi.dynamics import forces
-from tenscasadi.dynamics.constraint_forces import assemble_system
-from tenscasadi.dynamics.mechanism import Mechanism, build_mechanism
+from tenscasadi.dynamics.coordinates import is_full_cheaper
 from tenscasadi.dynamics.state_space import StateSpace
 from tenscasadi.scene.strings import ForceDensity
 
@@ -88,43 +86,7 @@ def count_terms(space: StateSpace, ode: ca.Function) -> TermCounts:
 
 
 def compare_coordinates(space: StateSpace) -> str:
-    """Recommend full coordinates if they are cheaper, else return "".
-
-    In reduced coordinates the multipliers of all connected bars are coupled, because the inverse
-    mass matrix of a long chain is full. In full coordinates each joint is coupled only to its
-    neighbors.
-    """
-    size = space.mechanism.system_size
-    if (
-        space.coordinates == "full" or not 50 <= size <= 3000
-    ):  # smaller systems are cheap; larger ones are slow to count
+    """Recommend full coordinates if they are cheaper, else return ""."""
+    if space.coordinates == "full" or not is_full_cheaper(space.structure):
         return ""
-    reduced, full = (
-        _count_operations(build_mechanism(space.structure, coordinates))
-        for coordinates in ("reduced", "full")
-    )
-    if reduced < 4 * full:  # operations in full coordinates are slower
-        return ""
-    return (
-        f"multipliers: {reduced} operations in reduced coordinates, {full} in full ones, as many bars hang together: "
-        'Model(scene, coordinates="full") is faster'
-    )
-
-
-def _count_operations(mech: Mechanism) -> int:
-    """Count the multiplications of solving for the multipliers.
-
-    A product with M⁻ is included.
-    """
-    if not mech.system_size:
-        return 0
-    matrix, _ = assemble_system(
-        mech,
-        mech.bar_vectors(ca.DM(mech.N)),
-        ca.DM.zeros(1, mech.bars),
-        ca.DM.zeros(3, mech.joints),
-    )
-    columns = np.diff(matrix.sparsity().ldl()[0].colind())
-    return int(
-        (columns**2).sum() + 6 * columns.sum() + sum(inverse.nnz for inverse in mech.inverse)
-    )  # three solutions, see solve_semidefinite
+    return 'many bars are connected: Model(scene, coordinates="full") is faster'

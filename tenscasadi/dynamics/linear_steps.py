@@ -1,17 +1,17 @@
-"""Linear steps along a trajectory.
-
-They use the first derivatives at the midpoints of intervals.
-"""
+"""Linear steps along a trajectory, and LQR gains for them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from tenscasadi.dynamics.linearization import EquationDerivatives
 from tenscasadi.dynamics.model import Model
+from tenscasadi.util.lazy import lazy_module
 from tenscasadi.util.validate import Array
+
+linalg = lazy_module("scipy.linalg")
 
 
 def linear_steps(
@@ -51,6 +51,26 @@ def transitions(
     for k in range(1, substeps):
         A, B = steps[:, k, :, :nx] @ A, steps[:, k, :, :nx] @ B + steps[:, k, :, nx:]
     return A, B
+
+
+def riccati_gains(
+    A: Array, B: Array, Z: Sequence[Array], C: Sequence[Array], P: Array, R: Array
+) -> Array:
+    """Compute LQR gains (K, α, nx) by the Riccati recursion.
+
+    They minimize Σ |C Zᵀδx|² + δuᵀ R δu plus the terminal cost P. A, B (K, ·, ·) are the steps, Z
+    (K + 1) bases of the admissible changes of a state, and C (K + 1) weighted outputs in these
+    bases.
+    """
+    gains = np.zeros((len(A), B.shape[2], A.shape[1]))
+    for k in reversed(range(len(A))):
+        a, b = Z[k + 1].T @ A[k] @ Z[k], Z[k + 1].T @ B[k]
+        L = linalg.solve(R + b.T @ P @ b, b.T @ P @ a, assume_a="pos")
+        closed = a - b @ L
+        P = closed.T @ P @ closed + L.T @ R @ L + C[k].T @ C[k]
+        P = (P + P.T) / 2
+        gains[k] = L @ Z[k].T
+    return gains
 
 
 def _middles(model: Model, starts: Array, ends: Array, lengths: Array) -> Array:

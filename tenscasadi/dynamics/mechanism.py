@@ -10,15 +10,8 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
-from tenscasadi.dynamics.masses import UNROLL_SOLVE, Masses, read_masses
-from tenscasadi.scene.parameters import MASSES
-from tenscasadi.scene.scene import Scene
-from tenscasadi.structure.class_one import connectivity
-from tenscasadi.structure.pins import Normals
-from tenscasadi.structure.structure import Structure
+from tenscasadi.dynamics.masses import UNROLL_SOLVE, Masses
 from tenscasadi.util.casadi_tools import (
-    block_inverse,
-    drop_rounding,
     is_diagonal,
     is_expression,
     matrix_with_pattern,
@@ -175,7 +168,7 @@ class Mechanism(ReadOnlyArrays):
     def free_mass(self) -> Any:
         """Mass matrix (nq×nq) of the free coordinates [kg]."""
         if not is_expression(self.M):
-            return _free_mass(self.M, self.turn, self.free_index)
+            return free_mass_matrix(self.M, self.turn, self.free_index)
         wide = sp.csc_array(
             sp.csr_array(sp.kron(numbered(self.M), sp.eye_array(3)))[self.free_index][
                 :, self.free_index
@@ -284,150 +277,13 @@ class Mechanism(ReadOnlyArrays):
         return 0 if alone else self.bars
 
 
-def scene_mechanism(
-    scene: Scene, coordinates: Coordinates, bar_length: BarLength = "current"
-) -> Mechanism:
-    """Build the matrices of a scene's modeled structure.
-
-    They include `masses` if these are parameters.
-    """
-    mechanism = build_mechanism(scene.modelled, coordinates, bar_length)
-    layout = scene.modelled._layout if coordinates == "full" else None
-    if mechanism.turn is not None and scene.layout.quantities.keys() & set(MASSES):
-        raise ValueError(
-            'Scene.parameters makes masses open, and a roller is along no axis: give Model(coordinates="full") for both'
-        )
-    masses = read_masses(scene, mechanism.physical, mechanism.inverse, layout)
-    return mechanism if masses is None else replace(mechanism, masses=masses)
-
-
-def build_mechanism(
-    structure: Structure, coordinates: Coordinates, bar_length: BarLength = "current"
-) -> Mechanism:
-    """Build the matrices of a structure in one coordinate set.
-
-    `bar_length` selects the denominator of λ̂.
-    """
-    constant = bar_length == "constant"
-    if coordinates == "reduced":
-        n = len(structure.nodes)
-        C_b, C_s, M = (
-            connectivity(structure.bars, n),
-            connectivity(structure.strings, n),
-            structure.mass_matrix(),
-        )
-        free = ~structure.fixed
-        axes = [free[:, 0]] if (free == free[:, :1]).all() else [free[:, axis] for axis in range(3)]
-        every = np.arange(n)
-        inverse, turn = tuple(block_inverse(M, axis) for axis in axes), None
-        if structure.rollers:
-            free, turn = _across_rollers(structure)
-            inverse = _coupled_inverse(M, turn, np.flatnonzero(free.ravel()))
-        none = sp.csr_array((n, 0)), np.zeros((3, 0)), np.ones((3, 0), bool)
-        return Mechanism(
-            structure.nodes.T,
-            free,
-            every,
-            every,
-            C_b,
-            C_s,
-            M,
-            inverse,
-            *none,
-            structure.bar_lengths,
-            constant,
-            turn=turn,
-        )
-    split = structure.class_one(sparse=True)
-    n = split.N.shape[1]
-    first = np.unique(split.physical, return_index=True)[1]
-    free = np.ones((n, 3), dtype=bool)
-    # Supports that N P = D cannot express have a column each: single axes, then inclined rollers.
-    fixed, inclined = structure.fixed, np.array(list(structure.rollers), dtype=np.intp)
-    partly = np.flatnonzero(fixed.any(axis=1) & ~fixed.all(axis=1))
-    held = np.concatenate([partly, inclined])
-    columns = sp.csr_array(
-        (np.ones(len(held)), (first[held], np.arange(len(held)))), shape=(n, len(held))
-    )
-    P = sp.csr_array(sp.hstack([split.P, columns]))
-    D = np.hstack([split.D, structure.nodes[held].T])
-    among = np.array(
-        [[k < len(normals) for normals in structure.rollers.values()] for k in range(3)], dtype=bool
-    ).reshape(3, -1)
-    active = np.hstack([np.ones(split.D.shape, bool), fixed[partly].T, among])
-    frames = (
-        np.array(
-            [*[np.eye(3)] * (P.shape[1] - len(inclined)), *map(_frame, structure.rollers.values())]
-        )
-        if len(inclined)
-        else None
-    )
-    C_b = sp.csr_array(split.C_b @ split.C_nb)
-    # A pinned string node may have no mass. It never moves, so any mass is equivalent.
-    diagonal = split.M_s.diagonal()
-    inverse = (
-        block_inverse(
-            split.M_s
-            + sp.diags_array(np.where(diagonal == 0, diagonal.max(initial=0.0) or 1.0, 0.0)),
-            free[:, 0],
-        ),
-    )
-    C_s = sp.csr_array(split.C_s)
-    return Mechanism(
-        split.N,
-        free,
-        split.physical,
-        first,
-        C_b,
-        C_s,
-        split.M_s,
-        inverse,
-        P,
-        D,
-        active,
-        structure.bar_lengths,
-        constant,
-        frames=frames,
-    )
-
-
-def _across_rollers(structure: Structure) -> tuple[Any, sp.csr_array]:
-    """Find the free local coordinates (n, 3) and `Mechanism.turn`.
-
-    Coordinates across rollers are not free.
-    """
-    free, frames = ~structure.fixed, [np.eye(3)] * len(structure.nodes)
-    for node, normals in structure.rollers.items():
-        free[node], frames[node] = np.arange(3) >= len(normals), _frame(normals)
-    return free, sp.csr_array(sp.block_diag(frames))
-
-
-def _free_mass(M: Any, turn: Any, index: Indices) -> sp.csr_array:
+def free_mass_matrix(M: Any, turn: Any, index: Indices) -> sp.csr_array:
+    """Compute the mass matrix of the free local coordinates with these indices."""
     wide = sp.csr_array(sp.kron(M, sp.eye_array(3)))
     return sp.csr_array(wide if turn is None else turn.T @ wide @ turn)[index][:, index]
-
-
-def _coupled_inverse(M: Any, turn: sp.csr_array, index: Indices) -> tuple[sp.csr_array, ...]:
-    """Compute M⁻ for each pair of axes.
-
-    It acts on the free local coordinates.
-    """
-    inner = _free_mass(M, turn, index)
-    free = sp.csr_array(turn[:, index])
-    wide = drop_rounding(free @ block_inverse(inner, np.ones(len(index), bool)) @ free.T)
-    return tuple(sp.csr_array(wide[one::3][:, other::3]) for one in range(3) for other in range(3))
 
 
 def _turned(matrix: Any, vector: Any) -> Any:
     if isinstance(vector, np.ndarray):
         return (vector.reshape(-1, vector.shape[-1]) @ matrix.T).reshape(vector.shape)
     return ca.mtimes(sparse(matrix), vector)
-
-
-def _frame(normals: Normals) -> Array:
-    """Complete one or two orthonormal directions to a basis (3×3).
-
-    The basis vectors are its columns.
-    """
-    directions = np.array(normals)
-    return np.column_stack([*directions, *np.linalg.svd(directions)[2][len(directions) :]])

@@ -13,9 +13,10 @@ from tenscasadi.dynamics.equation_of_motion import forward_dynamics, joint_force
 from tenscasadi.dynamics.instruction_count import TermCounts, count_terms
 from tenscasadi.dynamics.mechanism import BarLength, Coordinates, Multipliers
 from tenscasadi.dynamics.observations import Observations
-from tenscasadi.dynamics.used_parameters import check_parameters
 from tenscasadi.scene.binding import fix
+from tenscasadi.scene.control_function import ControlSchedule
 from tenscasadi.scene.scene import Scene
+from tenscasadi.scene.strings import ForceDensity, RestLength
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.compile import compile_function
 from tenscasadi.util.renamed import RenamedAttribute
@@ -32,10 +33,11 @@ class Model(Observations):
     ----------
     scene : Scene
         Structure, control and loads.
-    coordinates : {"reduced", "full"}
+    coordinates : {"reduced", "full"}, optional
         Coordinates of the state. "reduced": free coordinates of physical nodes, so that joints and
         pins cannot drift. "full": the paper's class-one nodes, whose joints and pins are enforced
-        by the multipliers Ω.
+        by the multipliers Ω. Default: reduced, unless full ones need less than a quarter of the
+        operations, as in chains of 40 bars or more.
     bar_length : {"current", "constant"}
         Squared length in the denominator of λ̂. "current": bᵀb. "constant": l² as in the paper, for
         comparison; length errors then grow exponentially.
@@ -63,8 +65,7 @@ class Model(Observations):
 
     Notes
     -----
-    The equations are Eqs. 58-95 of the paper. Reduced coordinates couple all connected bars. Chains
-    of about a hundred connected bars or more are cheaper in full coordinates.
+    The equations are Eqs. 58-95 of the paper. Reduced coordinates couple all connected bars.
 
     If the scene has `Parameters`, all Functions have their values p as an additional input after u:
     they are (x, u, p). `parameters` names the entries of p. `stacked` converts Functions to the
@@ -89,12 +90,15 @@ class Model(Observations):
     """
 
     def __init__(
-        self, scene: Scene, coordinates: Coordinates = "reduced", bar_length: BarLength = "current"
+        self,
+        scene: Scene,
+        coordinates: Coordinates | None = None,
+        bar_length: BarLength = "current",
     ) -> None:
         super().__init__(scene, coordinates, bar_length)
         self.driven: tuple[Any, Model] | None = None  # by the control function of the last run
         if self.np and self.nq:
-            check_parameters(self)
+            _check_parameters(self)
 
     def with_parameters(self, parameters: Any = None) -> Model:
         """Fix the parameters as constants of a copy.
@@ -112,23 +116,35 @@ class Model(Observations):
         p = self.parameters.values(parameters)
         if not self.np:
             return self
-        return _rebuild(
-            type(self),
-            fix(self.scene, p),
-            self.coordinates,
-            "constant" if self.mechanism.constant_length else "current",
-        )
+        return self._copy(fix(self.scene, p), self.schedule)
 
     fixed = RenamedAttribute("with_parameters")
 
+    def with_schedule(self, schedule: ControlSchedule) -> Model:
+        """Drive a copy by a control over time.
+
+        Parameters
+        ----------
+        schedule : ControlSchedule
+            The control over time.
+
+        Returns
+        -------
+        Model
+            The same equations with a clock. Their control u is added to that of the schedule.
+            `power` is that of all forces, as the control changes the energy that strings store.
+        """
+        return self._copy(self.scene, schedule)
+
+    def _copy(self, scene: Scene, schedule: ControlSchedule | None) -> Model:
+        constant = self.mechanism.constant_length
+        bar_length: BarLength = "constant" if constant else "current"
+        return _rebuild(type(self), scene, self.coordinates, bar_length, schedule)
+
     def __reduce__(self) -> tuple[Any, ...]:
         # Copies and other processes rebuild the Functions, which are larger than the scene.
-        return _rebuild, (
-            type(self),
-            self.scene,
-            self.coordinates,
-            "constant" if self.mechanism.constant_length else "current",
-        )
+        bar_length = "constant" if self.mechanism.constant_length else "current"
+        return _rebuild, (type(self), self.scene, self.coordinates, bar_length, self.schedule)
 
     # --- CasADi Functions ---
 
@@ -263,9 +279,58 @@ class Model(Observations):
 
 
 def _rebuild(
-    kind: type[Model], scene: Scene, coordinates: Coordinates, bar_length: BarLength
+    kind: type[Model],
+    scene: Scene,
+    coordinates: Coordinates,
+    bar_length: BarLength,
+    schedule: ControlSchedule | None,
 ) -> Model:
     """Build a copy of a model without repeating its warnings."""
+    model = kind.__new__(kind)
+    model.schedule = schedule
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return kind(scene, coordinates, bar_length)
+        kind.__init__(model, scene, coordinates, bar_length)
+    return model
+
+
+# Quantities that each control replaces, and their name in messages.
+_COMMANDED: dict[type, tuple[tuple[str, ...], str]] = {
+    ForceDensity: (("stiffness", "rest_length"), "force densities"),
+    RestLength: (("rest_length",), "rest lengths"),
+}
+
+
+def _check_parameters(model: Model) -> None:
+    """Raise ValueError for parameters without effect; warn of those that set the control only."""
+    unused, control = _find_unused(model), model.scene.control
+    replaced, commanded = _COMMANDED.get(type(control), ((), ""))
+    for name in unused:
+        if name not in replaced:
+            reason = ""
+            if isinstance(control, ForceDensity) and name == "damping":
+                reason = f" (under {control} force densities are commanded)"
+            elif name == "string_mass":
+                reason = " (strings have mass where segments= cuts them)"
+            raise ValueError(
+                f"Parameters has {name!r}, on which no motion of this scene depends{reason}: leave the name out"
+            )
+    for name in unused:
+        warnings.warn(
+            f"Parameters has {name!r}, which sets the default control alone: under {control} {commanded} are commanded, and motions "
+            "under a control that is given do not depend on it",
+            UserWarning,
+            stacklevel=3,
+        )
+
+
+def _find_unused(model: Model) -> list[str]:
+    """Find the quantities that do not enter the ode."""
+    places = model.parameters.places
+    x, u, one = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu), ca.MX.sym("one", len(places))
+    p = ca.vertcat(
+        *(ca.repmat(one[k], place.stop - place.start, 1) for k, place in enumerate(places.values()))
+    )
+    by_quantity = ca.Function("by_quantity", [x, u, one], [model.ode(x, u, p)]).jac_sparsity(0, 2)
+    used = set(by_quantity.get_triplet()[1])
+    return [name for k, name in enumerate(places) if k not in used]

@@ -19,7 +19,8 @@ from tenscasadi.dynamics.constraint_forces import (
     residual_rates,
     residuals,
 )
-from tenscasadi.dynamics.mechanism import BarLength, Coordinates, Mechanism, scene_mechanism
+from tenscasadi.dynamics.coordinates import choose_coordinates, scene_mechanism
+from tenscasadi.dynamics.mechanism import BarLength, Coordinates, Mechanism
 from tenscasadi.dynamics.node_coordinates import NodeCoordinates, check_column
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity, RestLength
@@ -62,11 +63,16 @@ class StateSpace(NodeCoordinates):
     """States and controls of a scene in one coordinate set."""
 
     def __init__(
-        self, scene: Scene, coordinates: Coordinates = "reduced", bar_length: BarLength = "current"
+        self,
+        scene: Scene,
+        coordinates: Coordinates | None = None,
+        bar_length: BarLength = "current",
     ) -> None:
         instance("Model.scene", scene, Scene, "a tenscasadi.Scene")
-        choice("Model.coordinates", coordinates, "reduced", "full")
         choice("Model.bar_length", bar_length, "current", "constant")
+        if coordinates is None:
+            coordinates = choose_coordinates(scene, bar_length)
+        choice("Model.coordinates", coordinates, "reduced", "full")
         super().__init__(scene, coordinates, scene_mechanism(scene, coordinates, bar_length))
         check_mass_ratio(self.mechanism)
         if bar_length == "constant" and self.mechanism.system_size and not self.mechanism.joints:

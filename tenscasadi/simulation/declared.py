@@ -60,8 +60,8 @@ class Simulation:
         Correction of bar lengths and joints.
     save_every : int, optional
         Number of steps between saved rows, see `simulate`.
-    coordinates : {"reduced", "full"}
-        Coordinates of the state, see `Model`.
+    coordinates : {"reduced", "full"}, optional
+        Coordinates of the state, see `Model`. Default: the cheaper ones.
     bar_length : {"current", "constant"}
         The square that the bars' multipliers divide by, see `Model`.
     nodes : array_like, shape (n, 3), optional
@@ -104,7 +104,7 @@ class Simulation:
     scheme: Annotated[Scheme, OneOf(NamedScheme)] = field(default_factory=RungeKutta4)
     correction: Correction | None = None
     save_every: int | None = None
-    coordinates: Literal["reduced", "full"] = "reduced"
+    coordinates: Literal["reduced", "full"] | None = None
     bar_length: Literal["current", "constant"] = "current"
     nodes: Annotated[Any, ElsewhereInFile()] = None
     velocities: Annotated[Any, ElsewhereInFile()] = None
@@ -125,7 +125,8 @@ class Simulation:
         check_correction(self.correction, "Simulation.correction")
         if self.save_every is not None:
             own["save_every"] = whole_number("Simulation.save_every", self.save_every, 1)
-        choice("Simulation.coordinates", self.coordinates, "reduced", "full")
+        if self.coordinates is not None:
+            choice("Simulation.coordinates", self.coordinates, "reduced", "full")
         choice("Simulation.bar_length", self.bar_length, "current", "constant")
         for name in ("project", "energy_balance"):
             flag(f"Simulation.{name}", getattr(self, name))

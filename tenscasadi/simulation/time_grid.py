@@ -9,7 +9,6 @@ from typing import Protocol
 import casadi as ca
 import numpy as np
 
-from tenscasadi.dynamics.driven_model import DrivenModel
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.scene.breakpoints import clock_error
@@ -126,7 +125,7 @@ def _drive(model: Model, control: ControlFunction, first: float, t_end: float) -
     key = (control.function, *control.breakpoints.tolist(), control.resolution, first, t_end)
     if model.driven is None or model.driven[0] != key:
         schedule = build_schedule(control, model.nu, first, t_end, positive)
-        model.driven = key, DrivenModel(model, schedule)
+        model.driven = key, model.with_schedule(schedule)
     return model.driven[1]
 
 

@@ -93,20 +93,3 @@ class TestOnlyWhatTheSceneHas:
 def dynamics_instructions(scene: Scene) -> int:
     """Instructions of the right-hand side."""
     return int(Model(scene).ode.n_instructions())
-
-
-def chain(bars: int) -> Structure:
-    """Bars in a zigzag, one after the other, the first pinned."""
-    nodes = np.column_stack([np.arange(bars + 1), np.zeros(bars + 1), np.arange(bars + 1) % 2])
-    return Structure(nodes, bars=[(k, k + 1) for k in range(bars)], pinned=[0])
-
-
-def test_long_chains_are_told_to_take_full_coordinates() -> None:
-    long, short = Model(Scene(chain(100))), Model(Scene(chain(20)))
-    assert 'Model(scene, coordinates="full") is faster' in str(long.describe())
-    ends = np.array([(3.0 * k + x, 0, x % 2) for k in range(60) for x in range(3)])
-    pairs = Structure(
-        ends, [pair for k in range(0, 180, 3) for pair in ((k, k + 1), (k + 1, k + 2))]
-    )
-    for model in (short, Model(Scene(chain(100)), "full"), Model(Scene(pairs))):
-        assert model.describe().advice == ""

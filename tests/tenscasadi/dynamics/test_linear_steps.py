@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.linalg
 from planning import prism
 
 import tenscasadi as tc
-from tenscasadi.dynamics.linear_steps import linear_steps, transitions
+from tenscasadi.dynamics.linear_steps import linear_steps, riccati_gains, transitions
 
 STEPS = 20
 
@@ -55,3 +56,25 @@ def test_spans_of_steps_multiply(moving):
     twice_A, twice_B = transitions(*given, substeps=2)
     assert twice_A == pytest.approx(A[1::2] @ A[::2])
     assert twice_B == pytest.approx(A[1::2] @ B[::2] + B[1::2])
+
+
+def test_gains_of_a_long_time_are_those_of_the_algebraic_equation():
+    random = np.random.default_rng(1)
+    A, B, C = (
+        1.3 * random.normal(size=(4, 4)) / 2,
+        random.normal(size=(4, 2)),
+        random.normal(size=(3, 4)),
+    )
+    R = np.diag([2.0, 3.0])
+    P = scipy.linalg.solve_discrete_are(A, B, C.T @ C, R)
+    expected = np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)
+    count = 200
+    gains = riccati_gains(
+        np.tile(A, (count, 1, 1)),
+        np.tile(B, (count, 1, 1)),
+        [np.eye(4)] * (count + 1),
+        [C] * (count + 1),
+        np.zeros((4, 4)),
+        R,
+    )
+    assert gains[0] == pytest.approx(expected, rel=1e-9)

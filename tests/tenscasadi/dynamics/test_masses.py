@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import tenscasadi as tc
-from tenscasadi.dynamics.mechanism import build_mechanism
+from tenscasadi.dynamics.coordinates import build_mechanism
 
 
 def comb(bars):

@@ -177,7 +177,7 @@ def test_the_printed_multiplier_lets_lengths_drift_where_the_current_one_does_no
     assert drift[1] > 100 * drift[0]
     assert drift[0] < 1e-7
     with pytest.raises(ValueError, match=r"Model\.bar_length"):
-        Model(Scene(LOOP), bar_length="constant")
+        Model(Scene(LOOP), "reduced", "constant")
     assert Model(Scene(LOOP), "full", "constant").ode is not None
 
 

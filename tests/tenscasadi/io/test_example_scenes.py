@@ -37,7 +37,7 @@ def test_every_scene_runs_to_its_end(path):
 
 
 def paper_prism() -> tuple[tc.Scene, str]:
-    return tc.Scene(load_example("paper_prism").prism(), segments=5), "reduced"
+    return tc.Scene(load_example("paper_prism").prism(), segments=5), None
 
 
 def paper_dbar() -> tuple[tc.Scene, str]:
@@ -50,7 +50,7 @@ def paper_lander() -> tuple[tc.Scene, str]:
         segments=2,
         gravity=tc.Gravity(),
         ground=tc.Ground(stiffness=1e4, damping=10.0),
-    ), "reduced"
+    ), None
 
 
 def paper_membrane() -> tuple[tc.Scene, str]:
@@ -61,7 +61,7 @@ def paper_membrane() -> tuple[tc.Scene, str]:
         ends="lumped",
         pressure=pressure,
         forces=tc.NodalForce(paper.RISE * paper.caps(8, 5)),
-    ), "reduced"
+    ), None
 
 
 @pytest.mark.parametrize(

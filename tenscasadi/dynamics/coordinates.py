@@ -1,0 +1,178 @@
+"""Reduced and full coordinates of a structure, and the choice between them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import scipy.sparse as sp
+
+from tenscasadi.dynamics.constraint_forces import assemble_system
+from tenscasadi.dynamics.masses import read_masses
+from tenscasadi.dynamics.mechanism import BarLength, Coordinates, Mechanism, free_mass_matrix
+from tenscasadi.scene.parameters import MASSES
+from tenscasadi.scene.scene import Scene
+from tenscasadi.structure.class_one import connectivity
+from tenscasadi.structure.pins import Normals
+from tenscasadi.structure.structure import Structure
+from tenscasadi.util.casadi_tools import block_inverse, drop_rounding
+from tenscasadi.util.validate import Array, Indices
+
+
+def scene_mechanism(
+    scene: Scene, coordinates: Coordinates, bar_length: BarLength = "current"
+) -> Mechanism:
+    """Build the matrices of a scene's modeled structure, with `masses` if they are parameters."""
+    mechanism = build_mechanism(scene.modelled, coordinates, bar_length)
+    layout = scene.modelled._layout if coordinates == "full" else None
+    if mechanism.turn is not None and _has_open_masses(scene):
+        raise ValueError(
+            'Scene.parameters contains masses, and a roller is inclined: give Model(coordinates="full") for both'
+        )
+    masses = read_masses(scene, mechanism.physical, mechanism.inverse, layout)
+    return mechanism if masses is None else replace(mechanism, masses=masses)
+
+
+def choose_coordinates(scene: Scene, bar_length: BarLength = "current") -> Coordinates:
+    """Choose the coordinates whose equations cost fewer operations.
+
+    In reduced coordinates the multipliers of all connected bars are coupled, because the inverse
+    mass matrix of a long chain is full. In full coordinates each joint is coupled only to its
+    neighbors. Reduced coordinates are also rejected if they do not support the scene.
+    """
+    structure = scene.modelled
+    if structure.rollers and _has_open_masses(scene):
+        return "full"
+    if bar_length == "constant" and build_mechanism(structure, "reduced").system_size:
+        return "full"
+    return "full" if is_full_cheaper(structure) else "reduced"
+
+
+def is_full_cheaper(structure: Structure) -> bool:
+    """Return whether full coordinates need less than a quarter of the operations.
+
+    In chains of 40 to 400 bars an operation in full coordinates takes up to three times as long,
+    because it is one of a sparse routine.
+    """
+    moving = np.flatnonzero(~structure.fixed.all(axis=1))
+    mass = structure.mass_matrix()[moving][:, moving]
+    connected = np.bincount(sp.csgraph.connected_components(mass, directed=False)[1])
+    if connected.max(initial=0) < 30:  # reduced coordinates are always cheaper
+        return False
+    full = 4 * _count_operations(build_mechanism(structure, "full"))
+    # a product with M⁻ alone
+    if float(connected @ connected) > full:
+        return True
+    return _count_operations(build_mechanism(structure, "reduced")) > full
+
+
+def build_mechanism(
+    structure: Structure, coordinates: Coordinates, bar_length: BarLength = "current"
+) -> Mechanism:
+    """Build the matrices of a structure; `bar_length` selects the denominator of λ̂."""
+    build = _build_reduced if coordinates == "reduced" else _build_full
+    return build(structure, bar_length == "constant")
+
+
+def _build_reduced(structure: Structure, constant_length: bool) -> Mechanism:
+    n, M, free, turn = len(structure.nodes), structure.mass_matrix(), ~structure.fixed, None
+    if structure.rollers:
+        free, turn = _across_rollers(structure)
+        inverse = _coupled_inverse(M, turn, np.flatnonzero(free.ravel()))
+    else:
+        axes = free.T[:1] if (free == free[:, :1]).all() else free.T
+        inverse = tuple(block_inverse(M, axis) for axis in axes)
+    return Mechanism(
+        N=structure.nodes.T,
+        free=free,
+        physical=np.arange(n),
+        first=np.arange(n),
+        C_b=connectivity(structure.bars, n),
+        C_s=connectivity(structure.strings, n),
+        M=M,
+        inverse=inverse,
+        P=sp.csr_array((n, 0)),
+        D=np.zeros((3, 0)),
+        active=np.ones((3, 0), bool),
+        lengths=structure.bar_lengths,
+        constant_length=constant_length,
+        turn=turn,
+    )
+
+
+def _build_full(structure: Structure, constant_length: bool) -> Mechanism:
+    split = structure.class_one(sparse=True)
+    n = split.N.shape[1]
+    first = np.unique(split.physical, return_index=True)[1]
+    # Supports that N P = D cannot express have a column each: single axes, then inclined rollers.
+    fixed, inclined = structure.fixed, np.array(list(structure.rollers), dtype=np.intp)
+    partly = np.flatnonzero(fixed.any(axis=1) & ~fixed.all(axis=1))
+    held = np.concatenate([partly, inclined])
+    columns = sp.csr_array(
+        (np.ones(len(held)), (first[held], np.arange(len(held)))), shape=(n, len(held))
+    )
+    P = sp.csr_array(sp.hstack([split.P, columns]))
+    among = np.array(
+        [[k < len(normals) for normals in structure.rollers.values()] for k in range(3)], dtype=bool
+    ).reshape(3, -1)
+    axes = [np.eye(3)] * (P.shape[1] - len(inclined))
+    # A pinned string node may have no mass. It never moves, so any mass is equivalent.
+    diagonal = split.M_s.diagonal()
+    some = np.where(diagonal == 0, diagonal.max(initial=0.0) or 1.0, 0.0)
+    return Mechanism(
+        N=split.N,
+        free=np.ones((n, 3), dtype=bool),
+        physical=split.physical,
+        first=first,
+        C_b=sp.csr_array(split.C_b @ split.C_nb),
+        C_s=sp.csr_array(split.C_s),
+        M=split.M_s,
+        inverse=(block_inverse(split.M_s + sp.diags_array(some), np.ones(n, bool)),),
+        P=P,
+        D=np.hstack([split.D, structure.nodes[held].T]),
+        active=np.hstack([np.ones(split.D.shape, bool), fixed[partly].T, among]),
+        lengths=structure.bar_lengths,
+        constant_length=constant_length,
+        frames=np.array([*axes, *map(_frame, structure.rollers.values())])
+        if len(inclined)
+        else None,
+    )
+
+
+def _has_open_masses(scene: Scene) -> bool:
+    return bool(scene.layout.quantities.keys() & set(MASSES))
+
+
+def _count_operations(mech: Mechanism) -> int:
+    """Count the multiplications of solving for the multipliers, and of a product with M⁻."""
+    if not mech.system_size:
+        return 0
+    B = mech.bar_vectors(ca.DM(mech.N))
+    none = ca.DM.zeros(1, mech.bars), ca.DM.zeros(3, mech.joints)
+    columns = np.diff(assemble_system(mech, B, *none)[0].sparsity().ldl()[0].colind())
+    solving = (columns**2).sum() + 6 * columns.sum()  # three solutions, see solve_semidefinite
+    return int(solving + sum(inverse.nnz for inverse in mech.inverse))
+
+
+def _across_rollers(structure: Structure) -> tuple[Any, sp.csr_array]:
+    """Find the free local coordinates (n, 3) and `Mechanism.turn`; those across rollers are fixed."""
+    free, frames = ~structure.fixed, [np.eye(3)] * len(structure.nodes)
+    for node, normals in structure.rollers.items():
+        free[node], frames[node] = np.arange(3) >= len(normals), _frame(normals)
+    return free, sp.csr_array(sp.block_diag(frames))
+
+
+def _coupled_inverse(M: Any, turn: sp.csr_array, index: Indices) -> tuple[sp.csr_array, ...]:
+    """Compute M⁻ on the free local coordinates, for each pair of axes."""
+    free = sp.csr_array(turn[:, index])
+    inner = block_inverse(free_mass_matrix(M, turn, index), np.ones(len(index), bool))
+    wide = drop_rounding(free @ inner @ free.T)
+    return tuple(sp.csr_array(wide[one::3][:, other::3]) for one in range(3) for other in range(3))
+
+
+def _frame(normals: Normals) -> Array:
+    """Complete one or two orthonormal directions to a basis, whose vectors are columns."""
+    directions = np.array(normals)
+    return np.column_stack([*directions, *np.linalg.svd(directions)[2][len(directions) :]])
