@@ -162,6 +162,7 @@ RESULTS_AND_MODELS = [
     *("Plan", "Robustness", "Mpc", "Mppi", "Tracker"),
 ]
 EQUATIONS = {
+    "Model.with_schedule",
     "ParameterLayout.item_values",
     "ParameterLayout.check",
     "Plan.guess",

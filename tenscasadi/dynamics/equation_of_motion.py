@@ -24,7 +24,7 @@ from tenscasadi.util.linear_algebra import solve_semidefinite
 
 
 def forward_dynamics(
-    space: StateSpace, N: Any, V: Any, u: Any, time: Any, mode: forces.Mode = forces.FREE
+    space: StateSpace, N: Any, V: Any, u: Any, time: Any, mode: Any = None
 ) -> tuple[Any, Any, Any]:
     """Compute accelerations N̈ and multipliers λ and Ω.
 
@@ -38,8 +38,8 @@ def forward_dynamics(
         Control, followed by the parameters.
     time : casadi scalar
         Time, s.
-    mode : Mode
-        Fixed modes of strings and contacts, between two events.
+    mode : casadi row, shape (1, k), optional
+        Fixed mode of strings and contacts between two events, see `build_elements`.
 
     Returns
     -------
@@ -67,7 +67,7 @@ def lifted_dynamics(
     unrolled.
     """
     mech = space.weighted(u)
-    F, B, r, *system = _unconstrained(space, forces.FREE, mech, N, V, u, time)
+    F, B, r, *system = _unconstrained(space, None, mech, N, V, u, time)
     if system:
         lam, Omega = recover_multipliers(mech, B, r, solution)
     else:
@@ -76,7 +76,7 @@ def lifted_dynamics(
 
 
 def _unconstrained(
-    space: StateSpace, mode: forces.Mode, mech: Mechanism, N: Any, V: Any, u: Any, time: Any
+    space: StateSpace, mode: Any, mech: Mechanism, N: Any, V: Any, u: Any, time: Any
 ) -> tuple[Any, ...]:
     """Compute F, B, the bar residuals, and the linear system.
 
@@ -116,7 +116,7 @@ def applied_forces(
     V: Any,
     u: Any,
     time: Any,
-    mode: forces.Mode = forces.FREE,
+    mode: Any = None,
     mech: Mechanism | None = None,
 ) -> tuple[Any, Any]:
     """Compute applied forces F (3×n) [N] and support accelerations.

@@ -1,16 +1,15 @@
-"""Forces on the columns of N (Eq. 67).
+"""Forces on the columns of N: F = W − S γ̂ C_s (Eq. 67), and their potential energy.
 
-They are F = W − S γ̂ C_s.
-
-F (3×n) and its potential energy are built from the features that the scene has. In full coordinates
-loads act on the first copy of each physical node, unless another one is given. If the scene has
-parameters, they follow the control in u (nu + np).
+Each feature of a scene that exerts forces is a `ForceElement`. A new kind of load or member is one
+class and one line of `build_elements`; an absent feature builds no expression. In full coordinates
+loads act on the first copy of each physical node, unless another one is given.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -18,311 +17,348 @@ import numpy as np
 from tenscasadi.dynamics.mechanism import Mechanism
 from tenscasadi.scene.binding import bind
 from tenscasadi.scene.ground import Surface
+from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity, RestLength, Smooth, StringLaw
 from tenscasadi.util.casadi_tools import constant_row, is_expression, sparse, weighted_product
 from tenscasadi.util.validate import Array, Indices
 
 
-class Mode(NamedTuple):
-    """Contact mode: taut strings (1×k) and active contacts (1×c).
+class NodeMotion(NamedTuple):
+    """Nodes (3×n) [m], velocities (3×n) [m/s] and time [s], in the columns of a mechanism."""
 
-    Entries are 1 or 0, whatever the length or depth. None: they follow from length and depth.
+    N: Any
+    V: Any
+    time: Any
+
+
+class ForceElement:
+    """Feature of a scene that exerts forces on nodes.
+
+    Attributes
+    ----------
+    name : str
+        Name of its term in `Model.describe`.
+    switch_count : int
+        Number k of its switches, which are slack strings and contacts. In a mode, a row (1×k) of 1
+        and 0, the forces are smooth. Without a mode they follow from the motion.
     """
 
-    taut: Any
-    touching: Any
+    name: ClassVar[str]
+    switch_count: int = 0
+
+    def forces(self, at: NodeMotion) -> Any:
+        """Compute the forces (3×n) [N]."""
+        raise NotImplementedError
+
+    def energy(self, N: Any) -> Any:
+        """Compute the potential energy [J]."""
+        return ca.DM(0)
+
+    def switches(self, at: NodeMotion) -> Any:
+        """Compute lengths (1×k) [m] that are positive where the mode is 1."""
+        return ca.DM(1, 0)
 
 
-FREE = Mode(None, None)
+def build_elements(scene: Scene, mech: Mechanism, w: Any, mode: Any = None) -> list[ForceElement]:
+    """Build the force elements of a scene.
 
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    mech : Mechanism
+        Columns of N and, for gravity, masses.
+    w : casadi column, shape (nu + np,)
+        Control, followed by the parameters.
+    mode : casadi row, shape (1, k), optional
+        Fixed mode of all switches: strings first, then contacts, ground by ground.
 
-def string_force_density(
-    scene: Scene,
-    mech: Mechanism,
-    N: Any,
-    V: Any,
-    u: Any,
-    damped: bool = True,
-    taut: Any = None,
-    longest: Any = None,
-) -> tuple[Any, Any]:
-    """Compute force densities γ (1×α) [N/m] and string vectors S.
-
-    S is (3×α) [m]. `taut`: see `Mode`. `longest` (1×α) [m]: upper bounds of rest lengths, which
-    smooth strings ignore.
+    Returns
+    -------
+    list of ForceElement
+        Those that the scene has.
     """
-    scene, u = bind(scene, u)
-    S = ca.mtimes(N, sparse(mech.C_s.T))  # 3×α, Eq. 66
-    if isinstance(scene.control, ForceDensity):
-        return _per_child(
-            scene, u, 1 / scene.modelled.string_fraction
-        ), S  # the tension is constant along a straight parent string
-    switching = scene.switching_strings
-
-    def law_of(
-        law: StringLaw,
-        which: Indices,
-        squared: Any,
-        rest: Any,
-        stiffness: Any,
-        rate: Any,
-        unit: Any,
-    ) -> Any:
-        if longest is not None and not isinstance(law, Smooth):
-            rest = ca.fmin(rest, _columns(longest, which))
-        held = (
-            taut
-            if taut is None or not law.switches or len(which) == len(switching)
-            else taut[:, np.searchsorted(switching, which).tolist()]
-        )
-        return law.force_density(squared, rest, stiffness, rate, unit, held)
-
-    return _by_law(scene, law_of, _law_inputs(scene, mech, S, V, u, damped)), S
+    scene, u = bind(scene, w)
+    found: list[ForceElement] = []
+    if len(scene.modelled.strings):
+        found.append(StringForces(scene, mech, u))
+    if scene.gravity is not None:
+        found.append(Weights(scene.gravity, mech))
+    found += [Contacts(ground, mech) for ground in scene.grounds]
+    if scene.pressure is not None:
+        found.append(PressureForces(scene.pressure, mech))
+    if scene.forces is not None:
+        found.append(NodalForces(scene.forces, mech))
+    if mode is None:
+        return found
+    ends = np.cumsum([element.switch_count for element in found]).tolist()
+    return [
+        replace(element, mode=mode[:, end - element.switch_count : end])  # type: ignore[type-var]
+        if element.switch_count
+        else element
+        for element, end in zip(found, ends, strict=True)
+    ]
 
 
-def string_gaps(scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any) -> Any:
-    """Compute gap lengths (1×k) of switching strings.
-
-    They are in m, positive if the string is taut.
-    """
-    scene, u = bind(scene, u)
-    inputs = _law_inputs(scene, mech, ca.mtimes(N, sparse(mech.C_s.T)), V, u, True)
-    return _by_law(scene, lambda law, which, *rows: law.gap(*rows), inputs, switching=True)
+def sum_forces(elements: list[ForceElement], mech: Mechanism, at: NodeMotion) -> Any:
+    """Compute F (3×n) [N]."""
+    return sum((element.forces(at) for element in elements), start=ca.DM.zeros(*mech.N.shape))
 
 
-def _law_inputs(
-    scene: Scene, mech: Mechanism, S: Any, V: Any, u: Any, damped: bool
-) -> tuple[Any, ...]:
-    """Compute the inputs of string laws.
-
-    They are rows over modeled strings.
-
-    They are squared lengths, rest lengths, stiffness, rates, and typical lengths.
-    """
-    s = scene.modelled
-    rate = None
-    if damped and is_damped(scene):
-        rate = ca.sum1(S * ca.mtimes(V, sparse(mech.C_s.T))) * constant_row(
-            s.damping
-        )  # c sᵀṡ, Eq. 98
-    return (
-        ca.sum1(S * S),
-        _rest(scene, u),
-        constant_row(s.stiffness),
-        rate,
-        constant_row(s.rest_length),
-    )
-
-
-def _by_law(
-    scene: Scene, evaluate: Callable[..., Any], rows: tuple[Any, ...], switching: bool = False
+def total(
+    scene: Scene, mech: Mechanism, N: Any, V: Any, w: Any, time: Any, mode: Any = None
 ) -> Any:
-    """Evaluate a function per string law and join the rows.
+    """Compute F (3×n) [N], the sum of all forces of a scene."""
+    return sum_forces(build_elements(scene, mech, w, mode), mech, NodeMotion(N, V, time))
 
-    `evaluate` has the arguments law, its strings, and their entries of `rows`. With `switching`,
-    only laws that switch are included.
+
+def potential_energy(scene: Scene, mech: Mechanism, N: Any, w: Any) -> tuple[Any, Any]:
+    """Compute elastic energy, of strings and grounds, and gravity energy [J]."""
+    elastic = gravity = ca.DM(0)
+    for element in build_elements(scene, mech, w):
+        if isinstance(element, Weights):
+            gravity = element.energy(N)
+        else:
+            elastic = elastic + element.energy(N)
+    return elastic, gravity
+
+
+def string_force_density(scene: Scene, mech: Mechanism, N: Any, V: Any, w: Any) -> tuple[Any, Any]:
+    """Compute force densities γ (1×α) [N/m] and string vectors S (3×α) [m]."""
+    scene, u = bind(scene, w)
+    return StringForces(scene, mech, u).force_density(N, V)
+
+
+@dataclass(frozen=True, eq=False)
+class StringForces(ForceElement):
+    """Strings of a scene whose constants may be expressions.
+
+    Attributes
+    ----------
+    mode : casadi row or None
+        1 for taut strings, of those that switch.
+    damped : bool
+        Whether damping acts.
+    longest : casadi row or None
+        Upper bounds (1×α) of rest lengths [m], which smooth strings ignore.
     """
-    laws = [(law, which) for law, which in scene.string_laws if law.switches or not switching]
-    if len(scene.string_laws) == 1:
-        return evaluate(*laws[0], *rows)
-    damping = scene.modelled.damping
-    parts = []
-    for law, which in laws:
-        squared, rest, stiffness, rate, unit = (
-            None if row is None else _columns(row, which) for row in rows
+
+    name: ClassVar[str] = "strings"
+    scene: Scene
+    mech: Mechanism
+    control: Any
+    mode: Any = None
+    damped: bool = True
+    longest: Any = None
+
+    @property
+    def switch_count(self) -> int:  # type: ignore[override]
+        """Number of strings that go slack at an instant."""
+        return len(self.scene.switching_strings)
+
+    def force_density(self, N: Any, V: Any) -> tuple[Any, Any]:
+        """Compute force densities γ (1×α) [N/m] and string vectors S (3×α) [m] (Eq. 66)."""
+        S = ca.mtimes(N, sparse(self.mech.C_s.T))
+        return self.law_density(ca.sum1(S * S), self._rate(S, V)), S
+
+    def law_density(self, squared: Any, rate: Any = None) -> Any:
+        """Compute γ (1×α) from squared lengths [m²] and c sᵀṡ [N·m] (Eqs. 98, 99)."""
+        scene = self.scene
+        if isinstance(scene.control, ForceDensity):  # tension is constant along a parent string
+            return self._per_segment(1 / scene.modelled.string_fraction)
+        switching = scene.switching_strings
+
+        def law_of(
+            law: StringLaw, which: Indices, squared: Any, rest: Any, k: Any, unit: Any, rate: Any
+        ) -> Any:
+            if self.longest is not None and not isinstance(law, Smooth):
+                rest = ca.fmin(rest, _columns(self.longest, which))
+            taut = self.mode
+            if taut is not None and law.switches and len(which) < len(switching):
+                taut = taut[:, np.searchsorted(switching, which).tolist()]
+            return law.force_density(squared, rest, k, rate, unit, taut)
+
+        return self._by_law(law_of, squared, rate)
+
+    def forces(self, at: NodeMotion) -> Any:
+        """Compute −S γ̂ C_s (3×n) [N] (Eq. 56)."""
+        gamma, S = self.force_density(at.N, at.V)
+        return weighted_product(S, gamma, -self.mech.C_s)
+
+    def energy(self, N: Any) -> Any:
+        """Compute the elastic energy [J]; force densities that are commanded store none."""
+        if isinstance(self.scene.control, ForceDensity):
+            return ca.DM(0)
+        S = ca.mtimes(N, sparse(self.mech.C_s.T))
+        energies = self._by_law(
+            lambda law, _, squared, rest, k, unit, rate: law.energy(squared, rest, k, unit),
+            ca.sum1(S * S),
+            None,
         )
-        parts.append(
-            evaluate(
-                law,
-                which,
-                squared,
-                rest,
-                stiffness,
-                rate if is_expression(damping) or np.any(damping[which] > 0) else None,
-                unit,
-            )
-        )
-    place = np.argsort(np.concatenate([which for _, which in laws]))
-    return ca.horzcat(*parts)[:, place.tolist()]
+        return ca.sum2(energies)
+
+    def switches(self, at: NodeMotion) -> Any:
+        """Compute the excess lengths of strings that go slack at an instant."""
+        S = ca.mtimes(at.N, sparse(self.mech.C_s.T))
+
+        def gap(law: Any, _: Indices, squared: Any, rest: Any, k: Any, unit: Any, rate: Any) -> Any:
+            return law.gap(squared, rest, k, rate, unit)
+
+        return self._by_law(gap, ca.sum1(S * S), self._rate(S, at.V), switching=True)
+
+    def _rate(self, S: Any, V: Any) -> Any:
+        """Compute c sᵀṡ (1×α) (Eq. 98), or None if no string is damped."""
+        if not self.damped or not is_damped(self.scene):
+            return None
+        rates = ca.sum1(S * ca.mtimes(V, sparse(self.mech.C_s.T)))
+        return rates * constant_row(self.scene.modelled.damping)
+
+    def _by_law(
+        self, evaluate: Callable[..., Any], squared: Any, rate: Any, switching: bool = False
+    ) -> Any:
+        """Evaluate a function for each string law and join the rows, of laws that switch if so."""
+        s, laws = self.scene.modelled, self.scene.string_laws
+        by_control = isinstance(self.scene.control, RestLength)
+        rest = self._per_segment(s.string_fraction) if by_control else constant_row(s.rest_length)
+        rows = squared, rest, constant_row(s.stiffness), constant_row(s.rest_length)
+        if len(laws) == 1:
+            return evaluate(*laws[0], *rows, rate)
+        chosen = [(law, which) for law, which in laws if law.switches or not switching]
+        parts = []
+        for law, which in chosen:
+            damped = rate is not None and (is_expression(s.damping) or np.any(s.damping[which] > 0))
+            own = [_columns(row, which) for row in rows]
+            parts.append(evaluate(law, which, *own, _columns(rate, which) if damped else None))
+        place = np.argsort(np.concatenate([which for _, which in chosen]))
+        return ca.horzcat(*parts)[:, place.tolist()]
+
+    def _per_segment(self, factor: Array) -> Any:
+        """Expand the control to a row over modeled strings, times `factor`."""
+        parent, u = self.scene.modelled.string_parent, self.control
+        row = u.T if len(parent) == u.shape[0] else u[parent.tolist(), :].T
+        return row if np.all(factor == 1) else row * ca.DM(factor).T
+
+
+@dataclass(frozen=True, eq=False)
+class Weights(ForceElement):
+    """Weights of the columns."""
+
+    name: ClassVar[str] = "gravity"
+    gravity: Gravity
+    mech: Mechanism
+
+    def forces(self, at: NodeMotion) -> Any:
+        """Compute the weights (3×n) [N]."""
+        return self.gravity.forces(self.mech.node_weight, at.time)
+
+    def energy(self, N: Any) -> Any:
+        """Compute the energy [J], zero at the origin; gravity over time has none."""
+        return self.gravity.energy(N, self.mech.node_weight)
+
+
+@dataclass(frozen=True, eq=False)
+class Contacts(ForceElement):
+    """Contact of nodes with a ground.
+
+    Attributes
+    ----------
+    mode : casadi row or None
+        1 for nodes in contact.
+    """
+
+    name: ClassVar[str] = "ground"
+    surface: Surface
+    mech: Mechanism
+    mode: Any = None
+
+    @property
+    def columns(self) -> list[int]:
+        """Columns of N that the ground acts on."""
+        first, nodes = self.mech.first, self.surface.nodes
+        return (first if nodes is None else first[list(nodes)]).tolist()  # type: ignore[no-any-return]
+
+    @property
+    def switch_count(self) -> int:  # type: ignore[override]
+        """Number of nodes that may be in contact."""
+        return len(self.columns)
+
+    def forces(self, at: NodeMotion) -> Any:
+        """Compute the contact forces (3×n) [N]."""
+        columns = self.columns
+        W = self.surface.forces(at.N[:, columns], at.V[:, columns], self.mode)
+        return _spread(self.mech, W, columns)
+
+    def energy(self, N: Any) -> Any:
+        """Compute the energy of the ground's springs [J]."""
+        return self.surface.energy(N[:, self.columns])
+
+    def switches(self, at: NodeMotion) -> Any:
+        """Compute lengths that are positive where the ground pushes."""
+        return self.surface.switching(at.N[:, self.columns], at.V[:, self.columns])
+
+
+@dataclass(frozen=True, eq=False)
+class PressureForces(ForceElement):
+    """Pressure across triangles of nodes."""
+
+    name: ClassVar[str] = "pressure"
+    pressure: Pressure
+    mech: Mechanism
+
+    def forces(self, at: NodeMotion) -> Any:
+        """Compute the forces (3×n) [N]."""
+        first = self.mech.first.tolist()
+        return _spread(self.mech, self.pressure.forces(at.N[:, first], at.time), first)
+
+
+@dataclass(frozen=True, eq=False)
+class NodalForces(ForceElement):
+    """Forces on nodes, at the end of the given bar where there is one."""
+
+    name: ClassVar[str] = "nodal forces"
+    load: NodalForce
+    mech: Mechanism
+
+    def forces(self, at: NodeMotion) -> Any:
+        """Compute the forces (3×n) [N]."""
+        W = self.load.at(at.time)
+        columns = self.mech.first[: W.shape[1]].copy()  # nodes inside strings have no load
+        for node, bar in (self.load.bars or {}).items():
+            ends = self.mech.C_b[[bar]].tocoo().col
+            columns[node] = ends[self.mech.physical[ends] == node][0]
+        return _spread(self.mech, W, columns.tolist())
 
 
 def _columns(row: Any, which: Indices) -> Any:
     return row if row.shape[1] == 1 else row[:, which.tolist()]
 
 
-def is_damped(scene: Scene) -> bool:
-    """Return whether any string has damping.
+def _spread(mech: Mechanism, W: Any, columns: list[int]) -> Any:
+    """Assign forces (3×m) on some columns to 3×n."""
+    count, n = len(columns), mech.N.shape[1]
+    if columns == list(range(n)):
+        return W
+    return ca.mtimes(W, ca.DM.triplet(list(range(count)), columns, ca.DM.ones(count), count, n))
 
-    Strings under force-density control have none.
-    """
+
+def is_damped(scene: Scene) -> bool:
+    """Return whether any string has damping; those under force-density control have none."""
     if isinstance(scene.control, ForceDensity):
         return False
     damping = scene.modelled.damping
     return is_expression(damping) or scene.has_parameter("damping") or bool(np.any(damping > 0))
 
 
-def is_rough(scene: Scene) -> bool:
+def has_dissipative_ground(scene: Scene) -> bool:
     """Return whether any ground has damping or friction."""
     return scene.has_parameter("ground_damping") or any(
         not ground.conservative for ground in scene.grounds
     )
 
 
-def contacts(scene: Scene, mech: Mechanism) -> list[tuple[Surface, list[int], slice]]:
-    """List each ground with its columns and contact indices.
-
-    There is one column of N for each node.
-    """
-    found: list[tuple[Surface, list[int], slice]] = []
-    count = 0
-    for ground in scene.grounds:
-        columns = mech.first if ground.nodes is None else mech.first[list(ground.nodes)]
-        found.append((ground, columns.tolist(), slice(count, count := count + len(columns))))
-    return found
-
-
-def string_forces(mech: Mechanism, gamma: Any, S: Any) -> Any:
-    """Compute −S γ̂ C_s (3×n, Eq. 56) [N]."""
-    return weighted_product(S, gamma, -mech.C_s)
-
-
-def terms(
-    scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, time: Any, mode: Mode = FREE
-) -> dict[str, Any]:
-    """Compute the terms of F (3×n) [N] by name."""
-    scene, u = bind(scene, u)
-    first = mech.first.tolist()
-    result: dict[str, Any] = {}
-    if len(scene.modelled.strings):
-        result["strings"] = string_forces(
-            mech, *string_force_density(scene, mech, N, V, u, taut=mode.taut)
-        )
-    if scene.gravity is not None:
-        result["gravity"] = _weights(scene, mech, time)
-    if scene.ground is not None:
-        result["ground"] = _ground_forces(scene, mech, N, V, mode.touching)
-    if scene.pressure is not None:
-        result["pressure"] = _on_first(mech, scene.pressure.forces(N[:, first], time))
-    if scene.forces is not None:
-        result["nodal forces"] = _on_columns(
-            mech, scene.forces.forces(time), _loaded_columns(scene, mech)
-        )
-    return result
-
-
-def total(
-    scene: Scene, mech: Mechanism, N: Any, V: Any, u: Any, time: Any, mode: Mode = FREE
-) -> Any:
-    """Compute F (3×n) [N], the sum of all `terms`."""
-    return sum(terms(scene, mech, N, V, u, time, mode).values(), start=ca.DM.zeros(*mech.N.shape))
-
-
-def potential_energy(scene: Scene, mech: Mechanism, N: Any, u: Any) -> tuple[Any, Any]:
-    """Compute elastic energy and gravity energy [J].
-
-    Elastic energy is that of taut strings and of the ground's springs.
-    """
-    scene, u = bind(scene, u)
-    s = scene.modelled
-    elastic: Any = ca.DM(0)
-    if len(s.strings) and not isinstance(scene.control, ForceDensity):
-        squared, rest, stiffness, _, unit = _law_inputs(
-            scene, mech, ca.mtimes(N, sparse(mech.C_s.T)), None, u, False
-        )
-        elastic = ca.sum2(
-            _by_law(
-                scene,
-                lambda law, _, *rows: law.energy(*rows[:3], rows[4]),
-                (squared, rest, stiffness, None, unit),
-            )
-        )
-    if scene.ground is not None:
-        elastic = elastic + sum(
-            ground.energy(N[:, columns]) for ground, columns, _ in contacts(scene, mech)
-        )
-    if scene.gravity is None:
-        return elastic, ca.DM(0)
-    if is_expression(mech.M):
-        return elastic, ca.DM(0) if scene.gravity.varies else -ca.sum1(
-            ca.sum2(N * _weights(scene, mech, 0))
-        )
-    return elastic, scene.gravity.energy(N, mech.node_weight)
-
-
-def _weights(scene: Any, mech: Mechanism, time: Any) -> Any:
-    """Compute the weights (3×n) of the columns [N]."""
-    if is_expression(mech.M):
-        return ca.mtimes(scene.gravity.at(time), mech.node_weight)
-    return scene.gravity.forces(mech.node_weight, time)
-
-
 def is_conservative(scene: Scene) -> bool:
     """Return whether all forces are conservative under constant control."""
     driven = isinstance(scene.control, ForceDensity) and len(scene.modelled.strings) > 0
     loaded = scene.pressure is not None or scene.forces is not None or bool(scene.over_time)
-    return not (driven or is_damped(scene) or is_rough(scene) or loaded)
-
-
-def _rest(scene: Scene, u: Any) -> Any:
-    s = scene.modelled
-    return (
-        _per_child(scene, u, s.string_fraction)
-        if isinstance(scene.control, RestLength)
-        else constant_row(s.rest_length)
-    )
-
-
-def _per_child(scene: Scene, u: Any, factor: Array) -> Any:
-    """Expand u to a row over modeled strings, times `factor`."""
-    parent = scene.modelled.string_parent
-    row = u.T if len(parent) == u.shape[0] else u[parent.tolist(), :].T
-    return row if np.all(factor == 1) else row * ca.DM(factor).T
-
-
-def _ground_forces(scene: Scene, mech: Mechanism, N: Any, V: Any, touching: Any) -> Any:
-    """Compute the forces of all grounds (3×n) [N].
-
-    `touching` (1×c): see `Mode`.
-    """
-    parts = [
-        _on_columns(
-            mech,
-            ground.forces(
-                N[:, columns], V[:, columns], None if touching is None else touching[:, places]
-            ),
-            columns,
-        )
-        for ground, columns, places in contacts(scene, mech)
-    ]
-    return sum(parts[1:], start=parts[0])
-
-
-def _loaded_columns(scene: Scene, mech: Mechanism) -> list[int]:
-    """Select the column for the nodal force of each node.
-
-    It is the first copy, or that of the given bar.
-    """
-    columns = mech.first[: len(scene.structure.nodes)].copy()
-    for node, bar in (
-        scene.forces.bars if scene.forces is not None and scene.forces.bars else {}
-    ).items():
-        ends = mech.C_b[[bar]].tocoo().col
-        columns[node] = ends[mech.physical[ends] == node][0]
-    return columns.tolist()  # type: ignore[no-any-return]
-
-
-def _on_first(mech: Mechanism, W: Any) -> Any:
-    """Assign loads on physical nodes to their first copies.
-
-    W is (3×m) and may omit the last nodes, those inside strings.
-    """
-    return _on_columns(mech, W, mech.first[: W.shape[1]].tolist())
-
-
-def _on_columns(mech: Mechanism, W: Any, columns: list[int]) -> Any:
-    """Assign forces (3×m) on these columns to 3×n."""
-    count, n = len(columns), mech.N.shape[1]
-    if columns == list(range(n)):
-        return W
-    return ca.mtimes(W, ca.DM.triplet(list(range(count)), columns, ca.DM.ones(count), count, n))
+    return not (driven or is_damped(scene) or has_dissipative_ground(scene) or loaded)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -48,19 +49,15 @@ def count_terms(space: StateSpace, ode: ca.Function) -> TermCounts:
     x, u = space.symbols(not space.mechanism.large)
     mech = space.weighted(u, inverse=False)
     N, V, time = space.unpack(x)
-    built = forces.terms(scene, mech, N, V, u, time)
-    if forces.is_damped(scene):
-        elastic = forces.string_forces(
-            mech, *forces.string_force_density(scene, mech, N, V, u, damped=False)
-        )
-        built = {"string elasticity": elastic, "string damping": built.pop("strings"), **built}
-    elif "strings" in built:
-        name = (
-            "string force densities"
-            if isinstance(scene.control, ForceDensity)
-            else "string elasticity"
-        )
-        built = {name: built.pop("strings"), **built}
+    at, built = forces.NodeMotion(N, V, time), {}
+    for element in forces.build_elements(scene, mech, u):
+        name = element.name
+        if isinstance(element, forces.StringForces):
+            driven = isinstance(scene.control, ForceDensity)
+            name = "string force densities" if driven else "string elasticity"
+            if forces.is_damped(scene):
+                built[name], name = replace(element, damped=False).forces(at), "string damping"
+        built[name] = built.get(name, 0) + element.forces(at)
     counts = TermCounts()
     outputs: dict[str, Any] = {}
     before = 0

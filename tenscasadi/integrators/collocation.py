@@ -198,7 +198,7 @@ class Collocation(NamedScheme, kind="Collocation"):
             step = self._newton(equations(model, power))
         else:
             step = self._advance_by_sweeps(model, power)
-        return _halve_unsolved(step) if any(count_switches(model)) else step
+        return _halve_unsolved(step) if count_switches(model) else step
 
     def _advance_by_sweeps(self, model: Model, power: ca.Function | None) -> ca.Function:
         """Build a step by sweeps through the stages.

@@ -14,7 +14,6 @@ import casadi as ca
 from tenscasadi.dynamics import forces
 from tenscasadi.dynamics.equation_of_motion import forward_dynamics
 from tenscasadi.dynamics.model import Model
-from tenscasadi.scene.binding import bind
 from tenscasadi.util.casadi_tools import hermite_cubic, sparse
 
 
@@ -25,16 +24,13 @@ def build_switching(model: Model) -> ca.Function | None:
     None if the scene has no events.
     """
     scene, mech = model.scene, model.mechanism
-    strings, contacts = count_switches(model)
-    if strings + contacts == 0:
+    if not count_switches(model):
         return None
     x, u = model.symbols(not mech.large)
     N, V, time = model.unpack(x)
-    rows = [forces.string_gaps(scene, mech, N, V, model.add_schedule(u, time))] if strings else []
-    rows += [
-        ground.switching(N[:, columns], V[:, columns])
-        for ground, columns, _ in forces.contacts(bind(scene, u)[0], mech)
-    ]
+    elements = forces.build_elements(scene, mech, model.add_schedule(u, time))
+    at = forces.NodeMotion(N, V, time)
+    rows = [element.switches(at) for element in elements if element.switch_count]
     return ca.Function(
         "switching", [x, u], ca.cse([ca.densify(ca.horzcat(*rows).T)]), ["x", "u"], ["g"]
     )
@@ -50,7 +46,7 @@ def build_mode_ode(model: Model, work: bool = False) -> ca.Function:
     integrating it would lose the order.
     """
     kind: Any = ca.MX if model.mechanism.large else ca.SX  # staged functions have no mode input
-    z, w = kind.sym("z", model.nx + work), kind.sym("w", model.nw + sum(count_switches(model)))
+    z, w = kind.sym("z", model.nx + work), kind.sym("w", model.nw + count_switches(model))
     N, V, time = model.unpack(z[: model.nx])
     u, mode = split_mode(model, w)
     acceleration = forward_dynamics(model, N, V, u, time, mode)[0]
@@ -67,15 +63,9 @@ def build_mode_ode(model: Model, work: bool = False) -> ca.Function:
     )
 
 
-def split_mode(model: Model, w: Any) -> tuple[Any, forces.Mode]:
-    """Split w = (u, mode (k,)) into input and mode.
-
-    The input u (nw,) is the control and the parameters.
-    """
-    nu, (strings, contacts) = model.nw, count_switches(model)
-    return w[:nu], forces.Mode(
-        w[nu : nu + strings].T if strings else None, w[nu + strings :].T if contacts else None
-    )
+def split_mode(model: Model, w: Any) -> tuple[Any, Any]:
+    """Split w = (u, mode) into the input (nw,), of control and parameters, and the mode (1×k)."""
+    return w[: model.nw], w[model.nw :].T if count_switches(model) else None
 
 
 def build_potential(model: Model) -> ca.Function:
@@ -91,11 +81,11 @@ def build_potential(model: Model) -> ca.Function:
     return ca.Function("potential", [x, u], [total], ["x", "u"], ["potential"])
 
 
-def count_switches(model: Model) -> tuple[int, int]:
+def count_switches(model: Model) -> int:
     """Count the strings and contacts that can switch."""
-    scene = model.scene
-    contacts = forces.contacts(scene, model.mechanism)
-    return len(scene.switching_strings), contacts[-1][2].stop if contacts else 0
+    w = ca.DM(model.held())
+    elements = forces.build_elements(model.scene, model.mechanism, w)
+    return sum(element.switch_count for element in elements)
 
 
 def build_hidden(gaps: ca.Function, model: Model) -> ca.Function:

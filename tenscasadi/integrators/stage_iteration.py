@@ -6,7 +6,7 @@ Sweeps of small symmetric systems replace Newton's method for all stages at once
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -22,7 +22,6 @@ from tenscasadi.integrators.events import (
 )
 from tenscasadi.scene.binding import bind, with_fields
 from tenscasadi.scene.ground import Contact, Surface, along, slip_velocity
-from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Smooth
 from tenscasadi.util.casadi_tools import call_as_sx, constant_row, sparse
 from tenscasadi.util.validate import Array
@@ -153,10 +152,10 @@ def _lead(model: Model, u: Any) -> Any:
         lead if lead.shape[0] != 1 else ca.repmat(lead, len(scene.modelled.strings), 1)
     )
     clamped = ca.DM(np.isin(scene.switching_strings, scene.clamped_strings).astype(float))
-    contacts = forces.contacts(scene, model.mechanism)
     grounds = [
-        ca.repmat(ca.densify(ground.damping / ground.stiffness), len(columns), 1)
-        for ground, columns, _ in contacts
+        ca.repmat(ca.densify(one.surface.damping / one.surface.stiffness), one.switch_count, 1)
+        for one in forces.build_elements(model.scene, model.mechanism, u)
+        if isinstance(one, forces.Contacts)
     ]
     switching = ca.reshape(
         lead[scene.switching_strings.tolist()], clamped.shape[0], 1
@@ -178,28 +177,29 @@ def _solver(model: Model) -> ca.Function:
         u, mech = model.add_schedule(u, time), model.weighted(u, inverse=False)
         M = sparse(mech.free_mass)
 
-        def slopes(scene: Scene, longest: Any = None) -> Any:
-            found = forces.terms(scene, mech, N, V, u, time, mode)
-            if longest is not None:  # compressive string forces would make the system indefinite
-                pulling = forces.string_force_density(
-                    scene, mech, N, V, u, damped=False, taut=mode.taut, longest=longest
-                )
-                found["strings"] = forces.string_forces(mech, *pulling)
-            F = sum(found.values(), start=ca.DM.zeros(*mech.N.shape))
+        at = forces.NodeMotion(N, V, time)
+        elements = forces.build_elements(model.scene, mech, u, mode)
+
+        def slopes(elements: list[forces.ForceElement]) -> Any:
+            F = forces.sum_forces(elements, mech, at)
             return ca.jacobian(model.split(model.pack(F, F, 0))[0], x)
 
-        rubs = any(ground.friction is not None for ground in model.scene.grounds)
-        slope = _drag_slopes(model, slopes, N, V, u, mode, moved) if rubs else slopes(model.scene)
-        K, C = ca.horzsplit(slope, [0, nq, 2 * nq, model.nx])[:2]
+        K, C = ca.horzsplit(_drag_slopes(slopes, elements, at, moved), [0, nq, 2 * nq, model.nx])[
+            :2
+        ]
         if any(
             len(which) and not isinstance(law, Smooth) for law, which in model.scene.string_laws
         ):
             S = ca.mtimes(N, sparse(mech.C_s.T))
             length = type(x).sym("length", 1, S.shape[1])
-            frictionless = with_fields(
-                model.scene, ground=tuple(map(_without_friction, model.scene.grounds)) or None
-            )
-            K = ca.substitute(slopes(frictionless, length)[:, :nq], length, ca.sqrt(ca.sum1(S * S)))
+            # compressive string forces would make the system indefinite
+            pulling = [
+                replace(one, damped=False, longest=length)
+                if isinstance(one, forces.StringForces)
+                else _without_friction(one)
+                for one in elements
+            ]
+            K = ca.substitute(slopes(pulling)[:, :nq], length, ca.sqrt(ca.sum1(S * S)))
         W = M - g * _symmetric(C) - g**2 * _symmetric(K)
         kept = model.constraints(x)
         G = ca.jacobian(ca.vertcat(kept.bars, kept.joints), x)[:, :nq]
@@ -207,7 +207,7 @@ def _solver(model: Model) -> ca.Function:
         rigid = 1e5 * ca.mmax(ca.diag(W)) * ca.mtimes(G.T, G)
         return W + rigid, ca.mtimes(M + rigid, r)
 
-    sizes = {"x": model.nx, "w": model.nw + sum(count_switches(model)), "g": 1, "r": nq, "moved": 1}
+    sizes = {"x": model.nx, "w": model.nw + count_switches(model), "g": 1, "r": nq, "moved": 1}
     symbols: list[Any] = [ca.MX.sym(name, size) for name, size in sizes.items()]
     matrix, rhs = call_as_sx(model.mechanism.large, linear, *symbols)
     return ca.Function("solver", symbols, [ca.solve(matrix, rhs, "ldl")], list(sizes), ["delta"])
@@ -235,54 +235,49 @@ class _Dragging(Surface):
         return self.frictionless.forces(N, V, touching) - slip * ca.repmat(self.drag, 3, 1)
 
 
-def _without_friction(ground: Any) -> Surface:
-    frictionless: Surface = with_fields(ground, friction=None)
-    return frictionless
+def _without_friction(element: forces.ForceElement) -> forces.ForceElement:
+    if not isinstance(element, forces.Contacts):
+        return element
+    return replace(element, surface=with_fields(element.surface, friction=None))
 
 
 def _drag_slopes(
-    model: Model,
-    slopes: Callable[[Scene], Any],
-    N: Any,
-    V: Any,
-    u: Any,
-    mode: forces.Mode,
+    slopes: Callable[[list[forces.ForceElement]], Any],
+    elements: list[forces.ForceElement],
+    at: forces.NodeMotion,
     moved: Any,
 ) -> Any:
-    """Compute `slopes` of the scene with linearized friction.
+    """Compute `slopes` of the elements with linearized friction.
 
     A node far from its final velocity uses the secant of friction from rest instead of the
     derivative. Friction of a sliding node hardly changes, so Newton's method would step past rest
     and back.
     """
-    grounds: list[Surface] = []
+    linear: list[forces.ForceElement] = []
     held: list[tuple[Any, Any]] = []
-    for k, (ground, columns, places) in enumerate(
-        forces.contacts(bind(model.scene, u)[0], model.mechanism)
-    ):
-        frictionless = _without_friction(ground)
-        if ground.friction is None:
-            grounds.append(ground)
+    for k, element in enumerate(elements):
+        if not isinstance(element, forces.Contacts) or element.surface.friction is None:
+            linear.append(element)
             continue
-        n, v, contact = N[:, columns], V[:, columns], ground.contact(N[:, columns])
+        ground, columns = element.surface, element.columns
+        frictionless: Surface = with_fields(ground, friction=None)
+        n, v, contact = at.N[:, columns], at.V[:, columns], ground.contact(at.N[:, columns])
         slip, share = slip_velocity(contact, v)
         speed = ca.sqrt(ca.sum1(slip * slip) + ground.slip_speed**2)
-        push = ca.fmax(
-            along(contact.outward, frictionless.forces(n, v, mode.touching[:, places])), 0
-        )
+        push = ca.fmax(along(contact.outward, frictionless.forces(n, v, element.mode)), 0)
         drag = ground.friction * (push if share is None else push / share) / speed
         # Near convergence, the derivative of friction replaces its secant.
         direction = slip * ca.repmat(ca.if_else(moved < 0.3 * speed, 1 / speed, 0), 3, 1)
         symbols = [
-            type(N).sym(f"{name}{k}", value.shape)
+            type(n).sym(f"{name}{k}", value.shape)
             for name, value in (("drag", drag), ("direction", direction))
         ]
-        grounds.append(_Dragging(frictionless, symbols[0], symbols[1], ground.nodes))
+        dragging = _Dragging(frictionless, symbols[0], symbols[1], ground.nodes)
+        linear.append(replace(element, surface=dragging))
         held += zip(symbols, (drag, direction), strict=True)
-    return ca.substitute(
-        [slopes(with_fields(model.scene, ground=tuple(grounds)))],
-        *(list(side) for side in zip(*held, strict=True)),
-    )[0]
+    if not held:
+        return slopes(elements)
+    return ca.substitute([slopes(linear)], *(list(side) for side in zip(*held, strict=True)))[0]
 
 
 def _symmetric(J: Any) -> Any:

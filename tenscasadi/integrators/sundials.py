@@ -14,7 +14,6 @@ import numpy as np
 
 from tenscasadi.dynamics.constraint_forces import nodal_forces
 from tenscasadi.dynamics.equation_of_motion import applied_forces
-from tenscasadi.dynamics.forces import FREE
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.events import build_mode_ode, count_switches, split_mode
 from tenscasadi.integrators.scheme import (
@@ -314,9 +313,9 @@ class Idas(Sundials, kind="Idas"):
         kind: Any = ca.MX if mech.large else ca.SX
         state, w = (
             kind.sym("x", model.nx + (power is not None)),
-            kind.sym("u", model.nw + held * sum(count_switches(model))),
+            kind.sym("u", model.nw + held * count_switches(model)),
         )
-        u, mode = split_mode(model, w) if held else (w, FREE)
+        u, mode = split_mode(model, w) if held else (w, None)
         mech = model.weighted(u)
         z = kind.sym("z", mech.bars + 3 * mech.joints)
         N, V, time = model.unpack(state[: model.nx])

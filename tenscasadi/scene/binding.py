@@ -62,16 +62,13 @@ def bind(scene: Any, w: Any) -> tuple[Any, Any]:
             _bind_ground(ground, k, on_grounds) for k, ground in enumerate(scene.grounds)
         )
     for name in items.keys() & {"gravity", "pressure", "forces"}:
-        values = _column(items[name], p)
-        load = getattr(scene, name)
+        load, value = getattr(scene, name), _column(items[name], p)
         if name in scene.parameters.scale:
-            changes[name] = _Scaled(load, values)
+            changes[name] = with_fields(load, factor=value)
         else:
-            changes[name] = (
-                {"gravity": _Weight, "forces": _Pushes}[name](load, values)
-                if name != "pressure"
-                else with_fields(load, difference=values)
-            )
+            size = 1 if name == "pressure" else 3
+            rows = ca.reshape(value, size, value.shape[0] // size).T
+            changes[name] = with_fields(load, **{load.quantity_name: rows})
     return with_fields(scene, **changes), w[:nu]
 
 
@@ -100,49 +97,6 @@ def _with_attributes(structure: Any, attributes: dict[str, Any]) -> Any:
     new = copy.copy(structure)
     new.__dict__.update(attributes)
     return new
-
-
-class _Bound:
-    """A load with expressions; what it does not say itself, its load says."""
-
-    def __init__(self, load: Any, values: Any) -> None:
-        self._load, self._values = load, values
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._load, name)
-
-
-class _Scaled(_Bound):
-    """A load times a factor."""
-
-    def at(self, time: Any) -> Any:
-        return self._values * self._load.at(time)
-
-    def forces(self, *arguments: Any) -> Any:
-        return self._values * self._load.forces(*arguments)
-
-    def energy(self, *arguments: Any) -> Any:
-        return self._values * self._load.energy(*arguments)
-
-
-class _Weight(_Bound):
-    """Constant gravity whose acceleration (3×1) is an expression."""
-
-    def at(self, time: Any) -> Any:
-        return self._values
-
-    def forces(self, node_weight: Any, time: Any = 0) -> Any:
-        return ca.mtimes(self._values, ca.DM(node_weight).T)
-
-    def energy(self, N: Any, node_weight: Any) -> Any:
-        return -ca.sum1(ca.sum2(N * self.forces(node_weight)))
-
-
-class _Pushes(_Bound):
-    """Constant forces on nodes (3n×1) that are expressions."""
-
-    def forces(self, time: Any) -> Any:
-        return ca.reshape(self._values, 3, self._values.shape[0] // 3)
 
 
 def fix(scene: Any, p: Array) -> Any:

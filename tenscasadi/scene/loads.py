@@ -10,11 +10,12 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.scene.over_time import OverTime, takes_breaks
-from tenscasadi.scene.time_functions import express
 from tenscasadi.schema.containers import ListOf, MapOf, NodalForces
 from tenscasadi.schema.field_types import TIMES, Index, Members, varying
+from tenscasadi.util.casadi_tools import is_expression
 from tenscasadi.util.read_only import ReadOnlyArrays
-from tenscasadi.util.validate import Array, Indices, listed, node_index, number, shown, whole_number
+from tenscasadi.util.renamed import RenamedAttribute
+from tenscasadi.util.validate import Indices, listed, node_index, number, shown, whole_number
 
 
 @takes_breaks
@@ -62,60 +63,38 @@ class Gravity(OverTime, kind="Gravity", short="acceleration"):
             self._check_function((3,))
         _freeze(self, "acceleration")
 
-    def at(self, time: Any) -> Any:
-        """Return the acceleration at a time.
+    def forces(self, node_weight: Any, time: Any = 0) -> Any:
+        """Compute the weights of nodes.
 
         Parameters
         ----------
+        node_weight : ndarray, shape (n,), or casadi row, shape (1, n)
+            Mass that each node carries [kg]: the row sums of the mass matrix.
         time : casadi expression
-            t, s; not needed where it is constant.
+            Time [s], which constant gravity does not need.
 
         Returns
         -------
-        casadi expression, shape (3, 1)
-            Acceleration, m/s².
+        casadi matrix, shape (3, n)
+            Forces W [N].
         """
-        if self.times is not None:
-            return self._table(time, 3)
-        return (
-            ca.vec(express("Gravity.acceleration", self.acceleration, time))
-            if callable(self.acceleration)
-            else ca.DM(self.acceleration)
-        )
+        row = node_weight if is_expression(node_weight) else ca.DM(node_weight).T
+        return ca.mtimes(self.at(time), row)
 
-    def forces(self, node_weight: Array, time: Any = 0) -> Any:
-        """Return the weights of nodes.
+    def energy(self, N: Any, node_weight: Any) -> Any:
+        """Compute the potential energy −Σ mᵢ gᵀnᵢ; gravity that changes over time has none.
 
         Parameters
         ----------
-        node_weight : ndarray, shape (n,)
-            Mass that each node carries, kg: the row sums of the mass matrix.
-        time : casadi expression
-            t, s; not needed where gravity is constant.
-
-        Returns
-        -------
-        casadi expression, shape (3, n)
-            W, N; casadi.DM where gravity is constant.
-        """
-        if self.varies:
-            return ca.mtimes(self.at(time), ca.DM(node_weight).T)
-        return ca.DM(np.outer(self.acceleration, node_weight))
-
-    def energy(self, N: Any, node_weight: Array) -> Any:
-        """Return the potential energy −Σ mᵢ gᵀnᵢ; none where gravity changes over time.
-
-        Parameters
-        ----------
-        N : casadi expression, shape (3, n)
-            Nodes, m.
-        node_weight : ndarray, shape (n,)
-            Mass that each node carries, kg.
+        N : casadi matrix, shape (3, n)
+            Nodes [m].
+        node_weight : ndarray, shape (n,), or casadi row, shape (1, n)
+            Mass that each node carries [kg].
 
         Returns
         -------
         casadi expression
-            Energy, J, zero at the origin.
+            Energy [J], zero at the origin.
         """
         return ca.DM(0) if self.varies else -ca.sum1(ca.sum2(N * self.forces(node_weight)))
 
@@ -187,27 +166,6 @@ class Pressure(OverTime, kind="Pressure"):
         for k, face in enumerate(self.faces):
             for node in face:
                 node_index(f"Pressure.faces[{k}]", node, nodes)
-
-    def at(self, time: Any) -> Any:
-        """Return the pressure at a time.
-
-        Parameters
-        ----------
-        time : casadi expression
-            t, s; not needed where it is constant.
-
-        Returns
-        -------
-        casadi expression
-            p, Pa; a number where it is constant.
-        """
-        if self.times is not None:
-            return self._table(time, 1)
-        return (
-            express("Pressure.difference", self.difference, time)
-            if callable(self.difference)
-            else self.difference
-        )
 
     def forces(self, N: Any, time: Any = 0) -> Any:
         """Return the forces on nodes.
@@ -303,39 +261,7 @@ class NodalForce(OverTime, ReadOnlyArrays, kind="NodalForce"):
                 f"NodalForce.values has {self.values.shape[-2]} rows: give one row for each of the {nodes} nodes"
             )
 
-    def forces(self, time: Any) -> Any:
-        """Return the forces at a time.
-
-        Parameters
-        ----------
-        time : casadi expression
-            t, s; not needed where the forces are constant.
-
-        Returns
-        -------
-        casadi expression, shape (3, n)
-            W, N.
-        """
-        if self.times is not None:
-            return self._table(time, 3)
-        if not callable(self.values):
-            return ca.DM(self.values.T)
-        return express("NodalForce.values", self.values, time).T
-
-    def at(self, time: Any) -> Any:
-        """Return the forces at a time: see `forces`.
-
-        Parameters
-        ----------
-        time : casadi expression
-            t, s; not needed where the forces are constant.
-
-        Returns
-        -------
-        casadi expression, shape (3, n)
-            W, N.
-        """
-        return self.forces(time)
+    forces = RenamedAttribute("at")
 
 
 def _freeze(load: OverTime, quantity: str) -> None:

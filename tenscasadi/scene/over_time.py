@@ -17,6 +17,7 @@ from tenscasadi.scene.time_functions import (
 )
 from tenscasadi.schema.field_types import TIMES
 from tenscasadi.schema.value import Value
+from tenscasadi.util.casadi_tools import is_expression
 from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import Array, finite_array
 
@@ -42,6 +43,7 @@ class OverTime(Value):
     _quantity: ClassVar[str]  # name of the field that may change over time
     times: Annotated[Any, TIMES]
     breakpoints: Annotated[Any, TIMES]
+    factor: ClassVar[Any] = None  # that parameters multiply the quantity by
 
     @property
     def varies(self) -> bool:
@@ -110,23 +112,30 @@ class OverTime(Value):
             raise ValueError(f"{self.field} returns shape {found} on a CasADi time: give {wanted}")
 
     def at(self, time: Any) -> Any:
-        """Return the quantity at a time.
+        """Compute the quantity at a time.
 
         Parameters
         ----------
         time : casadi expression
-            t, s; not needed where it is constant.
+            Time [s], which a constant does not need.
 
         Returns
         -------
-        casadi expression
-            A column of one item, or (3, n) of n of them.
+        casadi matrix
+            One number, or the columns (3, n) of n vectors.
         """
-        raise NotImplementedError
-
-    def _table(self, time: Any, rows: int) -> Any:
-        values = np.asarray(self.quantity)
-        return interpolate(time, np.asarray(self.times), values.reshape(len(values), -1), rows)
+        value = self.quantity
+        if self.times is not None:
+            table = np.asarray(value)
+            rows = 3 if table.ndim > 1 else 1
+            value = interpolate(time, np.asarray(self.times), table.reshape(len(table), -1), rows)
+        else:
+            if self.is_function:
+                value = express(self.field, value, time)
+            elif not is_expression(value):
+                value = ca.DM(np.asarray(value))
+            value = value if value.shape[1] == 1 else value.T
+        return value if self.factor is None else self.factor * value
 
     def check_run(self, first: float, last: float) -> None:
         """Raise ValueError where a function of time is not finite in a run or is not written in the mathematics of symbols.

@@ -36,7 +36,7 @@ def test_pressure_on_a_closed_surface_has_no_resultant_and_pushes_outwards() -> 
 def test_forces_may_be_functions_of_time() -> None:
     load = NodalForce(lambda t: [[np.cos(t), 0, 0], [0, t, 0]])
     load.check(2)
-    W = ca.Function("W", [t := ca.SX.sym("t")], [load.forces(t)])(0.5).full()
+    W = ca.Function("W", [t := ca.SX.sym("t")], [load.at(t)])(0.5).full()
     assert np.allclose(W, [[np.cos(0.5), 0], [0, 0.5], [0, 0]])
 
 
@@ -46,7 +46,7 @@ def test_forces_may_be_a_table_over_time() -> None:
     load = NodalForce(table, times=[0.0, 1.0, 3.0])
     load.check(2)
     for kind in (ca.SX, ca.MX):
-        W = ca.Function("W", [t := kind.sym("t")], [load.forces(t)])
+        W = ca.Function("W", [t := kind.sym("t")], [load.at(t)])
         for time, force in ((-1, 1), (0, 1), (0.5, 2), (1, 3), (2, 1), (3, -1), (9, -1)):
             assert np.allclose(W(time).full(), [[0, 0], [0, 0], [0, force]])
 
@@ -93,7 +93,7 @@ def test_forces_may_be_a_table_over_time() -> None:
         (lambda: NodalForce(lambda t: [[0, 0, 0]]).check(2), r"NodalForce\.values"),
         (lambda: NodalForce(lambda t: 1 / 0).check(2), r"NodalForce\.values raised"),
         (
-            lambda: NodalForce(lambda t: [[1 if t > 0 else 0, 0, 0]]).forces(ca.SX.sym("t")),
+            lambda: NodalForce(lambda t: [[1 if t > 0 else 0, 0, 0]]).at(ca.SX.sym("t")),
             r"NodalForce\.values raised",
         ),
     ],
@@ -114,7 +114,7 @@ def test_bad_loads_are_refused_by_name(make: object, field: str) -> None:
 )
 def test_forces_over_time_are_rows_of_any_kind(law):
     t = ca.SX.sym("t")
-    found = ca.Function("forces", [t], [NodalForce(law).forces(t)])(2.0)
+    found = ca.Function("forces", [t], [NodalForce(law).at(t)])(2.0)
     assert found.full().T.tolist() == [[2.0, 0.0, 0.0], [0.0, 2.0, 1.0]]
 
 
