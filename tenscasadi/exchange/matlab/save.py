@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-from dataclasses import fields
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any
 
 import numpy as np
 
 from tenscasadi.exchange.matlab.mat_file import write_mat
+from tenscasadi.schema.stored import array_fields
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.class_one import connectivity
 from tenscasadi.structure.structure import Structure
@@ -22,10 +22,7 @@ HISTORY = {
     "velocities": "Ndhist",
     "force_density": "gamma",
 }  # the names of MOTES; other fields keep their names
-LETTERS = {
-    name: hint.__metadata__[0]
-    for name, hint in get_type_hints(Trajectory, include_extras=True).items()
-}
+LETTERS = {name: str(letters) for name, (letters, _) in array_fields(Trajectory).items()}
 
 
 def save_mat(
@@ -198,10 +195,10 @@ def _trajectory(run: Trajectory) -> dict[str, Any]:
             run.nodes[:, run.bars[:, 1]] - run.nodes[:, run.bars[:, 0]], axis=2
         ).T
     }
-    for field in fields(run):
-        if field.name not in ("bars", "strings", "pinned"):
-            value, letters = getattr(run, field.name), LETTERS[field.name]
-            history[HISTORY.get(field.name, field.name)] = (
+    for name, letters in LETTERS.items():
+        if name not in ("bars", "strings", "pinned"):
+            value = getattr(run, name)
+            history[HISTORY.get(name, name)] = (
                 value.T if len(letters) > 1 else value[None, :] if letters else value
             )
     return {
