@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated
 
 import numpy as np
 
@@ -19,14 +18,14 @@ from ocp.targets.target import Target
 from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import Guess, resampled
 from tenscasadi.dynamics.model import Model
-from tenscasadi.schema.stored import Stored
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.structure import Structure
+from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import Array
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PlanResult(PlannedForces, Stored):
+class PlanResult(PlannedForces, ReadOnlyArrays):
     """Control over time and the motion that it causes; `ocp.Plan` says what the fields are."""
 
     success: bool
@@ -35,8 +34,8 @@ class PlanResult(PlannedForces, Stored):
     objective: float
     iterations: int
     seconds: float
-    time: Annotated[Array, "t", "f"]
-    force_density: Annotated[Array, "ku", "f"]
+    time: Array
+    force_density: Array
     trajectory: Trajectory
     replay_error: float
     replay_speed_error: float
@@ -48,8 +47,8 @@ class PlanResult(PlannedForces, Stored):
     solver: Solver | CondensedNewton | Sampling | None = None
     unknown: str = "it was made by hand"
     tracked: bool = False
-    rest_length: Annotated[Array | None, "ku", "f"] = None
-    starts: Annotated[Array | None, "n", "f"] = None
+    rest_length: Array | None = None
+    starts: Array | None = None
 
     def __repr__(self) -> str:
         count, strings = len(self.time) - 1, self.force_density.shape[1]

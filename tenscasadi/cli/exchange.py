@@ -35,13 +35,25 @@ _MOTIONS: dict[str, Callable[[Any, Path], object]] = {
 }
 
 
-def _import_ntrt(path: str, options: dict[str, Any]) -> Scene:
-    return Scene(load_ntrt(path, **options))
+def _import_mat(arguments: argparse.Namespace) -> Scene:
+    structure = load_mat(arguments.source, strict=not arguments.lenient)
+    # in MATLAB's programs, nodes carry the mass of strings
+    return Scene(structure, ends="lumped" if structure.string_mass.any() else "interior")
 
 
-_FOREIGN: dict[str, Callable[[str, dict[str, Any]], Scene]] = {
-    ".xml": lambda path, _: import_mjcf(path),
-    ".mat": lambda path, _: Scene(load_mat(path)),
+def _import_ntrt(arguments: argparse.Namespace) -> Scene:
+    structure = load_ntrt(
+        arguments.source,
+        length_unit=arguments.length_unit,
+        ball_joints=arguments.ball_joints,
+        strict=not arguments.lenient,
+    )
+    return Scene(structure)
+
+
+_FOREIGN: dict[str, Callable[[argparse.Namespace], Scene]] = {
+    ".xml": lambda arguments: import_mjcf(arguments.source, strict=not arguments.lenient),
+    ".mat": _import_mat,
     **dict.fromkeys((".yaml", ".yml"), _import_ntrt),
 }
 
@@ -80,8 +92,7 @@ def run_import(arguments: argparse.Namespace) -> int:
     read = _by_ending(_FOREIGN, Path(arguments.source), "scenes")
     _by_ending({".toml": save_scene}, arguments.out, "scene files")
     check_file("OUT", arguments.out)
-    options = {"length_unit": arguments.length_unit, "ball_joints": arguments.ball_joints}
-    save_scene(read(arguments.source, options), arguments.out)
+    save_scene(read(arguments), arguments.out)
     print(f"wrote {arguments.out}")
     return 0
 

@@ -176,7 +176,12 @@ _OUT: _Options = {
 }
 _IMPORT_OPTIONS: _Options = {
     "--length-unit": _number("NTRT: its unit of length, m", default=1.0),
-    "--ball-joints": {"help": "NTRT: rods that share a node may turn there", **_FLAG},
+    "--ball-joints": {
+        "action": argparse.BooleanOptionalAction,
+        "default": True,
+        "help": "NTRT: rods that share a node may turn there (default)",
+    },
+    "--lenient": {"help": "leave out what a scene cannot have, and list it", **_FLAG},
 }
 _VIEW_OPTIONS: _Options = {
     "--html": {
@@ -233,7 +238,8 @@ Scenes: .xml (MuJoCo), .mat (MATLAB: MOTES), .toml (a scene file without formula
 Trajectories and plans (.npz): .csv, .mat (MATLAB), .pvd (ParaView)."""
 
 _IMPORT = """\
-MuJoCo: .xml; MATLAB: .mat of MOTES or TsgFEM; NTRT: .yaml. What has no place in a scene file is refused by name."""
+MuJoCo: .xml; MATLAB: .mat of MOTES or TsgFEM; NTRT: .yaml.
+Parts without a counterpart in a scene file are errors; --lenient leaves them out and lists them."""
 
 _COMPLETION = """\
 To turn it on in this shell: eval "$(tenscasadi completion bash)". For good: the same line in ~/.bashrc (zsh: after compinit in ~/.zshrc)."""

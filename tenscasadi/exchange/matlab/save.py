@@ -3,30 +3,31 @@
 from __future__ import annotations
 
 import os
+from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import numpy as np
 
 from tenscasadi.exchange.matlab.mat_file import write_mat
-from tenscasadi.schema.stored import array_fields
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.class_one import connectivity
 from tenscasadi.structure.structure import Structure
+from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import Array, Indices, flag, instance
 
 STRUCTURE_FORM, TRAJECTORY_FORM = "tenscasadi structure 1", "tenscasadi trajectory 1"
-HISTORY = {
-    "time": "t",
-    "nodes": "Nhist",
-    "velocities": "Ndhist",
-    "force_density": "gamma",
-}  # the names of MOTES; other fields keep their names
-LETTERS = {name: str(letters) for name, (letters, _) in array_fields(Trajectory).items()}
+# the names of MOTES; other fields keep their names
+HISTORY = {"time": "t", "nodes": "Nhist", "velocities": "Ndhist", "force_density": "gamma"}
+LETTERS = {
+    name: hint.__metadata__[0]
+    for name, hint in get_type_hints(Trajectory, include_extras=True).items()
+}
 
 
+@rename_keywords(what="data")
 def save_mat(
-    what: Structure | Trajectory, path: str | os.PathLike[str], *, class_one: bool = False
+    data: Structure | Trajectory, path: str | os.PathLike[str], *, class_one: bool = False
 ) -> Path:
     """Write a structure or a trajectory for MATLAB.
 
@@ -46,7 +47,7 @@ def save_mat(
 
     Parameters
     ----------
-    what : Structure or Trajectory
+    data : Structure or Trajectory
         The structure or the trajectory.
     path : str or PathLike
         File to write, in MATLAB's format v7; no suffix is added.
@@ -78,18 +79,16 @@ def save_mat(
     >>> bool((tc.load_mat(path).nodes == prism.nodes).all())
     True
     """
-    instance("what", what, (Structure, Trajectory), "a Structure or a Trajectory")
+    instance("data", data, (Structure, Trajectory), "a Structure or a Trajectory")
     flag("class_one", class_one)
-    if isinstance(what, Trajectory):
-        if class_one:
-            raise ValueError(
-                "class_one is True for a trajectory, whose nodes are the physical ones: leave it out"
-            )
-        return write_mat(path, _trajectory(what))
-    return write_mat(path, _split(what) if class_one else _physical(what))
+    if isinstance(data, Structure):
+        return write_mat(path, _build_split(data) if class_one else _build_physical(data))
+    if class_one:
+        raise ValueError("class_one is True for a trajectory, which is never split: leave it out")
+    return write_mat(path, _build_history(data))
 
 
-def _matrices(nodes: Array, bars: Indices, strings: Indices) -> dict[str, Any]:
+def _build_matrices(nodes: Array, bars: Indices, strings: Indices) -> dict[str, Any]:
     return {
         "N": nodes.T,
         "C_b": connectivity(bars, len(nodes)).toarray(),
@@ -97,7 +96,7 @@ def _matrices(nodes: Array, bars: Indices, strings: Indices) -> dict[str, Any]:
     }
 
 
-def _strings_and_bars(structure: Structure) -> dict[str, Any]:
+def _build_properties(structure: Structure) -> dict[str, Any]:
     """Build rest lengths as a column, other values as rows.
 
     MOTES accepts no other shapes.
@@ -109,7 +108,7 @@ def _strings_and_bars(structure: Structure) -> dict[str, Any]:
     }
 
 
-def _physical(structure: Structure) -> dict[str, Any]:
+def _build_physical(structure: Structure) -> dict[str, Any]:
     more = {
         "node_mass": structure.node_mass,
         "string_mass": structure.string_mass,
@@ -125,85 +124,73 @@ def _physical(structure: Structure) -> dict[str, Any]:
         }
     return {
         "format": STRUCTURE_FORM,
-        **_matrices(structure.nodes, structure.bars, structure.strings),
-        **_strings_and_bars(structure),
-        "pinned_nodes": _from_one(structure.fixed.all(axis=1)),
-        **{f"pinned_{axis}": _from_one(structure.fixed[:, k]) for k, axis in enumerate("XYZ")},
+        **_build_matrices(structure.nodes, structure.bars, structure.strings),
+        **_build_properties(structure),
+        "pinned_nodes": _indices_from_one(structure.fixed.all(axis=1)),
+        **{
+            f"pinned_{axis}": _indices_from_one(structure.fixed[:, k])
+            for k, axis in enumerate("XYZ")
+        },
         **more,
     }
 
 
-def _from_one(mask: Any) -> Array:
+def _indices_from_one(mask: Any) -> Array:
     return np.flatnonzero(mask).astype(float)[:, None] + 1
 
 
-def _split(structure: Structure) -> dict[str, Any]:
+def _build_split(structure: Structure) -> dict[str, Any]:
     """Build the input of a MOTES simulation.
 
     Raises ValueError for properties that MOTES ignores.
     """
-    partly = structure.held.any(axis=1) & ~structure.fixed.all(axis=1)
     loose = np.ones(len(structure.nodes), dtype=bool)
     loose[structure.bars] = False
-    for unknown, what, cure in (
-        (structure.bar_radius != 0, "bar_radius of bar", "structure.replace(bar_radius=0.0)"),
-        (
-            structure.string_mass != 0,
-            "string_mass of string",
-            "structure.subdivide(segments), which puts it on nodes",
-        ),
-        (
-            ~loose & (structure.node_mass != 0),
-            "node_mass of node",
-            "structure.replace(node_mass=0.0), as MOTES has masses where no bar ends",
-        ),
-        (
-            loose & (structure.node_mass == 0),
-            "node_mass of node",
-            "a mass, as MOTES inverts the mass matrix",
-        ),
-        (partly, "the roller of node", "pins along all axes, or class_one=False"),
+    masses = structure.node_mass != 0
+    for unknown, name, member, cure in (
+        (structure.bar_radius != 0, "bar_radius", "bar", "0.0"),
+        (structure.string_mass != 0, "string_mass", "string", "0.0, or subdivide the strings"),
+        (~loose & masses, "node_mass", "node", "0.0: MOTES has masses where no bar ends"),
+        (loose & ~masses, "node_mass", "node", "a mass: MOTES inverts the mass matrix"),
     ):
         for index in np.flatnonzero(unknown):
-            value = (
-                ""
-                if what.startswith("the")
-                else f" is {getattr(structure, what.partition(' ')[0])[index]:g}"
-            )
-            raise ValueError(
-                f"class_one: {what} {index}{value}, which MOTES does not model: give {cure}"
-            )
+            value = getattr(structure, name)[index]
+            message = f"class_one: {name} of {member} {index} is {value:g}"
+            raise ValueError(f"{message}, which MOTES does not model: give {cure}")
+    partly = structure.held.any(axis=1) & ~structure.fixed.all(axis=1)
+    for index in np.flatnonzero(partly):
+        cure = "give pins along all axes, or class_one=False"
+        raise ValueError(f"class_one: node {index} has a roller, unknown to MOTES: {cure}")
     split = structure.class_one()
     on_bar = split.C_nb.any(axis=0)
-    order = np.concatenate(
-        [np.flatnonzero(on_bar), np.flatnonzero(~on_bar)]
-    )  # MOTES expects the ends of bars in the first 2β columns
+    # MOTES expects the ends of bars in the first 2β columns
+    order = np.concatenate([np.flatnonzero(on_bar), np.flatnonzero(~on_bar)])
     return {
         "N": split.N[:, order],
         "C_b": (split.C_b @ split.C_nb)[:, order],
         "C_s": split.C_s[:, order],
         "P": split.P[order],
         "D": split.D,
-        **_strings_and_bars(structure),
+        **_build_properties(structure),
         "ms": structure.node_mass[split.physical[np.flatnonzero(~on_bar)]][None, :],
     }
 
 
-def _trajectory(run: Trajectory) -> dict[str, Any]:
+def _build_history(run: Trajectory) -> dict[str, Any]:
     history: dict[str, Any] = {
         "bar_len": np.linalg.norm(
             run.nodes[:, run.bars[:, 1]] - run.nodes[:, run.bars[:, 0]], axis=2
         ).T
     }
-    for name, letters in LETTERS.items():
-        if name not in ("bars", "strings", "pinned"):
-            value = getattr(run, name)
-            history[HISTORY.get(name, name)] = (
+    for field in fields(run):
+        if field.name not in ("bars", "strings", "pinned"):
+            value, letters = getattr(run, field.name), LETTERS[field.name]
+            history[HISTORY.get(field.name, field.name)] = (
                 value.T if len(letters) > 1 else value[None, :] if letters else value
             )
     return {
         "format": TRAJECTORY_FORM,
-        **_matrices(run.nodes[0], run.bars, run.strings),
+        **_build_matrices(run.nodes[0], run.bars, run.strings),
         "pinned_nodes": run.pinned.astype(float)[:, None] + 1,
         "History": history,
     }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,14 +10,17 @@ import numpy as np
 from tenscasadi.dynamics.model import Model
 from tenscasadi.exchange.matlab.mat_file import read_mat
 from tenscasadi.exchange.matlab.save import HISTORY, LETTERS, TRAJECTORY_FORM
-from tenscasadi.exchange.matlab.structures import find_structure, read_indices, read_pairs
+from tenscasadi.exchange.matlab.structures import find_structure
+from tenscasadi.exchange.matlab.variables import Variables, read_indices, read_pairs
+from tenscasadi.exchange.source import Source
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity
+from tenscasadi.schema.reading import SceneFileError
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
-from tenscasadi.util.validate import Array, finite_array, instance, shown
+from tenscasadi.util.validate import Array, Indices, finite_array, instance, shown
 
 
-class Motion(NamedTuple):
+class ForeignTrajectory(NamedTuple):
     """Trajectory of another program.
 
     Attributes
@@ -36,9 +38,21 @@ class Motion(NamedTuple):
     velocities: Array
     force_density: Array | None
 
+    def select(self, columns: Indices) -> ForeignTrajectory:
+        """Select nodes. Raises ValueError."""
+        count = self.nodes.shape[1]
+        if max(columns, default=-1) >= count:
+            raise ValueError(f"its motion has {count} nodes, its N more")
+        nodes, velocities = self.nodes[:, columns], self.velocities[:, columns]
+        return self._replace(nodes=nodes, velocities=velocities)
+
 
 def load_mat_trajectory(
-    path: str | os.PathLike[str], model: Model | None = None, parameters: Any = None
+    path: str | os.PathLike[str],
+    model: Model | None = None,
+    parameters: Any = None,
+    *,
+    strict: bool = True,
 ) -> Trajectory:
     """Read a trajectory from a MATLAB file.
 
@@ -56,6 +70,8 @@ def load_mat_trajectory(
         the file, as from `load_mat`, without loads.
     parameters : array_like, shape (np,), or mapping of str to array_like, optional
         Values of the model's parameters, see `ParameterLayout.values`; nominal if None.
+    strict : bool
+        Whether properties of the structure without a counterpart are errors, see `load_mat`.
 
     Returns
     -------
@@ -69,6 +85,11 @@ def load_mat_trajectory(
     TypeError, ValueError
         The file cannot be read, has no trajectory, or one that does not fit the model; the message
         names the file and the variable.
+
+    Warns
+    -----
+    InexactImportWarning
+        Properties of the structure were left out, which it lists.
 
     See Also
     --------
@@ -84,33 +105,27 @@ def load_mat_trajectory(
     """
     if model is not None:
         instance("model", model, Model, "a Model or None")
-    variables = read_mat(path)
-    if variables.get("format") == TRAJECTORY_FORM and isinstance(variables.get("History"), dict):
-        try:
-            return _own(variables)
-        except (KeyError, TypeError, ValueError) as error:
-            raise ValueError(
-                f"{os.fspath(path)} is no trajectory that save_mat has written: {error}"
-            ) from error
+    source = Source(path, strict)
+    variables = read_mat(source)
     try:
+        if variables.get("format") == TRAJECTORY_FORM and "History" in variables:
+            return _restore(variables)
         motion = _find(variables)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{os.fspath(path)}: {error}") from error
-    if model is None or motion.nodes.shape[1] != len(model.structure.nodes):
-        found = find_structure(path, variables, None, {})
-        try:
-            motion = motion._replace(
-                nodes=motion.nodes[:, found.columns], velocities=motion.velocities[:, found.columns]
-            )
-        except IndexError as error:
-            raise ValueError(
-                f"{os.fspath(path)}: its motion is of {motion.nodes.shape[1]} nodes, its N of more"
-            ) from error
-        model = Model(Scene(found.structure)) if model is None else model
-    return _record(model, motion, parameters, os.fspath(path))
+        if model is None or motion.nodes.shape[1] != len(model.structure.nodes):
+            found = find_structure(source, variables, None, {})
+            motion = motion.select(found.columns)
+            model = Model(Scene(found.structure)) if model is None else model
+        run = _record(model, motion, parameters, source.path.name)
+    except (KeyError, TypeError, ValueError) as error:
+        if isinstance(error, SceneFileError):
+            raise
+        text = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
+        raise SceneFileError(text, source.path.name) from error
+    source.report()
+    return run
 
 
-def _own(variables: Mapping[str, Any]) -> Trajectory:
+def _restore(variables: Variables) -> Trajectory:
     """Restore a trajectory of `save_mat`. Raises KeyError, TypeError, ValueError."""
     history, N = variables["History"], finite_array("N", variables["N"], (3, None))
     count = N.shape[1]
@@ -122,68 +137,67 @@ def _own(variables: Mapping[str, Any]) -> Trajectory:
     sizes = {"T": np.size(history["t"]), "n": count, "3": 3, "α": len(content["strings"])}
     for name, letters in LETTERS.items():
         entry = HISTORY.get(name, name)
-        if name not in content and not (name in _ADDED and entry not in history):
-            value = history[entry]
-            if not letters:
-                content[name] = (
-                    value if isinstance(value, str) else _KINDS[name](np.asarray(value).item())
-                )
-            else:  # MATLAB drops trailing dimensions of size 1
-                shape = [sizes.get(letter, -1) for letter in letters]
-                content[name] = np.asarray(value, dtype=float).T.reshape(
-                    shape if np.size(value) else [max(0, size) for size in shape]
-                )
+        if name in content or (name in _ADDED and entry not in history):
+            continue
+        value = history[entry]
+        if letters:  # MATLAB drops trailing dimensions of size 1
+            shape = [sizes.get(letter, -1) for letter in letters]
+            shape = shape if np.size(value) else [max(0, size) for size in shape]
+            content[name] = np.asarray(value, dtype=float).T.reshape(shape)
+        else:
+            is_text = isinstance(value, str)
+            content[name] = value if is_text else _KINDS[name](np.asarray(value).item())
     return Trajectory.from_arrays(content)
 
 
-def _find(variables: Mapping[str, Any]) -> Motion:
+def _find(variables: Variables) -> ForeignTrajectory:
     """Find the trajectory among variables and structs. Raises TypeError, ValueError."""
-    scopes = {
-        "": variables,
-        **{name: value for name, value in variables.items() if isinstance(value, dict)},
-    }
+    scopes = {"": variables}
+    scopes |= {name: value for name, value in variables.items() if isinstance(value, dict)}
     found = {
         name: read
         for name, scope in scopes.items()
         for keys, read in _READERS.items()
         if set(keys) <= set(scope)
     }
-    structs = [name for name in found if name] or list(found)
-    if not structs:
+    names = [name for name in found if name] or list(found)
+    if not names:
         ways = " or ".join(", ".join(keys) for keys in _READERS)
+        held = ", ".join(variables) or "nothing"
         raise ValueError(
-            f"it holds no motion, which is {ways}, in a struct or outside: it holds {', '.join(variables) or 'nothing'}"
+            f"it holds no motion, which is {ways}, in a struct or outside: it holds {held}"
         )
-    if len(structs) > 1:
-        raise ValueError(f"it holds the motions {', '.join(structs)}: keep one of them in the file")
-    return found[structs[0]](scopes[structs[0]])
+    if len(names) > 1:
+        raise ValueError(f"it holds the motions {', '.join(names)}: keep one of them in the file")
+    return found[names[0]](scopes[names[0]])
 
 
-def _read_motes(scope: Mapping[str, Any]) -> Motion:
+def _read_motes(scope: Variables) -> ForeignTrajectory:
     time = finite_array("t", np.ravel(scope["t"]), (None,))
-    given = _numbers(scope, "Nhist"), _numbers(scope, "Ndhist")
-    cubes = [
-        value.reshape(*value.shape, *[1] * (3 - value.ndim)) for value in given
-    ]  # MATLAB drops a last dimension of size 1
+    given = _read_numbers(scope, "Nhist"), _read_numbers(scope, "Ndhist")
+    # MATLAB drops a last dimension of size 1
+    cubes = [value.reshape(*value.shape, *[1] * (3 - value.ndim)) for value in given]
     nodes = finite_array("Nhist", cubes[0], (3, None, len(time))).transpose(2, 1, 0)
     velocities = finite_array("Ndhist", cubes[1], (3, nodes.shape[1], len(time))).transpose(2, 1, 0)
-    return Motion(time, nodes, velocities, _numbers(scope, "gamma").T if "gamma" in scope else None)
+    gamma = _read_numbers(scope, "gamma").T if "gamma" in scope else None
+    return ForeignTrajectory(time, nodes, velocities, gamma)
 
 
-def _read_tsgfem(scope: Mapping[str, Any]) -> Motion:
-    rows = min(
-        _numbers(scope, key).shape[-1] for key in ("n_t", "nd_t", "out_tspan")
-    )  # TsgFEM stores one time fewer for velocities than for positions
+def _read_tsgfem(scope: Variables) -> ForeignTrajectory:
+    # TsgFEM stores one time fewer for velocities than for positions
+    rows = min(_read_numbers(scope, key).shape[-1] for key in ("n_t", "nd_t", "out_tspan"))
     time = finite_array("out_tspan", np.ravel(scope["out_tspan"])[:rows], (rows,))
     size = len(scope["n_t"])
     nodes, velocities = (
         finite_array(key, scope[key][..., :rows], (size - size % 3, rows)).T
         for key in ("n_t", "nd_t")
     )
-    return Motion(time, nodes.reshape(rows, -1, 3), velocities.reshape(rows, -1, 3), None)
+    return ForeignTrajectory(
+        time, nodes.reshape(rows, -1, 3), velocities.reshape(rows, -1, 3), None
+    )
 
 
-def _numbers(scope: Mapping[str, Any], key: str) -> Array:
+def _read_numbers(scope: Variables, key: str) -> Array:
     if not isinstance(scope[key], np.ndarray):
         raise ValueError(f"{key} is {shown(scope[key])}: give an array of numbers")
     return np.asarray(scope[key], dtype=float)
@@ -202,43 +216,34 @@ _KINDS: dict[str, Any] = {
 _ADDED = ("error_estimate",)  # fields that files of earlier versions do not have
 
 
-def _record(model: Model, motion: Motion, parameters: Any, path: str) -> Trajectory:
-    """Build a trajectory of the model at these states.
-
-    Raises ValueError.
-    """
+def _record(model: Model, motion: ForeignTrajectory, parameters: Any, name: str) -> Trajectory:
+    """Build a trajectory of the model at these states. Raises ValueError."""
     rows = len(motion.time)
     controlled = isinstance(model.scene.control, ForceDensity)
     if model.nu and not controlled:
-        raise ValueError(
-            f"model.scene.control is {model.scene.control}: give a model with control=None, or ForceDensity() to take gamma from {path}"
-        )
-    if controlled and (
-        motion.force_density is None or motion.force_density.shape != (rows, model.nu)
-    ):
-        raise ValueError(
-            f"{path}: its gamma does not hold {model.nu} strings at {rows} times: give a model with control=None"
-        )
+        cure = "give a model with control=None, or ForceDensity() to take gamma from the file"
+        raise ValueError(f"model.scene.control is {model.scene.control}: {cure}")
+    gamma = motion.force_density if controlled else None
+    if controlled and (gamma is None or gamma.shape != (rows, model.nu)):
+        sizes = f"{model.nu} strings at {rows} times"
+        raise ValueError(f"its gamma does not hold {sizes}: give a model with control=None")
     if rows < 1 or np.any(np.diff(motion.time) <= 0):
-        raise ValueError(f"{path}: its times are none, or do not increase")
+        raise ValueError("its times are none, or do not increase")
     states = np.zeros((rows, model.nx))
     for row in range(rows):
         try:
             states[row] = model.state(motion.nodes[row], motion.velocities[row])
         except ValueError as error:
-            raise ValueError(f"{path}: at time {motion.time[row]:g} s {error}") from error
+            raise ValueError(f"at time {motion.time[row]:g} s {error}") from error
     model.split(states)[2][:] = motion.time[:, None]
     p = model.parameters.values(parameters)
-    gamma = motion.force_density if controlled else None
-    controls = np.array(
-        [model.held(None if gamma is None else gamma[row], p) for row in range(rows)]
-    )
+    controls = [model.held(None if gamma is None else gamma[row], p) for row in range(rows)]
     step = float(motion.time[-1] - motion.time[0]) / max(1, rows - 1) or 1.0
     return record_trajectory(
         model,
         motion.time,
         states,
-        controls.reshape(rows, -1),
+        np.array(controls).reshape(rows, -1),
         step=step,
-        message=f"another program's motion, read from {path}",
+        message=f"another program's motion, read from {name}",
     )

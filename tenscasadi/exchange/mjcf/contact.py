@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tenscasadi.exchange.mjcf.hanging import (
-    Hanging,
-    free_directions,
-    held_directions,
+from tenscasadi.exchange.mjcf.body_tree import (
+    BodyTree,
+    find_free_directions,
+    find_held_directions,
     inverse_weights,
 )
 from tenscasadi.scene.ground import Ground
@@ -41,20 +41,20 @@ class Weights(NamedTuple):
     standing: float
 
 
-def contact_weights(scene: Scene, hanging: Hanging) -> Weights:
+def contact_weights(scene: Scene, tree: BodyTree) -> Weights:
     """Compute the contact scales of a scene.
 
     A is 0 at fixed nodes.
     """
     s = scene.modelled
-    held, bars = held_directions(s), inverse_weights(s, hanging) if len(s.bars) else np.zeros(0)
+    held, bars = find_held_directions(s), inverse_weights(s, tree) if len(s.bars) else np.zeros(0)
     inverse = np.zeros(len(s.nodes))
     for node in range(len(s.nodes)):
-        if node in hanging.owner:
-            inverse[node] = bars[hanging.owner[node]]
+        if node in tree.owner:
+            inverse[node] = bars[tree.owner[node]]
         elif s.node_mass[node] > 0:
             inverse[node] = (
-                len(free_directions(held.get(node, np.zeros((0, 3))))) / 3 / s.node_mass[node]
+                len(find_free_directions(held.get(node, np.zeros((0, 3))))) / 3 / s.node_mass[node]
             )
     down = (
         9.81
@@ -67,7 +67,7 @@ def contact_weights(scene: Scene, hanging: Hanging) -> Weights:
     )
 
 
-def touching(ground: Ground, inverse: Array) -> list[int]:
+def list_touching(ground: Ground, inverse: Array) -> list[int]:
     """List the moving nodes that a ground acts on."""
     nodes = range(len(inverse)) if ground.nodes is None else ground.nodes
     return [node for node in nodes if inverse[node] > 0]

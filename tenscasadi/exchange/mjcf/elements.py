@@ -1,32 +1,33 @@
-"""Reader of XML elements with line numbers.
+"""XML elements with line numbers.
 
-Only elements and attributes are read. No other file is opened.
+Only elements and attributes are read, and files that `include` names in the folder of the file.
 """
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 from xml.parsers import expat
 
 import numpy as np
 
+from tenscasadi.exchange.source import Source
 from tenscasadi.schema.reading import SceneFileError
-from tenscasadi.util.validate import LARGEST, Array, file_path, shown
+from tenscasadi.util.validate import LARGEST, Array, shown
 
-LARGEST_FILE = 16_000_000  # bytes
 MOST_ELEMENTS = 100_000
 DEEPEST = 500  # nesting depth
 
 
 @dataclass(frozen=True)
 class Element:
-    """XML element with its attributes, children and line."""
+    """XML element with its attributes, children and place."""
 
     tag: str
     attributes: Mapping[str, str]
+    source: Source
     file: str
     line: int
     children: list[Element] = field(default_factory=list)
@@ -34,19 +35,23 @@ class Element:
     def __iter__(self) -> Iterator[Element]:
         return iter(self.children)
 
-    def of(self, *tags: str) -> list[Element]:
-        """Return the children with these tags."""
+    def find(self, *tags: str) -> list[Element]:
+        """Find the children with these tags."""
         return [child for child in self.children if child.tag in tags]
 
-    def given(self, attributes: Mapping[str, str]) -> Element:
+    def replace(self, attributes: Mapping[str, str]) -> Element:
         """Copy the element with other attributes."""
         return replace(self, attributes=attributes)
 
     def error(self, message: str, attribute: str = "") -> SceneFileError:
         """Build the error that names this element or an attribute."""
         name = self.attributes.get("name")
-        said = f"<{self.tag}>" if name is None else f'<{self.tag} name="{shown(name)[1:-1]}">'
-        return SceneFileError(message, self.file, self.line, f"{said} {attribute}".strip())
+        tag = f"<{self.tag}>" if name is None else f'<{self.tag} name="{shown(name)[1:-1]}">'
+        return SceneFileError(message, self.file, self.line, f"{tag} {attribute}".strip())
+
+    def leave_out(self, message: str, attribute: str = "") -> None:
+        """Leave out the element or an attribute. Raises SceneFileError if strict."""
+        self.source.leave_out(self.error(message, attribute))
 
     def text(self, attribute: str, default: str = "") -> str:
         """Return an attribute as text."""
@@ -78,12 +83,10 @@ class Element:
         `count` is their number, or the allowed numbers.
         """
         counts = [count] if isinstance(count, int) else list(count)
+        expected = f"{' or '.join(map(str, counts))} number{'s' * (counts != [1])}"
         if attribute not in self.attributes:
             if default is None:
-                raise self.error(
-                    f"is not given: give {' or '.join(map(str, counts))} number{'s' * (counts != [1])}",
-                    attribute,
-                )
+                raise self.error(f"is not given: give {expected}", attribute)
             return np.array(default, dtype=float)
         given = self.attributes[attribute]
         try:
@@ -91,10 +94,8 @@ class Element:
         except ValueError:
             found = np.full(1, np.nan)
         if len(found) not in counts or not np.all(np.abs(found) <= LARGEST):
-            raise self.error(
-                f"is {shown(given)}: give {' or '.join(map(str, counts))} finite number{'s' * (counts != [1])}",
-                attribute,
-            )
+            expected = expected.replace(" number", " finite number")
+            raise self.error(f"is {shown(given)}: give {expected}", attribute)
         return found
 
     def number(self, attribute: str, default: float | None = None) -> float:
@@ -109,48 +110,31 @@ class Element:
         return int(found)
 
 
-def read_elements(path: str | os.PathLike[str]) -> Element:
-    """Read the root element of a file. Raises SceneFileError, OSError."""
-    source = file_path("path", path)
-    if not source.exists():
-        raise FileNotFoundError(2, "No such file", os.fspath(path))
-    name = source.name or str(source)
-    if not source.is_file():  # opening a FIFO would wait for another process
-        raise SceneFileError("it is no regular file: give the path of one in MuJoCo's XML", name)
-    try:
-        with open(source, "rb") as file:
-            content = file.read(LARGEST_FILE + 1)
-    except OSError as error:
-        raise SceneFileError(
-            f"it cannot be read ({error.strerror}): give a file that can", name
-        ) from None
-    if len(content) > LARGEST_FILE:
-        raise SceneFileError(
-            f"it has more than {LARGEST_FILE / 1e6:g} MB: give a smaller file", name
-        )
-    return _Reader(name).read(content)
+def read_elements(source: Source) -> Element:
+    """Read the root element of a file with its includes. Raises SceneFileError, OSError."""
+    return _XmlReader(source, source.path, [0], ()).read()
 
 
-class _Reader:
-    """Handler of expat's events."""
+class _XmlReader:
+    """Handler of expat's events in one file."""
 
-    def __init__(self, name: str) -> None:
-        self._name, self._count = name, 0
-        self._open: list[Element] = [Element("", {}, name, 1)]
+    def __init__(
+        self, source: Source, path: Path, count: list[int], above: tuple[Path, ...]
+    ) -> None:
+        self._source, self._path, self._count, self._above = source, path, count, above
+        self._name = path.name or str(path)
+        self._open: list[Element] = [Element("", {}, source, self._name, 1)]
         self._parser = parser = expat.ParserCreate()
         parser.StartElementHandler = self._start
-        parser.EndElementHandler = self._end
-        parser.StartDoctypeDeclHandler = self._refuse(
-            "a document type, which MJCF has not: remove <!DOCTYPE ...>"
-        )
-        parser.EntityDeclHandler = self._refuse("an entity, which MJCF has not: remove it")
-        parser.ExternalEntityRefHandler = self._refuse(
-            "a reference to another file, which is not read: put all into one file"
-        )
+        parser.EndElementHandler = lambda _: self._open.pop()
+        parser.StartDoctypeDeclHandler = self._reject("a document type, which MJCF has not")
+        parser.EntityDeclHandler = self._reject("an entity, which MJCF has not")
+        parser.ExternalEntityRefHandler = self._reject("a reference to another file")
         parser.SetParamEntityParsing(expat.XML_PARAM_ENTITY_PARSING_NEVER)
 
-    def read(self, content: bytes) -> Element:
+    def read(self) -> Element:
         """Parse the root element. Raises SceneFileError."""
+        content = self._source.read(self._path)
         try:
             self._parser.Parse(content, True)
         except expat.ExpatError as error:
@@ -167,27 +151,39 @@ class _Reader:
         return self._open[0].children[0]
 
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
-        self._count += 1
+        self._count[0] += 1
         line = self._parser.CurrentLineNumber
-        if self._count > MOST_ELEMENTS:
-            raise SceneFileError(
-                f"it has more than {MOST_ELEMENTS} elements: give a smaller file", self._name, line
-            )
+        if self._count[0] > MOST_ELEMENTS:
+            message = f"it has more than {MOST_ELEMENTS} elements: give a smaller file"
+            raise SceneFileError(message, self._name, line)
         if len(self._open) > DEEPEST:
-            raise SceneFileError(
-                f"its elements are nested more than {DEEPEST} deep: write it flatter",
-                self._name,
-                line,
-            )
-        element = Element(shown(tag)[1:-1], attributes, self._name, line)
-        self._open[-1].children.append(element)
+            message = f"its elements are nested more than {DEEPEST} deep: write it flatter"
+            raise SceneFileError(message, self._name, line)
+        element = Element(shown(tag)[1:-1], attributes, self._source, self._name, line)
+        if tag == "include":
+            self._open[-1].children.extend(self._include(element))
+        else:
+            self._open[-1].children.append(element)
         self._open.append(element)
 
-    def _end(self, _: str) -> None:
-        self._open.pop()
+    def _include(self, element: Element) -> list[Element]:
+        """Read the elements of another file. Raises SceneFileError."""
+        path = self._source.path.parent / element.text("file")
+        folder = self._source.path.parent.resolve()
+        if not path.resolve().is_relative_to(folder) or path.resolve() in self._above:
+            raise element.error(
+                f"is {element.text('file')!r}: give a file in {folder}, which does not include itself",
+                "file",
+            )
+        if not path.is_file():
+            element.leave_out(f"is {element.text('file')!r}: there is no such file", "file")
+            return []
+        above = (*self._above, self._path.resolve(), path.resolve())
+        return _XmlReader(self._source, path, self._count, above).read().children
 
-    def _refuse(self, what: str) -> Callable[..., Any]:
-        def refuse(*_: Any) -> None:
-            raise SceneFileError(f"it has {what}", self._name, self._parser.CurrentLineNumber)
+    def _reject(self, content: str) -> Callable[..., Any]:
+        def reject(*_: Any) -> None:
+            line = self._parser.CurrentLineNumber
+            raise SceneFileError(f"it has {content}: remove it", self._name, line)
 
-        return refuse
+        return reject

@@ -7,16 +7,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tenscasadi.exchange.mjcf.bodies import Bodies, Shape
+from tenscasadi.exchange.mjcf.bodies import Bodies
 from tenscasadi.exchange.mjcf.contact import Weights, ground_numbers
 from tenscasadi.exchange.mjcf.elements import Element
+from tenscasadi.exchange.mjcf.geoms import Geom
 from tenscasadi.exchange.mjcf.words import Defaults, check, children
 from tenscasadi.scene.ground import Ground
 from tenscasadi.util.validate import Array
 
 _SOFT = (0.02, 1.0)  # MuJoCo's default solref
 _FRICTION = (1.0, 0.005, 0.0001)
-_ALIKE = 1e-4  # relative difference within one ground, for files of six digits
 _MOST = 10_000_000  # pairs of geoms
 
 
@@ -47,43 +47,32 @@ def read_grounds(
 ) -> list[Ground]:
     """Read the grounds of a file. Raises SceneFileError.
 
-    Parameters
-    ----------
-    root, bodies, defaults
-        The file.
-    node_at : callable
-        Returns the node at a point of a piece.
-    weigh : callable
-        Returns the contact scales.
-
-    Returns
-    -------
-    list of Ground
-        The grounds.
+    `node_at` returns the node at a point of a piece, and `weigh` the contact scales.
     """
     pairs, apart = _read_contacts(root, bodies, defaults)
-    moving = [(k, shape) for k, piece in bodies.moving() for shape in piece.shapes]
+    moving = [(k, geom) for k, piece in bodies.moving() for geom in piece.geoms]
     found: list[Ground] = []
-    fixed = bodies.pieces[0].shapes
+    fixed = bodies.pieces[0].geoms
     if len(fixed) * len(moving) > _MOST:
         raise root.error(
             f"has {len(fixed)} geoms in the world and {len(moving)} in bodies, too many to find which touch: give fewer"
         )
-    for shape in fixed:
+    for plane in fixed:
         touches: dict[int, Touch] = {}
-        for k, other in moving:
-            law = pairs.get(frozenset((shape.element.text("name"), other.element.text("name"))))
-            if law is None and (k in apart or not _meet(shape.element, other.element)):
+        for k, geom in moving:
+            law = pairs.get(frozenset((plane.element.text("name"), geom.element.text("name"))))
+            if law is None and (k in apart or not _can_touch(plane.element, geom.element)):
                 continue
-            if shape.element.text("type", "sphere") != "plane":
-                raise shape.element.error(
-                    "is touched by bodies: tenscasadi's grounds are planes", "type"
-                )
-            for touch in _touches(k, other, law or _mixed(shape.element, other.element), node_at):
+            if plane.element.text("type", "sphere") != "plane":
+                message = "is touched by bodies: tenscasadi's grounds are planes"
+                plane.element.leave_out(message, "type")
+                break
+            law = law or _mix(plane.element, geom.element)
+            for touch in _find_touches(k, geom, law, node_at):
                 if touch.node not in touches or touch.distance > touches[touch.node].distance:
                     touches[touch.node] = touch
         if touches:
-            found += _grounds(shape, list(touches.values()), weigh())
+            found += _build_grounds(plane, list(touches.values()), weigh())
     return found
 
 
@@ -93,20 +82,20 @@ def _read_contacts(
     """Read explicit contact pairs, and pieces excluded from world contact."""
     pairs: dict[frozenset[str], Element] = {}
     apart: set[int] = set()
-    for section in root.of("contact"):
+    for section in root.find("contact"):
         for child in children(section):
             if child.tag == "exclude":
-                (one, _), (other, _) = (
-                    bodies.named(check(child), name) for name in ("body1", "body2")
+                one, other = (
+                    bodies.find_body(check(child), name)[0] for name in ("body1", "body2")
                 )
                 apart |= {one, other} if 0 in (one, other) else set()
             else:
-                pair = check(defaults.apply(child))
+                pair = defaults.apply(child)
                 pairs[frozenset((pair.text("geom1"), pair.text("geom2")))] = pair
     return pairs, apart
 
 
-def _meet(one: Element, other: Element) -> bool:
+def _can_touch(one: Element, other: Element) -> bool:
     """Return whether two geoms touch by their types and affinities."""
     types, affinities = (
         [geom.whole(name, 1) for geom in (one, other)] for name in ("contype", "conaffinity")
@@ -114,7 +103,7 @@ def _meet(one: Element, other: Element) -> bool:
     return bool(types[0] & affinities[1] or types[1] & affinities[0])
 
 
-def _mixed(one: Element, other: Element) -> Element:
+def _mix(one: Element, other: Element) -> Element:
     """Combine the contact attributes of two geoms.
 
     The geom of higher priority decides. For equal priorities the friction is the maximum, and the
@@ -128,75 +117,74 @@ def _mixed(one: Element, other: Element) -> Element:
     )
     laws = np.array([geom.numbers("solref", (1, 2), _SOFT) for geom in (one, other)])
     law = laws.mean(axis=0) if (laws[:, 0] > 0).all() else laws.min(axis=0)
-    dimensions = max(geom.whole("condim", 3) for geom in (one, other))
-    said = {
+    mixed = {
         "friction": repr(friction),
         "solref": " ".join(repr(float(x)) for x in law),
-        "condim": str(dimensions),
+        "condim": str(max(geom.whole("condim", 3) for geom in (one, other))),
     }
-    return other.given({**other.attributes, **said})
+    return other.replace({**other.attributes, **mixed})
 
 
-def _touches(
-    k: int, shape: Shape, law: Element, node_at: Callable[[int, Array], int | None]
+def _find_touches(
+    k: int, geom: Geom, law: Element, node_at: Callable[[int, Array], int | None]
 ) -> list[Touch]:
     """Find the contacts of a geom's ends at nodes."""
-    if shape.rod is None:
+    if geom.rod is None:
         return []
-    nodes = [node_at(k, end) for end in shape.rod.ends[: 1 if shape.rod.kind == "sphere" else 2]]
-    return [Touch(node, shape.rod.radius, law) for node in nodes if node is not None]
+    nodes = [node_at(k, end) for end in geom.rod.ends[: 1 if geom.rod.kind == "sphere" else 2]]
+    return [Touch(node, geom.rod.radius, law) for node in nodes if node is not None]
 
 
-def _grounds(plane: Shape, touches: list[Touch], weights: Weights) -> list[Ground]:
+def _build_grounds(plane: Geom, touches: list[Touch], weights: Weights) -> list[Ground]:
     """Build the grounds of a plane, one for each law."""
     normal = plane.frame.turn[:, 2]
-    touches = sorted(
-        (touch for touch in touches if weights.inverse[touch.node] > 0),
-        key=lambda touch: touch.node,
-    )
+    height = float(normal @ plane.frame.place)
+    touches = sorted(touch for touch in touches if weights.inverse[touch.node] > 0)
     if not touches:
         return []
     mean = float(np.mean([weights.inverse[touch.node] for touch in touches]))
-    alike: list[tuple[dict[str, Any], list[int]]] = []
+    laws: list[tuple[dict[str, Any], list[int]]] = []
     for touch in touches:
         solref = touch.law.numbers("solref", 2, _SOFT)
-        if (solref[0] > 0) != (solref[1] > 0) and solref.any() and solref[0] > 0:
+        if solref[0] > 0 >= solref[1]:
             raise touch.law.error(
                 "has one number above 0 and one below: give a time constant and a damping ratio, or both negated",
                 "solref",
             )
-        friction = (
-            float(touch.law.numbers("friction", (1, 2, 3, 4, 5), _FRICTION)[0])
-            if touch.law.whole("condim", 3) > 1
-            else 0.0
-        )
+        friction = touch.law.numbers("friction", (1, 2, 3, 4, 5), _FRICTION)[0]
+        slides = touch.law.whole("condim", 3) == 1 or friction == 0
         inverse = (
             float(weights.inverse[touch.node]) if solref[0] <= 0 else mean
         )  # a time constant gives a stiffness proportional to mass
-        slow = touch.law.numbers("solreffriction", 2, (0, 0))
-        numbers = ground_numbers(solref, slow, friction or None, inverse, weights.standing)
-        law = {**numbers, "height": float(normal @ plane.frame.place) + touch.distance}
-        nodes = next((nodes for known, nodes in alike if _same(known, law)), None)
+        numbers = ground_numbers(
+            solref,
+            touch.law.numbers("solreffriction", 2, (0, 0)),
+            None if slides else float(friction),
+            inverse,
+            weights.standing,
+        )
+        law = {**numbers, "height": height + touch.distance}
+        nodes = next((nodes for known, nodes in laws if _is_equal(known, law)), None)
         if nodes is None:
-            alike.append((law, [touch.node]))
+            laws.append((law, [touch.node]))
         else:
             nodes.append(touch.node)
-    everywhere = len(alike) == 1 and len(touches) == int(np.count_nonzero(weights.inverse))
+    everywhere = len(laws) == 1 and len(touches) == int(np.count_nonzero(weights.inverse))
     try:
         return [
             Ground(**law, normal=tuple(normal.tolist()), nodes=None if everywhere else nodes)
-            for law, nodes in alike
+            for law, nodes in laws
         ]
     except ValueError as error:
         raise plane.element.error(str(error)) from None
 
 
-def _same(one: dict[str, Any], other: dict[str, Any]) -> bool:
-    """Return whether two laws agree to file precision."""
+def _is_equal(one: dict[str, Any], other: dict[str, Any]) -> bool:
+    """Return whether two laws agree to the six digits of a file."""
     if one.keys() != other.keys() or (one["friction"] is None) != (other["friction"] is None):
         return False
     return all(
-        abs(one[name] - other[name]) <= _ALIKE * max(abs(one[name]), 1e-3 * (name == "height"))
+        abs(one[name] - other[name]) <= 1e-4 * max(abs(one[name]), 1e-3 * (name == "height"))
         for name in one
         if one[name] is not None
     )

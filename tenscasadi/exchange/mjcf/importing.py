@@ -3,66 +3,44 @@
 from __future__ import annotations
 
 import os
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from tenscasadi.exchange.mjcf.bodies import Bodies, Site
+from tenscasadi.exchange.mjcf.body_tree import build_tree
 from tenscasadi.exchange.mjcf.contact import Weights, contact_weights
 from tenscasadi.exchange.mjcf.elements import Element, read_elements
 from tenscasadi.exchange.mjcf.frames import Units
 from tenscasadi.exchange.mjcf.grounds import read_grounds
-from tenscasadi.exchange.mjcf.hanging import hang
-from tenscasadi.exchange.mjcf.members import Members, Place, by_number, unique
+from tenscasadi.exchange.mjcf.members import Endpoint, PieceEnds, drop_repeated, order_by_number
+from tenscasadi.exchange.mjcf.strings import TendonString, read_control, read_strings
 from tenscasadi.exchange.mjcf.words import Defaults, check, children
+from tenscasadi.exchange.source import Source
 from tenscasadi.scene.loads import Gravity
 from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.strings import Clip, Control, ForceDensity, Linear, RestLength
+from tenscasadi.scene.strings import Clip, Control, ForceDensity, Linear
 from tenscasadi.schema.reading import SceneFileError
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array
 
-_ENDLESS = 1e9  # N: larger force limits count as none
+Side = tuple[int, Array]  # a piece, and a position in it
 
 
-class String(NamedTuple):
-    """Spatial tendon of a file.
-
-    Attributes
-    ----------
-    element : Element
-        XML element.
-    ends : (Site, Site)
-        Sites of its ends.
-    stiffness : float
-        Stiffness [N/m].
-    damping : float
-        Damping [N s/m].
-    rest : float or None
-        Rest length [m]; None for the length in the file.
-    pushes : bool
-        Whether it carries compression.
-    """
-
-    element: Element
-    ends: tuple[Site, Site]
-    stiffness: float
-    damping: float
-    rest: float | None
-    pushes: bool
-
-
-def import_mjcf(path: str | os.PathLike[str]) -> Scene:
+def import_mjcf(path: str | os.PathLike[str], *, strict: bool = True) -> Scene:
     """Read a tensegrity from MuJoCo's XML, MJCF.
 
     Bodies with two ends become bars, bodies with one end become point masses, spatial tendons
-    between two sites become strings. Ball joints and ``connect`` become nodes that bars share.
-    Features without a counterpart in a scene are rejected by name.
+    between two sites become strings. Ball joints, ``connect`` and ``weld`` become nodes that bars
+    share. Features without a counterpart in a scene are rejected by name, or left out.
 
     Parameters
     ----------
     path : str or path
-        The file. Nothing in it is executed and no other file is opened: ``include`` is rejected.
+        The file. Nothing in it is executed. Files that ``include`` names must be in its folder.
+    strict : bool
+        Whether features without a counterpart are errors. Otherwise they are left out or replaced
+        by similar ones, and a warning lists them.
 
     Returns
     -------
@@ -77,6 +55,11 @@ def import_mjcf(path: str | os.PathLike[str]) -> Scene:
     OSError
         The file does not exist.
 
+    Warns
+    -----
+    InexactImportWarning
+        Features were left out or replaced, which it lists.
+
     Notes
     -----
     - The ends of a bar are the points of its strings and joints, or the ends of its longest geom.
@@ -90,6 +73,10 @@ def import_mjcf(path: str | os.PathLike[str]) -> Scene:
     - Only nodes touch the ground. Spheres, capsules and cylinders that end at a node give its
       distance. A contact time constant becomes the stiffness for the mean mass. Contacts between
       bodies, velocities of keys, step and solver are ignored.
+    - If not `strict`, attached points move to the nearer end of their bar. Hinges become balls, a
+      tendon through several sites becomes a row of strings, and boxes are bars along their longest
+      side. Actuators with affine forces become control by rest lengths, and tendons without
+      actuator are controlled, too. Limits, friction of joints and activation dynamics are left out.
 
     Nodes, bars and strings keep the numbers in the names of `export_mjcf`. Others are numbered in
     the order of the file.
@@ -101,348 +88,177 @@ def import_mjcf(path: str | os.PathLike[str]) -> Scene:
     >>> tc.import_mjcf(path).structure
     Structure(6 nodes, 3 bars, 9 strings, 0 pinned)
     """
-    root = read_elements(path)
+    source = Source(path, strict)
+    root = read_elements(source)
     if root.tag != "mujoco":
         raise root.error("is no MJCF: give a file whose first element is <mujoco>")
-    check(root)
-    sections = list(children(root))
-    compiler, option = _settings(root, sections)
+    compiler, option = _read_settings(check(root))
     defaults = Defaults(root)
     sequence = compiler.text("eulerseq", "xyz")
     if len(sequence) != 3 or not set(sequence.lower()) <= set("xyz"):
         raise compiler.error(f"is {sequence!r}: give three of x, y, z", "eulerseq")
-    units = Units(compiler.word("angle", "degree", "degree", "radian") == "degree", sequence)
+    units = Units(
+        compiler.word("angle", "degree", "degree", "radian") == "degree",
+        sequence,
+        compiler.word("coordinate", "local", "local", "global") == "global",
+    )
     bodies = Bodies(root, defaults, units, compiler.flag("inertiafromgeom"))
-    strings = [
-        _read_string(defaults.apply(child), bodies)
-        for section in root.of("tendon")
-        for child in children(section)
-    ]
-    strings = [
-        strings[k]
-        for k in by_number([[string.element.text("name")] for string in strings], "string")
-        or range(len(strings))
-    ]
-    control, strings = _read_control(root, defaults, strings)
+    ties = _read_ties(root, defaults, bodies, option)
+    strings = read_strings(root, defaults, bodies)
+    control, strings = read_control(root, defaults, strings)
     try:
-        return _Reader(root, defaults, bodies, option, strings).scene(control)
+        builder = _SceneBuilder(bodies, strings, ties)
+        scene = builder.build(root, defaults, option, control)
     except SceneFileError:
         raise
     except (TypeError, ValueError) as error:
         raise SceneFileError(str(error), root.file, root.line, "<mujoco>") from error
+    source.report()
+    return scene
 
 
-def _settings(root: Element, sections: list[Element]) -> tuple[Element, Element]:
-    """Merge the settings of compiler and solver.
-
-    Raises SceneFileError.
-    """
+def _read_settings(root: Element) -> tuple[Element, Element]:
+    """Merge the settings of compiler and solver. Raises SceneFileError."""
     merged = []
+    sections = list(children(root))
     for tag in ("compiler", "option"):
-        found = root.given({})
+        found = root.replace({})
         for element in (section for section in sections if section.tag == tag):
             flags = {
                 f"flag {name}": value
                 for child in children(element)
                 for name, value in check(child).attributes.items()
             }
-            found = check(element).given({**found.attributes, **element.attributes, **flags})
+            found = check(element).replace({**found.attributes, **element.attributes, **flags})
         merged.append(found)
-    merged[0].word("coordinate", "local", "local")
     return merged[0], merged[1]
 
 
-def _read_string(tendon: Element, bodies: Bodies) -> String:
-    """Read a spatial tendon between two sites. Raises SceneFileError."""
-    check(tendon)
-    limited = tendon.flag("limited")
-    if limited or (limited is None and "range" in tendon.attributes):
-        raise tendon.error(
-            "limits the length of a tendon, which has no counterpart in a scene: leave it out",
-            "range",
-        )
-    sites = [bodies.site(child) for child in children(tendon)]
-    if len(sites) != 2:
-        raise tendon.error(
-            f"runs through {len(sites)} sites: strings join two nodes, write one for each part"
-        )
-    lengths = tendon.numbers("springlength", (1, 2), (-1, -1))
-    low, high = lengths[0], lengths[-1]
-    pushes = low == high
-    if not pushes and low != 0:
-        raise tendon.error(
-            f"is {tendon.text('springlength')!r}: give one length, for a spring, or 0 and one, for a string that goes slack",
-            "springlength",
-        )
-    if high == 0:
-        raise tendon.error(
-            "is 0: a string has a length greater than 0, give a small one", "springlength"
-        )
-    stiffness, damping = (
-        tendon.numbers("stiffness", (1, 2, 3), [0])[0],
-        tendon.numbers("damping", (1, 2, 3), [0])[0],
-    )
-    for name in ("stiffness", "damping"):
-        if np.any(tendon.numbers(name, (1, 2, 3), [0])[1:]):
-            raise tendon.error(
-                f"is {tendon.text(name)!r}, a polynomial: strings are linear, give one number", name
-            )
-    return String(
-        tendon,
-        (sites[0], sites[1]),
-        float(stiffness),
-        float(damping),
-        None if high < 0 else float(high),
-        pushes,
-    )
-
-
-def _read_control(
-    root: Element, defaults: Defaults, strings: list[String]
-) -> tuple[Control | None, list[String]]:
-    """Read the control, and apply its law to strings.
-
-    Raises SceneFileError.
-    """
-    driving, names = {}, {string.element.text("name") for string in strings}
-    actuators = [
-        check(defaults.apply(child))
-        for section in root.of("actuator")
-        for child in children(section)
+def _read_ties(
+    root: Element, defaults: Defaults, bodies: Bodies, option: Element
+) -> list[tuple[Element, Side, Side]]:
+    """Read the points that equalities join, and merge welded pieces. Raises SceneFileError."""
+    found = [
+        defaults.apply(child) for section in root.find("equality") for child in children(section)
     ]
-    for k, actuator in enumerate(actuators):
-        name = actuator.text("tendon")
-        if name not in names or name in driving:
-            raise actuator.error(
-                f"is {name!r}: give each tendon one actuator, and actuators to tendons alone",
-                "tendon",
-            )
-        driving[name] = k, actuator
-    if not actuators:
-        return None, strings
-    if len(driving) < len(strings):
-        passive = next(string for string in strings if string.element.text("name") not in driving)
-        raise passive.element.error(
-            "has no actuator, while others have: a scene drives all strings, or none"
-        )
-    start = _start(root, len(actuators))
-    found, controls = [], set[type[Control]]()
-    for string in strings:
-        k, actuator = driving[string.element.text("name")]
-        if string.stiffness or string.damping:
-            raise string.element.error(
-                "has stiffness or damping beside an actuator: give them to the actuator, as kp and kv",
-                "stiffness",
-            )
-        servo = _servo(actuator)
-        controls.add(ForceDensity if servo is None else RestLength)
-        if len(controls) > 1:
-            raise actuator.error(
-                "drives its string in another way than others: a scene drives all in one way"
-            )
-        if servo is None:
-            found.append(
-                string._replace(stiffness=100.0, rest=None)
-            )  # the default of `Structure`; force densities ignore it
+    found = [tie for tie in found if tie.flag("active", True)]
+    for name in ("flag constraint", "flag equality"):
+        if found and option.text(name, "enable") != "enable":
+            message = "switches equalities off, and the file has some: leave one out"
+            option.leave_out(message, name)
+            return []
+    for tie in (tie for tie in found if tie.tag == "weld"):
+        one, other = (bodies.find_body(tie, name)[0] for name in ("body1", "body2"))
+        if all(bodies.pieces[k].is_bar for k in (one, other)):
+            tie.leave_out("fixes two bars to each other: give connect, which lets them turn")
         else:
-            rest = None if start is None else float(start[k])
-            found.append(
-                String(string.element, string.ends, *servo, rest, not _pulls_alone(actuator))
+            bodies.weld(one, other)
+    ties = []
+    for tie in (tie for tie in found if tie.tag == "connect"):
+        if "site1" in tie.attributes:
+            first, second = (bodies.find_site(tie, name) for name in ("site1", "site2"))
+            apart = np.linalg.norm(first.place - second.place)
+            if apart > 1e-5 * max(float(np.linalg.norm(first.place)), 1.0):
+                tie.leave_out("joins sites that are apart in the file: put them where they meet")
+                continue
+            ties.append((tie, (first.piece, first.place), (second.piece, second.place)))
+        else:
+            (piece, frame), (other_piece, _) = (
+                bodies.find_body(tie, name) for name in ("body1", "body2")
             )
-    return controls.pop()(), found
+            place = frame.at(tie.numbers("anchor", 3))
+            ties.append((tie, (piece, place), (other_piece, place)))
+    return ties
 
 
-def _servo(actuator: Element) -> tuple[float, float] | None:
-    """Read stiffness and damping of a length actuator.
-
-    Returns None if the actuator controls a force density. Raises SceneFileError.
-    """
-    if actuator.tag == "position":
-        return actuator.number("kp", 1.0), actuator.number("kv", 0.0)
-    words = [
-        actuator.text(name, default)
-        for name, default in (("gaintype", "fixed"), ("biastype", "none"), ("dyntype", "none"))
-    ]
-    gain, bias = (
-        np.pad(actuator.numbers(name, range(1, 11), [first]), (0, 9))[:10]
-        for name, first in (("gainprm", 1), ("biasprm", 0))
-    )
-    if (
-        words == ["affine", "none", "none"]
-        and gain[1] == -1
-        and np.count_nonzero(gain) == 1
-        and "input" not in actuator.attributes
-    ):
-        return None
-    if (
-        words == ["fixed", "affine", "none"]
-        and not any([*gain[1:], bias[0], *bias[3:]])
-        and bias[1] == -gain[0]
-    ):
-        return float(gain[0]), float(0.0 - bias[2])  # MuJoCo's position actuator
-    raise actuator.error(
-        'pulls by another law than force = −length × control: give gaintype="affine" gainprm="0 -1 0"',
-        "gainprm",
-    )
-
-
-def _start(root: Element, count: int) -> Array | None:
-    """Read the controls of the first key that has them."""
-    for section in root.of("keyframe"):
-        for key in section.of("key"):
-            if "ctrl" in key.attributes:
-                return key.numbers("ctrl", count)
-    return None
-
-
-def _pulls_alone(actuator: Element) -> bool:
-    """Return whether an actuator is limited to tension.
-
-    Other limits are rejected. Raises SceneFileError.
-    """
-    limited = actuator.flag("forcelimited")
-    if limited is False or "forcerange" not in actuator.attributes:
-        return False
-    low, high = actuator.numbers("forcerange", 2)
-    if low > -_ENDLESS or (high != 0 and high < _ENDLESS):
-        raise actuator.error(
-            f"is {actuator.text('forcerange')!r}: give none, or one of -1e12 and 0 for a string that does not push",
-            "forcerange",
-        )
-    return bool(high == 0)
-
-
-class _Reader:
+class _SceneBuilder:
     """Builder of a scene: numbers nodes and members."""
 
     def __init__(
         self,
-        root: Element,
-        defaults: Defaults,
         bodies: Bodies,
-        option: Element,
-        strings: list[String],
+        strings: list[TendonString],
+        ties: list[tuple[Element, Side, Side]],
     ) -> None:
-        self.root, self.defaults, self.bodies, self.option, self.strings = (
-            root,
-            defaults,
-            bodies,
-            option,
-            strings,
-        )
-        ties = [(*self._tied(tie), tie) for tie in self._ties()]
-        attached = [site for string in strings for site in string.ends] + [
-            Site(*side) for *sides, _ in ties for side in sides
-        ]
-        self.members = members = Members(bodies, attached)
-        for one, other, tie in ties:
-            members.join(*(members.place(*side, tie) for side in (one, other)))
-        ends = [(string, [members.place(*site) for site in string.ends]) for string in strings]
-        for _, places in ends:
-            for place in places:
-                if place.piece == 0:
-                    members.pinned.add(members.node(place))
+        self.bodies, self.strings = bodies, strings
+        attached = [site for string in strings for site in string.ends]
+        attached += [Site(*side) for _, *sides in ties for side in sides]
+        self.ends = ends = PieceEnds(bodies, attached)
+        for tie, one, other in ties:
+            ends.join(ends.place(*one, tie), ends.place(*other, tie))
+        places = [[ends.place(*site) for site in string.ends] for string in strings]
+        for end in (end for both in places for end in both if end.piece == 0):
+            ends.pinned.add(ends.node(end))
         pieces = dict(bodies.moving())
-        bars = [k for k in pieces if len(members.ends[k]) == 2]
-        names = by_number([[pieces[k].element.text("name")] for k in bars], "bar")
-        self.bars = bars if names is None else [bars[k] for k in names]
-        points = [Place(k, 0) for k in pieces if k not in set(bars)]
-        held = [Place(0, k) for k in range(len(members.ends[0]))]
-        places = unique(
-            [
-                members.node(place)
-                for place in [*(Place(k, end) for k in self.bars for end in (0, 1)), *points, *held]
-            ]
-        )
-        self.nodes = self._numbered(places)
-        self.pairs = [[self.nodes[members.node(place)] for place in both] for _, both in ends]
+        bars = [k for k in pieces if len(ends.points[k]) == 2]
+        order = order_by_number([[pieces[k].element.text("name")] for k in bars], "bar")
+        self.bars = bars if order is None else [bars[k] for k in order]
+        points = [Endpoint(k, 0) for k in pieces if k not in set(bars)]
+        held = [Endpoint(0, k) for k in range(len(ends.points[0]))]
+        all_ends = [*(Endpoint(k, end) for k in self.bars for end in (0, 1)), *points, *held]
+        self.nodes = self._number(drop_repeated([ends.node(end) for end in all_ends]))
+        pairs = [[self.nodes[ends.node(end)] for end in both] for both in places]
+        for string, pair in zip(strings, pairs, strict=True):
+            if pair[0] == pair[1]:
+                string.element.leave_out("joins a node to itself: give it two different ends")
+        kept = [k for k, pair in enumerate(pairs) if pair[0] != pair[1]]
+        self.strings, self.pairs = [strings[k] for k in kept], [pairs[k] for k in kept]
 
-    def _ties(self) -> list[Element]:
-        flags = {
-            name: self.option.text(f"flag {name}", "enable") for name in ("constraint", "equality")
-        }
-        found = [
-            check(self.defaults.apply(child))
-            for section in self.root.of("equality")
-            for child in children(section)
-        ]
-        found = [tie for tie in found if tie.flag("active", True)]
-        for name, value in flags.items():
-            if found and value != "enable":
-                raise self.option.error(
-                    "switches equalities off, and the file has some: leave one out", f"flag {name}"
-                )
-        return found
-
-    def _tied(self, tie: Element) -> tuple[tuple[int, Array], tuple[int, Array]]:
-        """Read the two points that an equality joins.
-
-        Each is a piece and a position. Raises SceneFileError.
-        """
-        if "site1" in tie.attributes:
-            one, other = self.bodies.site(tie, "site1"), self.bodies.site(tie, "site2")
-            if np.linalg.norm(one.place - other.place) > 1e-5 * max(
-                float(np.linalg.norm(one.place)), 1.0
-            ):
-                raise tie.error("joins sites that are apart in the file: put them where they meet")
-            return (one.piece, one.place), (other.piece, other.place)
-        (piece, frame), (other_piece, _) = (
-            self.bodies.named(tie, "body1"),
-            self.bodies.named(tie, "body2"),
-        )
-        place = frame.at(tie.numbers("anchor", 3))
-        return (piece, place), (other_piece, place)
-
-    def _numbered(self, places: list[Place]) -> dict[Place, int]:
+    def _number(self, ends: list[Endpoint]) -> dict[Endpoint, int]:
         """Assign node numbers, by the names of sites if possible.
 
         Unattached sites of the world are nodes if they continue the numbers.
         """
-        members, sites = self.members, self.bodies.sites
+        own, sites = self.ends, self.bodies.sites
         lone = [
             site.place
             for name, site in sites.items()
-            if site.piece == 0 and name[:1] == "n" and members.near(0, site.place) is None
+            if site.piece == 0 and name[:1] == "n" and own.find(0, site.place) is None
         ]
-        for found in ([*places, *(members.place(0, place) for place in lone)], places):
-            names: dict[Place, list[str]] = {place: [] for place in found}
+        for found in ([*ends, *(own.place(0, place) for place in lone)], ends):
+            names: dict[Endpoint, list[str]] = {end: [] for end in found}
             for name, site in sites.items():
-                place = members.near(site.piece, site.place)
-                if place is not None and members.node(place) in names:
-                    names[members.node(place)].append(name)
-            order = by_number(list(names.values()), "n")
+                end = own.find(site.piece, site.place)
+                if end is not None and own.node(end) in names:
+                    names[own.node(end)].append(name)
+            order = order_by_number(list(names.values()), "n")
             if order is not None:
-                members.pinned.update(found[len(places) :])
+                own.pinned.update(found[len(ends) :])
                 return {found[k]: number for number, k in enumerate(order)}
-        return {place: number for number, place in enumerate(places)}
+        return {end: number for number, end in enumerate(ends)}
 
-    def structure(self) -> Structure:
+    def _node(self, piece: int, end: int) -> int:
+        return self.nodes[self.ends.node(Endpoint(piece, end))]
+
+    def _build_structure(self) -> Structure:
         """Build the structure from bars, points and strings."""
-        members, pieces = self.members, self.bodies.pieces
+        ends, pieces = self.ends, self.bodies.pieces
         mass = np.zeros(len(self.nodes))
         weights, radii = [], []
         for k in self.bars:
-            weight, radius, on_ends = members.read_bar(k, pieces[k])
+            weight, radius, on_ends = ends.read_bar(k, pieces[k])
             weights.append(weight)
             radii.append(radius)
             for end in (0, 1):
                 mass[self._node(k, end)] += on_ends[end]
         for k, piece in self.bodies.moving():
-            if len(members.ends[k]) == 1:
-                mass[self._node(k, 0)] += members.read_point(k, piece)
+            if len(ends.points[k]) == 1:
+                mass[self._node(k, 0)] += ends.read_point(k, piece)
         for still in pieces[0].masses:
-            at = members.place(0, still.centre)
-            if members.node(at) in self.nodes and not still.inertia.any():
-                mass[self.nodes[members.node(at)]] += still.mass
-        pinned, rollers = self._held()
-        places = [members.ends[place.piece][place.end] for place in self.nodes]
-        nodes = np.array([places[k] for k in np.argsort(list(self.nodes.values()))]).reshape(-1, 3)
-        rest = (
-            {}
-            if any(string.rest is None for string in self.strings)
-            else {"rest_length": [string.rest for string in self.strings]}
-        )
-        found = Structure(
+            at = ends.node(ends.place(0, still.center))
+            if at in self.nodes and not still.inertia.any():
+                mass[self.nodes[at]] += still.mass
+        pinned, rollers = self._find_supports()
+        order = np.argsort(list(self.nodes.values()))
+        places = [ends.points[end.piece][end.end] for end in self.nodes]
+        nodes = np.array([places[k] for k in order]).reshape(-1, 3)
+        lengths = [float(np.linalg.norm(nodes[a] - nodes[b])) for a, b in self.pairs]
+        rests = [string.rest for string in self.strings]
+        given = any(rest is not None for rest in rests)
+        rest_length = [
+            length if rest is None else rest for rest, length in zip(rests, lengths, strict=True)
+        ]
+        return Structure(
             nodes,
             [[self._node(k, end) for end in (0, 1)] for k in self.bars],
             self.pairs,
@@ -453,71 +269,52 @@ class _Reader:
             rollers=rollers,
             stiffness=[string.stiffness for string in self.strings],
             damping=[string.damping for string in self.strings],
-            **rest,  # type: ignore[arg-type]
+            rest_length=rest_length if given else None,
         )
-        if rest or all(string.rest is None for string in self.strings):
-            return found
-        lengths = [
-            found.string_lengths[i] if string.rest is None else string.rest
-            for i, string in enumerate(self.strings)
-        ]
-        return found.replace(rest_length=lengths)
 
-    def _node(self, piece: int, end: int) -> int:
-        return self.nodes[self.members.node(Place(piece, end))]
-
-    def _held(self) -> tuple[dict[int, str], dict[int, Array]]:
+    def _find_supports(self) -> tuple[dict[int, str], dict[int, Array]]:
         """Find pinned nodes, and the normals of rollers."""
-        members = self.members
-        pinned = {self.nodes[members.node(place)]: "xyz" for place in members.pinned}
+        ends = self.ends
+        pinned = {self.nodes[ends.node(end)]: "xyz" for end in ends.pinned}
         rollers: dict[int, Array] = {}
-        for place, slides in members.slides.items():
-            node = self.nodes[members.node(place)]
+        for end, slides in ends.slides.items():
+            node = self.nodes[ends.node(end)]
             if node not in pinned:
-                directions = np.linalg.svd(np.array(slides))[2][len(slides) :]
-                free = np.abs(directions).max(axis=0) < 1e-12  # axes along which it is free
-                rollers[node] = (
-                    np.eye(3)[~free] if np.count_nonzero(~free) == len(directions) else directions
-                )
+                normals = np.linalg.svd(np.array(slides))[2][len(slides) :]
+                free = np.abs(normals).max(axis=0) < 1e-12  # axes along which it is free
+                along_axes = np.count_nonzero(~free) == len(normals)
+                rollers[node] = np.eye(3)[~free] if along_axes else normals
         return pinned, rollers
 
-    def scene(self, control: Control | None) -> Scene:
+    def build(
+        self, root: Element, defaults: Defaults, option: Element, control: Control | None
+    ) -> Scene:
         """Build the scene."""
-        structure = self.structure()
-        gravity = (
-            self.option.numbers("gravity", 3, (0, 0, -9.81))
-            if self.option.text("flag gravity", "enable") == "enable"
-            else np.zeros(3)
-        )
-        pushing: dict[int, Any] = {
-            i: Linear() for i, string in enumerate(self.strings) if string.pushes
+        structure = self._build_structure()
+        gravity = option.numbers("gravity", 3, (0, 0, -9.81))
+        if option.text("flag gravity", "enable") != "enable":
+            gravity = np.zeros(3)
+        laws: dict[int, Any] = {i: Linear() for i, s in enumerate(self.strings) if s.pushes}
+        parts: dict[str, Any] = {
+            "control": control,
+            "gravity": Gravity(tuple(gravity.tolist())) if gravity.any() else None,
+            "slack": Clip() if not laws or isinstance(control, ForceDensity) else laws,
         }
-        bare = Scene(
-            structure,
-            control=control,
-            gravity=Gravity(tuple(gravity.tolist())) if gravity.any() else None,
-            slack=Clip() if not pushing or isinstance(control, ForceDensity) else pushing,
-        )
-        if "disable" in (self.option.text("flag contact"), self.option.text("flag constraint")):
+        bare = Scene(structure, **parts)
+        if "disable" in (option.text("flag contact"), option.text("flag constraint")):
             return bare
         balls = any(piece.anchor is not None for _, piece in self.bodies.moving())
 
         def weigh() -> Weights:
-            return contact_weights(bare, hang(structure, balls))
+            return contact_weights(bare, build_tree(structure, balls))
 
         def node_at(piece: int, point: Array) -> int | None:
             near = [
                 end
-                for end, known in enumerate(self.members.ends[piece])
-                if np.linalg.norm(known - point) <= 1e3 * self.members.close
+                for end, known in enumerate(self.ends.points[piece])
+                if np.linalg.norm(known - point) <= 1e3 * self.ends.close
             ]
             return self._node(piece, near[0]) if near else None
 
-        grounds = read_grounds(self.root, self.bodies, self.defaults, node_at, weigh)
-        return Scene(
-            structure,
-            control=control,
-            gravity=bare.gravity,
-            slack=bare.slack,
-            ground=grounds or None,
-        )
+        grounds = read_grounds(root, self.bodies, defaults, node_at, weigh)
+        return Scene(structure, **parts, ground=grounds or None)

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tenscasadi.exchange.ntrt.yaml_tree import Entry
+from tenscasadi.exchange.ntrt.yaml_tree import YamlEntry
 from tenscasadi.util.validate import Array
 
 
 @dataclass(eq=False)
-class Node:
+class NtrtNode:
     """Named point, transformed with its structure."""
 
     name: str
@@ -20,15 +20,15 @@ class Node:
 
 
 @dataclass(eq=False)
-class Pair:
+class NtrtPair:
     """Two nodes with the tags that select a builder.
 
     `entry` is its place in the file.
     """
 
-    ends: tuple[Node, Node]
+    ends: tuple[NtrtNode, NtrtNode]
     tags: frozenset[str]
-    entry: Entry
+    entry: YamlEntry
 
 
 @dataclass(eq=False)
@@ -36,8 +36,8 @@ class Assembly:
     """Structure with its own nodes and pairs, and substructures."""
 
     name: str = ""
-    nodes: list[Node] = field(default_factory=list)
-    pairs: list[Pair] = field(default_factory=list)
+    nodes: list[NtrtNode] = field(default_factory=list)
+    pairs: list[NtrtPair] = field(default_factory=list)
     children: list[Assembly] = field(default_factory=list)
 
     def whole(self) -> Iterator[Assembly]:
@@ -47,11 +47,11 @@ class Assembly:
             yield from level
             level = [child for part in level for child in part.children]
 
-    def all_nodes(self) -> list[Node]:
+    def all_nodes(self) -> list[NtrtNode]:
         """Return the nodes of all levels."""
         return [node for part in self.whole() for node in part.nodes]
 
-    def centre(self) -> Array:
+    def center(self) -> Array:
         """Compute the mean position of all nodes."""
         return np.asarray(np.mean([node.at for node in self.all_nodes()], axis=0))
 
@@ -60,14 +60,14 @@ class Assembly:
         for node in self.all_nodes():
             node.at = change(node.at)
 
-    def child(self, name: str, entry: Entry) -> Assembly:
+    def child(self, name: str, entry: YamlEntry) -> Assembly:
         """Find the nearest substructure of this name."""
         for part in self.whole():
             if part is not self and part.name == name:
                 return part
-        raise entry.refusal(f"names the substructure {name!r}: there is none")
+        raise entry.error(f"names the substructure {name!r}: there is none")
 
-    def node(self, path: str, entry: Entry) -> Node:
+    def node(self, path: str, entry: YamlEntry) -> NtrtNode:
         """Find the nearest node of a dotted name.
 
         The parts before the last are names of substructures.
@@ -80,10 +80,10 @@ class Assembly:
             for node in inner.nodes:
                 if node.name == name:
                     return node
-        raise entry.refusal(f"names the node {path!r}: there is none")
+        raise entry.error(f"names the node {path!r}: there is none")
 
 
-def turn(axis: Array, angle: float) -> Array:
+def rotate(axis: Array, angle: float) -> Array:
     """Compute the rotation matrix (3, 3) about an axis.
 
     The angle is in rad; the axis need not have unit length.
@@ -93,7 +93,7 @@ def turn(axis: Array, angle: float) -> Array:
     return np.asarray(np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)
 
 
-def turn_between(a: Array, b: Array, fallback: Array) -> Array:
+def rotate_between(a: Array, b: Array, fallback: Array) -> Array:
     """Compute the smallest rotation from direction a to b.
 
     If they are opposite, it is a half turn about `fallback`.
@@ -102,11 +102,11 @@ def turn_between(a: Array, b: Array, fallback: Array) -> Array:
     if np.linalg.norm(a - b) < 1e-5:  # NTRT's tolerance for equal directions
         return np.eye(3)
     if np.linalg.norm(a + b) < 1e-5:
-        return turn(fallback, np.pi)
-    return turn(np.cross(a, b), float(np.arccos(np.clip(a @ b, -1.0, 1.0))))
+        return rotate(fallback, np.pi)
+    return rotate(np.cross(a, b), float(np.arccos(np.clip(a @ b, -1.0, 1.0))))
 
 
-def place_children(parent: Assembly, groups: list[tuple[list[str], dict[str, Entry]]]) -> None:
+def place_children(parent: Assembly, groups: list[tuple[list[str], dict[str, YamlEntry]]]) -> None:
     """Rotate, scale and translate substructures, in NTRT's order.
 
     A group is a list of names and the attributes that they share.
@@ -128,29 +128,29 @@ def _move(child: Assembly, shift: Array) -> None:
     child.transform(lambda at: at + shift)
 
 
-def _rotate(child: Assembly, rotation: Entry) -> None:
+def _rotate(child: Assembly, rotation: YamlEntry) -> None:
     given = dict(rotation.items("axis", "angle", "reference"))
     if not {"axis", "angle"} <= set(given):
-        raise rotation.refusal("needs an axis and an angle")
+        raise rotation.error("needs an axis and an angle")
     axis = given["axis"].vector()
     if not np.linalg.norm(axis) > 0:
-        raise given["axis"].refusal("is (0, 0, 0): give a direction")
-    about = given["reference"].vector() if "reference" in given else child.centre()
-    matrix = turn(axis, np.deg2rad(given["angle"].number()))
+        raise given["axis"].error("is (0, 0, 0): give a direction")
+    about = given["reference"].vector() if "reference" in given else child.center()
+    matrix = rotate(axis, np.deg2rad(given["angle"].number()))
     child.transform(lambda at: about + matrix @ (at - about))
 
 
 def _scale(child: Assembly, factor: float) -> None:
-    about = child.centre()
+    about = child.center()
     child.transform(lambda at: about + factor * (at - about))
 
 
 def bond_edges(
     parent: Assembly,
     names: tuple[str, str],
-    pairs: Entry,
+    pairs: YamlEntry,
     tags: frozenset[str],
-    is_rod: Callable[[Pair], bool],
+    is_rod: Callable[[NtrtPair], bool],
 ) -> None:
     """Bond nodes of one substructure to edges of the other.
 
@@ -162,16 +162,16 @@ def bond_edges(
     joints, edges, places = [], [], []
     rows = pairs.parts()
     if len(rows) < 3:
-        raise pairs.refusal("has fewer than 3 pairs of a node and an edge: give at least 3")
+        raise pairs.error("has fewer than 3 pairs of a node and an edge: give at least 3")
     for row in rows:
         words = row.parts(2)
         if sum("/" in word.word() for word in words) != 1:
-            raise row.refusal("does not pair a node with an edge, such as [top1, bottom1/bottom2]")
+            raise row.error("does not pair a node with an edge, such as [top1, bottom1/bottom2]")
         place = []
         for part, word in zip(parts, words, strict=True):
             ends = [part.node(path, word) for path in word.word().split("/")]
             if len(ends) > 2:
-                raise word.refusal(f"is {word.shown()}: an edge has two ends")
+                raise word.error(f"is {word.format()}: an edge has two ends")
             place.append(np.mean([end.at for end in ends], axis=0))
             (edges.append((ends[0], ends[1])) if len(ends) == 2 else joints.append(ends[0]))
         places.append(place)
@@ -186,15 +186,18 @@ def bond_edges(
                     frozenset(pair.ends) in map(frozenset, edges) or not is_rod(pair)
                 ):
                     if is_rod(pair):
-                        raise pairs.refusal(
+                        raise pairs.error(
                             f"has the rod {pair.ends[0].name}/{pair.ends[1].name} for an edge: only strings can be edges"
                         )
                     inner.pairs.remove(pair)
     for joint, (first, last) in zip(joints, edges, strict=True):
-        parent.pairs += [Pair((first, joint), tags, pairs), Pair((joint, last), tags, pairs)]
+        parent.pairs += [
+            NtrtPair((first, joint), tags, pairs),
+            NtrtPair((joint, last), tags, pairs),
+        ]
 
 
-def _meet(moved: Assembly, places: Array, entry: Entry) -> None:
+def _meet(moved: Assembly, places: Array, entry: YamlEntry) -> None:
     """Move a substructure so that its points meet the others.
 
     Their planes are aligned first, then the first points about the normal.
@@ -205,10 +208,10 @@ def _meet(moved: Assembly, places: Array, entry: Entry) -> None:
         np.linalg.norm(normals, axis=1)
         > 1e-12 * np.linalg.norm(places - middles[:, None], axis=2).max() ** 2
     ).all():
-        raise entry.refusal("pairs places on one line: their first three must span a plane")
-    first = turn_between(normals[1], normals[0], places[1, 1] - places[1, 0])
+        raise entry.error("pairs places on one line: their first three must span a plane")
+    first = rotate_between(normals[1], normals[0], places[1, 1] - places[1, 0])
     arms = [places[0, 0] - middles[0], first @ (places[1, 0] - middles[1])]
     if min(np.linalg.norm(arm) for arm in arms) < 1e-12 * np.linalg.norm(normals[0]) ** 0.5:
-        raise entry.refusal("pairs places whose first is in their middle: give another one first")
-    whole = turn_between(arms[1], arms[0], normals[0]) @ first
+        raise entry.error("pairs places whose first is in their middle: give another one first")
+    whole = rotate_between(arms[1], arms[0], normals[0]) @ first
     moved.transform(lambda at: middles[0] + whole @ (at - middles[1]))

@@ -1,70 +1,75 @@
-"""Reader of YAML files as trees with line numbers.
+"""YAML files as trees with line numbers.
 
 The size is limited, nothing is executed, and keys are unique.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from tenscasadi.exchange.source import Source
+from tenscasadi.schema.reading import SceneFileError
 from tenscasadi.util.validate import Array, shown
 
-_MOST_BYTES, _MOST_ENTRIES = 5_000_000, 500_000
+_MOST_ENTRIES = 500_000
 _LARGEST = 1e30  # a mass is a product of four numbers and must stay finite
 
 
-class Entry:
+@dataclass(eq=False)
+class YamlEntry:
     """Mapping, list or scalar of a YAML file.
 
-    Its methods raise ValueError, which names file, line and key.
+    Its methods raise SceneFileError, which names file, line and key.
     """
 
-    def __init__(
-        self, path: Path, line: int, key: str, value: dict[str, Entry] | list[Entry] | str
-    ) -> None:
-        self.path, self.line, self.key, self.value = path, line, key, value
+    source: Source
+    path: Path
+    line: int
+    key: str
+    value: dict[str, YamlEntry] | list[YamlEntry] | str
 
-    def refusal(self, text: str) -> ValueError:
+    def error(self, text: str) -> SceneFileError:
         """Build the error that names this place."""
-        return ValueError(f"{self.path}, line {self.line}: {self.key} {text}")
+        return SceneFileError(text, _name(self.source, self.path), self.line, self.key)
 
-    def items(self, *known: str) -> Iterator[tuple[str, Entry]]:
-        """Yield keys and values of a mapping.
+    def leave_out(self, text: str) -> None:
+        """Leave out this entry. Raises SceneFileError if the import is strict."""
+        self.source.leave_out(self.error(text))
 
-        If `known` keys are given, others are rejected. An empty entry yields nothing.
+    def items(self, *known: str) -> Iterator[tuple[str, YamlEntry]]:
+        """Yield keys and values of a mapping; an empty entry yields nothing.
+
+        If `known` keys are given, others are left out.
         """
         if self.value == "":
             return
         if not isinstance(self.value, dict):
-            raise self.refusal(f"is {self.shown()}: give keys and values")
+            raise self.error(f"is {self.format()}: give keys and values")
         for key, entry in self.value.items():
             if known and key not in known:
-                raise entry.refusal(f"is not known: the keys here are {', '.join(known)}")
-            yield key, entry
+                entry.leave_out(f"is not known: the keys here are {', '.join(known)}")
+            else:
+                yield key, entry
 
-    def parts(self, count: int | None = None) -> list[Entry]:
-        """Return the entries of a list.
-
-        Its length must be `count`, if given.
-
-        An empty entry has none.
-        """
+    def parts(self, count: int | None = None) -> list[YamlEntry]:
+        """Return the entries of a list, of a given length; an empty entry has none."""
         if self.value == "" and count is None:
             return []
         if not isinstance(self.value, list) or (count is not None and len(self.value) != count):
-            raise self.refusal(
-                f"is {self.shown()}: give a list{'' if count is None else f' of {count}'}"
-            )
+            length = "" if count is None else f" of {count}"
+            raise self.error(f"is {self.format()}: give a list{length}")
         return self.value
 
     def word(self) -> str:
         """Read a nonempty text."""
         if not isinstance(self.value, str) or not self.value:
-            raise self.refusal(f"is {self.shown()}: give a word")
+            raise self.error(f"is {self.format()}: give a word")
         return self.value
 
     def number(self) -> float:
@@ -72,10 +77,10 @@ class Entry:
         try:
             found = float(self.word())
         except ValueError:
-            raise self.refusal(f"is {self.shown()}: give a number") from None
+            raise self.error(f"is {self.format()}: give a number") from None
         if not abs(found) <= _LARGEST:
-            raise self.refusal(
-                f"is {self.shown()}: give a finite number, at most {_LARGEST:g} in size"
+            raise self.error(
+                f"is {self.format()}: give a finite number, at most {_LARGEST:g} in size"
             )
         return found
 
@@ -83,56 +88,49 @@ class Entry:
         """Read three finite numbers."""
         return np.array([part.number() for part in self.parts(3)])
 
-    def shown(self) -> str:
+    def format(self) -> str:
         """Format the value for messages."""
-        return shown(
-            {dict: "a mapping", list: "a list"}.get(type(self.value), self.value)
-            if not isinstance(self.value, str)
-            else self.value
-        )
+        kinds = {dict: "a mapping", list: "a list"}
+        return kinds.get(type(self.value)) or shown(self.value)
 
 
-def read_tree(path: Path, users: str) -> Entry:
-    """Read the root of a YAML file.
-
-    Raises ImportError, which names the `users`, FileNotFoundError, and ValueError.
-    """
+def read_tree(source: Source, path: Path) -> YamlEntry:
+    """Read the root of a YAML file. Raises ImportError, FileNotFoundError, SceneFileError."""
     try:
         import yaml
     except ImportError as error:
-        raise ImportError(f"{users} needs PyYAML: pip install 'tenscasadi[exchange]'") from error
-    if path.exists() and not path.is_file():
-        raise ValueError(f"path is {path}, no regular file: give one in YAML")
-    if path.stat().st_size > _MOST_BYTES:
-        raise ValueError(
-            f"{path} has more than {_MOST_BYTES / 1e6:g} MB: no structure needs as much"
-        )
+        raise ImportError("load_ntrt needs PyYAML: pip install 'tenscasadi[exchange]'") from error
+    name = _name(source, path)
     try:
-        root = yaml.compose(path.read_text(encoding="utf-8"), Loader=yaml.SafeLoader)
+        text = source.read(path).decode("utf-8")
+        # NTRT's reader takes lines after % for directives, and tabs for spaces
+        lines = [
+            "#" + line[1:] if line.startswith("%") else line.expandtabs(2)
+            for line in text.split("\n")
+        ]
+        root = yaml.compose("\n".join(lines), Loader=yaml.SafeLoader)
         if root is None:
-            raise ValueError("there is nothing in it")
+            raise SceneFileError("it is empty: give nodes and pair_groups", name)
         if _count(root, {}) > _MOST_ENTRIES:
-            raise ValueError(
-                f"it has more than {_MOST_ENTRIES} entries once its aliases are written out"
-            )
-        return _entry(path, "the file", root)
+            message = f"it has more than {_MOST_ENTRIES} entries with expanded aliases"
+            raise SceneFileError(f"{message}: give a smaller file", name)
+        return _build_entry(source, path, "the file", root)
+    except SceneFileError:
+        raise
     except yaml.YAMLError as error:
-        mark, problem = (
-            getattr(error, "problem_mark", None),
-            getattr(error, "problem", None) or str(error),
-        )
-        raise ValueError(
-            f"{path}{f', line {mark.line + 1}' if mark else ''}: this is no YAML: {' '.join(str(problem).split())}"
-        ) from None
-    except (RecursionError, UnicodeDecodeError, ValueError) as error:
-        if str(error).startswith(str(path)):
-            raise
-        why = (
-            "it is nested too deeply"
-            if isinstance(error, RecursionError)
-            else " ".join(str(error).split())
-        )
-        raise ValueError(f"{path}: this is no structure: {why}") from None
+        mark = getattr(error, "problem_mark", None)
+        problem = " ".join(str(getattr(error, "problem", None) or error).split())
+        line = mark.line + 1 if mark else None
+        raise SceneFileError(f"it is no YAML, {problem}: correct it there", name, line) from None
+    except RecursionError:
+        raise SceneFileError("it is nested too deeply: write it flatter", name) from None
+    except ValueError as error:  # of the encoding, or of an alias
+        raise SceneFileError(f"it is no structure: {error}", name) from None
+
+
+def _name(source: Source, path: Path) -> str:
+    """Name a file relative to the folder of the main one."""
+    return os.path.relpath(path, source.path.parent)
 
 
 def _count(node: Any, known: dict[int, int]) -> int:
@@ -148,31 +146,26 @@ def _count(node: Any, known: dict[int, int]) -> int:
         ]
         known[id(node)] = 1 + sum(_count(child, known) for child in children)
     if known[id(node)] < 0:
-        raise ValueError(f"an alias in line {node.start_mark.line + 1} holds itself")
+        raise ValueError(f"an alias in line {node.start_mark.line + 1} contains itself")
     return known[id(node)]
 
 
-def _entry(path: Path, key: str, node: Any) -> Entry:
+def _build_entry(source: Source, path: Path, key: str, node: Any) -> YamlEntry:
     """Build the entries of a node and its descendants.
 
-    Raises ValueError if a key is repeated or is not text.
+    Raises SceneFileError if a key is repeated or is not text.
     """
-    line, value = node.start_mark.line + 1, node.value
-    if isinstance(value, str):
-        return Entry(
-            path, line, key, "" if value in ("~", "null") and node.style is None else value
-        )
-    if value and isinstance(value[0], tuple):
-        found: dict[str, Entry] = {}
-        for name, inside in value:
-            entry = _entry(path, str(name.value), inside)
+    found = YamlEntry(source, path, node.start_mark.line + 1, key, "")
+    if isinstance(node.value, str):
+        found.value = "" if node.value in ("~", "null") and node.style is None else node.value
+    elif node.id != "mapping":
+        found.value = [_build_entry(source, path, key, item) for item in node.value]
+    elif node.value:
+        found.value = {}
+        for name, inside in node.value:
+            entry = _build_entry(source, path, str(name.value), inside)
             entry.line = name.start_mark.line + 1  # the line of the key
-            if not isinstance(name.value, str) or name.value in found:
-                raise entry.refusal(
-                    "is given twice: leave one out" if isinstance(name.value, str) else "is no word"
-                )
-            found[name.value] = entry
-        return Entry(path, line, key, found)
-    if node.id == "mapping":
-        return Entry(path, line, key, "")
-    return Entry(path, line, key, [_entry(path, key, item) for item in value])
+            if not isinstance(name.value, str) or name.value in found.value:
+                raise entry.error("is given twice, or is no word: leave one out")
+            found.value[name.value] = entry
+    return found

@@ -75,7 +75,17 @@ def test_motions_go_out(here):
     assert tc.load_mat_trajectory("run.mat").time == pytest.approx([0.0, 0.01, 0.02])
 
 
-def test_ntrt_comes_in(here):
+def test_nodes_of_a_net_carry_the_mass_of_strings(here):
+    net = tc.Structure(
+        np.eye(4, 3), [], [(0, 1), (1, 2), (1, 3)], string_mass=0.2, pinned=[0, 2, 3]
+    )
+    tc.save_mat(net, "net.mat")
+    assert main(["import", "net.mat", "net.toml"]) == 0
+    assert tc.Model(tc.load_scene("net.toml")).structure.node_mass[1] == pytest.approx(0.3)
+
+
+@pytest.mark.filterwarnings("default")
+def test_ntrt_comes_in(here, capsys):
     pytest.importorskip("yaml", reason="files of NTRT need PyYAML")
     text = "nodes: {a: [0, 0, 0], b: [0, 10, 0], c: [5, 0, 0], d: [5, 10, 0]}\npair_groups: {rod: [[a, b], [c, d]], string: [[a, c], [b, d]]}\n"
     (here / "two.yaml").write_text(text)
@@ -86,8 +96,21 @@ def test_ntrt_comes_in(here):
         .replace("[[a, c], [b, d]]", "[[a, d]]")
         .replace("c: [5, 0, 0], ", "")
     )
-    assert main(["import", "joined.yaml", "joined.toml"]) == 2
+    assert main(["import", "joined.yaml", "joined.toml", "--no-ball-joints"]) == 2
+    capsys.readouterr()
     assert main(["import", "joined.yaml", "joined.toml", "--ball-joints"]) == 0
+    assert "warning: joined.yaml was imported with 1 change" in capsys.readouterr().err
+
+
+@pytest.mark.filterwarnings("default")
+def test_lenient_import_leaves_out_unknown_entries(here, capsys):
+    pytest.importorskip("yaml", reason="files of NTRT need PyYAML")
+    text = "nodes: {a: [0, 0, 0], b: [0, 10, 0]}\npair_groups: {rod: [[a, b]], box: [[a, b]]}\n"
+    (here / "boxed.yaml").write_text(text)
+    assert main(["import", "boxed.yaml", "boxed.toml"]) == 2
+    assert main(["import", "boxed.yaml", "boxed.toml", "--lenient"]) == 0
+    assert "line 2, box: has the tags box, which no builder fits" in capsys.readouterr().err
+    assert len(tc.load_scene("boxed.toml").structure.bars) == 1
 
 
 @pytest.mark.parametrize(

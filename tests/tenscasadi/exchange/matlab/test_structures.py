@@ -1,4 +1,4 @@
-"""Structures in .mat files as users of MOTES and TsgFEM have them, written by SciPy: read as what those programs model."""
+"""Structures in .mat files of MOTES and TsgFEM, written by SciPy."""
 
 from __future__ import annotations
 
@@ -175,6 +175,81 @@ def test_pins_of_tsgfem_as_columns_of_the_identity(tmp_path):
     assert dict(tc.load_mat(tmp_path / "x.mat").pinned) == {0: "xyz", 1: "z"}
 
 
+def test_members_of_tsgfem_may_be_in_any_order(tmp_path):
+    workspace = tsgfem()
+    order = [2, 0, 3, 4, 1, 5]
+    data = {
+        key: value[order] if np.shape(value)[:1] == (6,) else value
+        for key, value in workspace["data"].items()
+    }
+    data |= {"index_b": [[2.0], [5.0]], "index_s": [[1.0, 3, 4, 6]]}
+    mass = workspace["mass"][order]
+    savemat(tmp_path / "x.mat", {**workspace, "C": data["C"], "mass": mass, "data": data})
+    savemat(tmp_path / "y.mat", workspace)
+    assert_same_structure(tc.load_mat(tmp_path / "x.mat"), tc.load_mat(tmp_path / "y.mat"))
+    data["index_b"] = [[2.0]]
+    savemat(tmp_path / "x.mat", {**workspace, "data": data})
+    with pytest.raises(ValueError, match="C holds 6 members, index_b and index_s 5 of them"):
+        tc.load_mat(tmp_path / "x.mat")
+
+
+def clustered() -> dict:
+    """Build a workspace of CTSFEM: strings 0 and 1 of the cross are one cable."""
+    workspace = tsgfem()
+    S = np.array([[1, 0, 0, 0, 0, 0], [0, 1, 0, 0, 0, 0], [0, 0, 1, 1, 0, 0]] + [[0] * 6] * 2)
+    S[3, 4] = S[4, 5] = 1
+    data = {key: workspace["data"][key] for key in ("N", "C")}
+    data |= {key: workspace["data"][key][[0, 1, 2, 4, 5]] for key in ("E", "A")}
+    rest = S @ workspace["data"]["l0"]
+    data |= {"S": S, "l0_t": np.hstack([rest, 0.9 * rest])}
+    data |= {"index_b": [[1.0], [2.0]], "index_s": [[3.0, 4, 5]]}
+    return {**workspace, "data": data, "index_s": data["index_s"], "rho": 7870.0}
+
+
+def test_sliding_cables_become_strings_with_a_warning(tmp_path):
+    savemat(tmp_path / "x.mat", clustered())
+    with pytest.raises(ValueError, match="S groups 6 members into 5 that slide over nodes"):
+        tc.load_mat(tmp_path / "x.mat")
+    with pytest.warns(tc.InexactImportWarning) as caught:
+        read = tc.load_mat(tmp_path / "x.mat", strict=False)
+    first, last = caught[0].message.changes
+    assert first.startswith("S groups 6 members into 5")
+    assert last == "the variables rho are not read"
+    savemat(tmp_path / "y.mat", tsgfem())
+    apart = tc.load_mat(tmp_path / "y.mat")
+    assert read.strings.tolist() == apart.strings.tolist()
+    assert read.rest_length == pytest.approx(apart.rest_length, rel=1e-12)
+    assert read.stiffness == pytest.approx(apart.stiffness, rel=1e-12)
+
+
+def test_lenient_import_reads_the_first_of_several_structures(tmp_path):
+    savemat(tmp_path / "x.mat", {"data": {**CROSS, "mgyro": 1.0}, "out": {**CROSS, "N": 2 * N}})
+    with pytest.warns(tc.InexactImportWarning) as caught:
+        read = tc.load_mat(tmp_path / "x.mat", strict=False)
+    assert read.nodes[0, 0] == 1.0
+    assert [change.partition(":")[0] for change in caught[0].message.changes] == [
+        "it holds the structures data, out",
+        "the variables mgyro, out are not read",
+        "mgyro is not 0",
+    ]
+
+
+def test_lenient_import_leaves_out_damping_of_nodes_and_controls(tmp_path):
+    workspace = tsgfem()
+    workspace["data"]["D"] = np.eye(12)
+    savemat(tmp_path / "x.mat", workspace)
+    with pytest.warns(tc.InexactImportWarning, match="D is not 0: damping of nodes"):
+        assert not tc.load_mat(tmp_path / "x.mat", strict=False).damping.any()
+    savemat(tmp_path / "y.mat", {**CROSS, "s_0": np.outer(CROSS["s_0"], [1.0, 0.5])})
+    with pytest.warns(tc.InexactImportWarning, match="s_0 has shape"):
+        assert set(tc.load_mat(tmp_path / "y.mat", strict=False).rest_length) == {0.9}
+
+
+def test_pins_of_statics_in_motes_have_a_flag_for_each_axis(tmp_path):
+    savemat(tmp_path / "x.mat", {**CROSS, "Pinned_nodes": [[2.0, 1, 1, 1], [4, 0, 0, 1]]})
+    assert dict(tc.load_mat(tmp_path / "x.mat").pinned) == {1: "xyz", 3: "z"}
+
+
 def without(fields: dict, *names: str) -> dict:
     return {key: value for key, value in fields.items() if key not in names}
 
@@ -203,7 +278,7 @@ def without(fields: dict, *names: str) -> dict:
         ({**CROSS, "C_b": np.array([[1.0, 2.5]])}, "C_b holds 2.5"),
         (
             {**CROSS, "s_0": np.ones((4, 7))},
-            r"s_0 has shape \(4, 7\): rest lengths over time are a control",
+            r"s_0 has shape \(4, 7\): values over time are a control",
         ),
         ({**CROSS, "s_0": "rest_script"}, "s_0 is a text, 'rest_script', which is not run"),
         ({**CROSS, "k": np.ones(3)}, "k has shape .*: give 4 numbers or one"),

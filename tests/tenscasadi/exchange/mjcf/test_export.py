@@ -13,7 +13,7 @@ from scenes import every_term
 from structures import chain
 
 import tenscasadi as tc
-from tenscasadi.exchange.mjcf.hanging import hang, inverse_weights
+from tenscasadi.exchange.mjcf.body_tree import build_tree, inverse_weights
 
 LAW = {"stiffness": 1000.0, "prestress": 50.0}
 DOWN = {"gravity": tc.Gravity()}
@@ -159,7 +159,7 @@ def test_contacts_are_scaled_by_the_masses_that_mujoco_reckons(
         str(tc.export_mjcf(tc.Scene(s, ground=tc.Ground()), tmp_path / "s.xml"))
     )
     theirs = [world.body(f"bar{bar}").invweight0[0] for bar in range(len(s.bars))]
-    assert inverse_weights(s, hang(s, True)) == pytest.approx(theirs, rel=1e-9)
+    assert inverse_weights(s, build_tree(s, True)) == pytest.approx(theirs, rel=1e-9)
 
 
 def test_friction_stops_alike(tmp_path: Any) -> None:

@@ -11,9 +11,10 @@ import pytest
 
 import tenscasadi as tc
 from tenscasadi.exchange.mjcf.bodies import Bodies
-from tenscasadi.exchange.mjcf.elements import Element, read_elements
+from tenscasadi.exchange.mjcf.elements import read_elements
 from tenscasadi.exchange.mjcf.frames import Units
 from tenscasadi.exchange.mjcf.words import Defaults
+from tenscasadi.exchange.source import Source
 from tenscasadi.structure.structure import PARAMETERS
 
 LAW = {"stiffness": 1000.0, "prestress": 50.0}
@@ -302,16 +303,12 @@ def test_orientations_are_as_mujoco_reads_them(angle: str, sequence: str, tmp_pa
     world = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(world)
     mujoco.mj_kinematics(world, data)
-    bodies_read = Bodies(
-        read_elements(tmp_path / "scene.xml"),
-        Defaults(Element("mujoco", {}, "", 1)),
-        Units(angle == "degree", sequence),
-        None,
-    )
+    root = read_elements(Source(tmp_path / "scene.xml"))
+    bodies_read = Bodies(root, Defaults(root), Units(angle == "degree", sequence), None)
     for k, piece in bodies_read.moving():
         assert piece.anchor == pytest.approx(data.xanchor[k - 1], abs=1e-12)
         middle, axis = data.geom_xpos[k - 1], data.geom_xmat[k - 1].reshape(3, 3)[:, 2]
-        assert piece.shapes[0].rod.ends == pytest.approx(
+        assert piece.geoms[0].rod.ends == pytest.approx(
             np.array([middle - axis / 2, middle + axis / 2]), abs=1e-12
         )
 

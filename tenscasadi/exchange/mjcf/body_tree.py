@@ -60,7 +60,7 @@ class Tie(NamedTuple):
     other: int | None
 
 
-class Hanging(NamedTuple):
+class BodyTree(NamedTuple):
     """Body tree of a structure.
 
     Attributes
@@ -78,7 +78,7 @@ class Hanging(NamedTuple):
     ties: list[Tie]
 
 
-def held_directions(s: Structure) -> dict[int, Array]:
+def find_held_directions(s: Structure) -> dict[int, Array]:
     """Find the orthonormal directions (k, 3) of each constrained node."""
     axes = {
         node: np.eye(3)[["xyz".index(axis) for axis in names]] for node, names in s.pinned.items()
@@ -86,7 +86,7 @@ def held_directions(s: Structure) -> dict[int, Array]:
     return axes | {node: np.array(normals) for node, normals in s.rollers.items()}
 
 
-def free_directions(held: Array) -> Array:
+def find_free_directions(held: Array) -> Array:
     """Compute orthonormal directions perpendicular to the held ones.
 
     Shapes are (k, 3) and (3 − k, 3).
@@ -96,16 +96,16 @@ def free_directions(held: Array) -> Array:
     return np.asarray(np.linalg.svd(held)[2][len(held) :])
 
 
-def hang(s: Structure, balls: bool) -> Hanging:
+def build_tree(s: Structure, balls: bool) -> BodyTree:
     """Build the body tree of a structure. Raises ValueError.
 
     With `balls`, bars that share a node are connected there by a ball joint. Otherwise each bar is
     a body by itself.
     """
-    return _Tree(s, balls).grow()
+    return _TreeBuilder(s, balls).grow()
 
 
-class _Tree:
+class _TreeBuilder:
     """Builder of the body tree.
 
     Bars with pinned nodes come first.
@@ -114,16 +114,16 @@ class _Tree:
     def __init__(self, s: Structure, balls: bool) -> None:
         self.bars: list[list[int]] = s.bars.tolist()
         self.balls = balls
-        self.held = held_directions(s)
+        self.held = find_held_directions(s)
         self.pinned = {node for node, directions in self.held.items() if len(directions) == 3}
         self.at: dict[int, list[int]] = {}
         for bar, ends in enumerate(self.bars):
             for node in ends:
                 self.at.setdefault(node, []).append(bar)
-        self.found = Hanging([], {}, [])
+        self.found = BodyTree([], {}, [])
         self.depth: dict[int, int] = {}  # number of ancestors of each bar
 
-    def grow(self) -> Hanging:
+    def grow(self) -> BodyTree:
         placed = set[int]()
         for root in sorted(
             range(len(self.bars)),
@@ -146,7 +146,7 @@ class _Tree:
         node = max(ends, key=lambda end: len(self.held.get(end, ())))
         if node not in self.held or (node in self.pinned and not self.balls):
             return Link(bar, None, None)
-        return Link(bar, None, node, free_directions(self.held[node]))
+        return Link(bar, None, node, find_free_directions(self.held[node]))
 
     def _take(self, link: Link) -> Iterator[Link]:
         """Add a bar to the tree and yield possible children."""
@@ -173,7 +173,7 @@ class _Tree:
                         yield Link(bar, link.bar, node)
 
 
-def inverse_weights(s: Structure, hanging: Hanging) -> Array:
+def inverse_weights(s: Structure, tree: BodyTree) -> Array:
     """Compute the inverse effective mass of each bar [1/kg].
 
     It is the acceleration of the midpoint per unit force, averaged over all directions: 1/m for a
@@ -181,31 +181,31 @@ def inverse_weights(s: Structure, hanging: Hanging) -> Array:
     too many bars.
     """
     found = np.zeros(len(s.bars))
-    roots = [k for k, link in enumerate(hanging.links) if link.parent is None]
-    for first, end in zip(roots, [*roots[1:], len(hanging.links)], strict=True):
-        tree = hanging.links[first:end]
-        if len(tree) > MOST:
+    roots = [k for k, link in enumerate(tree.links) if link.parent is None]
+    for first, end in zip(roots, [*roots[1:], len(tree.links)], strict=True):
+        links = tree.links[first:end]
+        if len(links) > MOST:
             raise ValueError(
-                f"bars: {len(tree)} of them hang together, too many to weigh what they press on the ground with: {MOST} at most"
+                f"bars: {len(links)} of them are connected, too many to scale contacts: {MOST} at most"
             )
-        found[[link.bar for link in tree]] = _weigh(s, hanging, tree)
+        found[[link.bar for link in links]] = _weigh(s, tree, links)
     return found
 
 
-def _weigh(s: Structure, hanging: Hanging, tree: list[Link]) -> list[float]:
+def _weigh(s: Structure, tree: BodyTree, links: list[Link]) -> list[float]:
     """Compute the inverse effective masses of one tree's bars."""
-    slides = np.eye(3) if tree[0].node is None else tree[0].slides
-    size = len(slides) + 3 * len(tree)  # root velocities along its slides, then angular velocities
+    slides = np.eye(3) if links[0].node is None else links[0].slides
+    size = len(slides) + 3 * len(links)  # root velocities along its slides, then angular velocities
     M, middles = np.zeros((size, size)), []
     points: dict[tuple[int, int | None], Array] = {}
-    for k, link in enumerate(tree):
+    for k, link in enumerate(links):
         middle, turning = (
             s.nodes[s.bars[link.bar]].mean(axis=0),
             slice(len(slides) + 3 * k, len(slides) + 3 * k + 3),
         )
         place = middle if link.node is None else s.nodes[link.node]
         base = (
-            np.pad(slides.T, ((0, 0), (0, 3 * len(tree))))
+            np.pad(slides.T, ((0, 0), (0, 3 * len(links))))
             if link.parent is None
             else points[link.parent, link.node]
         )
@@ -223,7 +223,7 @@ def _weigh(s: Structure, hanging: Hanging, tree: list[Link]) -> list[float]:
 
         for node in s.bars[link.bar].tolist():
             points[link.bar, node] = own = velocity(s.nodes[node])
-            if hanging.owner.get(node) == link.bar and s.node_mass[node] > 0:
+            if tree.owner.get(node) == link.bar and s.node_mass[node] > 0:
                 M += s.node_mass[node] * own.T @ own
         middles.append(velocity(middle))
         M += s.bar_mass[link.bar] * middles[-1].T @ middles[-1]

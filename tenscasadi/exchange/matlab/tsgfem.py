@@ -1,0 +1,113 @@
+"""Variables of TsgFEM, converted into those of MOTES."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from scipy.sparse import issparse
+
+from tenscasadi.exchange.matlab.variables import (
+    Variables,
+    is_filled,
+    read_indices,
+    read_pairs,
+    read_values,
+)
+from tenscasadi.exchange.source import Source
+from tenscasadi.util.validate import Array, Indices, finite_array
+
+# variables of MOTES: keyword of Structure, and the variables of TsgFEM from which it follows
+_BARS: dict[str, tuple[str, tuple[str, ...], Callable[..., Array]]] = {
+    "m": ("bar_mass", ("mass",), lambda mass: mass)
+}
+_STRINGS: dict[str, tuple[str, tuple[str, ...], Callable[..., Array]]] = {
+    "s_0": ("rest_length", ("l0",), lambda l0: l0),
+    "k": ("stiffness", ("E", "A", "l0"), lambda E, A, l0: E * A / l0),
+    "string_mass": ("string_mass", ("mass",), lambda mass: mass),
+}
+VARIABLES = ("C", "S", "index_b", "index_s", "E", "A", "l0", "l0_t", "mass", "D")
+
+
+def is_tsgfem(variables: Variables) -> bool:
+    """Return whether TsgFEM has written the variables."""
+    return "index_s" in variables and "s_0" not in variables
+
+
+def convert_tsgfem(source: Source, variables: Variables, options: Variables) -> dict[str, Any]:
+    """Convert the variables of TsgFEM into those of MOTES.
+
+    Members are the rows of C. Matrix S, if given, groups members into cables that slide over
+    nodes; each member becomes a string of its own. Values that `options` give are not needed.
+    Raises TypeError, ValueError.
+    """
+    N = finite_array("N", variables["N"], (3, None))
+    keys = ("C",) if "C" in variables else ("C_b", "C_s")
+    given = [read_pairs(key, variables[key], N.shape[1]) for key in keys if key in variables]
+    pairs = np.concatenate(given)
+    cable = _read_cables(source, variables, len(pairs))
+    lengths = np.linalg.norm(N[:, pairs[:, 1]] - N[:, pairs[:, 0]], axis=0)
+    converted = {"node_mass": np.zeros(1), **variables}
+    known = 0
+    for index, key, table in (("index_b", "C_b", _BARS), ("index_s", "C_s", _STRINGS)):
+        rows = read_indices(index, variables.get(index, np.zeros(0)), max(cable, default=-1) + 1)
+        members = np.flatnonzero(np.isin(cable, rows))
+        converted[key] = pairs[members] + 1.0
+        known += len(members)
+        for name, (keyword, needed, formula) in table.items():
+            if keyword not in options:
+                values = [
+                    _read_members(source, variables, key, keyword, cable, lengths) for key in needed
+                ]
+                converted[name] = formula(*values)[members]
+    if known != len(pairs):
+        message = f"C holds {len(pairs)} members, index_b and index_s {known} of them"
+        source.leave_out(ValueError(f"{message}: give each member once"))
+    if "damping" not in options and is_filled(variables, "D"):
+        message = "D is not 0: damping of nodes, as TsgFEM has it, cannot be modeled"
+        source.leave_out(ValueError(f"{message}; give damping of strings, such as damping=0.0"))
+    return converted
+
+
+def _read_cables(source: Source, variables: Variables, count: int) -> Indices:
+    """Read the cable of each member, its row in S. Raises ValueError if import is strict."""
+    S: Any = variables.get("S")
+    S = S.toarray() if issparse(S) and np.prod(S.shape) <= count**2 else S
+    if (
+        not isinstance(S, np.ndarray)
+        or S.ndim != 2
+        or S.shape[1] != count
+        or not np.isin(S, (0, 1)).all()
+        or (S.sum(axis=0) != 1).any()
+    ):  # without cables, or modes of prestress, which are called S too
+        return np.arange(count)
+    if len(S) < count:
+        message = f"S groups {count} members into {len(S)} that slide over nodes"
+        source.leave_out(ValueError(f"{message}: each member becomes one of its own"))
+    return np.asarray(np.argmax(S, axis=0))
+
+
+def _read_members(
+    source: Source, variables: Variables, key: str, keyword: str, cable: Indices, lengths: Array
+) -> Array:
+    """Read one positive number for each member, or for each cable.
+
+    Rest length and mass of a cable are distributed by length. Raises TypeError, ValueError.
+    """
+    if key == "l0" and key not in variables and isinstance(variables.get("l0_t"), np.ndarray):
+        variables = {**variables, key: variables["l0_t"].reshape(len(variables["l0_t"]), -1)[:, 0]}
+    if key not in variables:
+        cure = f"give {keyword}=..., or save {key} too"
+        raise ValueError(f"{key} is missing, from which {keyword} follows: {cure}")
+    count, members = max(cable, default=-1) + 1, len(cable)
+    if np.size(variables[key]) == count != members:
+        values = read_values(source, variables, key, count)[cable]
+        if key in ("l0", "mass"):
+            values = values * lengths / np.bincount(cable, lengths)[cable]
+    else:
+        values = read_values(source, variables, key, members)
+    for member in np.flatnonzero(values <= 0)[:1]:
+        message = f"{key} of member {member + 1} is {values[member]:g}: it must be greater than 0"
+        raise ValueError(message)
+    return values

@@ -1,0 +1,315 @@
+"""XML elements of a scene for MuJoCo."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+from xml.etree import ElementTree as ET  # to write alone
+
+import numpy as np
+
+from tenscasadi.exchange.mjcf.body_tree import (
+    NO_DIRECTION,
+    BodyTree,
+    Link,
+    find_free_directions,
+    find_held_directions,
+)
+from tenscasadi.exchange.mjcf.contact import (
+    Weights,
+    contact_numbers,
+    contact_weights,
+    list_touching,
+)
+from tenscasadi.exchange.mjcf.frames import rotate_z_to
+from tenscasadi.scene.ground import Ground
+from tenscasadi.scene.scene import Scene
+from tenscasadi.scene.strings import ForceDensity, RestLength
+from tenscasadi.util.validate import Array
+
+# inertia of a bar about its axis, at least so much of its transverse one: MuJoCo rejects 0
+AXIAL = 0.01
+
+
+class MjcfWriter:
+    """Builder of the XML elements of a scene."""
+
+    def __init__(self, scene: Scene, tree: BodyTree) -> None:
+        self.scene, self.s, self.tree = scene, scene.modelled, tree
+        self.grounds = [
+            ground for ground in scene.grounds if isinstance(ground, Ground)
+        ]  # all others are rejected
+        s = self.s
+        size = (
+            float(np.mean(np.concatenate([s.bar_lengths, s.string_lengths])))
+            if len(s.bars) + len(s.strings)
+            else 1.0
+        )
+        self.drawn, self.sphere = 0.005 * size, 1e-3 * size  # radii of bars and contact spheres
+        self.weights = (
+            contact_weights(scene, tree) if self.grounds else Weights(np.zeros(len(s.nodes)), 0.0)
+        )
+        self.touched = sorted(
+            {
+                node
+                for ground in self.grounds
+                for node in list_touching(ground, self.weights.inverse)
+            }
+        )
+        self.turns: dict[int | None, Array] = {
+            None: np.eye(3)
+        }  # columns: axes of a bar's body frame; z is along the bar
+        self.along: dict[
+            tuple[int | None, int], Array
+        ] = {}  # position of a node in the body frame of its bar
+        self.rates: dict[ET.Element, list[float]] = {}  # joint velocities of each body
+        self.root = ET.Element("mujoco", model="tenscasadi")
+
+    def write(self, step: float, velocities: Array | None) -> ET.Element:
+        """Build the root element."""
+        V = np.zeros(self.s.nodes.shape) if velocities is None else velocities
+        self._options(step)
+        world = ET.SubElement(self.root, "worldbody")
+        for k, ground in enumerate(self.grounds):
+            place = (ground.height - self.sphere) * np.array(ground.normal)
+            _add(
+                world,
+                "geom",
+                name=f"ground{k}",
+                type="plane",
+                size=[0, 0, 1],
+                pos=place,
+                zaxis=ground.normal,
+                contype=0,
+                conaffinity=0,
+            )
+        self._bars(world, V)
+        self._points(world, V)
+        self._contacts()
+        self._strings()
+        self._ties(step)
+        self._control(velocities is not None)
+        return self.root
+
+    def _options(self, step: float) -> None:
+        gravity = (0, 0, 0) if self.scene.gravity is None else self.scene.gravity.acceleration
+        option = _add(
+            self.root, "option", timestep=step, integrator="RK4", gravity=gravity, cone="elliptic"
+        )
+        if not self.grounds and not self.tree.ties:
+            _add(option, "flag", contact="disable", constraint="disable")
+
+    def _bars(self, world: ET.Element, V: Array) -> None:
+        s = self.s
+        bodies: dict[int | None, ET.Element] = {None: world}
+        turning: dict[int | None, Array] = {None: np.zeros(3)}
+        for link in self.tree.links:
+            bar, (a, b) = link.bar, s.bars[link.bar].tolist()
+            length, outer = s.bar_lengths[bar], self.turns[link.parent]
+            axis = outer.T @ (s.nodes[b] - s.nodes[a]) / length
+            self.turns[bar] = outer @ rotate_z_to(axis)
+            start = -length / 2 if link.node is None else 0.0 if link.node == a else -length
+            self.along[bar, a], self.along[bar, b] = (
+                np.array([0, 0, start]),
+                np.array([0, 0, start + length]),
+            )
+            middle, moves = (s.nodes[a] + s.nodes[b]) / 2, (V[a] + V[b]) / 2
+            if link.node is not None:
+                middle, moves = s.nodes[link.node], V[link.node]
+            place = middle if link.parent is None else self.along[link.parent, link.node or 0]
+            turning[bar] = np.cross(s.nodes[b] - s.nodes[a], V[b] - V[a]) / length**2
+            body = bodies[bar] = _add(
+                bodies[link.parent], "body", name=f"bar{bar}", pos=place, zaxis=axis
+            )
+            self._joints(body, link, moves, turning[bar] - turning[link.parent])
+            self._rod(body, bar, [start, start + length])
+            for node in (a, b):
+                if self.tree.owner.get(node) == bar:
+                    self._node(body, node, self.along[bar, node])
+
+    def _joints(self, body: ET.Element, link: Link, velocity: Array, turning: Array) -> None:
+        if link.still:
+            return
+        turn = self.turns[link.bar]
+        if link.node is None:
+            _add(body, "freejoint")
+            self.rates[body] = [*velocity]
+        else:
+            self._slides(body, link.slides, velocity, turn)
+            _add(body, "joint", type="ball")
+        self.rates[body] += [
+            *(turning @ turn)
+        ]  # MuJoCo expects angular velocities in the body frame
+
+    def _slides(self, body: ET.Element, directions: Array, velocity: Array, turn: Array) -> None:
+        for direction in directions:
+            _add(body, "joint", type="slide", axis=direction @ turn)
+        self.rates[body] = [*(directions @ velocity)]
+
+    def _rod(self, body: ET.Element, bar: int, ends: list[float]) -> None:
+        """Add the mass of a bar and a visible cylinder."""
+        s = self.s
+        radius, mass = s.bar_radius[bar], s.bar_mass[bar]
+        across = s.bar_inertia[bar] * s.bar_lengths[bar] ** 2  # J of Eq. 19 times l²
+        inertia = [across, across, max(mass * radius**2 / 2, AXIAL * across)]
+        _add(body, "inertial", pos=[0, 0, sum(ends) / 2], mass=mass, diaginertia=inertia)
+        look = {"size": [radius or self.drawn], "contype": 0, "conaffinity": 0, "mass": 0}
+        _add(
+            body,
+            "geom",
+            name=f"bar{bar}",
+            type="cylinder",
+            fromto=[0, 0, ends[0], 0, 0, ends[1]],
+            **look,
+        )
+
+    def _node(self, body: ET.Element, node: int, place: Array) -> None:
+        """Add a node to the body of its bar.
+
+        Its point mass goes into a body fixed to that one.
+        """
+        if self.s.node_mass[node] > 0:
+            mass = _add(body, "body", name=f"n{node}", pos=place)
+            _add(
+                mass, "inertial", pos=[0, 0, 0], mass=self.s.node_mass[node], diaginertia=[0, 0, 0]
+            )
+        _add(body, "site", name=f"n{node}", pos=place, size=[self.sphere])
+        self._ball(body, node, place)
+
+    def _ball(self, body: ET.Element, node: int, place: Array) -> None:
+        if node in self.touched:
+            _add(
+                body,
+                "geom",
+                name=f"n{node}",
+                type="sphere",
+                size=[self.sphere],
+                pos=place,
+                mass=0,
+                contype=0,
+                conaffinity=0,
+            )
+
+    def _points(self, world: ET.Element, V: Array) -> None:
+        """Add pinned nodes and nodes without bars."""
+        s, held, here = self.s, find_held_directions(self.s), np.zeros(3)
+        for node in (node for node in range(len(s.nodes)) if node not in self.tree.owner):
+            slides = find_free_directions(held.get(node, NO_DIRECTION))
+            if not len(slides):
+                self._node(world, node, s.nodes[node])
+                continue
+            body = _add(world, "body", name=f"n{node}", pos=s.nodes[node])
+            self._slides(body, slides, V[node], np.eye(3))
+            _add(
+                body,
+                "inertial",
+                pos=here,
+                mass=s.node_mass[node],
+                diaginertia=np.full(3, max(s.node_mass[node], 1.0)),
+            )  # any value: the body does not rotate
+            _add(body, "site", name=f"n{node}", pos=here, size=[self.sphere])
+            self._ball(body, node, here)
+
+    def _contacts(self) -> None:
+        if not self.touched:
+            return
+        contact = ET.SubElement(self.root, "contact")
+        for k, ground in enumerate(self.grounds):
+            for node in list_touching(ground, self.weights.inverse):
+                numbers = contact_numbers(ground, self.weights.inverse[node], self.weights.standing)
+                _add(contact, "pair", geom1=f"ground{k}", geom2=f"n{node}", **numbers)
+
+    def _strings(self) -> None:
+        s, pushing, driven = (
+            self.s,
+            set(self.scene.compression_strings.tolist()),
+            self.scene.control is not None,
+        )
+        if not len(s.strings):
+            return
+        tendon = ET.SubElement(self.root, "tendon")
+        for string, (a, b) in enumerate(s.strings):
+            rest = [s.rest_length[string]] if string in pushing else [0.0, s.rest_length[string]]
+            law = (
+                {}
+                if driven
+                else {
+                    "stiffness": s.stiffness[string],
+                    "damping": s.damping[string],
+                    "springlength": rest,
+                }
+            )
+            spatial = _add(tendon, "spatial", name=f"string{string}", **law)
+            for node in (a, b):
+                _add(spatial, "site", site=f"n{node}")
+
+    def _ties(self, step: float) -> None:
+        if not self.tree.ties:
+            return
+        equality = ET.SubElement(self.root, "equality")
+        for tie in self.tree.ties:
+            other = {} if tie.other is None else {"body2": f"bar{tie.other}"}
+            hard = {"solref": [2 * step, 1.0], "solimp": [0.9999, 0.9999, 0.001, 0.5, 2.0]}
+            _add(
+                equality,
+                "connect",
+                body1=f"bar{tie.bar}",
+                **other,
+                anchor=self.along[tie.bar, tie.node],
+                **hard,
+            )
+
+    def _control(self, moving: bool) -> None:
+        scene, s = self.scene, self.s
+        start: dict[str, Any] = {}
+        if moving:  # MuJoCo's order is that of the file
+            start["qvel"] = [
+                rate for body in self.root.iter("body") for rate in self.rates.get(body, ())
+            ]
+        if scene.control is not None and len(s.strings):
+            actuator = ET.SubElement(self.root, "actuator")
+            pushing = set(scene.compression_strings.tolist())
+            for string in range(len(s.strings)):
+                of = {"name": f"string{string}", "tendon": f"string{string}"}
+                if isinstance(scene.control, ForceDensity):
+                    _add(
+                        actuator, "general", **of, gaintype="affine", gainprm=[0, -1, 0]
+                    )  # force −length × γ
+                else:
+                    pulls = (
+                        {}
+                        if string in pushing
+                        else {"forcelimited": "true", "forcerange": [-1e12, 0.0]}
+                    )
+                    _add(
+                        actuator,
+                        "position",
+                        **of,
+                        kp=s.stiffness[string],
+                        kv=s.damping[string],
+                        **pulls,
+                    )
+            taut = s.stiffness * np.maximum(
+                0.0, 1 - s.rest_length / s.string_lengths
+            )  # Eq. 99 at rest
+            start["ctrl"] = s.rest_length if isinstance(scene.control, RestLength) else taut
+        if start:
+            _add(ET.SubElement(self.root, "keyframe"), "key", name="start", **start)
+
+
+def _add(parent: ET.Element, tag: str, **attributes: Any) -> ET.Element:
+    """Add an element.
+
+    Numbers become text that is read back exactly.
+    """
+    return ET.SubElement(parent, tag, {name: _text(value) for name, value in attributes.items()})
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, str):
+        return value
+    numbers: Iterable[Any] = np.atleast_1d(value).tolist()
+    return " ".join(
+        repr(number + 0) if isinstance(number, int) else repr(number + 0.0).removesuffix(".0")
+        for number in numbers
+    )
