@@ -23,7 +23,6 @@ import numpy as np
 import scipy.sparse as sp
 
 from tenscasadi.dynamics.mechanism import Mechanism
-from tenscasadi.scene.parameter_layout import HEAVIEST
 from tenscasadi.util.casadi_tools import (
     call_as_sx,
     diagonal_row,
@@ -237,26 +236,6 @@ def _joint_matrix(mech: Mechanism, unit: Any) -> Any:
 
 
 # --- redundant constraints ---
-
-
-def check_mass_ratio(mech: Mechanism) -> None:
-    """Check that mass ratios of bars do not exceed `HEAVIEST`.
-
-    The masses include the nodes at the ends. Raises ValueError.
-    """
-    for inverse in mech.inverse[::4] if len(mech.inverse) == 9 else mech.inverse:
-        ends = sp.csr_array(abs(mech.C_b)) @ inverse.diagonal()  # 1/kg; zero where both are fixed
-        moving = np.flatnonzero(ends > 0)
-        heavy, light = (
-            (moving[pick(ends[moving])] for pick in (np.argmin, np.argmax))
-            if len(moving)
-            else (0, 0)
-        )
-        if len(moving) and ends[light] > HEAVIEST * ends[heavy]:
-            raise ValueError(
-                f"Structure.bar_mass: bar {heavy} is {ends[light] / ends[heavy]:.1e} times as heavy as bar {light}, with the nodes at its ends: "
-                f"rounding leaves no room above {HEAVIEST:g}, pin what is so heavy or give masses nearer to each other"
-            )
 
 
 def find_redundancy(mech: Mechanism) -> str | None:

@@ -13,114 +13,84 @@ import scipy.sparse as sp
 from tenscasadi.scene.parameter_layout import Affine
 from tenscasadi.scene.parameters import MASSES
 from tenscasadi.structure.class_one import Layout
-from tenscasadi.structure.structure import Structure
 from tenscasadi.structure.subdivision import cut_strings
 from tenscasadi.util.casadi_tools import matrix_with_pattern
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import Array, Indices
 
-# unknowns above which a linear system is solved by a routine, not unrolled: shorter derivatives
+# Unknowns above which a linear system is solved by a routine: unrolled derivatives are longer.
 UNROLL_SOLVE = 6
 
 
 @dataclass(frozen=True, eq=False)
 class Masses(ReadOnlyArrays):
-    """Dependence of M and M⁻ on the parameters."""
+    """Dependence of M and M⁻ on the parameters.
 
-    entries: Affine  # entries of M, column by column
-    pattern: ca.Sparsity  # sparsity of M, n×n
-    free: tuple[Any, ...]  # (n,) bool for each M⁻: nodes that can move along its axes
-    held: Array  # (n,) constant inverse mass of columns that never move [1/kg]; 0 for others
+    Attributes
+    ----------
+    entries : Affine
+        Entries of M, column by column.
+    pattern : casadi.Sparsity, (n, n)
+        Sparsity of M.
+    free : tuple of ndarray of bool (n,)
+        For each M⁻, the nodes that can move along its axes.
+    held : ndarray (n,)
+        Constant inverse mass of columns that never move [1/kg]; 0 for others.
+    """
 
-    @property
-    def size(self) -> int:
-        """Number of entries of M and M⁻."""
-        return int(self.pattern.nnz()) + sum(pattern.nnz() for pattern, _ in self._inverses)
+    entries: Affine
+    pattern: ca.Sparsity
+    free: tuple[Any, ...]
+    held: Array
 
     def weigh(self, p: Any) -> Any:
-        """Compute the entries of M and M⁻ from CasADi parameters.
-
-        They are one below the other.
-        """
-        entries = self._column(p)
-        inverse = self._scalar_inverse if isinstance(p, ca.SX) else self._inverse
+        """Compute the entries of M and M⁻ from CasADi parameters, in one column."""
+        entries = self.entries.expression(p, full=True)
+        inverse = self._unrolled if isinstance(p, ca.SX) else self._inverse
         return ca.vertcat(entries, *inverse.call([entries]))
 
     def matrices(self, weights: Any) -> tuple[Any, tuple[Any, ...]]:
-        """Build M and M⁻ (n×n) from their entries.
-
-        There is one M⁻ for each axis, or one for all three.
-        """
-        sizes = np.cumsum(
-            [0, self.pattern.nnz(), *(pattern.nnz() for pattern, _ in self._inverses)]
-        ).tolist()
-        patterns = [self.pattern, *(pattern for pattern, _ in self._inverses)]
-        M, *inverses = (
-            matrix_with_pattern(pattern, weights[a:b])
-            for pattern, a, b in zip(patterns, sizes, sizes[1:], strict=False)
-        )
+        """Build M and M⁻ (n×n) from their entries; M⁻ is one for each axis, or one for all."""
+        patterns = [self.pattern, *self.patterns]
+        parts = ca.vertsplit(weights, np.cumsum([0, *(part.nnz() for part in patterns)]).tolist())
+        M, *inverses = map(matrix_with_pattern, patterns, parts)
         return M, tuple(inverses)
 
     def mass_matrix(self, p: Any) -> Any:
         """Build M only."""
-        return matrix_with_pattern(self.pattern, self._column(p))
+        return matrix_with_pattern(self.pattern, self.entries.expression(p, full=True))
 
     @cached_property
-    def patterns(self) -> list[sp.csr_array]:
-        """Positive definite matrices with the sparsity of each M⁻.
-
-        No entries cancel in them, as they may for particular masses.
-        """
-        generator, found = np.random.default_rng(0), []
-        for pattern, _ in self._inverses:
-            row, column = pattern.get_triplet()
-            half = sp.csr_array((generator.random(len(row)), (row, column)), shape=pattern.shape)
-            found.append(
-                sp.csr_array(
-                    half
-                    + half.T
-                    + sp.diags_array(np.where(half.diagonal() > 0, 2.0 * pattern.size1(), 0.0))
-                )
-            )
+    def patterns(self) -> list[ca.Sparsity]:
+        """Sparsity of each M⁻."""
+        n = self.pattern.size1()
+        found = []
+        for blocks in self._blocks:
+            rows = [node for block in blocks for node in np.tile(block, len(block)).tolist()]
+            columns = [node for block in blocks for node in np.repeat(block, len(block)).tolist()]
+            found.append(ca.Sparsity.triplet(n, n, rows, columns))
         return found
 
-    def _column(self, p: Any) -> Any:
-        entries = self.entries.expression(p)
-        return (
-            entries
-            if entries.shape[0] == self.pattern.nnz()
-            else ca.repmat(entries, self.pattern.nnz(), 1)
-        )
-
     @cached_property
-    def _inverses(self) -> list[tuple[ca.Sparsity, list[Indices]]]:
-        """Sparsity of each M⁻, and blocks of joined nodes."""
-        n = self.pattern.size1()
-        linked = sp.csr_array(
-            (np.ones(self.pattern.nnz()), self.pattern.get_triplet()), shape=(n, n)
-        )
+    def _blocks(self) -> list[list[Indices]]:
+        """Groups of nodes that M couples, for each M⁻."""
+        ones = np.ones(self.pattern.nnz()), self.pattern.get_triplet()
+        coupled = sp.csr_array(ones, shape=(self.pattern.size1(),) * 2)
         found = []
         for free in self.free:
             index = np.flatnonzero(free)
-            count, label = sp.csgraph.connected_components(linked[index][:, index], directed=False)
-            blocks = [index[label == k] for k in range(count)] if len(index) else []
-            rows = np.concatenate(
-                [np.zeros(0, int), *(np.tile(block, len(block)) for block in blocks)]
-            )
-            columns = np.concatenate(
-                [np.zeros(0, int), *(np.repeat(block, len(block)) for block in blocks)]
-            )
-            found.append((ca.Sparsity.triplet(n, n, rows.tolist(), columns.tolist()), blocks))
+            _, label = sp.csgraph.connected_components(coupled[index][:, index], directed=False)
+            found.append([index[label == k] for k in range(label.max(initial=-1) + 1)])
         return found
 
     @cached_property
     def _inverse(self) -> ca.Function:
         """Function from the entries of M to those of M⁻."""
-        small = all(len(block) <= UNROLL_SOLVE for _, blocks in self._inverses for block in blocks)
-        return self._scalar_inverse if small else self._write_inverse(ca.MX)
+        small = all(len(block) <= UNROLL_SOLVE for blocks in self._blocks for block in blocks)
+        return self._unrolled if small else self._write_inverse(ca.MX)
 
     @cached_property
-    def _scalar_inverse(self) -> ca.Function:
+    def _unrolled(self) -> ca.Function:
         """`_inverse` as scalar code for all block sizes."""
         return self._write_inverse(ca.SX)
 
@@ -128,25 +98,17 @@ class Masses(ReadOnlyArrays):
         entries = kind.sym("entries", self.pattern.nnz())
         M = matrix_with_pattern(self.pattern, entries)
         outputs = []
-        for _, blocks in self._inverses:
-            rows, columns, values = [], [], []
+        for pattern, blocks in zip(self.patterns, self._blocks, strict=True):
+            inverse = kind(pattern)
             for block in blocks:
-                inverse = ca.densify(_invert(M[block.tolist(), block.tolist()], self.held[block]))
-                rows.append(np.tile(block, len(block)))
-                columns.append(np.repeat(block, len(block)))
-                values.append(ca.vec(inverse))
-            order = (
-                np.lexsort((np.concatenate(rows), np.concatenate(columns))).tolist() if rows else []
-            )
-            outputs.append(ca.vertcat(*values)[order] if values else kind(0, 1))
+                nodes = block.tolist()
+                inverse[nodes, nodes] = _invert(M[nodes, nodes], self.held[block])
+            outputs.append(inverse.nz[:])
         return ca.Function("inverse_masses", [entries], outputs)
 
 
 def _invert(block: Any, held: Array) -> Any:
-    """Invert a symmetric positive definite matrix, dense.
-
-    The inverse mass of a single node may be `held` constant.
-    """
+    """Invert a symmetric positive definite matrix; that of a single node may be `held`."""
     n = block.shape[0]
     if n == 1:
         return ca.DM(held[0]) if held[0] else 1 / block
@@ -163,33 +125,39 @@ def _invert(block: Any, held: Array) -> Any:
 def read_masses(
     scene: Any, physical: Indices, inverse: tuple[Any, ...], layout: Layout | None
 ) -> Masses | None:
-    """Read the parametric masses of a mechanism; None if constant.
+    """Read the parametric masses of a mechanism; None if masses are constant.
 
-    `inverse` is the nominal M⁻ of the mechanism. `layout` is that of full coordinates, None for
-    reduced ones.
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    physical : ndarray of int, shape (n,)
+        Physical node of each column.
+    inverse : tuple of sparse array (n, n)
+        Nominal M⁻.
+    layout : Layout or None
+        That of full coordinates; None for reduced ones.
     """
-    quantities = scene.layout.quantities
-    if not quantities.keys() & set(MASSES):
+    if not scene.layout.quantities.keys() & set(MASSES):
         return None
-    structure, n = scene.modelled, len(physical)
-    given = _stack(_bar_masses(scene), _node_masses(scene))
-    columns, share = (
-        (structure.bars, np.ones(n)) if layout is None else (layout.bar_columns, layout.mass_share)
+    structure, n, beta = scene.modelled, len(physical), len(scene.modelled.bars)
+    bars, nodes = _affine(scene, "bar_mass"), _node_masses(scene)
+    given = Affine(
+        np.concatenate([bars.constant, nodes.constant]),
+        sp.csr_array(sp.vstack([bars.matrix, nodes.matrix])),
     )
-    beta = len(structure.bars)
+    columns, share = structure.bars, np.ones(n)
+    if layout is not None:
+        columns, share = layout.bar_columns, layout.mass_share
     own = structure.bar_inertia / structure.bar_mass  # J/m, Eq. 19
-    (a, b), bar = columns.T, np.arange(beta)
-    row, column = (
-        np.concatenate([a, b, a, b, np.arange(n)]),
-        np.concatenate([a, b, b, a, np.arange(n)]),
-    )
+    (a, b), bar, point = columns.T, np.arange(beta), np.arange(n)
+    row, column = np.concatenate([a, b, a, b, point]), np.concatenate([a, b, b, a, point])
     source = np.concatenate([bar, bar, bar, bar, beta + physical])
     value = np.concatenate([0.25 + own, 0.25 + own, 0.25 - own, 0.25 - own, share])  # Eq. 59
     kept = value != 0
-    row, column, source, value = row[kept], column[kept], source[kept], value[kept]
-    code, entry = np.unique(column * n + row, return_inverse=True)
+    code, entry = np.unique((column * n + row)[kept], return_inverse=True)
     onto_entries = sp.csr_array(
-        (value, (entry, source)), shape=(len(code), beta + len(structure.nodes))
+        (value[kept], (entry, source[kept])), shape=(len(code), len(given.constant))
     )
     pattern = ca.Sparsity.triplet(n, n, (code % n).tolist(), (code // n).tolist())
     free = tuple(np.asarray(matrix.diagonal() > 0) for matrix in inverse)
@@ -201,48 +169,16 @@ def read_masses(
     return Masses(given.then(onto_entries), pattern, free, held)
 
 
-def _bar_masses(scene: Any) -> Affine:
-    return scene.layout.quantities.get("bar_mass") or _constant(scene, scene.structure.bar_mass)
-
-
 def _node_masses(scene: Any) -> Affine:
-    """Compute the masses of modeled nodes, including those of segments."""
-    structure, n = scene.structure, len(scene.modelled.nodes)
-    points = scene.layout.quantities.get("node_mass") or _constant(scene, structure.node_mass)
-    points = points.then(sp.eye_array(n, len(structure.nodes)))
-    strings = scene.layout.quantities.get("string_mass") or _constant(scene, structure.string_mass)
-    spread = strings.then(_string_shares(structure, scene))
-    return Affine(points.constant + spread.constant, sp.csr_array(points.matrix + spread.matrix))
+    """Compute the point masses of modeled nodes, including those of segments."""
+    s, lumped = scene.structure, scene.ends == "lumped"
+    spread = cut_strings(s.nodes, s.strings, scene.segment_fractions, lumped)[2]
+    points = _affine(scene, "node_mass").then(sp.eye_array(spread.shape[0], len(s.nodes)))
+    strings = _affine(scene, "string_mass").then(spread)
+    return Affine(points.constant + strings.constant, sp.csr_array(points.matrix + strings.matrix))
 
 
-def _string_shares(structure: Structure, scene: Any) -> sp.csr_array:
-    """Compute the fraction of each string's mass per node (n×α)."""
-    n, count = len(structure.nodes), len(structure.strings)
-    found = sp.lil_array((len(scene.modelled.nodes), count))
-    modelled, new = scene.modelled, n
-    if len(modelled.nodes) == n and scene.ends != "lumped":
-        return sp.csr_array(found)
-    for i in range(count):
-        share = modelled.string_fraction[modelled.string_parent == i] / structure.string_fraction[i]
-        mass = cut_strings(
-            structure.nodes,
-            structure.strings[i : i + 1],
-            np.ones(1),
-            [share],
-            scene.ends == "lumped",
-        )[2]
-        inner = len(mass) - n
-        found[:n, [i]], found[new : new + inner, [i]] = mass[:n, None], mass[n:, None]
-        new += inner
-    return sp.csr_array(found)
-
-
-def _constant(scene: Any, values: Array) -> Affine:
-    return Affine(np.asarray(values), sp.csr_array((len(values), len(scene.layout))))
-
-
-def _stack(upper: Affine, lower: Affine) -> Affine:
-    return Affine(
-        np.concatenate([upper.constant, lower.constant]),
-        sp.csr_array(sp.vstack([upper.matrix, lower.matrix])),
-    )
+def _affine(scene: Any, name: str) -> Affine:
+    values = getattr(scene.structure, name)
+    constant = Affine(np.asarray(values), sp.csr_array((len(values), len(scene.layout))))
+    return scene.layout.quantities.get(name, constant)  # type: ignore[no-any-return]

@@ -269,10 +269,11 @@ class Mechanism(ReadOnlyArrays):
         """
         if self.joints:
             return 3 * self.joints
-        if self.masses is not None:  # for all values of the masses
-            G = [product(self.C_b, pattern, self.C_b.T) for pattern in self.masses.patterns]
-        else:
+        if self.masses is None:
             G = list(self.G)
+        else:  # for all values of the masses
+            ends, patterns = abs(self.C_b), map(ca.DM.ones, self.masses.patterns)
+            G = [ends @ numbered(pattern) @ ends.T for pattern in patterns]
         alone = len(G) == 1 and is_diagonal(G[0]) and bool(np.all(G[0].diagonal() > 0))
         return 0 if alone else self.bars
 

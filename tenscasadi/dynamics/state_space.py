@@ -13,7 +13,6 @@ import numpy as np
 
 from tenscasadi.dynamics.constraint_forces import (
     RedundantConstraints,
-    check_mass_ratio,
     find_redundancy,
     project_velocities,
     residual_rates,
@@ -24,6 +23,7 @@ from tenscasadi.dynamics.mechanism import BarLength, Coordinates, Mechanism
 from tenscasadi.dynamics.node_coordinates import NodeCoordinates, check_column
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity, RestLength
+from tenscasadi.structure.mass_checks import check_mass_ratio
 from tenscasadi.util.read_only import read_only
 from tenscasadi.util.validate import Array, choice, finite_array, instance
 
@@ -74,7 +74,8 @@ class StateSpace(NodeCoordinates):
             coordinates = choose_coordinates(scene, bar_length)
         choice("Model.coordinates", coordinates, "reduced", "full")
         super().__init__(scene, coordinates, scene_mechanism(scene, coordinates, bar_length))
-        check_mass_ratio(self.mechanism)
+        s = self.structure
+        check_mass_ratio("Structure.bar_mass", s, s.bar_mass, s.node_mass)
         if bar_length == "constant" and self.mechanism.system_size and not self.mechanism.joints:
             raise ValueError(
                 'Model.bar_length is "constant": bars that meet or are pinned need coordinates="full" for it'

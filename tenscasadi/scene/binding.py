@@ -1,10 +1,11 @@
-"""A scene whose constants are expressions of its parameters: what force laws read in place of numbers."""
+"""Scenes with values of their parameters: expressions for equations, or numbers."""
 
 from __future__ import annotations
 
 import copy
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import partial
 from typing import Any, TypeVar
 
 import casadi as ca
@@ -18,142 +19,114 @@ from tenscasadi.util.validate import Array
 
 Value = TypeVar("Value")
 
+_LOADS = ("gravity", "pressure", "forces")
+
 
 def with_fields(value: Value, **fields: Any) -> Value:
-    """Return a copy of a frozen value in which some fields are other ones, which are not checked: expressions of CasADi's in place of numbers."""
+    """Copy a frozen value with other fields, such as CasADi expressions, which are not checked."""
     new = copy.copy(value)
-    for name, field in fields.items():
-        object.__setattr__(new, name, field)
+    vars(new).update(fields)
     return new
 
 
 def bind(scene: Any, w: Any) -> tuple[Any, Any]:
-    """Return the scene with expressions of the parameters in w = (u, p) as its constants, and the control u; itself and w where it has none.
+    """Replace the constants of a scene by expressions of its parameters.
 
-    Strings' quantities are then rows (1×α, or 1×1) of the modelled strings. The scene that comes
-    back has no parameters left.
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    w : casadi column, shape (nu + np,)
+        Control, followed by the parameters.
+
+    Returns
+    -------
+    tuple
+        The scene without parameters, and the control (nu,). Quantities of strings are rows (1×α, or
+        1×1 if they are equal) over the modeled strings.
     """
     if scene.parameters is None:
         return scene, w
-    nu, layout = scene.nu, scene.layout
-    p = w[nu:]
+    p, items, s = w[scene.nu :], scene.layout.quantities, scene.modelled
     changes: dict[str, Any] = {"parameters": None}
-    items = layout.quantities
-    s = scene.modelled
-    own, fraction, parent = {}, s.string_fraction, s.string_parent
-    for name in items.keys() & {"stiffness", "damping", "rest_length"} - (
-        {"rest_length"} if isinstance(scene.control, RestLength) else set()
-    ):
-        share = fraction if name == "rest_length" else 1 / fraction
-        onto_segments = sp.csr_array(
-            (share, (np.arange(len(parent)), parent)),
-            shape=(len(parent), len(items[name].constant)),
-        )
+    own, count = {}, len(s.string_parent)
+    for name in items.keys() & {"stiffness", "damping", "rest_length"}:
+        if name == "rest_length" and isinstance(scene.control, RestLength):
+            continue
+        share = s.string_fraction if name == "rest_length" else 1 / s.string_fraction
+        segments = np.arange(count), s.string_parent
+        onto_segments = sp.csr_array((share, segments), shape=(count, len(items[name].constant)))
         own[name] = items[name].then(onto_segments).expression(p).T
     if own:
-        changes["modelled"] = _with_attributes(s, own)
+        changes["modelled"] = with_fields(s, **own)
     on_grounds = {
-        name.removeprefix("ground_"): _column(affine, p)
+        name.removeprefix("ground_"): affine.expression(p, full=True)
         for name, affine in items.items()
         if name.startswith("ground_")
     }
     if on_grounds:
         changes["ground"] = tuple(
-            _bind_ground(ground, k, on_grounds) for k, ground in enumerate(scene.grounds)
+            with_fields(ground, **_own_entries(ground, k, on_grounds))
+            for k, ground in enumerate(scene.grounds)
         )
-    for name in items.keys() & {"gravity", "pressure", "forces"}:
-        load, value = getattr(scene, name), _column(items[name], p)
+    for name in items.keys() & set(_LOADS):
+        load, value = getattr(scene, name), items[name].expression(p, full=True)
         if name in scene.parameters.scale:
             changes[name] = with_fields(load, factor=value)
         else:
             size = 1 if name == "pressure" else 3
             rows = ca.reshape(value, size, value.shape[0] // size).T
             changes[name] = with_fields(load, **{load.quantity_name: rows})
-    return with_fields(scene, **changes), w[:nu]
-
-
-def _bind_ground(ground: Any, k: int, values: dict[str, Any]) -> Any:
-    """Return ground k with its entries of `values` (grounds×1); one that has been made frictionless stays so."""
-    return with_fields(
-        ground,
-        **{
-            name: value[k]
-            for name, value in values.items()
-            if getattr(ground, name, None) is not None
-        },
-    )
-
-
-def _column(affine: Any, p: Any) -> Any:
-    value = affine.expression(p)
-    return (
-        value
-        if value.shape[0] == len(affine.constant)
-        else ca.repmat(value, len(affine.constant), 1)
-    )
-
-
-def _with_attributes(structure: Any, attributes: dict[str, Any]) -> Any:
-    new = copy.copy(structure)
-    new.__dict__.update(attributes)
-    return new
+    return with_fields(scene, **changes), w[: scene.nu]
 
 
 def fix(scene: Any, p: Array) -> Any:
-    """Return the scene without parameters whose constants are those of p (np,), which is checked."""
+    """Replace the constants of a scene by the values of checked parameters (np,)."""
     if scene.parameters is None:
         return scene
     items = {name: affine.numbers(p) for name, affine in scene.layout.quantities.items()}
-    structure = {
-        name: values for name, values in items.items() if QUANTITIES[name].part == "structure"
-    }
-    changes: dict[str, Any] = {
-        "parameters": None,
-        "structure": scene.structure.replace(**structure),
-    }
+    own = {name: value for name, value in items.items() if QUANTITIES[name].part == "structure"}
+    changes: dict[str, Any] = {"parameters": None, "structure": scene.structure.replace(**own)}
     on_grounds = {
         name.removeprefix("ground_"): values
         for name, values in items.items()
         if name.startswith("ground_")
     }
     if on_grounds:
-        each = [
-            {name: float(values[k]) for name, values in on_grounds.items()}
-            for k in range(len(scene.grounds))
-        ]
         changes["ground"] = tuple(
-            replace(
-                ground, **values | ({} if values.get("friction", 1.0) else {"friction": None})
-            )  # no friction at all is None
-            for ground, values in zip(scene.grounds, each, strict=True)
+            _fix_ground(ground, _own_entries(ground, k, on_grounds))
+            for k, ground in enumerate(scene.grounds)
         )
-    for name in items.keys() & {"gravity", "pressure", "forces"}:
-        load = getattr(scene, name)
+    for name in items.keys() & set(_LOADS):
+        load, value = getattr(scene, name), items[name]
         if name in scene.parameters.scale:
-            factor = float(items[name][0])
-            changed = (
-                _ScaledFunction(load.quantity, factor)
-                if load.is_function
-                else factor * np.asarray(load.quantity)
-            )
-            changes[name] = replace(load, **{load.quantity_name: changed})
+            scaled = partial(_scale, load.quantity, float(value[0]))
+            value = scaled if load.is_function else float(value[0]) * np.asarray(load.quantity)
         else:
-            changes[name] = replace(
-                load, **{load.quantity_name: items[name].reshape(np.shape(load.quantity))}
-            )
+            value = value.reshape(np.shape(load.quantity))
+        changes[name] = replace(load, **{load.quantity_name: value})
     return replace(scene, **changes)
 
 
-class _ScaledFunction:
-    """A function of time times a factor."""
+def _own_entries(ground: Any, k: int, values: dict[str, Any]) -> dict[str, Any]:
+    """Select the entries of ground k; one without friction keeps none."""
+    given = {name: value for name, value in values.items() if getattr(ground, name) is not None}
+    return {name: value[k] for name, value in given.items()}
 
-    def __init__(self, function: Any, factor: float) -> None:
-        self._function, self._factor = function, factor
 
-    def __call__(self, time: Any) -> Any:
-        return self._times(self._function(time))
+def _fix_ground(ground: Any, values: dict[str, Any]) -> Any:
+    numbers: dict[str, Any] = {name: float(value) for name, value in values.items()}
+    if numbers.get("friction") == 0:  # no friction at all
+        numbers["friction"] = None
+    return replace(ground, **numbers)
 
-    def _times(self, value: Any) -> Any:
-        if isinstance(value, Iterable) and not is_expression(value):
-            return [self._times(part) for part in value]
-        return self._factor * value
+
+def _scale(function: Any, factor: float, time: Any) -> Any:
+    """Multiply the value of a function of time, also if it consists of nested sequences."""
+    return _multiply(function(time), factor)
+
+
+def _multiply(value: Any, factor: float) -> Any:
+    if isinstance(value, Iterable) and not is_expression(value):
+        return [_multiply(part, factor) for part in value]
+    return factor * value

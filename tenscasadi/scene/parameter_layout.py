@@ -1,4 +1,4 @@
-"""The parameter vector p of a scene: its entries, how quantities follow from it, and its checks."""
+"""Parameter vector p of a scene: its entries, the quantities that follow from it, and checks."""
 
 from __future__ import annotations
 
@@ -11,67 +11,64 @@ import numpy as np
 import scipy.sparse as sp
 
 from tenscasadi.scene.parameters import GROUPED, QUANTITIES, Parameters
+from tenscasadi.structure.mass_checks import check_mass_ratio
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import SMALLEST, Array, Indices, finite_array, nesting, shown
 
-HEAVIEST = (
-    1e12  # times the lightest bar: what rounding leaves of a bar that is heavier does not hold it
-)
-
 
 class Affine(NamedTuple):
-    """Values of the items of a quantity, constant + matrix · p: all parameters enter so."""
+    """Values constant + matrix · p of the items of a quantity."""
 
     constant: Array  # (k,)
     matrix: sp.csr_array  # k×np
 
     def numbers(self, p: Array) -> Array:
-        """Return the values (…, k) for parameters p (…, np)."""
-        return np.asarray(
-            self.constant + (self.matrix @ p.reshape(-1, self.matrix.shape[1]).T).T
-        ).reshape(*p.shape[:-1], len(self.constant))
-
-    def expression(self, p: Any) -> Any:
-        """Return the values (k×1) for a CasADi column p: 1×1 where all are the same."""
-        same = (
-            len(self.constant) > 1
-            and not np.ptp(self.constant)
-            and not (self.matrix - self.matrix[[0] * len(self.constant)]).nnz
+        """Compute the values (…, k) for parameters p (…, np)."""
+        rows = p.reshape(-1, self.matrix.shape[1])
+        return np.asarray(self.constant + (self.matrix @ rows.T).T).reshape(
+            *p.shape[:-1], len(self.constant)
         )
-        constant, matrix = (self.constant[:1], self.matrix[:1]) if same else self
+
+    def expression(self, p: Any, full: bool = False) -> Any:
+        """Build the values (k×1) for a CasADi column p; 1×1 if all are equal, unless `full`."""
+        count = len(self.constant)
+        first = self.matrix[[0] * count]
+        equal = count > 1 and not np.ptp(self.constant) and not (self.matrix - first).nnz
+        constant, matrix = (self.constant[:1], self.matrix[:1]) if equal else self
         value = ca.mtimes(sparse(matrix), p)
-        return ca.densify(value + ca.DM(constant) if constant.any() else value)
+        value = ca.densify(value + ca.DM(constant) if constant.any() else value)
+        return ca.repmat(value, count, 1) if full and equal else value
 
     def then(self, matrix: Any) -> Affine:
-        """Return matrix · values."""
+        """Multiply the values by a matrix."""
         return Affine(np.asarray(matrix @ self.constant), sp.csr_array(matrix @ self.matrix))
 
 
 @dataclass(frozen=True, eq=False)
 class ParameterLayout(ReadOnlyArrays):
-    """The parameter vector p of a model: names, units and nominal values of its entries.
+    """Names, units and nominal values of a model's parameter vector p.
 
-    `Model.parameters` is one; it is empty for a scene without `Parameters`.
+    It is `Model.parameters`, and empty for a scene without `Parameters`.
 
     Attributes
     ----------
     names : tuple of str, length np
-        What each entry is: ``"stiffness[3]"`` of string 3, ``"bar_mass"`` of all bars, ``"damping
-        scale[1]"`` of group 1.
+        Names of the entries, such as ``"stiffness[3]"`` of string 3, ``"bar_mass"`` of all bars and
+        ``"damping scale[1]"`` of group 1.
     units : tuple of str, length np
         Unit of each entry; "1" for scales.
     nominal : ndarray, shape (np,)
-        Values with which the model is that of its scene.
+        Values of the scene.
     quantities : dict of str to Affine
-        How the items of each quantity follow from p.
+        Items of each quantity as functions of p.
     places : dict of str to slice
-        The entries of each quantity.
+        Entries of each quantity.
     strict : dict of str to ndarray of bool
-        The items of each quantity that must be greater than 0.
+        Whether each item of a quantity must be greater than 0.
     structure : Structure or None
-        The structure whose items these are; None where there are no parameters.
+        Structure of the items; None without parameters.
 
     See Also
     --------
@@ -99,15 +96,15 @@ class ParameterLayout(ReadOnlyArrays):
         return len(self.names)
 
     def values(self, given: Any = None, /, **changes: Any) -> Array:
-        """Return the vector p, checked.
+        """Build and check the vector p.
 
         Parameters
         ----------
         given : array_like, shape (np,), or mapping of str to array_like, optional
-            All entries, or those of some quantities by name, one number for all of a quantity's or
-            one each; others are nominal, as are all if None.
+            All entries, or quantities by name. A quantity is one number for all its entries, or one
+            for each. The others are nominal.
         **changes : array_like
-            Quantities by name, changed after that.
+            Quantities by name, which replace those in `given`.
 
         Returns
         -------
@@ -117,8 +114,8 @@ class ParameterLayout(ReadOnlyArrays):
         Raises
         ------
         TypeError, ValueError
-            Where a name is no parameter, a shape does not fit, a number is not finite or has no
-            physical meaning, by its name.
+            If a name is no parameter, or a value has another shape, is not finite, or is
+            physically impossible.
         """
         mapping = isinstance(given, Mapping)
         p = np.array(
@@ -143,7 +140,7 @@ class ParameterLayout(ReadOnlyArrays):
         return p
 
     def item_values(self, name: str, p: Array, constant: Array) -> Array:
-        """Return the values of the items of a quantity.
+        """Compute the values of the items of a quantity.
 
         Parameters
         ----------
@@ -152,60 +149,43 @@ class ParameterLayout(ReadOnlyArrays):
         p : ndarray, shape (np,)
             Parameters.
         constant : ndarray, shape (k,)
-            The scene's own values, which it has where it is no parameter.
+            Values of the scene, if the quantity is no parameter.
 
         Returns
         -------
         ndarray, shape (k,)
-            Values of its items.
+            Values.
         """
         return self.quantities[name].numbers(p) if name in self.quantities else constant.copy()
 
     def check(self, p: Array) -> None:
-        """Raise ValueError, naming quantity and item, where parameters have no physical meaning, such as a negative mass.
+        """Raise ValueError for physically impossible parameters, such as a negative mass.
 
         Parameters
         ----------
         p : ndarray, shape (..., np)
-            Parameters, one row or many.
+            Parameters, one vector or many.
         """
+        where = "parameters"
         for name, affine in self.quantities.items():
-            quantity = QUANTITIES[name]
+            quantity, strict = QUANTITIES[name], self.strict[name]
             if quantity.least == "any":
                 continue
             values = affine.numbers(p).reshape(-1, len(affine.constant))
-            strict = self.strict[name]
             for row, item in np.argwhere(values < np.where(strict, SMALLEST, 0.0))[:1]:
                 which = f" of {quantity.item} {item}" if quantity.item in GROUPED else ""
-                where = "parameters" if p.ndim == 1 else f"parameters[{row}]"
+                where += f"[{row}]" if p.ndim > 1 else ""
                 unit = "" if quantity.unit == "1" else f" {quantity.unit}"
                 relation = "greater than" if strict[item] else "at least"
                 raise ValueError(
                     f"{where}: {name}{which} is {values[row, item]:g}{unit}: it must be {relation} 0"
                 )
-
-        if self.structure is not None and {"bar_mass", "node_mass"} & self.quantities.keys():
-            self._check_ratio(self.structure, p)
-
-    def _check_ratio(self, s: Structure, p: Array) -> None:
-        """Raise ValueError where a bar that can move is more than `HEAVIEST` times as heavy as another, both with the nodes at its ends."""
-        masses = [
-            self.quantities[name].numbers(p) if name in self.quantities else getattr(s, name)
-            for name in ("bar_mass", "node_mass")
-        ]
-        moving = np.flatnonzero(~s.fixed[s.bars].all(axis=(1, 2)))
-        if len(moving) < 2:
-            return
-        weights = (masses[0] + masses[1][..., s.bars].sum(axis=-1))[..., moving].reshape(
-            -1, len(moving)
-        )
-        ratio = weights.max(axis=1, initial=0.0) / weights.min(axis=1, initial=np.inf)
-        for row in np.flatnonzero(ratio > HEAVIEST)[:1]:
-            heavy, light = moving[weights[row].argmax()], moving[weights[row].argmin()]
-            raise ValueError(
-                f"parameters: bar {heavy} is {ratio[row]:.1g} times as heavy as bar {light}, with the nodes at their ends: rounding leaves no room "
-                f"above {HEAVIEST:g}, pin what is so heavy or give masses nearer to each other"
-            )
+        s = self.structure
+        if s is not None and {"bar_mass", "node_mass"} & self.quantities.keys():
+            masses = [
+                self.item_values(name, p, getattr(s, name)) for name in ("bar_mass", "node_mass")
+            ]
+            check_mass_ratio(where, s, *masses)
 
     def __str__(self) -> str:
         width = max(map(len, self.names), default=0)
@@ -215,95 +195,83 @@ class ParameterLayout(ReadOnlyArrays):
         )
 
 
-def lay_out(scene: Any, parameters: Parameters) -> ParameterLayout:
-    """Return the vector that `parameters` make of a scene's quantities, in their order. Raises ValueError where a quantity is not there."""
-    entries = [
-        (name, _entries(scene, parameters, name)) for name in (*parameters.names, *parameters.scale)
-    ]
-    count = sum(len(entry.nominal) for _, entry in entries)
-    names: list[str] = []
-    units: list[str] = []
-    nominal: list[Array] = []
-    quantities, places, strict = {}, {}, {}
-    first = 0
-    for name, entry in entries:
-        last = first + len(entry.nominal)
-        matrix = sp.csr_array(
-            (entry.weight, (entry.item, first + entry.place)), shape=(len(entry.constant), count)
-        )
-        quantities[name], places[name] = Affine(entry.constant, matrix), slice(first, last)
-        strict[name] = _strict_items(scene, name, len(entry.constant))
-        names += entry.names
-        units += ["1" if name in parameters.scale else QUANTITIES[name].unit] * (last - first)
-        nominal.append(entry.nominal)
-        first = last
-    return ParameterLayout(
-        tuple(names),
-        tuple(units),
-        np.concatenate(nominal),
-        quantities,
-        places,
-        strict,
-        scene.structure,
-    )
-
-
 EMPTY = ParameterLayout((), (), np.zeros(0), {}, {}, {})
 
 
-class _Entries(NamedTuple):
-    """Entries of p for a quantity of k items: item[j] follows entry place[j] with a weight; other items are constant."""
+class _Block(NamedTuple):
+    """Entries of p for one quantity.
+
+    The value of items[j] is weights[j] times the entry with this number; other items are constant.
+    """
 
     names: list[str]
     nominal: Array
     constant: Array  # (k,)
-    item: Indices
-    place: Indices
-    weight: Array
+    items: Indices
+    entries: Indices
+    weights: Array
 
 
-def _entries(scene: Any, parameters: Parameters, name: str) -> _Entries:
-    values, labels = _nominal_items(scene, parameters, name)
-    members, keys = _members(parameters, name, labels)
-    scaled = name in parameters.scale
-    own = [values[group] for group in members]
-    for key, group in zip(keys, own, strict=True):
-        if scaled and not group.any():
-            raise ValueError(
-                f"Parameters.scale has {name!r}, whose value{key} is 0: name it without scale="
-            )
-        if not scaled and np.ptp(group):
-            low, high = group.min(), group.max()
-            raise ValueError(
-                f"Parameters: the scene's {name}{key} differs, from {low:g} to {high:g}: give it under scale=, or equal values"
-            )
-    item = np.concatenate(members)
-    constant = np.array(values, dtype=float)
-    constant[item] = 0.0
-    place = np.repeat(np.arange(len(members)), [len(group) for group in members])
-    if scaled:
-        return _Entries(
-            [f"{name} scale{key}" for key in keys],
-            np.ones(len(keys)),
-            constant,
-            item,
-            place,
-            values[item],
-        )
-    return _Entries(
-        [name + key for key in keys],
-        np.array([group[0] for group in own]),
-        constant,
-        item,
-        place,
-        np.ones(len(item)),
+def build_layout(scene: Any, parameters: Parameters) -> ParameterLayout:
+    """Build the parameter vector of a scene's quantities, in their order.
+
+    Raises ValueError for a quantity that the scene does not have.
+    """
+    order = (*parameters.names, *parameters.scale)
+    blocks = {name: _build_block(scene, parameters, name) for name in order}
+    ends = dict(zip(order, np.cumsum([len(block.names) for block in blocks.values()]), strict=True))
+    places = {
+        name: slice(int(ends[name]) - len(blocks[name].names), int(ends[name])) for name in order
+    }
+    quantities, units = {}, []
+    for name, block in blocks.items():
+        index = block.items, places[name].start + block.entries
+        shape = len(block.constant), int(ends[order[-1]])
+        quantities[name] = Affine(block.constant, sp.csr_array((block.weights, index), shape=shape))
+        unit = "1" if name in parameters.scale else QUANTITIES[name].unit
+        units += [unit] * len(block.names)
+    return ParameterLayout(
+        tuple(name for block in blocks.values() for name in block.names),
+        tuple(units),
+        np.concatenate([block.nominal for block in blocks.values()]),
+        quantities,
+        places,
+        {name: _find_strict(scene, name, len(own.constant)) for name, own in blocks.items()},
+        scene.structure,
     )
 
 
-def _members(
+def _build_block(scene: Any, parameters: Parameters, name: str) -> _Block:
+    values, labels = _read_items(scene, parameters, name)
+    members, keys = _find_members(parameters, name, labels)
+    scaled = name in parameters.scale
+    for key, group in zip(keys, members, strict=True):
+        own = values[group]
+        if scaled and not own.any():
+            raise ValueError(
+                f"Parameters.scale has {name!r}, whose value{key} is 0: name it without scale="
+            )
+        if not scaled and np.ptp(own):
+            raise ValueError(
+                f"Parameters: the scene's {name}{key} differs, from {own.min():g} to {own.max():g}: give it under scale=, or equal values"
+            )
+    items = np.concatenate(members)
+    constant = np.array(values, dtype=float)
+    constant[items] = 0.0
+    return _Block(
+        [f"{name}{' scale' if scaled else ''}{key}" for key in keys],
+        np.array([1.0 if scaled else values[group[0]] for group in members]),
+        constant,
+        items,
+        np.repeat(np.arange(len(members)), [len(group) for group in members]),
+        values[items] if scaled else np.ones(len(items)),
+    )
+
+
+def _find_members(
     parameters: Parameters, name: str, labels: list[Any]
 ) -> tuple[list[Indices], list[str]]:
-    """Return the items that follow each entry of a quantity, and how the entries' names end."""
+    """Find the items of each entry of a quantity, and the ends of the entries' names."""
     groups, count = dict(parameters.groups).get(name), len(labels)
     if groups == ((),) or labels == [""] or (groups is None and name in parameters.scale):
         return [np.arange(count)], [""]
@@ -318,47 +286,42 @@ def _members(
     return [np.array(group) for group in groups], [f"[{g}]" for g in range(len(groups))]
 
 
-def _nominal_items(scene: Any, parameters: Parameters, name: str) -> tuple[Array, list[Any]]:
-    """Return the scene's own values of the items of a quantity, and what to call the items."""
-    part = QUANTITIES[name].part
+def _read_items(scene: Any, parameters: Parameters, name: str) -> tuple[Array, list[Any]]:
+    """Read the scene's values of a quantity, and the labels of its items."""
+    part, item = QUANTITIES[name].part, QUANTITIES[name].item
     source = getattr(scene, part)
-    if source is None:
-        raise ValueError(
-            f"Parameters has {name!r}, but Scene.{part} is None: give one, or leave the name out"
-        )
+    missing = "" if source is not None else f"Scene.{part} is None: give one"
+    values: Any = []
     if part == "structure":
-        values = np.asarray(getattr(source, name))
-        if not len(values):
-            raise ValueError(
-                f"Parameters has {name!r}, but the structure has no {QUANTITIES[name].item}s: leave the name out"
-            )
-        return values, list(range(len(values)))
-    if part == "ground":
-        each = [getattr(ground, name.removeprefix("ground_")) for ground in scene.grounds]
-        if None in each:
-            raise ValueError(
-                f"Parameters has {name!r}, but Ground.friction is None: give a coefficient, or leave the name out"
-            )
-        return np.array(each), [""] if len(each) == 1 else list(range(len(each)))
+        values = getattr(source, name)
+        missing = "" if len(values) else f"the structure has no {item}s"
+    elif part == "ground":
+        values = [getattr(ground, name.removeprefix("ground_")) for ground in scene.grounds]
+        missing = missing or (
+            "Ground.friction is None: give a coefficient" if None in values else ""
+        )
+    if missing:
+        cure = ", or leave the name out" if ": " in missing else ": leave the name out"
+        raise ValueError(f"Parameters has {name!r}, but {missing}{cure}")
+    if part in ("structure", "ground"):
+        single = part == "ground" and len(values) == 1
+        return np.array(values), [""] if single else list(range(len(values)))
     if name in parameters.scale:  # of a load as a whole, which may depend on time
         return np.ones(1), [""]
     if source.varies:
         raise ValueError(
             f"Parameters has {name!r}, but {source.field} changes over time: name {name!r} under scale="
         )
-    if part == "gravity":
-        return np.asarray(source.acceleration), ["x", "y", "z"]
-    if part == "pressure":
-        return np.array([source.difference]), [""]
-    return np.asarray(source.values).ravel(), [
-        f"{node}, {axis}" for node in range(len(source.values)) for axis in "xyz"
-    ]
+    values = np.asarray(source.quantity, dtype=float)
+    nodes = [f"{node}, " for node in range(len(values))] if values.ndim == 2 else [""]
+    axes = "xyz" if values.ndim else [""]
+    return values.ravel(), [node + axis for node in nodes for axis in axes]
 
 
-def _strict_items(scene: Any, name: str, count: int) -> Any:
-    """Tell which items must be greater than 0 (count,): masses where nothing else makes a node heavy, too."""
+def _find_strict(scene: Any, name: str, count: int) -> Any:
+    """Find the items (count,) that must be greater than 0."""
     s = scene.structure
-    if name == "node_mass":  # as the structure itself asks
+    if name == "node_mass":  # nodes that nothing else makes heavy
         bare = ~s.fixed.all(axis=1)
         bare[s.bars] = False
         bare[s.strings[s.string_mass > SMALLEST]] = False

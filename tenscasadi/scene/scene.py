@@ -11,7 +11,7 @@ import numpy as np
 
 from tenscasadi.scene.ground import Surface, checked_grounds
 from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
-from tenscasadi.scene.parameter_layout import EMPTY, ParameterLayout, lay_out
+from tenscasadi.scene.parameter_layout import EMPTY, ParameterLayout, build_layout
 from tenscasadi.scene.parameters import Parameters
 from tenscasadi.scene.strings import Clip, Control, ForceDensity, RestLength, StringLaw, read_slack
 from tenscasadi.scene.supports import SupportMotion
@@ -20,9 +20,9 @@ from tenscasadi.schema.definitions import OneOf
 from tenscasadi.schema.field_types import ElsewhereInFile
 from tenscasadi.schema.value import Value
 from tenscasadi.structure.structure import Structure
-from tenscasadi.structure.subdivision import segment_counts
+from tenscasadi.structure.subdivision import segment_counts, segment_shares
 from tenscasadi.util.renamed import RenamedAttribute
-from tenscasadi.util.validate import Indices, instance
+from tenscasadi.util.validate import Array, Indices, instance
 from tenscasadi.util.viewable import Viewable
 
 
@@ -150,6 +150,12 @@ class Scene(Value, Viewable, kind="Scene"):
         return self.structure.subdivide(self.segments, self.ends, self.fractions)
 
     @cached_property
+    def segment_fractions(self) -> list[Array]:
+        """Fractions of each string's length that its segments have."""
+        counts = segment_counts(self.segments, len(self.structure.strings))
+        return [segment_shares(count, self.fractions) for count in counts]
+
+    @cached_property
     def string_laws(self) -> list[tuple[StringLaw, Indices]]:
         """Each law that strings have, with the modelled strings that have it; none where force densities are commanded."""
         count = len(self.modelled.strings)
@@ -157,12 +163,9 @@ class Scene(Value, Viewable, kind="Scene"):
             return []
         if isinstance(self.slack, StringLaw):
             return [(self.slack, np.arange(count))]
-        whose = np.repeat(
-            np.arange(len(self.structure.strings)),
-            segment_counts(self.segments, len(self.structure.strings)),
-        )
         given = cast("tuple[StringLaw, ...]", self.slack)
-        laws = [given[string] for string in whose]
+        own = zip(given, self.segment_fractions, strict=True)
+        laws = [law for law, fractions in own for _ in fractions]
         return [
             (law, np.array([i for i, other in enumerate(laws) if other == law]))
             for law in dict.fromkeys(laws)
@@ -188,7 +191,7 @@ class Scene(Value, Viewable, kind="Scene"):
     @cached_property
     def layout(self) -> ParameterLayout:
         """The vector p that the parameters make, with its nominal values: `Model.parameters`."""
-        return EMPTY if self.parameters is None else lay_out(self, self.parameters)
+        return EMPTY if self.parameters is None else build_layout(self, self.parameters)
 
     def has_parameter(self, name: str) -> bool:
         """Return whether a quantity is a parameter.

@@ -25,7 +25,7 @@ from tenscasadi.schema.field_types import PER_ITEM, ElsewhereInFile, varying
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.time_grid import lay_run
 from tenscasadi.simulation.trajectory import Trajectory
-from tenscasadi.structure.subdivision import cut_strings, segment_counts, segment_shares
+from tenscasadi.structure.subdivision import cut_strings
 from tenscasadi.util.compile import Compiled
 from tenscasadi.util.validate import (
     Array,
@@ -243,8 +243,5 @@ class Simulation:
         structure = self.scene.structure
         if len(rows) == len(self.scene.modelled.nodes):
             return rows
-        shares = [
-            segment_shares(count, self.scene.fractions)
-            for count in segment_counts(self.scene.segments, len(structure.strings))
-        ]
-        return cut_strings(rows, structure.strings, structure.string_mass, shares, lumped=False)[0]
+        fractions = self.scene.segment_fractions
+        return cut_strings(rows, structure.strings, fractions, lumped=False)[0]

@@ -122,23 +122,6 @@ def member_lengths(field: str, nodes: Array, pairs: Indices, item: str) -> Array
     return np.asarray(lengths)
 
 
-def refuse_massless_nodes(
-    node_mass: Array, still: Any, bars: Indices, heavy_strings: Indices
-) -> None:
-    """Reject moving nodes without bar or mass.
-
-    They would make M singular.
-    """
-    heavy = (node_mass > SMALLEST) | still
-    heavy[bars] = True
-    heavy[heavy_strings] = True
-    for node in np.flatnonzero(~heavy):
-        cure = "give it a mass, pin it in all axes, or give its strings a string_mass, which the scene lumps there with ends='lumped'"
-        raise ValueError(
-            f"node_mass of node {node} is {node_mass[node]:g} and no bar ends there: {cure}"
-        )
-
-
 def selection_matrix(columns: Indices, count: int) -> csr_array:
     """Build the rows of the identity matrix that select `columns`."""
     return csr_array(

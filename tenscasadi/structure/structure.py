@@ -23,9 +23,9 @@ from tenscasadi.structure.class_one import (
     extend_layout,
     member_lengths,
     read_matrices,
-    refuse_massless_nodes,
 )
 from tenscasadi.structure.derived import DERIVED, read_derived, write_derived
+from tenscasadi.structure.mass_checks import check_node_masses
 from tenscasadi.structure.names import extend_names, find_names, name_segments, read_names
 from tenscasadi.structure.pins import Normals, read_axes, read_pins, read_rollers
 from tenscasadi.structure.subdivision import cut_strings, segment_counts, segment_shares
@@ -201,7 +201,7 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
                 f"bar_radius of bar {i} is {self.bar_radius[i]:g} m: it must be at most {most}"
             )
         own["bar_inertia"] = self.bar_mass * (1.0 / 12.0 + slenderness**2 / 4.0)  # Eq. 19
-        refuse_massless_nodes(
+        check_node_masses(
             self.node_mass,
             self.fixed.all(axis=1),
             self.bars,
@@ -459,13 +459,12 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
             raise ValueError(
                 f"string_mass of string {i} is 0: give it a mass, as segments meet in nodes that need one"
             )
-        nodes, strings, mass = cut_strings(
-            self.nodes, self.strings, self.string_mass, shares, ends == "lumped"
-        )
+        nodes, strings, spread = cut_strings(self.nodes, self.strings, shares, ends == "lumped")
         new = self.replace(
             nodes=nodes,
             strings=strings,
-            node_mass=mass + np.pad(self.node_mass, (0, len(nodes) - len(self.nodes))),
+            node_mass=spread @ self.string_mass
+            + np.pad(self.node_mass, (0, len(nodes) - len(self.nodes))),
             node_names=extend_names(self.node_names, len(nodes)),
             string_names=name_segments(self.string_names, counts),
             stiffness=self.stiffness[parent] / share,

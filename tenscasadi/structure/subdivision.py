@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.sparse import csr_array
 
 from tenscasadi.util.validate import Array, Indices, finite_array, listed, nonnegative, whole_number
 
@@ -13,27 +14,45 @@ LARGEST_COUNT = 200_000  # segments of all strings
 
 
 def cut_strings(
-    nodes: Array, strings: Indices, string_mass: Array, shares: list[Array], lumped: bool
-) -> tuple[Array, Indices, Array]:
-    """Divide strings into segments with the given fractions.
+    nodes: Array, strings: Indices, fractions: list[Array], lumped: bool
+) -> tuple[Array, Indices, csr_array]:
+    """Divide strings into segments with the given fractions of the length.
 
-    Returns all nodes (m, 3), the node pairs of segments, and the string mass (m,) of each node.
+    Parameters
+    ----------
+    nodes : ndarray, shape (n, 3)
+        Positions [m].
+    strings : ndarray of int, shape (α, 2)
+        End nodes of the strings.
+    fractions : list of ndarray
+        Fractions of each string's length that its segments have.
+    lumped : bool
+        Whether half of each segment's mass is on each of its ends, else the mass is on inner nodes.
+
+    Returns
+    -------
+    tuple
+        All nodes (m, 3), node pairs of the segments, and the fraction (m, α) of each string's mass
+        that is on each node.
     """
-    places, pairs, masses = [nodes], [np.zeros((0, 2), dtype=np.intp)], [np.zeros(len(nodes))]
-    new = len(nodes)
-    for (a, b), share, m in zip(strings, shares, string_mass, strict=True):
-        inner = np.cumsum(share)[:-1, None]
-        places.append((1.0 - inner) * nodes[a] + inner * nodes[b])
-        path = np.concatenate([[a], new + np.arange(len(inner)), [b]])
-        pairs.append(np.column_stack([path[:-1], path[1:]]))
-        new += len(inner)
-        if lumped:
-            masses.append(0.5 * m * (share[:-1] + share[1:]))
-            masses[0][a] += 0.5 * m * share[0]
-            masses[0][b] += 0.5 * m * share[-1]
-        else:
-            masses.append(np.full(len(inner), m / max(len(inner), 1)))
-    return np.concatenate(places), np.concatenate(pairs), np.concatenate(masses)
+    counts = np.array([len(own) for own in fractions], dtype=np.intp)
+    parent, fraction = np.repeat(np.arange(len(counts)), counts), np.concatenate([[], *fractions])
+    along = np.concatenate([[], *map(np.cumsum, fractions)])[:, None]
+    first, second = strings[parent].T
+    inner = np.diff(parent, append=-1) == 0  # segments that end inside their string
+    total = len(nodes) + int(inner.sum())
+    ends = second.copy()
+    ends[inner] = np.arange(len(nodes), total)
+    starts = np.where(np.roll(inner, 1), np.roll(ends, 1), first)
+    between = ((1.0 - along) * nodes[first] + along * nodes[second])[inner]
+    if lumped:
+        rows, columns = np.append(starts, ends), np.append(parent, parent)
+        shares = 0.5 * np.append(fraction, fraction)
+    else:
+        rows, columns = ends[inner], parent[inner]
+        shares = 1.0 / (counts[columns] - 1)
+    spread = csr_array((shares, (rows, columns)), shape=(total, len(strings)))
+    return np.concatenate([nodes, between]), np.column_stack([starts, ends]), spread
 
 
 def segment_counts(segments: int | Sequence[int] | Indices, strings: int) -> list[int]:

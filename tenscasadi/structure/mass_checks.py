@@ -1,0 +1,49 @@
+"""Checks of masses that would make the equations of motion singular."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from tenscasadi.util.validate import SMALLEST, Array, Indices
+
+MAX_MASS_RATIO = 1e12  # between bars; beyond, rounding exceeds the force that holds the heavier one
+
+
+def check_node_masses(node_mass: Array, fixed: Any, bars: Indices, heavy_strings: Indices) -> None:
+    """Raise ValueError for a moving node without bar or mass, which would make M singular."""
+    heavy = (node_mass > SMALLEST) | fixed
+    heavy[bars] = True
+    heavy[heavy_strings] = True
+    for node in np.flatnonzero(~heavy):
+        cure = "give it a mass, pin it in all axes, or give its strings a string_mass, which the scene lumps there with ends='lumped'"
+        raise ValueError(
+            f"node_mass of node {node} is {node_mass[node]:g} and no bar ends there: {cure}"
+        )
+
+
+def check_mass_ratio(field: str, structure: Any, bar_mass: Array, node_mass: Array) -> None:
+    """Raise ValueError if a moving bar, with the nodes at its ends, is too heavy for another.
+
+    Parameters
+    ----------
+    field : str
+        Name of the input in the message.
+    structure : Structure
+        Bars and pins.
+    bar_mass, node_mass : ndarray, shape (..., β) and (..., n)
+        Masses [kg].
+    """
+    bars = structure.bars
+    moving = np.flatnonzero(~structure.fixed[bars].all(axis=(1, 2)))
+    if len(moving) < 2:
+        return
+    weights = (bar_mass + node_mass[..., bars].sum(axis=-1))[..., moving].reshape(-1, len(moving))
+    ratios = weights.max(axis=1) / weights.min(axis=1)
+    for row in np.flatnonzero(ratios > MAX_MASS_RATIO)[:1]:
+        heavy, light = moving[weights[row].argmax()], moving[weights[row].argmin()]
+        raise ValueError(
+            f"{field}: bar {heavy} is {ratios[row]:.1g} times as heavy as bar {light}, with the nodes at their ends: rounding leaves no room "
+            f"above {MAX_MASS_RATIO:g}, pin what is so heavy or give masses nearer to each other"
+        )
