@@ -87,7 +87,7 @@ def _find_targets(timed: Iterable[tuple[float, Any]], planned: Motion) -> Array:
 
 
 def _build_charts(plan: Any, replay: Any, bounds: list[Any]) -> Iterator[Chart]:
-    """Yield the charts of the control, and of the tensions if they are limited."""
+    """Yield charts of the control and of limited tensions."""
 
     def chart(title: str, unit: str, time: Array, values: Array, kind: type[StringLimits]) -> Chart:
         names = tuple(f"string {k}" for k in range(values.shape[1]))
@@ -103,7 +103,7 @@ def _build_charts(plan: Any, replay: Any, bounds: list[Any]) -> Iterator[Chart]:
 def _limits(
     kind: type[StringLimits], plan: Any, bounds: list[Any], count: int
 ) -> tuple[Array, Array]:
-    """Find the tightest limits (α,) of a kind; infinite if there is none."""
+    """Find the tightest limits (α,) of a kind, or infinity."""
     lower, upper = np.full(count, -np.inf), np.full(count, np.inf)
     for bound in bounds:
         if isinstance(bound, kind):

@@ -1,1 +1,1 @@
-"""Content, colors and shapes of pictures, shared by plots, the viewer and exporters."""
+"""Pictures: content, colors and shapes, for plots, viewer and exporters."""

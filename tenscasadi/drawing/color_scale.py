@@ -67,7 +67,10 @@ class ColorScale:
         return "; ".join(parts)
 
     def widen(self, values: Array) -> ColorScale:
-        """Include more values, with a new end if they exceed it by 5 %."""
+        """Include more values.
+
+        The scale has a new end if they exceed it by 5 %.
+        """
         found = ColorScale.of(self.quantity, values)
         exceeds = found.largest > 1.05 * self.largest
         return ColorScale(

@@ -1,4 +1,4 @@
-"""Conversion of structures, scenes, motions and plans into the content of a picture."""
+"""Content of a picture of structures, scenes, motions and plans."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MOST_COPIES = 60  # drawn motions of rollouts: more are no longer told apart
 
 
 def describe_content(things: Any, field: str = "things", ground: Grounds = None) -> ViewContent:
-    """Describe one thing, a list of things, or a mapping of names to things.
+    """Describe a thing, a list, or a mapping of names.
 
     Objects of other packages describe themselves by a method ``_view_content_()``. `field` names
     the things in errors, and `ground` holds grounds besides those of the scenes.

@@ -35,7 +35,10 @@ class Poses(NamedTuple):
     scales: Floats
 
     def round(self, grain: float) -> Poses:
-        """Round positions and scales to about a grain [m], and rotations alike; not at all for 0."""
+        """Round positions and scales to about a grain [m].
+
+        Rotations are rounded alike. A grain of 0 leaves all as they are.
+        """
         if grain == 0:
             return self
         positions, scales = (
@@ -57,7 +60,10 @@ def build_cylinder(sides: int) -> Mesh:
 
 
 def build_cone(sides: int = 12) -> Mesh:
-    """Build a cone of radius 1 and height 2 below its tip at the origin."""
+    """Build a cone with its tip at the origin.
+
+    It has the radius 1 and the height 2.
+    """
     rim = np.column_stack([_build_ring(sides), np.full(sides, -2.0)])
     a = np.arange(sides)
     b = (a + 1) % sides

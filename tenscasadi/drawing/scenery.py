@@ -32,7 +32,10 @@ class GroundPatch(NamedTuple):
 
 
 def grid_spacing(size: float, lines: int = STYLE.grid_lines) -> float:
-    """Choose 1, 2 or 5 times a power of ten, at most `size / lines` [m]."""
+    """Choose 1, 2 or 5 times a power of ten [m].
+
+    The result is at most `size / lines`.
+    """
     largest = size / lines * (1 + 1e-9)
     power = 10.0 ** np.floor(np.log10(largest))
     return float(power * max(step for step in (1, 2, 5) if step * power <= largest))
@@ -63,7 +66,7 @@ def find_view(content: ViewContent, margin: float) -> tuple[Array, Array]:
 
 
 def cut_ground(ground: Surface, low: Array, high: Array) -> GroundPatch | None:
-    """Find the part of a ground in a box; None if there is none.
+    """Find the part of a ground in a box, or None.
 
     The corners of the box are in m.
     """
@@ -126,7 +129,7 @@ def _cut_plane(ground: Ground, low: Array, high: Array) -> GroundPatch | None:
 
 
 def _cut_polygon(polygon: Array, inside: Array) -> Array:
-    """Keep the part in which a linear function of the corners is not negative.
+    """Keep the part in which a linear function is not negative.
 
     This is a step of the algorithm of Sutherland and Hodgman.
     """

@@ -102,7 +102,9 @@ def _fill(color: Rgb, count: int) -> Bytes:
 
 
 def choose_tint(content: ViewContent, index: int) -> Rgb | None:
-    """Choose the color of a motion; None if it is opaque and colored by its forces.
+    """Choose the color of a motion.
+
+    Returns None if it is opaque and colored by its forces.
 
     The first motion is, unless it consists of copies.
     """

@@ -1,4 +1,4 @@
-"""Files of other programs, with a list of all that was left out or changed."""
+"""Files of other programs, with a list of changes."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ from pathlib import Path
 
 from tenscasadi.schema.reading import SceneFileError
 from tenscasadi.util.validate import file_path, flag
+
+MOST_PARTS = 100_000  # elements, entries, nodes and members of a file
+DEEPEST = 200  # nesting of elements
 
 
 class InexactImportWarning(UserWarning):
@@ -73,7 +76,10 @@ class Source:
         return content
 
     def leave_out(self, error: ValueError) -> None:
-        """Leave out a feature without a counterpart; raise the error if the import is strict."""
+        """Leave out a feature without a counterpart.
+
+        Raises the error if the import is strict.
+        """
         if self.strict:
             raise error
         self.note(str(error).removeprefix(f"{self.path.name}, "))

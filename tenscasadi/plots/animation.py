@@ -20,7 +20,7 @@ from tenscasadi.drawing.color_scale import ColorScale
 from tenscasadi.drawing.describe import describe_content
 from tenscasadi.drawing.shapes import MotionShapes
 from tenscasadi.drawing.view_content import choose_frame_times
-from tenscasadi.plots.canvas3d import Canvas
+from tenscasadi.plots.canvas3d import Canvas3D
 from tenscasadi.scene.ground import Grounds
 from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import file_path, flag, positive_number, text, whole_number
@@ -99,7 +99,7 @@ def animate(
     values = np.zeros((1, 0)) if motion.tension is None else motion.tension
     scale = ColorScale.of("tension", values)
     figure = Figure(figsize=(5.4, 4.6))
-    canvas = Canvas(figure, content)
+    canvas = Canvas3D(figure, content)
     if np.any(values != 0):
         canvas.add_color_bar(scale)
     canvas.fit()

@@ -29,7 +29,7 @@ from tenscasadi.util.validate import Array
 _PIECES = 9  # of each member, so that two crossing ones are sorted where they cross
 
 
-class Canvas:
+class Canvas3D:
     """3-D axes for one picture.
 
     Parameters

@@ -54,7 +54,9 @@ def draw_chart(ax: Axes, chart: Chart) -> None:
 
 
 def draw_svg(chart: Chart, width: float, height: float) -> tuple[str, tuple[float, float]]:
-    """Draw a chart as SVG text, with the fractions of its width at first and last time.
+    """Draw a chart as SVG text.
+
+    Also returns the fractions of its width at the first and the last time.
 
     `width` and `height` are in inches.
     """
@@ -72,7 +74,7 @@ def draw_svg(chart: Chart, width: float, height: float) -> tuple[str, tuple[floa
 
 
 def _reduce(chart: Chart, curves: int = 40, rows: int = 300) -> Chart:
-    """Select rows, and the curves that reach furthest from zero, for a small file."""
+    """Select rows and the largest curves for a small file."""
     count = chart.values.shape[1]
     reach = np.abs(np.nan_to_num(chart.values)).max(axis=0, initial=0.0)
     chosen = np.sort(np.argsort(-reach, kind="stable")[:curves])
@@ -90,7 +92,9 @@ def _reduce(chart: Chart, curves: int = 40, rows: int = 300) -> Chart:
 
 
 def group_curves(values: Array) -> Groups:
-    """Group the columns of values (T, m) that coincide within 0.5 % of their range.
+    """Group columns of values (T, m) that coincide.
+
+    The tolerance is 0.5 % of their range.
 
     Members of a symmetric structure are in one group if they move alike.
     """
@@ -109,7 +113,10 @@ def group_curves(values: Array) -> Groups:
 
 
 def _choose_colors(chart: Chart, groups: Groups) -> list[str]:
-    """Choose the color of each group, by its first curve if there are few curves."""
+    """Choose the color of each group.
+
+    It is that of its first curve if there are few curves.
+    """
     few = chart.values.shape[1] <= len(STYLE.curves)
     return [css_color(members[0] if few else k) for k, members in enumerate(groups)]
 
@@ -180,14 +187,20 @@ def _spread(heights: Array, gap: float) -> tuple[list[int], list[float]]:
 
 
 def _join_names(names: list[str]) -> str:
-    """Join names such as "string 0" and "string 1" to "string 0, 1"."""
+    """Join names with the same first word.
+
+    "string 0" and "string 1" become "string 0, 1".
+    """
     first, *others = names[:4]
     more = ", …" if len(names) > 4 else ""
     return ", ".join([first, *(name.rpartition(" ")[2] for name in others)]) + more
 
 
 def _widen(ax: Axes) -> None:
-    """Widen the vertical axis if rounding errors of a constant would look like motion."""
+    """Widen the axis of a constant.
+
+    Its rounding errors would look like motion.
+    """
     low, high = ax.get_ylim()
     if high - low < 1e-6 * max(abs(low), abs(high), 1e-6):
         middle = (low + high) / 2

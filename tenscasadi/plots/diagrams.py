@@ -67,8 +67,8 @@ def work_precision(
     >>> figure.axes[0].get_xscale()
     'log'
     """
-    curves, front = _named_points(curves), _points("front", front)
-    reference_error = _known_error(reference_error)
+    curves, front = _label_points(curves), _points("front", front)
+    reference_error = _find_error(reference_error)
     figure, (ax,) = make_panels(
         1,
         "largest position error at the end (m), more accurate to the right",
@@ -100,7 +100,7 @@ def work_precision(
                 "ls": _DASHES[variant % len(_DASHES)],
             }
             ax.plot(
-                *zip(*_resolved(points, smallest), strict=True),
+                *zip(*_find_resolved(points, smallest), strict=True),
                 ms=4.5,
                 lw=1.3,
                 color=color,
@@ -119,7 +119,7 @@ def work_precision(
     return save_figure(figure, path)
 
 
-def _known_error(value: Any) -> float | None:
+def _find_error(value: Any) -> float | None:
     """Check the error of a reference; None if it is infinite."""
     return (
         None
@@ -128,7 +128,7 @@ def _known_error(value: Any) -> float | None:
     )
 
 
-def _named_points(curves: Any) -> dict[str, Points]:
+def _label_points(curves: Any) -> dict[str, Points]:
     instance("curves", curves, Mapping, "points (error, cost) by name")
     return {
         text("curves: name", name): _points(f"curves[{name!r}]", points)
@@ -147,7 +147,7 @@ def _points(field: str, points: Any) -> Points:
     return [(error, cost) for error, cost in array.tolist()]
 
 
-def _resolved(points: Points, smallest: float) -> list[tuple[float, float]]:
+def _find_resolved(points: Points, smallest: float) -> list[tuple[float, float]]:
     """Sort points by cost.
 
     Of those with errors up to `smallest` only the cheapest is kept, and moved there.

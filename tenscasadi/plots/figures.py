@@ -19,7 +19,7 @@ from tenscasadi.drawing.describe import describe_content
 from tenscasadi.drawing.shapes import MotionShapes
 from tenscasadi.drawing.style import STYLE, interpolate_colors
 from tenscasadi.drawing.view_content import Motion, ViewContent
-from tenscasadi.plots.canvas3d import Canvas
+from tenscasadi.plots.canvas3d import Canvas3D
 from tenscasadi.plots.panels import FilePath, save_figure
 from tenscasadi.scene.ground import Grounds
 from tenscasadi.util.renamed import rename_keywords
@@ -90,7 +90,7 @@ def structure(
     if tension is not None:
         pull = per_item("tension", tension, len(motion.strings))
     figure = Figure(figsize=(6.4, 5.2))
-    canvas = Canvas(figure, content)
+    canvas = Canvas3D(figure, content)
     scale = ColorScale.of("tension", pull)
     canvas.draw(MotionShapes(content).at_rest(nodes, pull, scale))
     if np.any(pull != 0):
@@ -159,7 +159,7 @@ def time_lapse(
     rows = len(motion.time)
     colors = interpolate_colors(STYLE.time_ramp, np.linspace(0, 1, rows))
     figure = Figure(figsize=(7.0, 5.4))
-    canvas = Canvas(figure, content)
+    canvas = Canvas3D(figure, content)
     shapes = []
     for k, color in enumerate(colors):
         drawn = MotionShapes(content, tint=(color[0], color[1], color[2]))

@@ -235,7 +235,10 @@ def errors(trajectory: Trajectory, *, title: str = "", path: FilePath | None = N
 
 
 def _describe_smallness(values: Array, bottom: float) -> str:
-    """Explain a curve that is missing or on the bottom edge; "" if it is visible."""
+    """Explain a curve that is missing or on the bottom edge.
+
+    Returns "" if it is visible.
+    """
     if not np.isfinite(values).any():
         return ": not computed"
     largest = np.nanmax(values, initial=0.0)

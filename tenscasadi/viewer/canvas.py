@@ -1,4 +1,4 @@
-"""Canvas of the viewer: the content of a picture on the scene of a server."""
+"""Content of a picture on the scene of a server."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ class Canvas:
         return bool(len(self.layers[0].shapes.joints))
 
     def color_by(self, quantity: str) -> None:
-        """Color strings by a quantity, with one scale over the whole first motion."""
+        """Color strings by a quantity, with one scale for all times."""
         self.quantity, first = quantity, self.content.motions[0]
         values = first.tension if quantity == "tension" else first.force_density
         has_forces = values is not None and np.any(np.nan_to_num(values))

@@ -6,12 +6,12 @@ from tenscasadi.drawing.view_content import Chart, ViewContent
 
 
 def build_charts(content: ViewContent) -> str:
-    """Build all charts as HTML, each with a line at the time of the page."""
+    """Build all charts as HTML, with lines at the displayed time."""
     return "".join(_build_chart(chart) for chart in content.charts)
 
 
 def mark_time(time: float) -> str:
-    """Build the HTML that moves the lines of all charts to a time [s]."""
+    """Build the HTML that moves the lines to a time [s]."""
     return f"<style>:root{{--time:{time:.6g}}}</style>"
 
 

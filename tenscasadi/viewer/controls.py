@@ -82,7 +82,10 @@ class ViewControls:
             self._legend.content = build_legend(self.canvas)
 
     def color_by(self, quantity: str) -> None:
-        """Color strings by a quantity; unknown ones, which a page can send, are ignored."""
+        """Color strings by a quantity.
+
+        Unknown ones, which a page can send, are ignored.
+        """
         if quantity in QUANTITIES:
             self.canvas.color_by(quantity)
             self.update_legend()

@@ -47,7 +47,7 @@ class Labels:
         self.clicked[item] = self._scene.add_label(name, "", anchor="bottom-left")
 
     def number(self, kind: str, shown: bool) -> None:
-        """Show or hide the numbers of nodes, bars or strings of the first motion.
+        """Show or hide the numbers of nodes, bars or strings.
 
         At most 1000 are shown.
         """

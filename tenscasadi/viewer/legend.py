@@ -23,7 +23,7 @@ def build_legend(canvas: Canvas) -> str:
 
 
 def _build_scale(scale: ColorScale) -> str:
-    """Build the bar of colors with numbers from 0 to the end of the scale."""
+    """Build the bar of colors with its numbers."""
     title = f"<div>{escape(scale.quantity)} of strings ({escape(scale.unit)})</div>"
     if scale.largest <= 0:
         return title

@@ -92,7 +92,7 @@ class Player:
             self._tell()
 
     def _tell(self) -> None:
-        """Move the slider and the line in the charts to the displayed time."""
+        """Move slider and charts to the displayed time."""
         self._slider.value = self.time
         if self._mark is not None:
             self._mark.content = mark_time(self.time)

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csc_array
 
-from tenscasadi.exchange.source import Source
+from tenscasadi.exchange.source import DEEPEST, Source
 from tenscasadi.schema.reading import SceneFileError
 from tenscasadi.util.archive import unpacked_limit
 from tenscasadi.util.validate import file_path
@@ -34,7 +34,6 @@ _NUMBERS |= {9: "f8", 12: "i8", 13: "u8"}
 _CODECS = {1: "latin-1", 2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}
 _STRUCT, _CHAR, _SPARSE, _NUMERIC = 2, 4, 5, range(6, 16)  # array classes
 _COMPLEX = 0x0800
-_DEEPEST = 30  # nesting depth of structs
 _DAMAGED = (
     *(ValueError, LookupError, TypeError, ArithmeticError, MemoryError),
     *(zlib.error, struct.error),
@@ -42,7 +41,7 @@ _DAMAGED = (
 
 
 def read_mat(source: Source) -> dict[str, Any]:
-    """Read the variables of a .mat file of MATLAB's version 5, 6 or 7.
+    """Read the variables of a .mat file, version 5 to 7.
 
     Values are float arrays, sparse arrays, texts, and structs as dictionaries of these; None for
     objects, function handles, cells, arrays of structs and complex numbers. Raises
@@ -135,8 +134,8 @@ def _read_matrix(content: memoryview, order: str, depth: int) -> tuple[str, Any]
     """
     if not len(content):
         return "", np.zeros((0, 0))
-    if depth > _DEEPEST:
-        raise ValueError(f"structs are nested deeper than {_DEEPEST} times")
+    if depth > DEEPEST:
+        raise ValueError(f"structs are nested deeper than {DEEPEST} times")
     parts = list(_read_elements(content, order))
     flags = struct.unpack(order + "I", parts[0][1][:4])[0]
     form = flags & 0xFF

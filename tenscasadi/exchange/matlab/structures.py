@@ -140,7 +140,10 @@ def find_structure(
 
 
 def _choose(source: Source, variables: Variables, name: str | None) -> str | None:
-    """Select the struct that describes a structure; None if variables of the file do."""
+    """Select the struct that describes a structure.
+
+    Returns None if variables of the file do.
+    """
     structs = [
         key for key, value in variables.items() if isinstance(value, dict) and _describes(value)
     ]
@@ -206,7 +209,10 @@ def _build(source: Source, variables: Variables, options: Variables) -> ParsedSt
 
 
 def _read_members(variables: Variables, keys: tuple[str, ...], count: int) -> Indices:
-    """Read bars or strings as pairs of nodes. Raises TypeError, ValueError."""
+    """Read bars or strings as pairs of nodes.
+
+    Raises TypeError, ValueError.
+    """
     for key in keys:
         if key in variables:
             return read_pairs(key, variables[key], count)

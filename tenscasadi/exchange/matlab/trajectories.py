@@ -217,7 +217,10 @@ _ADDED = ("error_estimate",)  # fields that files of earlier versions do not hav
 
 
 def _record(model: Model, motion: ForeignTrajectory, parameters: Any, name: str) -> Trajectory:
-    """Build a trajectory of the model at these states. Raises ValueError."""
+    """Build a trajectory of the model at these states.
+
+    Raises ValueError.
+    """
     rows = len(motion.time)
     controlled = isinstance(model.scene.control, ForceDensity)
     if model.nu and not controlled:

@@ -71,7 +71,10 @@ def convert_tsgfem(source: Source, variables: Variables, options: Variables) -> 
 
 
 def _read_cables(source: Source, variables: Variables, count: int) -> Indices:
-    """Read the cable of each member, its row in S. Raises ValueError if import is strict."""
+    """Read the cable of each member, its row in S.
+
+    Raises ValueError if import is strict.
+    """
     S: Any = variables.get("S")
     S = S.toarray() if issparse(S) and np.prod(S.shape) <= count**2 else S
     if (

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tenscasadi.exchange.mjcf.elements import Element
-from tenscasadi.exchange.mjcf.frames import WORLD, Frame, Units, read_frame
+from tenscasadi.exchange.mjcf.frames import WORLD, Pose, Units, read_pose
 from tenscasadi.exchange.mjcf.geoms import Geom, Mass, read_geom, read_inertial
 from tenscasadi.exchange.mjcf.words import Defaults, check, children
 from tenscasadi.util.validate import Array
@@ -61,8 +61,8 @@ class UnreadBody(NamedTuple):
     ----------
     element : Element
         XML element.
-    frame : Frame
-        Frame in the world.
+    frame : Pose
+        Pose in the world.
     piece : int
         Piece that it belongs to.
     childclass : str
@@ -70,7 +70,7 @@ class UnreadBody(NamedTuple):
     """
 
     element: Element
-    frame: Frame
+    frame: Pose
     piece: int
     childclass: str
 
@@ -84,7 +84,7 @@ class Bodies:
         All pieces; the first one is the world.
     sites : dict of str to Site
         Sites by name.
-    frames : dict of str to (int, Frame)
+    frames : dict of str to (int, Pose)
         Pieces and frames of bodies by name.
     """
 
@@ -93,7 +93,7 @@ class Bodies:
     ) -> None:
         self.pieces: list[Piece] = []
         self.sites: dict[str, Site] = {}
-        self.frames: dict[str, tuple[int, Frame]] = {}
+        self.frames: dict[str, tuple[int, Pose]] = {}
         self._defaults, self._units, self._geoms_weigh = defaults, units, geoms_weigh
         self._merged: dict[int, int] = {}
         for element in root.find("worldbody"):
@@ -110,8 +110,11 @@ class Bodies:
         """Yield the index and piece of all moving pieces."""
         return ((k, piece) for k, piece in enumerate(self.pieces) if k and k not in self._merged)
 
-    def find_body(self, element: Element, attribute: str) -> tuple[int, Frame]:
-        """Find piece and frame of the body that an attribute names, by default the world."""
+    def find_body(self, element: Element, attribute: str) -> tuple[int, Pose]:
+        """Find piece and frame of the body that an attribute names.
+
+        The default is the world.
+        """
         name = element.text(attribute, "world")
         if name not in self.frames:
             raise element.error(f"is {name!r}, which is no body: name one", attribute)
@@ -163,11 +166,11 @@ class Bodies:
                 inner.append(self._add_body(check(child), frame, piece, name))
         return inner
 
-    def _add_body(self, element: Element, outer: Frame, parent: int, childclass: str) -> UnreadBody:
+    def _add_body(self, element: Element, outer: Pose, parent: int, childclass: str) -> UnreadBody:
         if element.flag("mocap", False):
             cure = "tenscasadi moves pinned nodes by SupportMotion, leave it out"
             element.leave_out(f"is moved from outside: {cure}", "mocap")
-        frame = read_frame(element, self._units).within(outer)
+        frame = read_pose(element, self._units).within(outer)
         joints = element.find("joint", "freejoint")
         piece = parent
         if joints:
@@ -183,7 +186,7 @@ class Bodies:
         self.frames[name] = piece, frame
         return UnreadBody(element, frame, piece, childclass)
 
-    def _add_joint(self, joint: Element, frame: Frame, piece: Piece) -> None:
+    def _add_joint(self, joint: Element, frame: Pose, piece: Piece) -> None:
         kinds = ("hinge", "slide", "ball", "free")
         kind = "free" if joint.tag == "freejoint" else joint.word("type", "hinge", *kinds)
         if kind == "hinge":
@@ -219,7 +222,7 @@ class Bodies:
                     "axis",
                 )
 
-    def _add_site(self, site: Element, frame: Frame, piece: int) -> None:
+    def _add_site(self, site: Element, frame: Pose, piece: int) -> None:
         if "name" not in site.attributes:
             return  # without a name nothing can refer to it
         name = site.text("name")
@@ -228,5 +231,5 @@ class Bodies:
         if "fromto" in site.attributes:
             place = site.numbers("fromto", 6).reshape(2, 3).mean(axis=0)
         else:
-            place = read_frame(site, self._units).place
+            place = read_pose(site, self._units).place
         self.sites[name] = Site(piece, frame.at(place))

@@ -13,12 +13,9 @@ from xml.parsers import expat
 
 import numpy as np
 
-from tenscasadi.exchange.source import Source
+from tenscasadi.exchange.source import DEEPEST, MOST_PARTS, Source
 from tenscasadi.schema.reading import SceneFileError
 from tenscasadi.util.validate import LARGEST, Array, shown
-
-MOST_ELEMENTS = 100_000
-DEEPEST = 500  # nesting depth
 
 
 @dataclass(frozen=True)
@@ -50,7 +47,10 @@ class Element:
         return SceneFileError(message, self.file, self.line, f"{tag} {attribute}".strip())
 
     def leave_out(self, message: str, attribute: str = "") -> None:
-        """Leave out the element or an attribute. Raises SceneFileError if strict."""
+        """Leave out the element or an attribute.
+
+        Raises SceneFileError if strict.
+        """
         self.source.leave_out(self.error(message, attribute))
 
     def text(self, attribute: str, default: str = "") -> str:
@@ -111,7 +111,10 @@ class Element:
 
 
 def read_elements(source: Source) -> Element:
-    """Read the root element of a file with its includes. Raises SceneFileError, OSError."""
+    """Read the root element of a file with its includes.
+
+    Raises SceneFileError, OSError.
+    """
     return _XmlReader(source, source.path, [0], ()).read()
 
 
@@ -153,8 +156,8 @@ class _XmlReader:
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
         self._count[0] += 1
         line = self._parser.CurrentLineNumber
-        if self._count[0] > MOST_ELEMENTS:
-            message = f"it has more than {MOST_ELEMENTS} elements: give a smaller file"
+        if self._count[0] > MOST_PARTS:
+            message = f"it has more than {MOST_PARTS} elements: give a smaller file"
             raise SceneFileError(message, self._name, line)
         if len(self._open) > DEEPEST:
             message = f"its elements are nested more than {DEEPEST} deep: write it flatter"

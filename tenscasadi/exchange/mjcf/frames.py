@@ -30,7 +30,7 @@ class Units(NamedTuple):
     is_global: bool = False
 
 
-class Frame(NamedTuple):
+class Pose(NamedTuple):
     """Position, and rotation matrix with the axes as columns."""
 
     place: Array
@@ -40,21 +40,21 @@ class Frame(NamedTuple):
         """Transform a point of this frame to the outer frame."""
         return np.asarray(self.place + self.turn @ point)
 
-    def within(self, outer: Frame) -> Frame:
+    def within(self, outer: Pose) -> Pose:
         """Express this frame in the frame around `outer`."""
-        return Frame(outer.at(self.place), outer.turn @ self.turn)
+        return Pose(outer.at(self.place), outer.turn @ self.turn)
 
 
-WORLD = Frame(np.zeros(3), np.eye(3))
+WORLD = Pose(np.zeros(3), np.eye(3))
 
 
-def read_frame(element: Element, units: Units) -> Frame:
+def read_pose(element: Element, units: Units) -> Pose:
     """Read the frame of an element. Raises SceneFileError."""
     given = [name for name in _SIZES if name in element.attributes]
     if len(given) > 1:
         raise element.error(f"is given beside {given[0]}: leave one out", given[1])
     turn = _read_rotation(element, given[0], units) if given else np.eye(3)
-    return Frame(element.numbers("pos", 3, (0, 0, 0)), turn)
+    return Pose(element.numbers("pos", 3, (0, 0, 0)), turn)
 
 
 def _read_rotation(element: Element, name: str, units: Units) -> Array:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tenscasadi.exchange.mjcf.elements import Element
-from tenscasadi.exchange.mjcf.frames import Frame, Units, read_frame
+from tenscasadi.exchange.mjcf.frames import Pose, Units, read_pose
 from tenscasadi.util.validate import Array
 
 _ROUND = ("sphere", "capsule", "cylinder")
@@ -61,8 +61,8 @@ class Geom(NamedTuple):
     ----------
     element : Element
         XML element.
-    frame : Frame
-        Frame in the world.
+    frame : Pose
+        Pose in the world.
     rod : Rod or None
         Its axis; None for planes and others without one.
     mass : Mass or None
@@ -70,14 +70,14 @@ class Geom(NamedTuple):
     """
 
     element: Element
-    frame: Frame
+    frame: Pose
     rod: Rod | None
     mass: Mass | None
 
 
-def read_geom(element: Element, outer: Frame, units: Units, has_mass: bool) -> Geom:
+def read_geom(element: Element, outer: Pose, units: Units, has_mass: bool) -> Geom:
     """Read a geom in the frame `outer`. Raises SceneFileError."""
-    frame = read_frame(element, units).within(outer)
+    frame = read_pose(element, units).within(outer)
     kind = element.text("type", "sphere")
     rod = mass = None
     if kind in _ROUND:
@@ -103,7 +103,7 @@ def read_geom(element: Element, outer: Frame, units: Units, has_mass: bool) -> G
     return Geom(element, frame, rod, mass)
 
 
-def _read_rod(element: Element, outer: Frame, frame: Frame, kind: str) -> Rod:
+def _read_rod(element: Element, outer: Pose, frame: Pose, kind: str) -> Rod:
     """Read the axis of a sphere, capsule or cylinder."""
     size = element.numbers("size", (1, 2, 3))
     if "fromto" in element.attributes:
@@ -123,9 +123,9 @@ def _read_rod(element: Element, outer: Frame, frame: Frame, kind: str) -> Rod:
 
 
 def _compute_mass(
-    element: Element, frame: Frame, rod: Rod, mass: float | None, density: float
+    element: Element, frame: Pose, rod: Rod, mass: float | None, density: float
 ) -> Mass:
-    """Compute the mass of a geom, which is given or follows from the density."""
+    """Compute the mass of a geom, by its density if not given."""
     if rod.kind in ("box", "ellipsoid"):
         half = element.numbers("size", 3)
         is_box = rod.kind == "box"
@@ -147,9 +147,9 @@ def _compute_mass(
     return Mass(total, rod.ends.mean(axis=0), inertia)
 
 
-def read_inertial(element: Element, outer: Frame, units: Units) -> Mass:
+def read_inertial(element: Element, outer: Pose, units: Units) -> Mass:
     """Read the mass of an `inertial` element. Raises SceneFileError."""
-    own = read_frame(element, units).within(outer)
+    own = read_pose(element, units).within(outer)
     mass = element.number("mass")
     if mass < 0:
         raise element.error(f"is {mass:g}: give at least 0", "mass")

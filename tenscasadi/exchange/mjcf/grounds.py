@@ -12,12 +12,12 @@ from tenscasadi.exchange.mjcf.contact import Weights, ground_numbers
 from tenscasadi.exchange.mjcf.elements import Element
 from tenscasadi.exchange.mjcf.geoms import Geom
 from tenscasadi.exchange.mjcf.words import Defaults, check, children
+from tenscasadi.exchange.source import MOST_PARTS
 from tenscasadi.scene.ground import Ground
 from tenscasadi.util.validate import Array
 
 _SOFT = (0.02, 1.0)  # MuJoCo's default solref
 _FRICTION = (1.0, 0.005, 0.0001)
-_MOST = 10_000_000  # pairs of geoms
 
 
 class Touch(NamedTuple):
@@ -53,7 +53,7 @@ def read_grounds(
     moving = [(k, geom) for k, piece in bodies.moving() for geom in piece.geoms]
     found: list[Ground] = []
     fixed = bodies.pieces[0].geoms
-    if len(fixed) * len(moving) > _MOST:
+    if len(fixed) * len(moving) > 100 * MOST_PARTS:
         raise root.error(
             f"has {len(fixed)} geoms in the world and {len(moving)} in bodies, too many to find which touch: give fewer"
         )

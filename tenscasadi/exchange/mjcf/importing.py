@@ -13,7 +13,7 @@ from tenscasadi.exchange.mjcf.contact import Weights, contact_weights
 from tenscasadi.exchange.mjcf.elements import Element, read_elements
 from tenscasadi.exchange.mjcf.frames import Units
 from tenscasadi.exchange.mjcf.grounds import read_grounds
-from tenscasadi.exchange.mjcf.members import Endpoint, PieceEnds, drop_repeated, order_by_number
+from tenscasadi.exchange.mjcf.members import Endpoint, PieceEnds, drop_duplicates, order_by_number
 from tenscasadi.exchange.mjcf.strings import TendonString, read_control, read_strings
 from tenscasadi.exchange.mjcf.words import Defaults, check, children
 from tenscasadi.exchange.source import Source
@@ -137,7 +137,10 @@ def _read_settings(root: Element) -> tuple[Element, Element]:
 def _read_ties(
     root: Element, defaults: Defaults, bodies: Bodies, option: Element
 ) -> list[tuple[Element, Side, Side]]:
-    """Read the points that equalities join, and merge welded pieces. Raises SceneFileError."""
+    """Read the points that equalities join, and merge welded pieces.
+
+    Raises SceneFileError.
+    """
     found = [
         defaults.apply(child) for section in root.find("equality") for child in children(section)
     ]
@@ -196,7 +199,7 @@ class _SceneBuilder:
         points = [Endpoint(k, 0) for k in pieces if k not in set(bars)]
         held = [Endpoint(0, k) for k in range(len(ends.points[0]))]
         all_ends = [*(Endpoint(k, end) for k in self.bars for end in (0, 1)), *points, *held]
-        self.nodes = self._number(drop_repeated([ends.node(end) for end in all_ends]))
+        self.nodes = self._number(drop_duplicates([ends.node(end) for end in all_ends]))
         pairs = [[self.nodes[ends.node(end)] for end in both] for both in places]
         for string, pair in zip(strings, pairs, strict=True):
             if pair[0] == pair[1]:

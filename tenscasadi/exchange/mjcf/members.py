@@ -74,7 +74,7 @@ class PieceEnds:
             self._hang(k, piece)
 
     def find(self, piece: int, point: Array) -> Endpoint | None:
-        """Find the endpoint of a piece at a point; None if there is none."""
+        """Find the endpoint of a piece at a point, or None."""
         ends = self.points[piece]
         if not ends:
             return None
@@ -84,7 +84,9 @@ class PieceEnds:
         return Endpoint(piece, nearest) if found else None
 
     def place(self, piece: int, point: Array, element: Element | None = None) -> Endpoint:
-        """Find the endpoint of a piece at a point; in the world it is added if necessary.
+        """Find the endpoint of a piece at a point.
+
+        In the world it is added if necessary.
 
         Raises SceneFileError if a moving piece has no endpoint there.
         """
@@ -227,7 +229,10 @@ class PieceEnds:
     def _radius(
         self, piece: Piece, mass: float, length: float, axis: Array, inertia: Array
     ) -> float:
-        """Compute the radius from the transverse inertia (Eq. 19). Raises SceneFileError."""
+        """Compute the radius from the transverse inertia (Eq. 19).
+
+        Raises SceneFileError.
+        """
         other = np.linalg.svd(axis[None])[2][1:]
         across = other @ inertia @ other.T
         mean = float(np.trace(across)) / 2
@@ -278,7 +283,7 @@ def order_by_number(names: list[list[str]], prefix: str) -> list[int] | None:
     return [int(k) for k in np.argsort(numbers)] if complete else None
 
 
-def drop_repeated(items: list[Any]) -> list[Any]:
+def drop_duplicates(items: list[Any]) -> list[Any]:
     """Remove repeated items, keeping the first of each."""
     seen: dict[Hashable, Any] = dict.fromkeys(items)
     return list(seen)

@@ -50,7 +50,10 @@ class TendonString(NamedTuple):
 
 
 def read_strings(root: Element, defaults: Defaults, bodies: Bodies) -> list[TendonString]:
-    """Read all tendons, in the order of the numbers in their names. Raises SceneFileError."""
+    """Read all tendons, in the order of the numbers in their names.
+
+    Raises SceneFileError.
+    """
     found = [
         string
         for section in root.find("tendon")
@@ -62,7 +65,10 @@ def read_strings(root: Element, defaults: Defaults, bodies: Bodies) -> list[Tend
 
 
 def _read_tendon(tendon: Element, bodies: Bodies) -> list[TendonString]:
-    """Read a spatial tendon, as one string or several in a row. Raises SceneFileError."""
+    """Read a spatial tendon as strings in a row.
+
+    Raises SceneFileError.
+    """
     limited = tendon.flag("limited")
     if limited or (limited is None and "range" in tendon.attributes):
         message = "limits the length of a tendon, which has no counterpart in a scene: leave it out"
@@ -138,7 +144,10 @@ class Servo(NamedTuple):
 def read_control(
     root: Element, defaults: Defaults, strings: list[TendonString]
 ) -> tuple[Control | None, list[TendonString]]:
-    """Read the control, and apply its law to the strings. Raises SceneFileError."""
+    """Read the control, and apply its law to the strings.
+
+    Raises SceneFileError.
+    """
     names = {string.name for string in strings}
     actuators = [
         defaults.apply(child) for section in root.find("actuator") for child in children(section)
@@ -247,7 +256,10 @@ def _read_start(root: Element, count: int) -> Array | None:
 
 
 def _is_tension_only(actuator: Element) -> bool:
-    """Return whether an actuator is limited to tension. Raises SceneFileError for other limits."""
+    """Return whether an actuator is limited to tension.
+
+    Raises SceneFileError for other limits.
+    """
     if actuator.flag("forcelimited") is False or "forcerange" not in actuator.attributes:
         return False
     low, high = actuator.numbers("forcerange", 2)

@@ -13,11 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from tenscasadi.exchange.source import Source
+from tenscasadi.exchange.source import MOST_PARTS, Source
 from tenscasadi.schema.reading import SceneFileError
 from tenscasadi.util.validate import Array, shown
 
-_MOST_ENTRIES = 500_000
 _LARGEST = 1e30  # a mass is a product of four numbers and must stay finite
 
 
@@ -39,7 +38,10 @@ class YamlEntry:
         return SceneFileError(text, _name(self.source, self.path), self.line, self.key)
 
     def leave_out(self, text: str) -> None:
-        """Leave out this entry. Raises SceneFileError if the import is strict."""
+        """Leave out this entry.
+
+        Raises SceneFileError if the import is strict.
+        """
         self.source.leave_out(self.error(text))
 
     def items(self, *known: str) -> Iterator[tuple[str, YamlEntry]]:
@@ -58,7 +60,10 @@ class YamlEntry:
                 yield key, entry
 
     def parts(self, count: int | None = None) -> list[YamlEntry]:
-        """Return the entries of a list, of a given length; an empty entry has none."""
+        """Return the entries of a list, of a given length.
+
+        An empty entry has none.
+        """
         if self.value == "" and count is None:
             return []
         if not isinstance(self.value, list) or (count is not None and len(self.value) != count):
@@ -95,7 +100,10 @@ class YamlEntry:
 
 
 def read_tree(source: Source, path: Path) -> YamlEntry:
-    """Read the root of a YAML file. Raises ImportError, FileNotFoundError, SceneFileError."""
+    """Read the root of a YAML file.
+
+    Raises ImportError, FileNotFoundError, SceneFileError.
+    """
     try:
         import yaml
     except ImportError as error:
@@ -111,8 +119,8 @@ def read_tree(source: Source, path: Path) -> YamlEntry:
         root = yaml.compose("\n".join(lines), Loader=yaml.SafeLoader)
         if root is None:
             raise SceneFileError("it is empty: give nodes and pair_groups", name)
-        if _count(root, {}) > _MOST_ENTRIES:
-            message = f"it has more than {_MOST_ENTRIES} entries with expanded aliases"
+        if _count(root, {}) > MOST_PARTS:
+            message = f"it has more than {MOST_PARTS} entries with expanded aliases"
             raise SceneFileError(f"{message}: give a smaller file", name)
         return _build_entry(source, path, "the file", root)
     except SceneFileError:

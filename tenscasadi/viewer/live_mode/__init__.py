@@ -1,1 +1,1 @@
-"""The live mode of the viewer: a simulation that people drive while they watch it."""
+"""Interactive simulations in the viewer."""

@@ -162,7 +162,10 @@ class Live:
         return 0.2 if changed else None
 
     def _simulate(self) -> int:
-        """Simulate the ticks that are due, for at most the time of one picture."""
+        """Simulate the ticks that are due.
+
+        It takes at most the time of one picture.
+        """
         began = clock.perf_counter()
         count = 0
         for _ in range(self._pace.due(began)):

@@ -85,7 +85,7 @@ class Pace:
 
     @property
     def message(self) -> str:
-        """Report of a speed below the requested one; "" if it is reached."""
+        """Report of a speed below the requested one, or ""."""
         measured = self.measured
         if not measured < 0.95 * self._speed:
             return ""

@@ -94,7 +94,7 @@ class LivePanel:
         save: Callable[[], None],
         download: Callable[[Any], None],
     ) -> None:
-        """Add the buttons that save the recording to a path and by the browser."""
+        """Add the buttons that save the recording."""
         if path is not None:
             gui.add_button("Save", hint=f"writes {path}").on_click(lambda _: self._do(save))
         hint = "the recording as a file of tenscasadi.Trajectory"
@@ -122,7 +122,7 @@ class LivePanel:
         self._said = text
 
     def find_node(self, part: str, index: int, seen: Any) -> int:
-        """Find the movable node nearest to a position on a node, bar or string."""
+        """Find the movable node nearest to a clicked position."""
         structure, pullable = self.simulation.model.structure, self.simulation.pullable
         ends = np.array([index]) if part == "nodes" else np.asarray(getattr(structure, part))[index]
         ends = ends[(ends < len(pullable)) & pullable[np.minimum(ends, len(pullable) - 1)]]
@@ -169,7 +169,10 @@ class LivePanel:
             self._status.content = content
 
     def refresh(self, moved: int | None = None) -> None:
-        """Move the sliders to the present control, except the one that a person moves."""
+        """Move the sliders to the present control.
+
+        The one that a person moves is left alone.
+        """
         for place, (slider, entry) in enumerate(self._inputs):
             value = slider.read(self.simulation)
             if place != moved and not abs(value - entry.value) <= 0.5 * entry.step:

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import time
-import warnings
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from tenscasadi.drawing.view_content import Frame
-from tenscasadi.dynamics.constraint_forces import RedundantConstraints
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stability import lightest_mass
-from tenscasadi.scene.loads import NodalForce
-from tenscasadi.scene.parameters import Parameters
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import RestLength
 from tenscasadi.simulation.diagnosis import describe_doubts, explain_divergence
@@ -25,6 +21,7 @@ from tenscasadi.simulation.engine.step_code import Account
 from tenscasadi.simulation.trajectory import Trajectory, observe_states, record_trajectory
 from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import SMALLEST, Array, finite_array, instance, node_index
+from tenscasadi.viewer.live_mode.inputs import add_inputs
 from tenscasadi.viewer.live_mode.options import LiveOptions, count_substeps
 from tenscasadi.viewer.live_mode.recording import Recording
 
@@ -98,7 +95,7 @@ class LiveSimulation:
     ) -> None:
         instance("model", model, (Model, Scene), "a tenscasadi.Model or Scene")
         given = (Model(model) if isinstance(model, Scene) else model).with_parameters(parameters)
-        self.model = model = _add_inputs(given)
+        self.model = model = add_inputs(given)
         self.start_state = np.array(
             model.initial_state if state is None else finite_array("state", state, (model.nx,))
         )
@@ -134,7 +131,10 @@ class LiveSimulation:
 
     @property
     def pullable(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
-        """Whether each node (n,) can be pulled: not if it is pinned, or if nodal forces vary with time."""
+        """Nodes (n,) that can be pulled.
+
+        Pinned ones cannot, nor any if nodal forces vary with time.
+        """
         s = self.model.scene.structure
         return np.asarray(~s.fixed.all(axis=1) & bool(self.model.np))
 
@@ -152,7 +152,7 @@ class LiveSimulation:
         self._observed: dict[str, Array] | None = None
 
     def set_control(self, strings: Any, value: float) -> None:
-        """Set the rest length or force density of strings from the next tick on.
+        """Set the control of strings from the next tick on.
 
         Parameters
         ----------
@@ -374,29 +374,3 @@ class LiveSimulation:
             raise ValueError(
                 f"control has the rest length {control.min():g} m: give lengths greater than 0"
             )
-
-
-def _add_inputs(model: Model) -> Model:
-    """Add a control, and a force on each node as parameters, for one compiled loop."""
-    scene = model.scene
-    control = (
-        scene.control
-        if scene.control is not None or not len(scene.structure.strings)
-        else RestLength()
-    )
-    forces = (
-        NodalForce(np.zeros((len(scene.structure.nodes), 3)))
-        if scene.forces is None
-        else scene.forces
-    )
-    if forces.varies:
-        scene = replace(scene, control=control)
-    else:
-        scene = replace(scene, control=control, forces=forces, parameters=Parameters("forces"))
-    with warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore", RedundantConstraints
-        )  # the model that was given has said so
-        return Model(
-            scene, model.coordinates, "constant" if model.mechanism.constant_length else "current"
-        )

@@ -1,4 +1,4 @@
-"""Sliders of the strings: one for each, or one for equal strings if there are many."""
+"""Sliders of the strings, one for each or for equal ones."""
 
 from __future__ import annotations
 

@@ -139,7 +139,10 @@ def address(server: Any) -> str:
 
 
 def _find_addresses(host: str) -> list[tuple[Any, ...]]:
-    """Find the families and socket addresses of a host. Raises OSError."""
+    """Find the families and socket addresses of a host.
+
+    Raises OSError.
+    """
     kind, flags = socket.SOCK_STREAM, socket.AI_PASSIVE
     try:
         found = socket.getaddrinfo(host or None, 0, type=kind, flags=flags)
@@ -155,7 +158,9 @@ def _is_local(host: str) -> bool:
 
 
 def _find_port(host: str, port: int | None) -> int:
-    """Check the port, or find the first free one. Raises OSError.
+    """Check the port, or find the first free one.
+
+    Raises OSError.
 
     viser itself would search without end if there is no such address.
     """
@@ -182,7 +187,9 @@ def _find_port(host: str, port: int | None) -> int:
 
 @contextlib.contextmanager
 def _guard_server(local: bool) -> Iterator[list[bool]]:
-    """Let viser start a server that checks each request, for which it has no option.
+    """Let viser start a server that checks each request.
+
+    Viser has no option for it.
 
     Yields a list that is not empty once the server has started so.
     """
@@ -212,7 +219,7 @@ def _guard_server(local: bool) -> Iterator[list[bool]]:
 
 
 def _extend_page(response: Any) -> Any:
-    """Add the display of the frame rate to the page in a response."""
+    """Add the display of the frame rate to a response."""
     packed = response.headers.get("Content-Encoding") == "gzip"
     page = gzip.decompress(response.body) if packed else response.body
     body = add_frame_rate(page.decode()).encode()

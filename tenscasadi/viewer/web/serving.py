@@ -22,7 +22,10 @@ def check_serving(browser: bool | None, wait: bool | None) -> None:
 def open_and_wait(
     url: str, hold: Callable[[], None], browser: bool | None, wait: bool | None
 ) -> None:
-    """Open the browser and hold the script, by default if there is a display and in scripts."""
+    """Open the browser and hold the script.
+
+    The defaults are whether there is a display, and whether a script runs.
+    """
     if browser if browser is not None else _has_display():
         webbrowser.open(url)
     if wait if wait is not None else not (hasattr(sys, "ps1") or in_notebook()):

@@ -190,7 +190,7 @@ def nested(depth: int) -> bytes:
             "an element of 4294967288 bytes is cut off",
         ),
         (struct.pack("<II", 14, 2**31), "an element of 2147483648 bytes is cut off"),
-        (nested(20_000), "nested deeper than 30 times"),
+        (nested(20_000), "nested deeper than 200 times"),
         (
             element(15, zlib.compress(bytes(500_000_000), 9)),
             "a compressed variable is cut off, or longer than it says",

@@ -12,7 +12,7 @@ import pytest
 from mjcf_files import REFUSED, file
 
 import tenscasadi as tc
-from tenscasadi.exchange.mjcf.elements import DEEPEST
+from tenscasadi.exchange.source import DEEPEST
 
 
 def refusal(text: str | bytes, tmp_path: Path) -> str:
