@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from pathlib import Path
+from dataclasses import dataclass, fields, replace
+from types import NoneType
 from typing import Any
 
 from ocp.control.lqr import replay_tracked, track
+from ocp.plan.checks import check_plan
 from ocp.plan.many_replays import measure_robustness
 from ocp.plan.robustness import Robustness
-from ocp.plan.serialize import FORMAT, plan_arrays, plan_fields, rebuilt
 from ocp.problem.problem import Problem
 from ocp.results.refinement import refine_until_accurate
 from ocp.results.replay import replay_open
@@ -19,17 +19,22 @@ from ocp.results.report import Report, report_of
 from ocp.results.result import PlanResult
 from ocp.results.view_content import describe_plan
 from ocp.search.find_plan import find_plan
-from tenscasadi.dynamics.serialize import find_differences
+from ocp.solvers.base import NamedSolver
+from ocp.transcription.base import Transcription
+from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme
+from tenscasadi.io.older_files import upgrade
+from tenscasadi.scene.samples import sample_functions
+from tenscasadi.schema.packing import NotStored, find_differences, unpack
 from tenscasadi.simulation.trajectory import Trajectory
-from tenscasadi.util import archive
+from tenscasadi.util.archive import Fields
 from tenscasadi.util.validate import flag, instance, positive_number, whole_number
 from tenscasadi.util.viewable import Viewable
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Plan(PlanResult, Viewable):
+class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
     """Force densities over time, the motion that they cause, and how far its replay ends from the goals.
 
     `solve` returns one; also where no plan was found: it then holds the best that there is, and
@@ -283,45 +288,24 @@ class Plan(PlanResult, Viewable):
             self, parameters, start, samples, seed, tolerance, track if tracked else None
         )
 
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the plan to a compressed .npz file, with its model, and with how it was asked for and solved.
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], problem: Problem | None = None) -> Plan:
+        """Load a plan that was saved.
 
-        Own functions, such as forces over time, expressions of costs, or who watches the solver,
-        are left out.
+        No code in the file is ever run.
 
         Parameters
         ----------
         path : str or PathLike
             Name of the file, as it is.
-
-        Returns
-        -------
-        Path
-            The file.
-
-        Raises
-        ------
-        OSError
-            It cannot be written.
-        """
-        return archive.save(path, FORMAT, plan_arrays(vars(self)))
-
-    @staticmethod
-    def load(path: str | os.PathLike[str], problem: Problem | None = None) -> Plan:
-        """Load a plan that was saved. No code in the file is ever run.
-
-        Parameters
-        ----------
-        path : str or PathLike
-            Name of the file.
         problem : Problem, optional
-            What was asked. Needed where that holds own functions, which no file does. Default: that
+            The problem. Needed if it holds functions of Python, which no file does. Default: that
             of the file, with its model.
 
         Returns
         -------
         Plan
-            The plan. `unknown` says what the file does not tell of how it was solved.
+            The plan. `unknown` explains which parts the file does not hold.
 
         Raises
         ------
@@ -329,21 +313,69 @@ class Plan(PlanResult, Viewable):
             There is no such file.
         ValueError
             The file cannot be read, is no plan or one that cannot be, or the model of `problem` is
-            another; the message says what differs.
+            another; the message names the differences.
         """
         if problem is not None:
             instance("problem", problem, Problem, "an ocp.Problem or None")
-        given, content = archive.load(
-            path, FORMAT, "plan", lambda content: (plan_fields(content), content)
-        )
-        if problem is not None:
-            others = given["trajectory"].states.shape[1] != problem.model.nx
-            wrong = (
-                find_differences(content, problem.model) or ["Model.nx"] * others
-            )  # older files hold less
-            if wrong:
-                raise ValueError(
-                    f"problem.model is not the plan's, other in {', '.join(wrong[:4])}: give the problem that the plan was made for"
-                )
-            given["model"] = problem.model
-        return Plan(**given, **rebuilt(content, given["model"], problem))
+        plan = super().load(path)
+        if problem is None:
+            return plan
+        if wrong := _find_differences(plan, problem.model):
+            cure = "give the problem that the plan was made for"
+            names = ", ".join(wrong[:4])
+            raise ValueError(f"problem.model is not the plan's, other in {names}: {cure}")
+        return replace(plan, model=problem.model, problem=problem)
+
+    @classmethod
+    def _upgrade(cls, content: Fields) -> dict[str, Any]:
+        values = upgrade(content) | unpack(content)
+        return {
+            "unknown": "" if "problem" in values else "its file is of an older version"
+        } | values
+
+    @classmethod
+    def _restore(cls, given: dict[str, Any]) -> dict[str, Any]:
+        if "scene" in given:  # of version 0.1
+            scene = {name: given.pop(name) for name in ("scene", "sampled")}
+            given["trajectory"] = replace(given["trajectory"], **scene)
+        if isinstance(given.get("problem"), dict):  # of version 0.1, without its model
+            given["problem"] = _build_problem(given["model"], given["problem"])
+        reasons = []
+        for name, kind in _PARTS.items():
+            part = given.get(name)
+            if not isinstance(part, (kind, NoneType)):
+                failed = isinstance(part, (ValueError, NotStored))
+                reasons.append(str(part) if failed else f"field {name!r} holds no {name}")
+                given[name] = None
+        given["unknown"] = (reasons or [given["unknown"]])[0]
+        given = super()._restore(given)
+        if given["structure"] is None:
+            raise ValueError("field 'structure' holds no structure")
+        check_plan(given)
+        return given
+
+
+_PARTS = {"problem": Problem, "transcription": Transcription, "solver": NamedSolver}
+
+
+def _build_problem(model: Model | None, given: dict[str, Any]) -> Problem | ValueError:
+    try:
+        if model is None:
+            raise ValueError("the scene has functions of time")
+        return Problem(model, **given)
+    except (TypeError, ValueError) as error:
+        return ValueError(str(error))
+
+
+def _find_differences(plan: Plan, model: Model) -> list[str]:
+    """Find the fields, but for names, in which the model of a plan differs from another one."""
+    motion = plan.trajectory
+    one: Any = plan.model
+    other: Any = model
+    if one is None and motion.scene is not None:
+        one, other = motion.scene, sample_functions(model.scene, motion.states[:, -1])[0]
+    elif one is None:
+        one, other = plan.structure, model.scene.structure
+    fields = dict.fromkeys(find_differences(one, other, type(one).__name__))
+    found = [name for name in fields if not name.endswith("_names")]
+    return found or ["Model.nx"] * (motion.states.shape[1] != model.nx)

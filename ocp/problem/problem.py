@@ -20,6 +20,7 @@ from ocp.problem.phase import Phase
 from ocp.problem.resolved import resolve, share_of, string_limits
 from ocp.problem.start import FreeStart
 from tenscasadi.dynamics.model import Model
+from tenscasadi.schema.value import Value
 from tenscasadi.util.validate import Array
 
 WIDE = (
@@ -29,7 +30,7 @@ SHORTEST = 1e-3  # of a string's length: the least rest length
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class Problem(Value, kind="Problem"):
     """A plan that is asked for: a model, how long, from where, to where, within which limits, at the least of which costs.
 
     Parameters
@@ -99,6 +100,11 @@ class Problem:
         resolved = {**resolve(**given)._asdict(), "parameters": None, "given": given}
         for name, value in resolved.items():
             object.__setattr__(self, name, value)
+
+    def to_fields(self) -> dict[str, Any]:
+        """Return the keywords, without parameters: the model has their values."""
+        names = [field.name for field in fields(self) if field.init and field.name != "parameters"]
+        return {name: getattr(self, name) for name in names}
 
     def fixed(self, parameters: Any) -> Problem:
         """Return the problem with other values of its model's parameters.

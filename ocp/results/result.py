@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 
@@ -18,14 +19,14 @@ from ocp.targets.target import Target
 from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import Guess, resampled
 from tenscasadi.dynamics.model import Model
+from tenscasadi.schema.stored import Stored
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import Array
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PlanResult(PlannedForces, ReadOnlyArrays):
+class PlanResult(PlannedForces, Stored):
     """Control over time and the motion that it causes; `ocp.Plan` says what the fields are."""
 
     success: bool
@@ -34,8 +35,8 @@ class PlanResult(PlannedForces, ReadOnlyArrays):
     objective: float
     iterations: int
     seconds: float
-    time: Array
-    force_density: Array
+    time: Annotated[Array, "t", "f"]
+    force_density: Annotated[Array, "ku", "f"]
     trajectory: Trajectory
     replay_error: float
     replay_speed_error: float
@@ -47,8 +48,8 @@ class PlanResult(PlannedForces, ReadOnlyArrays):
     solver: Solver | CondensedNewton | Sampling | None = None
     unknown: str = "it was made by hand"
     tracked: bool = False
-    rest_length: Array | None = None
-    starts: Array | None = None
+    rest_length: Annotated[Array | None, "ku", "f"] = None
+    starts: Annotated[Array | None, "n", "f"] = None
 
     def __repr__(self) -> str:
         count, strings = len(self.time) - 1, self.force_density.shape[1]

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
 from ocp.targets.target import Target
 from ocp.transcription.sparse_nlp import Program
-from tenscasadi.util.read_only import ReadOnlyArrays
+from tenscasadi.schema.stored import Stored
 from tenscasadi.util.validate import Array, Indices, instance
 
 
 @dataclass(frozen=True, eq=False)
-class Duals(ReadOnlyArrays):
+class Duals(Stored):
     """Multipliers of an optimum: how much each constraint costs.
 
     A multiplier is positive where an upper limit holds, negative where a lower one does. Where a
@@ -49,9 +49,13 @@ class Duals(ReadOnlyArrays):
     (6,)
     """
 
-    names: tuple[str, ...]
-    values: Array
-    point: Array
+    names: Annotated[tuple[str, ...], "m", "U"]
+    values: Annotated[Array, "m", "f"]
+    point: Annotated[Array, "u", "f"]
+
+    @classmethod
+    def _restore(cls, given: dict[str, Any]) -> dict[str, Any]:
+        return {**given, "names": tuple(given["names"].tolist())}
 
     def __repr__(self) -> str:
         return f"Duals({len(self.names)} multipliers, {len(self.point)} unknowns)"

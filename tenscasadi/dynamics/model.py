@@ -17,12 +17,13 @@ from tenscasadi.scene.binding import fix
 from tenscasadi.scene.control_function import ControlSchedule
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity, RestLength
+from tenscasadi.schema.value import Value
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.compile import compile_function
 from tenscasadi.util.renamed import RenamedAttribute
 
 
-class Model(Observations):
+class Model(Value, Observations, kind="Model"):
     """The equations of motion of a `Scene` as CasADi Functions.
 
     The state x contains positions and velocities, each node by node, and a clock if loads depend on
@@ -99,6 +100,11 @@ class Model(Observations):
         self.driven: tuple[Any, Model] | None = None  # by the control function of the last run
         if self.np and self.nq:
             _check_parameters(self)
+
+    def to_fields(self) -> dict[str, Any]:
+        """Return the keywords."""
+        bar_length = "constant" if self.mechanism.constant_length else "current"
+        return {"scene": self.scene, "coordinates": self.coordinates, "bar_length": bar_length}
 
     def with_parameters(self, parameters: Any = None) -> Model:
         """Fix the parameters as constants of a copy.

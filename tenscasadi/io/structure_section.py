@@ -109,7 +109,7 @@ class StructureSection(FieldType):
             del fields["rest_length"]
         written = NODES.write(fields)
         del written["shape"]
-        return written
+        return {name: content for name, content in written.items() if content not in ([], {})}
 
     def schema(self, kinds: Schemas) -> Schema:
         """Build the schema of all shapes, and of nodes."""

@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-import os
 from collections import Counter
-from dataclasses import MISSING, dataclass, field, fields
-from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from dataclasses import dataclass, field
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tenscasadi.util import archive
-from tenscasadi.util.read_only import ReadOnlyArrays
+from tenscasadi.scene.scene import Scene
+from tenscasadi.schema.stored import check_indices
+from tenscasadi.simulation.scene_result import SceneResult
 from tenscasadi.util.validate import Array, Indices, node_index
 from tenscasadi.util.viewable import Viewable
 
-_FORMAT = "tenscasadi rollouts 1"
 _TOLD = 3  # kinds of ends that a summary names
 
 
 @dataclass(frozen=True, eq=False)
-class Rollouts(Viewable, ReadOnlyArrays):
+class Rollouts(Viewable, SceneResult, form="tenscasadi rollouts 1", title="file of rollouts"):
     """Rollouts of one model at T saved times.
 
     `rollouts` returns n of them. All arrays are read-only.
@@ -70,6 +68,11 @@ class Rollouts(Viewable, ReadOnlyArrays):
     turn : ndarray, shape (N, 3, 3)
         Directions, as columns, along which each node has these coordinates; empty where all have x,
         y, z.
+    scene : Scene or None
+        The simulated scene; None if the file does not hold it. Its functions of time are tables of
+        samples at the saved times after loading.
+    sampled : tuple of str
+        Fields of `scene` that are such tables.
 
     See Also
     --------
@@ -109,10 +112,18 @@ class Rollouts(Viewable, ReadOnlyArrays):
     )
     pinned: Annotated[Indices, "p", "i"] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
     turn: Annotated[Array, "r33", "f"] = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    scene: Scene | None = None
+    sampled: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        _check({entry.name: getattr(self, entry.name) for entry in fields(self)})
         super().__post_init__()
+        if not len(self.time):
+            raise ValueError("field 'time' is empty")
+        check_indices("place", self.place, max(self.states.shape[2], 1), least=-1)
+        for name in ("bars", "strings", "pinned"):
+            check_indices(name, getattr(self, name), len(self.place))
+        if len(self.turn) not in (0, len(self.place)) or not np.all(np.abs(self.turn) <= 1 + 1e-9):
+            raise ValueError("field 'turn' holds no directions of each node")
 
     def __repr__(self) -> str:
         n, rows, _ = self.states.shape
@@ -174,57 +185,10 @@ class Rollouts(Viewable, ReadOnlyArrays):
         )
         return "\n".join(lines)
 
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the rollouts to a compressed .npz file.
-
-        Parameters
-        ----------
-        path : str or PathLike
-            File to write; no ending is added.
-
-        Returns
-        -------
-        Path
-            The file.
-
-        Raises
-        ------
-        OSError
-            The file cannot be written.
-        """
-        return archive.save(
-            path,
-            _FORMAT,
-            {entry.name: np.asarray(getattr(self, entry.name)) for entry in fields(self)},
-        )
-
-    @staticmethod
-    def load(path: str | os.PathLike[str]) -> Rollouts:
-        """Read rollouts that `save` has written.
-
-        No code in the file is ever run.
-
-        Parameters
-        ----------
-        path : str or PathLike
-            File to read.
-
-        Returns
-        -------
-        Rollouts
-            The saved rollouts.
-
-        Raises
-        ------
-        FileNotFoundError
-            There is no such file.
-        ValueError
-            The file cannot be read, holds no rollouts, or such as no run can have; the message
-            names the file and the field.
-        """
-        return archive.load(
-            path, _FORMAT, "file of rollouts", _from_arrays, Rollouts.__dataclass_fields__
-        )
+    @classmethod
+    def _restore(cls, given: dict[str, Any]) -> dict[str, Any]:
+        _check_values(given)
+        return super()._restore(given)
 
 
 def node_positions(rollouts: Rollouts, nodes: Any, motions: Any = slice(None)) -> Array:
@@ -234,58 +198,6 @@ def node_positions(rollouts: Rollouts, nodes: Any, motions: Any = slice(None)) -
     free = place >= 0
     found[..., free] = states[..., place[free]]
     return np.einsum("kij,mtkj->mtki", rollouts.turn[nodes], found) if len(rollouts.turn) else found
-
-
-_SHAPES = {
-    name: hint.__metadata__ for name, hint in get_type_hints(Rollouts, include_extras=True).items()
-}
-
-
-_LATER: dict[str, Any] = {
-    entry.name: entry.default_factory
-    for entry in fields(Rollouts)
-    if entry.default_factory is not MISSING
-}
-
-
-def _from_arrays(content: dict[str, Any]) -> Rollouts:
-    given = {name: content[name] for name in _SHAPES if name in content or name not in _LATER}
-    given |= {name: make() for name, make in _LATER.items() if name not in given}
-    _check(given)
-    _check_values(given)
-    return Rollouts(
-        **{name: value.item() if value.ndim == 0 else value for name, value in given.items()}
-    )
-
-
-def _check(content: dict[str, Any]) -> None:
-    """Check the kinds, shapes and indices of the fields.
-
-    Raises ValueError with the name of the first wrong field.
-    """
-    sizes: dict[str, int] = {"2": 2, "3": 3}
-    for name, (letters, kind) in _SHAPES.items():
-        value = np.asarray(content[name])
-        if value.dtype.kind != kind:
-            raise ValueError(f"field {name!r} holds values of type {value.dtype}")
-        if value.ndim != len(letters) or any(
-            sizes.setdefault(letter, size) != size
-            for letter, size in zip(letters, value.shape, strict=True)
-        ):
-            raise ValueError(
-                f"field {name!r} has shape {value.shape}, which does not fit the others"
-            )
-    if sizes["T"] < 1:
-        raise ValueError("field 'time' is empty")
-    place = np.asarray(content["place"])
-    if place.size and not -1 <= place.min() <= place.max() < max(sizes["x"], 1):
-        raise ValueError(f"field 'place' holds indices outside -1 … {sizes['x'] - 1}")
-    if sizes["r"] not in (0, sizes["N"]) or not np.all(np.abs(content["turn"]) <= 1 + 1e-9):
-        raise ValueError("field 'turn' holds no directions of each node")
-    for name in ("bars", "strings", "pinned"):
-        indices = np.asarray(content[name])
-        if indices.size and not 0 <= indices.min() <= indices.max() < sizes["N"]:
-            raise ValueError(f"field {name!r} holds indices outside 0 … {sizes['N'] - 1}")
 
 
 def _check_values(content: dict[str, Any]) -> None:

@@ -239,6 +239,7 @@ def _record(run: Runs, kernel: Kernel, threads: int, seconds: float) -> Rollouts
         threads=threads,
         interrupted=bool(np.any(result.status == STOPPED)),
         bars=model.structure.bars,
+        scene=model.scene,
         strings=model.structure.strings,
         pinned=np.array(sorted({*model.structure.pinned, *model.structure.rollers}), dtype=np.intp),
         turn=model.mechanism.frames_of_nodes,

@@ -3,28 +3,25 @@
 from __future__ import annotations
 
 import dataclasses
-import io
-import os
-from dataclasses import MISSING, dataclass, fields, replace
-from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from dataclasses import dataclass, replace
+from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.util import archive
-from tenscasadi.util.read_only import ReadOnlyArrays
+from tenscasadi.scene.scene import Scene
+from tenscasadi.schema.stored import array_fields, check_indices
+from tenscasadi.simulation.scene_result import SceneResult
 from tenscasadi.util.tables import Columns, Tabular, coordinates, numbered
-from tenscasadi.util.validate import LARGEST, Array, Indices, shown
+from tenscasadi.util.validate import LARGEST, Array, Indices
 from tenscasadi.util.viewable import Viewable
-
-_FORMAT = "tenscasadi trajectory 1"
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory(Tabular, Viewable, ReadOnlyArrays):
+class Trajectory(
+    Tabular, Viewable, SceneResult, form="tenscasadi trajectory 1", title="trajectory"
+):
     """Trajectory of a structure with its numerical errors.
 
     It holds n nodes, β bars and α strings at T saved times.
@@ -90,6 +87,11 @@ class Trajectory(Tabular, Viewable, ReadOnlyArrays):
     error_estimate : float
         Distance by which the steps put nodes off, m, as the run taken again in other steps tells;
         NaN where it was not.
+    scene : Scene or None
+        The simulated scene; None if the file does not hold it. Its functions of time are tables of
+        samples at the saved times after loading.
+    sampled : tuple of str
+        Fields of `scene` that are such tables.
 
     See Also
     --------
@@ -133,10 +135,15 @@ class Trajectory(Tabular, Viewable, ReadOnlyArrays):
     interrupted: Annotated[bool, "", "b"] = False
     parameters: Annotated[Array, "q", "f"] = dataclasses.field(default_factory=lambda: np.zeros(0))
     error_estimate: Annotated[float, "", "f"] = np.nan
+    scene: Scene | None = None
+    sampled: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        _check({field.name: getattr(self, field.name) for field in fields(self)})
         super().__post_init__()
+        if not len(self.time):
+            raise ValueError("field 'time' is empty")
+        for name in ("bars", "strings", "pinned"):
+            check_indices(name, getattr(self, name), self.nodes.shape[1])
 
     def __repr__(self) -> str:
         return f"Trajectory({len(self.time)} rows, {self.nodes.shape[1]} nodes, t = {self.time[0]:g} … {self.time[-1]:g} s, success={self.success})"
@@ -175,41 +182,6 @@ class Trajectory(Tabular, Viewable, ReadOnlyArrays):
             lines.append(f"tension       {self.tension.min():.4g} … {self.tension.max():.4g} N")
         return "\n".join(lines)
 
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the trajectory to a compressed .npz file.
-
-        Parameters
-        ----------
-        path : str or PathLike
-            File to write; no ending is added.
-
-        Returns
-        -------
-        Path
-            The file.
-
-        Raises
-        ------
-        OSError
-            The file cannot be written.
-        """
-        return archive.save(path, _FORMAT, self._content())
-
-    def to_bytes(self) -> bytes:
-        """Encode the trajectory as the content of a file.
-
-        Returns
-        -------
-        bytes
-            The content of the file.
-        """
-        file = io.BytesIO()
-        archive.write(file, _FORMAT, self._content())
-        return file.getvalue()
-
-    def _content(self) -> dict[str, Any]:
-        return {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)}
-
     def _columns(self) -> Columns:
         return {
             "time (s)": self.time,
@@ -231,69 +203,10 @@ class Trajectory(Tabular, Viewable, ReadOnlyArrays):
             **numbered("control {}", self.control),
         }
 
-    @staticmethod
-    def load(path: str | os.PathLike[str]) -> Trajectory:
-        """Read a trajectory that `save` has written.
-
-        No code in the file is ever run.
-
-        Parameters
-        ----------
-        path : str or PathLike
-            File to read.
-
-        Returns
-        -------
-        Trajectory
-            The saved trajectory.
-
-        Raises
-        ------
-        FileNotFoundError
-            There is no such file.
-        ValueError
-            The file cannot be read, holds no trajectory, or one that no run can have (see
-            `from_arrays`); the message names the file and the field.
-        """
-        return archive.load(
-            path, _FORMAT, "trajectory", Trajectory.from_arrays, Trajectory.__dataclass_fields__
-        )
-
-    @staticmethod
-    def from_arrays(content: dict[str, Any]) -> Trajectory:
-        """Build a trajectory from arrays.
-
-        Parameters
-        ----------
-        content : dict of str to ndarray
-            The fields by name. Those with a default may be missing.
-
-        Returns
-        -------
-        Trajectory
-            The trajectory with these fields.
-
-        Raises
-        ------
-        ValueError
-            A field is missing or has a wrong type, shape or index. Times do not increase, a step
-            is not positive, or a successful run is not finite. The message names the field.
-        """
-        given: dict[str, Any] = {}
-        for field in fields(Trajectory):
-            if field.name in content:
-                given[field.name] = _as_array(field.name, content[field.name])
-            elif field.default is not MISSING:
-                given[field.name] = np.asarray(field.default)
-            elif field.default_factory is not MISSING:
-                given[field.name] = field.default_factory()
-            else:
-                raise ValueError(f"it has no field {field.name!r}")
-        _check(given)
+    @classmethod
+    def _restore(cls, given: dict[str, Any]) -> dict[str, Any]:
         _check_values(given)
-        return Trajectory(
-            **{name: value.item() if value.ndim == 0 else value for name, value in given.items()}
-        )
+        return super()._restore(given)
 
 
 def observe_states(model: Model, states: Array, controls: Array) -> dict[str, Array]:
@@ -369,6 +282,7 @@ def record_trajectory(
         bars=model.structure.bars,
         strings=model.structure.strings,
         pinned=np.array(sorted({*model.structure.pinned, *model.structure.rollers}), dtype=np.intp),
+        scene=model.scene,
         success=success,
         message=message,
         step=step,
@@ -383,16 +297,11 @@ def first_rows(trajectory: Trajectory, count: int) -> Trajectory:
         trajectory,
         **{
             name: getattr(trajectory, name)[:count]
-            for name, (letters, _) in _SHAPES.items()
-            if letters.startswith("T")
+            for name, (letters, _) in array_fields(Trajectory).items()
+            if str(letters).startswith("T")
         },
     )
 
-
-_SHAPES = {
-    name: hint.__metadata__
-    for name, hint in get_type_hints(Trajectory, include_extras=True).items()
-}
 
 _UNKNOWN = (
     "energy_error",
@@ -400,41 +309,6 @@ _UNKNOWN = (
     "correction_energy",
     "error_estimate",
 )  # may be NaN, as they are not always computed
-_FINITE = [name for name, (_, kind) in _SHAPES.items() if kind == "f" and name not in _UNKNOWN]
-
-
-def _check(content: dict[str, Any]) -> None:
-    """Check the kinds, shapes and indices of the fields.
-
-    Raises ValueError with the name of the first wrong field.
-    """
-    sizes: dict[str, int] = {"2": 2, "3": 3}
-    for name, (letters, kind) in _SHAPES.items():
-        value = _as_array(name, content[name])
-        if value.dtype.kind != kind:
-            raise ValueError(f"field {name!r} holds values of type {value.dtype}")
-        if value.ndim != len(letters) or any(
-            sizes.setdefault(letter, size) != size
-            for letter, size in zip(letters, value.shape, strict=True)
-        ):
-            raise ValueError(
-                f"field {name!r} has shape {value.shape}, which does not fit the others"
-            )
-    if sizes["T"] < 1:
-        raise ValueError("field 'time' is empty")
-    for name in ("bars", "strings", "pinned"):
-        indices: NDArray[Any] = np.asarray(content[name])
-        if indices.size and not 0 <= indices.min() <= indices.max() < sizes["n"]:
-            raise ValueError(f"field {name!r} holds indices outside 0 … {sizes['n'] - 1}")
-
-
-def _as_array(name: str, value: Any) -> NDArray[Any]:
-    if np.ma.is_masked(value):
-        raise ValueError(f"field {name!r} has masked entries")  # NumPy would use the masked values
-    try:
-        return np.asarray(value)
-    except Exception as error:  # an object's own __array__ may raise anything
-        raise ValueError(f"field {name!r} is {shown(value)}: it must be an array") from error
 
 
 def _check_values(content: dict[str, Any]) -> None:
@@ -457,7 +331,8 @@ def _check_values(content: dict[str, Any]) -> None:
             raise ValueError(
                 f"field {name!r} is {content[name]:g}: it must be {'greater than' if name == 'step' else 'at least'} 0"
             )
-    for name in _FINITE if content["success"] else ():
+    known = [name for name, (_, kind) in array_fields(Trajectory).items() if kind == "f"]
+    for name in set(known) - set(_UNKNOWN) if content["success"] else ():
         value = np.asarray(content[name])
         for place in np.argwhere(~(np.abs(value) <= LARGEST))[:1].tolist():
             raise ValueError(

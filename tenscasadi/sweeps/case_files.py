@@ -15,11 +15,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tenscasadi.dynamics.model import Model
-from tenscasadi.dynamics.serialize import structure_to_arrays
-from tenscasadi.integrators.scheme import Scheme
-from tenscasadi.scene.scene import Scene
-from tenscasadi.structure.structure import Structure
+from tenscasadi.schema.packing import find_kind
+from tenscasadi.schema.value import Value
 from tenscasadi.util import archive
 from tenscasadi.util.archive import Fields
 from tenscasadi.util.validate import shown
@@ -27,19 +24,7 @@ from tenscasadi.util.validate import shown
 _FORMAT = "tenscasadi case 1"
 _VALUE = "value."  # before the names of results in files
 _PLAIN = "biufcU"  # kinds of arrays, in NumPy's letters, that files hold
-_CONSTANTS = (
-    bool,
-    int,
-    float,
-    complex,
-    str,
-    np.generic,
-    np.ndarray,
-    Structure,
-    Scene,
-    Model,
-    Scheme,
-)  # that a closure may hold
+_CONSTANTS = (bool, int, float, complex, str, np.generic, np.ndarray, Value)  # of a closure
 
 
 class Outcome(NamedTuple):
@@ -152,21 +137,19 @@ def _describe(field: str, value: Any) -> Any:
         ]
     if isinstance(value, (list, tuple)):
         return ["list", [_describe(f"{field}[{k}]", item) for k, item in enumerate(value)]]
-    if isinstance(value, Structure):
-        return ["Structure", _describe(field, structure_to_arrays(value))]
-    if isinstance(value, Model):
-        how = [value.coordinates, value.mechanism.constant_length]
-        return ["Model", _describe(f"{field}.scene", value.scene), how]
-    if is_dataclass(value) and not isinstance(value, type):
-        content = [
-            [item.name, _describe(f"{field}.{item.name}", getattr(value, item.name))]
-            for item in fields(value)
-        ]
-        return [f"{type(value).__module__}.{type(value).__qualname__}", content]
+    if isinstance(value, Value) or (is_dataclass(value) and not isinstance(value, type)):
+        own = value.to_fields() if isinstance(value, Value) else _fields_of(value)
+        content = [[name, _describe(f"{field}.{name}", part)] for name, part in own.items()]
+        kind = find_kind(type(value)) or f"{type(value).__module__}.{type(value).__qualname__}"
+        return [kind, content]
     cure = "give numbers, text, arrays, lists, dicts by text, structures, scenes or options; what is else, build in the function"
     raise TypeError(
         f"{field} is {shown(value)}, whose content a folder of results cannot tell: {cure}"
     )
+
+
+def _fields_of(value: Any) -> dict[str, Any]:
+    return {item.name: getattr(value, item.name) for item in fields(value)}
 
 
 # --- results ---

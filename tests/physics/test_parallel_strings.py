@@ -9,7 +9,8 @@ import pytest
 
 import ocp
 import tenscasadi as tc
-from tenscasadi.dynamics.serialize import find_differences, model_from_arrays, model_to_arrays
+from tenscasadi.schema.packing import find_differences, pack, unpack
+from tenscasadi.util.archive import Fields
 
 RIG = {"nodes": [(0, 0, 0), (1, 0, 0)], "node_mass": [0.0, 2.0], "pinned": [0]}
 
@@ -70,10 +71,8 @@ def test_segments_files_and_plans(tmp_path: Path) -> None:
     )
     assert tc.Scene(pair, segments=2).modelled.string_parent.tolist() == [0, 0, 1, 1, 2, 2]
     model = tc.Model(tc.Scene(pair, control=tc.ForceDensity()))
-    content = model_to_arrays(model, np.zeros(1))
-    again = model_from_arrays(content)
-    assert again is not None
-    assert find_differences(content, again) == []
+    again = unpack(Fields(pack({"model": model}, {})))["model"]
+    assert not list(find_differences(again, model, "Model"))
     problem = ocp.Problem(
         model,
         duration=1.0,

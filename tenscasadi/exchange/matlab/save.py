@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-from dataclasses import fields
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any
 
 import numpy as np
 
 from tenscasadi.exchange.matlab.mat_file import write_mat
+from tenscasadi.schema.stored import array_fields
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.class_one import connectivity
 from tenscasadi.structure.structure import Structure
@@ -19,10 +19,7 @@ from tenscasadi.util.validate import Array, Indices, flag, instance
 STRUCTURE_FORM, TRAJECTORY_FORM = "tenscasadi structure 1", "tenscasadi trajectory 1"
 # the names of MOTES; other fields keep their names
 HISTORY = {"time": "t", "nodes": "Nhist", "velocities": "Ndhist", "force_density": "gamma"}
-LETTERS = {
-    name: hint.__metadata__[0]
-    for name, hint in get_type_hints(Trajectory, include_extras=True).items()
-}
+LETTERS = {name: str(letters) for name, (letters, _) in array_fields(Trajectory).items()}
 
 
 @rename_keywords(what="data")
@@ -182,10 +179,10 @@ def _build_history(run: Trajectory) -> dict[str, Any]:
             run.nodes[:, run.bars[:, 1]] - run.nodes[:, run.bars[:, 0]], axis=2
         ).T
     }
-    for field in fields(run):
-        if field.name not in ("bars", "strings", "pinned"):
-            value, letters = getattr(run, field.name), LETTERS[field.name]
-            history[HISTORY.get(field.name, field.name)] = (
+    for name, letters in LETTERS.items():
+        if name not in ("bars", "strings", "pinned"):
+            value = getattr(run, name)
+            history[HISTORY.get(name, name)] = (
                 value.T if len(letters) > 1 else value[None, :] if letters else value
             )
     return {

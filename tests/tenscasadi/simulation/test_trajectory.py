@@ -19,6 +19,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.loads import Gravity
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import RestLength
+from tenscasadi.schema.stored import array_fields
 from tenscasadi.simulation.trajectory import Trajectory, observe_states
 from tenscasadi.structure import shapes
 
@@ -39,7 +40,7 @@ def example(rows: int = 4, **changes: Any) -> Trajectory:
 
 
 def content(trajectory: Trajectory) -> dict[str, Any]:
-    return {field.name: getattr(trajectory, field.name) for field in dataclasses.fields(trajectory)}
+    return {name: getattr(trajectory, name) for name in array_fields(Trajectory)}
 
 
 def test_saved_and_loaded_unchanged(tmp_path: Path) -> None:
@@ -229,11 +230,8 @@ def test_pickles_are_never_opened(field: str, tmp_path: Path) -> None:
     harm[0] = Harm(tmp_path / "harm")
     saved = {"format": np.asarray("tenscasadi trajectory 1")} | content(example()) | {field: harm}
     np.savez(tmp_path / "run.npz", allow_pickle=True, **saved)
-    if field == "other":
-        Trajectory.load(tmp_path / "run.npz")  # what it does not know, it does not open
-    else:
-        with pytest.raises(ValueError, match=r"run\.npz"):
-            Trajectory.load(tmp_path / "run.npz")
+    with pytest.raises(ValueError, match=r"run\.npz"):
+        Trajectory.load(tmp_path / "run.npz")
     (tmp_path / "bare.npz").write_bytes(pickle.dumps(Harm(tmp_path / "harm")))
     with pytest.raises(ValueError, match=r"bare\.npz"):
         Trajectory.load(tmp_path / "bare.npz")

@@ -28,7 +28,6 @@ def test_arrays_come_back(tmp_path: Path) -> None:
     content = archive.load(path, "form 1", "thing", dict)
     assert content["x"].tolist() == [0.0, 1.0, 2.0]
     assert content["word"].item() == "γ"
-    assert set(archive.load(path, "form 1", "thing", dict, names={"x"})) == {"x"}
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.npz"]
 
 
@@ -261,9 +260,6 @@ def test_what_unpacks_to_too_much_is_not_unpacked(
         match=r"a\.npz is not a thing: it cannot be read \(it unpacks to 0\.0032 GB, above the limit of 0\.002 GB",
     ):
         archive.load(path, "form 1", "thing", dict)
-    monkeypatch.undo()
-    monkeypatch.setattr(archive, "_LIMIT", 2_000_000)
-    assert set(archive.load(path, "form 1", "thing", dict, names={"x"})) == {"x"}
 
 
 def test_what_was_saved_is_never_too_large_to_be_loaded(

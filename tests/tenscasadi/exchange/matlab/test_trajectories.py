@@ -31,6 +31,8 @@ def run():
 
 def assert_same(one: tc.Trajectory, other: tc.Trajectory) -> None:
     for field in fields(one):
+        if field.name == "scene":  # which MATLAB's files do not hold
+            continue
         a, b = getattr(one, field.name), getattr(other, field.name)
         assert type(a) is type(b), field.name
         assert (
@@ -74,7 +76,7 @@ def test_ours_comes_back_to_the_last_bit(run, tmp_path):
 )
 def test_a_single_row_and_no_strings_come_back(structure, tmp_path):
     run = tc.simulate(tc.Model(tc.Scene(structure)), 0.1, 0.1, compiled=False)
-    one = tc.Trajectory.from_arrays({f.name: np.asarray(getattr(run, f.name))[:1] if np.ndim(getattr(run, f.name)) and f.name not in ("bars", "strings", "pinned", "parameters") else np.asarray(getattr(run, f.name)) for f in fields(run)})  # fmt: skip  # noqa: E501
+    one = tc.Trajectory.from_arrays({f.name: np.asarray(getattr(run, f.name))[:1] if np.ndim(getattr(run, f.name)) and f.name not in ("bars", "strings", "pinned", "parameters") else np.asarray(getattr(run, f.name)) for f in fields(run) if f.name not in ("scene", "sampled")})  # fmt: skip  # noqa: E501
     for whole in (run, one):
         assert_same(tc.load_mat_trajectory(tc.save_mat(whole, tmp_path / "x.mat")), whole)
 

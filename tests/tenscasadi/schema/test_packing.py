@@ -1,22 +1,22 @@
-"""Models as arrays: each thing that a scene can hold comes back, and where one differs it is named."""
+"""Values as text and arrays: all that a scene holds comes back, and differences are named."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import fields
 from inspect import signature
+from typing import Any
 
 import numpy as np
 import pytest
 
 import tenscasadi as tc
-from tenscasadi.dynamics.serialize import (
-    find_differences,
-    model_from_arrays,
-    model_to_arrays,
-    structure_from_arrays,
-)
+from tenscasadi.scene.samples import sample_functions
+from tenscasadi.schema.packing import NotStored, find_differences, pack, unpack
+from tenscasadi.schema.time_formula import TimeFormula
 from tenscasadi.structure.structure import PARAMETERS, Structure
+from tenscasadi.util.archive import Fields
 
 CLOCK = np.array([0.0, 0.3, 0.7])
 NODES = [(0, 0, 0), (1, 0, 0.1), (0.2, 1, 0), (0, 0.3, 1), (0.5, 0.5, 0.5)]
@@ -68,7 +68,7 @@ OTHER: dict[str, Callable[[], tc.Model]] = {
     "Structure.bar_mass": lambda: model(made=structure(bar_mass=2.0)),
     "Structure.bar_radius": lambda: model(made=structure(bar_radius=0.01)),
     "Structure.node_mass": lambda: model(made=structure(node_mass=[0, 0, 0, 1, 2])),
-    "Structure.fixed": lambda: model(made=structure(pinned={0: "xyz", 2: "x"})),
+    "Structure.pinned": lambda: model(made=structure(pinned={0: "xyz", 2: "x"})),
     "Structure.rollers": lambda: model(
         made=structure(rollers={1: (1, 0, 1), 4: [(1, 1, 0), (0, 0, 1)]})
     ),
@@ -77,23 +77,19 @@ OTHER: dict[str, Callable[[], tc.Model]] = {
     "Structure.rest_length": lambda: model(made=structure(rest_length=0.5)),
     "Structure.string_mass": lambda: model(made=structure(string_mass=0.2)),
     "Structure.string_parent": lambda: model(made=structure(string_mass=0.1).subdivide(2)),
-    "Structure.layout.physical": lambda: model(made=twisted()),
+    "Structure.layout_physical": lambda: model(made=twisted()),
     "Scene.segments": lambda: model(segments=2),
     "Scene.ends": lambda: model(ends="lumped"),
     "Scene.fractions": lambda: model(segments=2, fractions=(0.2, 0.8)),
     "Scene.gravity": lambda: model(gravity=tc.Gravity()),
-    "Scene.gravity.times": lambda: model(
-        gravity=tc.Gravity([(0, 0, 1), (0, 2, 0)], times=[0, 0.5])
-    ),
-    "Scene.pressure.times": lambda: model(
-        pressure=tc.Pressure([(0, 1, 2)], [3.0, 4.0], times=[0, 0.5])
-    ),
-    "Scene.ground.friction": lambda: model(ground=tc.Ground(normal=(0.1, 0.2, 1.0), friction=0.3)),
-    "Scene.ground.nodes": lambda: model(ground=tc.Ground(nodes=[1, 3])),
-    "Scene.ground.heights": lambda: model(
+    "Scene.gravity ": lambda: model(gravity=tc.Gravity([(0, 0, 1), (0, 2, 0)], times=[0, 0.5])),
+    "Scene.pressure ": lambda: model(pressure=tc.Pressure([(0, 1, 2)], [3.0, 4.0], times=[0, 0.5])),
+    "Scene.ground": lambda: model(ground=tc.Ground(normal=(0.1, 0.2, 1.0), friction=0.3)),
+    "Scene.ground ": lambda: model(ground=tc.Ground(nodes=[1, 3])),
+    "Scene.ground  ": lambda: model(
         ground=tc.Terrain([[0, 1, 0], [0, 0.5, 0.2]], (-1, -1), (1, 1.5), friction=0.3)
     ),
-    "Scene.grounds": lambda: model(
+    "Scene.ground   ": lambda: model(
         ground=[
             tc.Ground(),
             tc.Ground(friction=0.2),
@@ -102,8 +98,8 @@ OTHER: dict[str, Callable[[], tc.Model]] = {
     ),
     "Scene.pressure": lambda: model(pressure=tc.Pressure([(0, 1, 2)], 3.0)),
     "Scene.forces": lambda: model(forces=tc.NodalForce(np.ones((5, 3)))),
-    "Scene.forces.bars": lambda: model(forces=tc.NodalForce(np.ones((5, 3)), bars={1: 1})),
-    "Scene.forces.times": lambda: model(
+    "Scene.forces ": lambda: model(forces=tc.NodalForce(np.ones((5, 3)), bars={1: 1})),
+    "Scene.forces  ": lambda: model(
         forces=tc.NodalForce(np.arange(30.0).reshape(2, 5, 3), times=[0, 0.5])
     ),
     "Scene.parameters": lambda: model(
@@ -111,7 +107,7 @@ OTHER: dict[str, Callable[[], tc.Model]] = {
         parameters=tc.Parameters("bar_mass", scale=["stiffness"], groups={"bar_mass": "all"}),
     ),
     "Scene.slack": lambda: model(slack=tc.Smooth(0.01)),
-    "Scene.slack.laws": lambda: model(
+    "Scene.slack ": lambda: model(
         slack={0: tc.Linear(), 1: tc.Smooth(0.1), 2: tc.Clip("unclamped")}
     ),
     "Model.coordinates": lambda: model("reduced"),
@@ -125,8 +121,17 @@ FUNCTIONS: dict[str, Callable[[], tc.Model]] = {
 }
 
 
+def again(value: Any) -> Any:
+    """A value from the entries of a file."""
+    return unpack(Fields(pack({"value": value}, {})))["value"]
+
+
+def differences(one: Any, other: Any) -> set[str]:
+    return set(find_differences(one, other, "Model"))
+
+
 def test_everything_that_a_model_has_is_covered():
-    named = {name.split(".")[1] for name in [*OTHER, *FUNCTIONS]} | {"pinned"}  # pinned: fixed
+    named = {name.split(".")[1].strip() for name in [*OTHER, *FUNCTIONS]}
     named |= {"node_names", "string_names", "bar_names"}
     assert set(PARAMETERS) <= named
     assert {field.name for field in fields(tc.Scene)} - {"structure", "control"} <= named
@@ -134,57 +139,108 @@ def test_everything_that_a_model_has_is_covered():
 
 
 @pytest.mark.parametrize("name", OTHER)
-def test_a_model_comes_back_and_is_told_from_others(name):
+def test_a_model_comes_back_and_differs_from_others(name):
     own = OTHER[name]()
-    content = model_to_arrays(own, CLOCK)
-    again = model_from_arrays(content)
-    assert not find_differences(content, again)
-    assert not find_differences(content, own)
-    assert name in find_differences(content, model())
+    back = again(own)
+    assert not differences(back, own)
+    assert name.strip() in differences(back, model())
     state = own.initial_state + 1e-3 * np.random.default_rng(0).normal(size=own.nx)
     control = np.arange(own.nu) + 10.0
     given = [state, control, 1.1 * own.parameters.nominal] if own.np else [state, control]
     for function in ("ode", "observe"):
         for value, expected in zip(
-            *(getattr(one, function).call(given) for one in (again, own)), strict=True
+            *(getattr(one, function).call(given) for one in (back, own)), strict=True
         ):
             assert np.array_equal(value.full(), expected.full())
-    assert again.structure.pinned == own.structure.pinned
+    assert back.structure.pinned == own.structure.pinned
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
-def test_functions_of_time_are_told_by_what_they_give(name):
-    own = FUNCTIONS[name]()
-    content = model_to_arrays(own, CLOCK)
-    assert model_from_arrays(content) is None
-    assert not find_differences(content, own)
-    assert name in find_differences(content, model())
-    assert find_differences(
-        model_to_arrays(model(forces=wind(2.0)), CLOCK), model(forces=wind(2.1))
-    ) == ["Scene.forces"]
+def test_functions_of_time_are_stored_as_samples(name):
+    own = FUNCTIONS[name]().scene
+    part = name.split(".")[1]
+    reason = again(own)
+    assert isinstance(reason, NotStored)
+    assert f"Value.scene.{part}" in str(reason) or f"Value.{part}" in str(reason)
+    sampled, fields = sample_functions(own, CLOCK)
+    assert fields == (part,)
+    assert not differences(again(sampled), sampled)
+    assert name in differences(sampled, model().scene)
+    other, _ = sample_functions(model(forces=wind(2.1)).scene, CLOCK)
+    if part == "forces":
+        assert differences(sampled, other) == {"NodalForce.values"}
+
+
+def test_formulas_of_time_are_stored():
+    own = tc.Gravity(TimeFormula((0.0, 0.0, "-a * t"), (("a", 2.5),)))
+    back = again(own)
+    assert back == own
+    assert back.acceleration(2.0) == [0.0, 0.0, -5.0]
+    assert sample_functions(model(gravity=own).scene, CLOCK)[1] == ()
 
 
 def test_rounding_is_no_difference():
-    own = model(made=structure(nodes=np.array(NODES) + 1e-14))
-    assert not find_differences(model_to_arrays(model(), CLOCK), own)
+    assert not differences(model(), model(made=structure(nodes=np.array(NODES) + 1e-14)))
 
 
-def test_what_was_stored_before_there_were_layouts_is_compared_as_far_as_it_goes():
-    content = {
-        name: value
-        for name, value in model_to_arrays(model(), CLOCK).items()
-        if not name.startswith(("scene", "model", "structure.layout"))
-    }
-    assert model_from_arrays(content) is None
-    assert np.array_equal(structure_from_arrays(content).nodes, structure().nodes)
-    assert not find_differences(content, model("reduced"))
+def test_a_value_that_occurs_twice_is_one():
+    own = structure()
+    back = again([own, {"also": own}, tc.Projection(3)])
+    assert back[0] is back[1]["also"]
+    assert back[2] == tc.Projection(3)
 
 
 @pytest.mark.parametrize(
-    "name", ["layout.physical", "layout.bar_columns", "layout.string_columns", "string_parent"]
+    "name",
+    ["layout_physical", "layout_bar_columns", "layout_string_columns", "string_parent"],
 )
-def test_indices_that_point_nowhere_are_refused(name):
-    content = model_to_arrays(model(), CLOCK)
-    content[f"structure.{name}"] = content[f"structure.{name}"] + 100
-    with pytest.raises(ValueError, match=f"field '{name}' does not hold indices below"):
-        model_from_arrays(content)
+def test_indices_that_point_nowhere_are_rejected(name):
+    fields = structure(string_mass=0.1).subdivide(2).to_fields()
+    fields[name] = fields[name] + 100
+    with pytest.raises(ValueError, match=f"{name} does not hold indices below"):
+        Structure.from_fields(**fields)
+
+
+class Own(tc.RungeKutta4):
+    """A scheme of a user."""
+
+
+@pytest.mark.parametrize(
+    ("value", "reason"),
+    [
+        (Own(), "Value is of an own class, Own"),
+        ({"a": [1, print]}, r"Value.a\[1\] is a function"),
+        (object(), "Value is of an own class, object"),
+    ],
+)
+def test_reasons_take_the_place_of_values_that_no_file_holds(value, reason):
+    found = again(value)
+    with pytest.raises(NotStored, match=reason):
+        raise found
+
+
+@pytest.mark.parametrize(
+    "tree",
+    [
+        {"class": "os.system", "fields": {}},
+        {"class": "Structure.Structure", "fields": {"nodes": [[0, 0, 0]], "colour": 1}},
+        {"class": "NamedScheme.Rattle", "fields": {"order": "x"}},
+        {"same": 3},
+        {"array": 7},
+        {"tuple": 3},
+        {"mapping": [[1]]},
+        {"nothing": 1},
+        {},
+    ],
+)
+def test_damaged_values_are_errors(tree):
+    content = Fields(packed=np.asarray(json.dumps({"value": tree, "other": 1.5})))
+    found = unpack(content)
+    assert isinstance(found["value"], ValueError)
+    assert found["other"] == 1.5
+
+
+@pytest.mark.parametrize("text", ["", "[1]", "{", "[" * 100_000])
+def test_damaged_texts_are_rejected(text):
+    with pytest.raises(ValueError, match="'packed' holds no values"):
+        unpack(Fields(packed=np.asarray(text)))

@@ -1,0 +1,148 @@
+"""Models in files of plans of version 0.1: arrays by name."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from tenscasadi.dynamics.model import Model
+from tenscasadi.scene.ground import Ground, Surface, Terrain
+from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
+from tenscasadi.scene.parameters import Parameters
+from tenscasadi.scene.samples import Samples
+from tenscasadi.scene.scene import Scene
+from tenscasadi.scene.strings import Clip, Control, Linear, Smooth, StringLaw
+from tenscasadi.scene.supports import SupportMotion
+from tenscasadi.schema.packing import ENTRY
+from tenscasadi.structure.structure import PARAMETERS, Structure
+from tenscasadi.util.archive import Fields
+
+_LAWS: Mapping[str, Any] = {
+    "Smooth": lambda width: Smooth(float(width)),
+    "Clip": Clip,
+    "Linear": Linear,
+}
+
+
+def upgrade(content: Fields) -> dict[str, Any]:
+    """Restore the structure, the model and its scene, and rename the text of other values.
+
+    The model is None if there is none, or if it has functions of time. Raises ValueError.
+    """
+    content[ENTRY] = np.asarray(_upgrade_text(str(content.get("solved", "{}"))))
+    try:
+        if "model.coordinates" not in content:
+            return {"structure": read_structure(content), "model": None}
+        scene = _read_scene(content.within("scene."), read_structure(content), content)
+        sampled = tuple(content["scene.functions"].tolist())
+        options = content["model.coordinates"].item(), content["model.bar_length"].item()
+        model = None if sampled else Model(scene, *options)
+    except (TypeError, LookupError, AttributeError, ArithmeticError) as error:
+        raise ValueError(f"its scene is damaged ({error})") from None
+    return {"structure": scene.structure, "model": model, "scene": scene, "sampled": sampled}
+
+
+def _upgrade_text(text: str) -> str:
+    """Name kinds by their families where two families have one; "{}" if there is no JSON."""
+    try:
+        json.loads(text)
+    except (ValueError, RecursionError):
+        return "{}"
+    return text.replace('"Collocation (scheme)"', '"NamedScheme.Collocation"')
+
+
+def read_structure(content: Fields) -> Structure:
+    """Restore a structure. Raises ValueError, TypeError."""
+    told = content.within("structure.")
+    given = {name: told[name] for name in PARAMETERS if name in told and name != "rollers"}
+    axes = np.array(list("xyz"))
+    fixed = told.array("fixed", "b", 2)
+    given["pinned"] = {k: "".join(axes[own]) for k, own in enumerate(fixed) if own.any()}
+    rollers: dict[int, list[Any]] = {}
+    nodes = told.get("rollers.nodes", np.zeros(0)).ravel()
+    for node, normal in zip(nodes.tolist(), told.get("rollers", []), strict=True):
+        rollers.setdefault(int(node), []).append(normal)
+    derived = {}
+    if "layout.ties" in told:
+        derived = {name: told[name] for name in ("string_parent", "string_fraction")}
+        layout = told.within("layout.")
+        layout.pop("tied")
+        derived |= {f"layout_{name}": value for name, value in layout.items()}
+    return Structure.from_fields(**given, rollers=rollers, **derived)
+
+
+def _read_scene(told: Fields, structure: Structure, content: Fields) -> Scene:
+    functions = told["functions"].tolist()
+
+    def get(name: str) -> Any:
+        value = told.get(name, np.zeros(0))
+        return value if value.size else None
+
+    def load(kind: Any, name: str, *first: Any, **more: Any) -> Any:
+        times = get("clock") if name in functions else get(f"{name}.times")
+        value = get(name)
+        if value is None:
+            return None
+        plain = value.item() if name == "pressure" and times is None else value
+        return kind(*first, plain, times=times, **more)
+
+    faces, bars, nodes = get("pressure.faces"), get("forces.bars"), get("supports.nodes")
+    control = str(content.get("model.control", "ForceDensity"))
+    motions = {} if nodes is None else dict(zip(nodes.tolist(), told["supports"].T, strict=True))
+    positions = {node: Samples(get("clock"), rows.T) for node, rows in motions.items()}
+    laws = get("slack.laws")
+    return Scene(
+        structure,
+        control=None if control == "NoneType" else Control.members[control](),
+        segments=told["segments"].tolist(),
+        ends=told["ends"].item(),
+        fractions=None if get("fractions") is None else told["fractions"].tolist(),
+        gravity=load(Gravity, "gravity"),
+        ground=_read_grounds(told),
+        pressure=load(Pressure, "pressure", None if faces is None else faces.tolist()),
+        forces=load(
+            NodalForce,
+            "forces",
+            bars=None if bars is None else dict(bars.reshape(-1, 2).tolist()),
+        ),
+        supports=SupportMotion(positions) if positions else None,
+        parameters=None if get("parameters") is None else _read_parameters(told["parameters"]),
+        slack=_read_law(get("slack")) if laws is None else [_read_law(law) for law in laws],
+    )
+
+
+def _read_law(given: Any) -> StringLaw:
+    if not isinstance(given, str):
+        return Clip() if given is None else Smooth(given.item())
+    name, *options = given.split()
+    return _LAWS[name](*options)  # type: ignore[no-any-return]
+
+
+def _read_grounds(told: Fields) -> list[Surface]:
+    one = int(told["ground.stiffness"].size > 0)
+    grounds: list[Surface] = []
+    for k in range(int(told.get("grounds", one))):
+        own = told.within(f"ground{k or ''}.")
+        given = {name: value for name, value in own.items() if value.size and "." not in name}
+        if np.isnan(given.get("friction", 0.0)):
+            del given["friction"]
+        if "nodes" in given:
+            given["nodes"] = given["nodes"].ravel().tolist()
+        grounds.append((Terrain if "heights" in given else Ground)(**given))
+    return grounds
+
+
+def _read_parameters(told: Any) -> Parameters:
+    names: dict[str, list[str]] = {"name": [], "scale": []}
+    groups: dict[str, Any] = {}
+    for text in told.tolist():
+        what, name, *rest = text.split()
+        if what == "groups":
+            pairs = [group.split(",") for group in rest]
+            groups[name] = "all" if rest == ["all"] else [list(map(int, pair)) for pair in pairs]
+        else:
+            names[what].append(name)
+    return Parameters(*names["name"], scale=names["scale"], groups=groups)

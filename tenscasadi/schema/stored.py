@@ -1,0 +1,270 @@
+"""Results in .npz files: frozen dataclasses of numbers, text, arrays and values."""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Hashable, Mapping
+from dataclasses import MISSING, fields
+from functools import cache
+from pathlib import Path
+from types import NoneType
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    NamedTuple,
+    TypeVar,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
+
+import numpy as np
+
+from tenscasadi.schema.packing import ENTRY, NotStored, pack, unpack
+from tenscasadi.util import archive
+from tenscasadi.util.archive import Fields
+from tenscasadi.util.read_only import ReadOnlyArrays
+from tenscasadi.util.validate import shown
+
+Own = TypeVar("Own", bound="Stored")
+_KINDS = {bool: "b", int: "i", float: "f", str: "U"}  # NumPy's letters
+
+
+class Stored(ReadOnlyArrays):
+    """Base of results that files hold.
+
+    A field that is annotated as in ``Annotated[Array, "Tn3", "f"]`` is an array whose dimensions
+    have the sizes T, n and 3 and whose numbers are of NumPy's kind "f". Fields of other types than
+    numbers, text and arrays are values of registered kinds.
+    """
+
+    _form: ClassVar[str] = ""  # what files tell of themselves
+    _title: ClassVar[str] = ""  # what messages call them
+
+    def __init_subclass__(cls, *, form: str = "", title: str = "", **more: Any) -> None:
+        super().__init_subclass__(**more)
+        if form:
+            cls._form, cls._title = form, title
+
+    def __post_init__(self) -> None:
+        _check_arrays({name: getattr(self, name) for name in array_fields(type(self))}, type(self))
+        super().__post_init__()
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write to a compressed .npz file.
+
+        Functions of Python in values, such as loads over time, are stored as samples at the saved
+        times, or left out.
+
+        Parameters
+        ----------
+        path : str or PathLike
+            File to write; no ending is added.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        OSError
+            The file cannot be written.
+        """
+        return archive.save(path, self._form, self.to_arrays())
+
+    def to_bytes(self) -> bytes:
+        """Encode as the content of a file.
+
+        Returns
+        -------
+        bytes
+            The content of the file.
+        """
+        file = io.BytesIO()
+        archive.write(file, self._form, self.to_arrays())
+        return file.getvalue()
+
+    @classmethod
+    def load(cls: type[Own], path: str | os.PathLike[str]) -> Own:
+        """Read a file that `save` has written.
+
+        No code in the file is ever run.
+
+        Parameters
+        ----------
+        path : str or PathLike
+            File to read.
+
+        Returns
+        -------
+        Stored
+            The saved result.
+
+        Raises
+        ------
+        FileNotFoundError
+            There is no such file.
+        ValueError
+            The file cannot be read, or holds no such result; the message names the file and the
+            field.
+        """
+        return archive.load(path, cls._form, cls._title, cls.from_arrays)
+
+    def to_arrays(self) -> dict[str, Any]:
+        """Convert to arrays by name.
+
+        Returns
+        -------
+        dict of str to ndarray
+            The fields; values as text and arrays.
+        """
+        found: dict[str, Any] = {}
+        values: dict[str, Any] = {}
+        for field in fields(self):  # type: ignore[arg-type]  # subclasses are dataclasses
+            content = getattr(self, field.name)
+            if isinstance(content, Stored):
+                own = content.to_arrays().items()
+                found |= {f"{field.name}.{name}": array for name, array in own}
+            elif field.name not in array_fields(type(self)):
+                values[field.name] = content
+            elif content is not None:
+                found[field.name] = np.asarray(content)
+        return found | (pack(values, self._aliases()) if values else {})
+
+    @classmethod
+    def from_arrays(cls: type[Own], content: Mapping[str, Any]) -> Own:
+        """Build from arrays.
+
+        Parameters
+        ----------
+        content : mapping of str to ndarray
+            The fields by name. Those with a default may be missing.
+
+        Returns
+        -------
+        Stored
+            The result with these fields.
+
+        Raises
+        ------
+        ValueError
+            A field is missing or has a wrong type, shape or value. The message names the field.
+        """
+        own: type = cls
+        content, hints = Fields(content), _find_fields(own).hints
+        given: dict[str, Any] = unpack(content) if ENTRY in content else cls._upgrade(content)
+        for field in fields(cls):  # type: ignore[arg-type]
+            name, hint = field.name, hints[field.name]
+            if isinstance(hint, type) and issubclass(hint, Stored):
+                if any(entry.startswith(f"{name}.") for entry in content):
+                    given[name] = _restore_part(hint, name, content)
+            elif name in array_fields(cls) and name in content:
+                given[name] = _as_array(name, content[name])
+            if name in given:
+                continue
+            if field.default is field.default_factory is MISSING:
+                raise ValueError(f"it has no field {name!r}")
+            made = field.default_factory
+            given[name] = field.default if made is MISSING else made()
+        _check_arrays(given, cls)
+        for name, (letters, _) in array_fields(cls).items():
+            if letters == "" and name in content:
+                given[name] = given[name].item()
+        return cls(**cls._restore(given))
+
+    @classmethod
+    def _upgrade(cls, content: Fields) -> dict[str, Any]:
+        """Restore the values of a file of version 0.1. Raises ValueError."""
+        return {}
+
+    @classmethod
+    def _restore(cls, given: dict[str, Any]) -> dict[str, Any]:
+        """Check loaded fields, and drop values that could not be restored. Raises ValueError."""
+        own: type = cls
+        hints = _find_fields(own).hints
+        for name, value in given.items():
+            if name not in hints:
+                raise ValueError(f"it has a field {name!r}")
+            kind = hints[name]
+            if isinstance(value, ValueError):
+                raise ValueError(f"field {name!r} is damaged ({value})") from value
+            wrong = isinstance(kind, type) and not isinstance(value, kind)
+            given[name] = None if wrong or isinstance(value, NotStored) else value
+        return given
+
+    def _aliases(self) -> dict[int, Any]:
+        """Return values that take the place of others in files, by the ids of these."""
+        return {}
+
+
+def _restore_part(kind: type[Stored], name: str, content: Fields) -> Stored:
+    try:
+        return kind.from_arrays(content.within(f"{name}."))
+    except ValueError as error:
+        raise ValueError(str(error).replace("field '", f"field '{name}.", 1)) from error
+
+
+class _Fields(NamedTuple):
+    """Types of the fields of a class; dimensions, as letters, and kinds of those of arrays."""
+
+    hints: dict[str, Any]
+    arrays: dict[str, tuple[str | None, str]]
+
+
+@cache
+def _find_fields(cls: Hashable) -> _Fields:
+    found, known = _Fields({}, {}), get_type_hints(cls, include_extras=True)
+    for name, given in ((field.name, known[field.name]) for field in fields(cls)):  # type: ignore[arg-type]
+        own = [part for part in get_args(given) if part is not NoneType]
+        optional = NoneType in get_args(given) and get_origin(given) is not Annotated
+        hint = found.hints[name] = own[0] if optional and len(own) == 1 else given
+        if get_origin(hint) is Annotated:
+            _, letters, kind = get_args(hint)
+            found.arrays[name] = letters, kind
+        elif hint in _KINDS:
+            found.arrays[name] = "", _KINDS[hint]
+        elif get_origin(hint) is np.ndarray:
+            found.arrays[name] = None, np.dtype(get_args(get_args(hint)[1])[0]).kind
+    return found
+
+
+def array_fields(cls: type) -> dict[str, tuple[str | None, str]]:
+    """Find the dimensions, as letters, and the kinds of all fields that are numbers or text."""
+    return _find_fields(cls).arrays
+
+
+def _check_arrays(content: Mapping[str, Any], cls: type) -> None:
+    """Check the kinds and shapes of fields. Raises ValueError."""
+    sizes: dict[str, int] = {"2": 2, "3": 3}
+    for name, (letters, kind) in array_fields(cls).items():
+        if content.get(name) is None:
+            continue
+        value = _as_array(name, content[name])
+        if value.dtype.kind != kind:
+            raise ValueError(f"field {name!r} holds values of type {value.dtype}")
+        if letters is not None and (
+            value.ndim != len(letters)
+            or any(
+                sizes.setdefault(letter, size) != size
+                for letter, size in zip(letters, value.shape, strict=True)
+            )
+        ):
+            raise ValueError(f"field {name!r} has shape {value.shape}, which does not fit others")
+
+
+def check_indices(name: str, value: Any, count: int, least: int = 0) -> None:
+    """Raise ValueError unless all indices of a field are from `least` to below `count`."""
+    if np.size(value) and not least <= np.min(value) <= np.max(value) < count:
+        raise ValueError(f"field {name!r} holds indices outside {least} … {count - 1}")
+
+
+def _as_array(name: str, value: Any) -> Any:
+    if np.ma.is_masked(value):
+        raise ValueError(f"field {name!r} has masked entries")  # NumPy would use the masked values
+    try:
+        return np.asarray(value)
+    except Exception as error:  # an object's own __array__ may raise anything
+        raise ValueError(f"field {name!r} is {shown(value)}: it must be an array") from error

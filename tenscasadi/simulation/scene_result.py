@@ -1,0 +1,51 @@
+"""Results that remember their scene."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from tenscasadi.scene.samples import sample_functions
+from tenscasadi.scene.scene import Scene
+from tenscasadi.schema.stored import Stored
+from tenscasadi.util.validate import Array
+
+Own = TypeVar("Own", bound="SceneResult")
+
+
+class SceneResult(Stored):
+    """Base of results with a scene, whose functions of time files hold as samples.
+
+    Attributes
+    ----------
+    states : ndarray, shape (..., nx)
+        States of the model; the last entry is the clock, if there is one.
+    scene : Scene or None
+        The scene; None if a file does not hold it.
+    sampled : tuple of str
+        Fields of the scene that were functions of time before they were saved.
+    """
+
+    states: Array
+    scene: Scene | None
+    sampled: tuple[str, ...]
+
+    def to_arrays(self) -> dict[str, Any]:
+        """Convert to arrays by name, functions of time as samples."""
+        return Stored.to_arrays(self._sample())
+
+    def __getstate__(self) -> dict[str, Any]:
+        return vars(self._sample())  # other processes cannot get functions of Python
+
+    def _sample(self: Own) -> Own:
+        """Replace functions of time in the scene by their samples."""
+        if self.scene is None or not self.scene.has_clock:
+            return self
+        clock = self.states[..., -1].ravel()
+        try:
+            scene, sampled = sample_functions(self.scene, np.unique(clock[np.isfinite(clock)]))
+        except (TypeError, ValueError):  # a function that cannot be sampled
+            return replace(self, scene=None)  # type: ignore[type-var]  # results are dataclasses
+        return replace(self, scene=scene, sampled=sampled or self.sampled) if sampled else self  # type: ignore[type-var]
