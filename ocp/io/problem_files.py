@@ -98,7 +98,11 @@ def load_arguments(path: str | os.PathLike[str]) -> dict[str, Any]:
     >>> plan.transcription.intervals
     6
     """
-    document = read_document(path)
+    return read_arguments(read_document(path))
+
+
+def read_arguments(document: Document) -> dict[str, Any]:
+    """Read the arguments of `solve` from a document. Raises SceneFileError."""
     scene = read_scene(document)
     item = document.section("plan")
     if item is None:
@@ -163,6 +167,17 @@ def save_problem(problem: Problem, path: str | os.PathLike[str], **way: Any) -> 
     except NotWritten as error:
         raise ValueError(f"problem cannot be written, {error}") from None
     return write_document(target, tables)
+
+
+def describe_problem(problem: Problem) -> str:
+    """Format duration, goals, bounds and costs in a line."""
+    times = dict.fromkeys(f"{time:g}" for time in (problem.shortest, problem.longest))
+    parts = {
+        name: [type(value).__name__ for value in getattr(problem, name)]
+        for name in ("phases", "goals", "bounds", "costs")
+    }
+    texts = [f"{name}: {', '.join(kinds)}" for name, kinds in parts.items() if kinds]
+    return f"{' to '.join(times)} s, {'; '.join(texts)}"
 
 
 def _simulation(document: Document, scene: Scene) -> Simulation:

@@ -1,18 +1,17 @@
-"""The commands of scenes, which load matplotlib once they draw: each prints a summary, writes a .npz and pictures, and returns an exit code."""
+"""Commands that describe and simulate scenes and compare schemes."""
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
-from typing import Any
+from collections.abc import Sequence
+from typing import Annotated, Any
 
 import numpy as np
 
 from tenscasadi.analysis.tradeoff import tradeoff
-from tenscasadi.cli.loading import load_plots
-from tenscasadi.cli.output import FAILED, INTERRUPTED, Writers, write_files
-from tenscasadi.cli.plan import describe_plan
+from tenscasadi.cli.loading import load_ocp, load_plots
+from tenscasadi.cli.report import FAILED, INTERRUPTED, Report, find_scalars
 from tenscasadi.cli.source import find_source
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.rattle import Rattle
@@ -20,183 +19,255 @@ from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853
 from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stability import fastest_rate, stable_step
 from tenscasadi.integrators.stabilization import Projection
+from tenscasadi.io.document import Change
+from tenscasadi.io.simulation_section import SIMULATION
 from tenscasadi.statics.force_density import EquilibriumError, equilibrium_force_density
+from tenscasadi.structure.names import label
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.compile import Single, find_compiler
 from tenscasadi.util.validate import positive_number
 
+SCENE: dict[str, Any] = {
+    "metavar": "NAME|FILE",
+    "complete": {"bash": "_tenscasadi_scenes", "zsh": "_tenscasadi_scenes"},
+}
 
-def run_simulate(arguments: argparse.Namespace) -> int:
-    """Simulate a shape; write trajectory and pictures."""
-    plots = load_plots()
 
-    source = find_source(arguments.source)
+def find_fields() -> Any:
+    """Find the fields of [simulation]."""
+    return SIMULATION.fields
+
+
+def simulate_scene(
+    source: Annotated[str, SCENE],
+    report: Report,
+    changes: Sequence[Change],
+    gravity: float | None = None,
+    projection: int | None = None,
+    uncompiled: bool = False,
+    gif: bool = False,
+    mp4: bool = False,
+) -> int:
+    """Simulate a scene from its start.
+
+    Ctrl-C ends the run and keeps the rows that there are.
+
+    Parameters
+    ----------
+    source : str
+        Template or scene file (.toml, .json).
+    report : Report
+        Text and files.
+    changes : sequence of Change
+        Changes of the scene file.
+    gravity : float
+        Gravity downwards, m/s².
+    projection : int
+        Steps between projections onto bars and joints.
+    uncompiled : bool
+        Use CasADi's virtual machine even if there is a C compiler.
+    gif : bool
+        Write an animation, too.
+    mp4 : bool
+        Write a film, too.
+    """
+    sugar = []
+    if gravity is not None:
+        down = positive_number("gravity", gravity, zero=True)
+        sugar.append(Change(f"--gravity {gravity}", "scene.gravity", f"[0, 0, {-down}]"))
+    if projection is not None:
+        value = f'{{kind = "Projection", every = {projection}}}'
+        sugar.append(Change(f"--projection {projection}", "simulation.correction", value))
+    found = find_source(source, [*changes, *sugar])
     began = time.perf_counter()
-    names = ("t_end", "step", "coordinates", "gravity", "save_every", "projection")
-    simulation = source.simulation(**{name: getattr(arguments, name) for name in names})
+    simulation = found.simulation()
     trajectory = simulation.run(
-        progress=sys.stderr.isatty(), compiled=False if arguments.uncompiled else None
+        progress=sys.stderr.isatty() and not report.quiet, compiled=False if uncompiled else None
     )
     model = simulation.model
     set_up = time.perf_counter() - began - trajectory.seconds
-    print(f"{source.name}: {model.structure!r}, {model.nx} states, {model.coordinates} coordinates")
-    print(trajectory.summary())
-    print(f"set-up        {set_up:.2f} s: equations and their compilation")
-    writers: Writers = {
-        ".npz": trajectory.save,
-        ".png": lambda path: plots.time_lapse(trajectory, title=source.stem, path=path),
-        "-errors.png": lambda path: plots.errors(
-            trajectory, title=f"{source.stem}: errors", path=path
-        ),
-    }
-    films = [
-        ending for ending, wanted in ((".gif", arguments.gif), (".mp4", arguments.mp4)) if wanted
-    ]
-    writers |= dict.fromkeys(
-        films, lambda path: plots.animation.animate(trajectory, path, title=source.stem)
+    report.say(
+        f"{source}: {model.structure!r}, {model.nx} states, {model.coordinates} coordinates",
+        trajectory.summary(),
+        f"set-up        {set_up:.2f} s: equations and their compilation",
     )
-    write_files(arguments.output, f"{source.stem}-simulation", writers)
-    return 0 if trajectory.success else FAILED
+    plots, stem = load_plots, found.stem
+    films = [ending for ending, wanted in ((".gif", gif), (".mp4", mp4)) if wanted]
+    report.write(
+        f"{stem}-simulation",
+        {".npz": trajectory.save},
+        {
+            ".png": lambda path: plots().time_lapse(trajectory, title=stem, path=path),
+            "-errors.png": lambda path: plots().errors(
+                trajectory, title=f"{stem}: errors", path=path
+            ),
+            **dict.fromkeys(
+                films, lambda path: plots().animation.animate(trajectory, path, title=stem)
+            ),
+        },
+    )
+    code = INTERRUPTED if trajectory.interrupted else 0 if trajectory.success else FAILED
+    return report.finish(code, **find_scalars(trajectory) | {"success": trajectory.success})
 
 
-def run_tradeoff(arguments: argparse.Namespace) -> int:
-    """Measure what schemes and steps cost and are worth on a shape; write table and picture."""
-    source = find_source(arguments.source)
-    if arguments.tolerance is not None:
-        positive_number("tolerance", arguments.tolerance)
-    simulation = source.simulation(t_end=arguments.t_end)
+def compare_schemes(
+    source: Annotated[str, SCENE],
+    report: Report,
+    changes: Sequence[Change],
+    t_end: float | None = None,
+    steps: list[float] = [0.02, 0.01, 0.005, 0.002, 0.001],  # noqa: B006  only read
+    rtol: list[float] = [1e-4, 1e-7, 1e-10],  # noqa: B006
+    tolerance: float | None = None,
+    single: bool = False,
+    uncompiled: bool = False,
+) -> int:
+    """Measure how fast and how accurate each scheme is.
+
+    Each scheme runs with each step or --rtol, with and without Projection. The reference is one
+    that two schemes agree on. Times exclude the compilation, which is reported separately. Ctrl-C
+    ends the study and keeps the rows that there are.
+
+    Parameters
+    ----------
+    source : str
+        Template or scene file (.toml, .json).
+    report : Report
+        Text and files.
+    changes : sequence of Change
+        Changes of the scene file.
+    t_end : float
+        End of the simulation, s (default: that of the scene).
+    steps : list of float
+        Steps, s (default: 0.02 … 0.001).
+    rtol : list of float
+        Tolerances of adaptive schemes (default: 1e-4 1e-7 1e-10).
+    tolerance : float
+        Wanted accuracy, m: names the fastest run within it.
+    single : bool
+        Measure single precision, too.
+    uncompiled : bool
+        Use CasADi's virtual machine even if there is a C compiler.
+    """
+    end = [] if t_end is None else [Change(f"--t-end {t_end}", "simulation.t_end", str(t_end))]
+    found = find_source(source, [*changes, *end])
+    if tolerance is not None:
+        positive_number("tolerance", tolerance)
+    simulation = found.simulation()
     model = simulation.model
-    schemes: list[Scheme] = [
-        RungeKutta4(),
-        DormandPrince54(),
-        DormandPrince853(),
-        Rattle(),
-        *map(DormandPrince853, arguments.rtol),
-    ]
+    explicit: list[Scheme] = [RungeKutta4(), DormandPrince54(), DormandPrince853(), Rattle()]
     table = tradeoff(
         model,
         simulation.t_end,
-        schemes,
-        arguments.steps,
+        [*explicit, *map(DormandPrince853, rtol)],
+        steps,
         state=simulation.start,
         control=simulation.control,
         parameters=simulation.parameters,
         corrections=(None, Projection()),
-        compiled=(
-            False if arguments.uncompiled else None,
-            *([Single()] if arguments.single else []),
-        ),
-        progress=sys.stderr.isatty(),
+        compiled=(False if uncompiled else None, *([Single()] if single else [])),
+        progress=sys.stderr.isatty() and not report.quiet,
     )
-    print(f"{source.name}: {model.structure!r}, {table.t_end:g} s")
-    print(table.summary())
+    report.say(f"{source}: {model.structure!r}, {table.t_end:g} s", table.summary())
     if not table.rows:  # interrupted before the first
-        return INTERRUPTED
-    served = True
-    if arguments.tolerance is not None:
+        return report.finish(INTERRUPTED)
+    code = 0 if table.complete else INTERRUPTED
+    if tolerance is not None:
         try:
-            row = table.cheapest(arguments.tolerance)
-            print(
-                f"fastest within {arguments.tolerance:g} m: {row.name}"
-                + ("" if np.isnan(row.step) else f", step {row.step:g} s")
-            )
-        except ValueError as error:  # what was measured is kept all the same
-            print(error)
-            served = False
-    title = f"{source.stem}: cost and error of schemes"
-    write_files(
-        arguments.output,
-        f"{source.stem}-tradeoff",
-        {".npz": table.save, ".png": lambda path: table.plot(path, title=title)},
-    )
-    return INTERRUPTED if not table.complete else 0 if served else FAILED
+            row = table.cheapest(tolerance)
+            step = "" if np.isnan(row.step) else f", step {row.step:g} s"
+            report.say(f"fastest within {tolerance:g} m: {row.name}{step}")
+        except ValueError as error:
+            report.say(str(error))
+            code = code or FAILED
+    title = f"{found.stem}: cost and error of schemes"
+    picture = {".png": lambda path: table.plot(path, title=title)}
+    report.write(f"{found.stem}-tradeoff", {".npz": table.save}, picture)
+    rows = [{"name": row.name, **vars(row)} for row in table.rows]
+    return report.finish(code, rows=rows)
 
 
-def run_info(arguments: argparse.Namespace) -> int:
-    """Describe a shape; write it and its picture."""
-    plots = load_plots()
+def describe(source: Annotated[str, SCENE], report: Report, changes: Sequence[Change]) -> int:
+    """Describe a scene: members, masses, equilibrium, equations, stable step; check its file.
 
-    source = find_source(arguments.source)
-    simulation = source.simulation() if source.has("simulation") else None
-    scene = source.scene() if simulation is None else simulation.scene
-    model, given = (
-        (Model(scene), None) if simulation is None else (simulation.model, simulation.parameters)
-    )
-    s = model.with_parameters(given).scene.structure
-    print(f"{source.name}: {source.text}")
-    print(
-        f"nodes         {len(s.nodes)}, pinned: {', '.join(map(str, sorted({*s.pinned, *s.rollers}))) or 'none'}"
-    )
-    print(
-        f"bars          {len(s.bars)}"
-        + (
-            f", lengths {_range(s.bar_lengths)} m, mass {s.bar_mass.sum():g} kg in all"
-            if len(s.bars)
-            else ""
-        )
-    )
-    print(
-        f"strings       {len(s.strings)}"
-        + (
-            f", lengths {_range(s.string_lengths)} m, stiffness {_range(s.stiffness)} N/m"
-            if len(s.strings)
-            else ""
-        )
-    )
-    gamma = _equilibrium(s)
-    print("\nterm: instructions of the right-hand side")
-    print(model.describe())
-    rate, stable = (
-        fastest_rate(model, parameters=given),
-        stable_step(model, safety=1.0, parameters=given),
-    )
-    print(f"\nfastest rate  {rate:.4g} rad/s, largest stable step of RungeKutta4 {stable:.3g} s")
+    Files are written only if --output is given.
+
+    Parameters
+    ----------
+    source : str
+        Template or scene file (.toml, .json).
+    report : Report
+        Text and files.
+    changes : sequence of Change
+        Changes of the scene file.
+    """
+    found = find_source(source, changes)
+    simulation = found.simulation() if found.has("simulation") else None
+    model = Model(found.scene()) if simulation is None else simulation.model
+    given = None if simulation is None else simulation.parameters
+    structure = model.with_parameters(given).scene.structure
+    rate = fastest_rate(model, parameters=given)
+    stable = stable_step(model, safety=1.0, parameters=given)
+    gamma, equilibrium = _find_equilibrium(structure)
+    compiler = " ".join(find_compiler() or []) or "none found: simulations run uncompiled"
+    report.say(source, *_describe_members(structure), equilibrium)
+    report.say("\nterm: instructions of the right-hand side", str(model.describe()))
+    limit = f"largest stable step of RungeKutta4 {stable:.3g} s"
+    report.say(f"\nfastest rate  {rate:.4g} rad/s, {limit}")
     if simulation is not None:
         step = "" if simulation.step is None else f" in steps of {simulation.step:g} s"
-        print(f"simulation    {simulation.t_end:g} s{step} by {simulation.scheme}")
-    if source.has("plan"):
-        print(f"plan          {describe_plan(source.path)}")
-    compiler = find_compiler()
-    print(
-        f"C compiler    {' '.join(compiler) if compiler else 'none found: simulations run uncompiled'}"
-    )
-    fields = (
-        "nodes",
-        "bars",
-        "strings",
-        "bar_mass",
-        "bar_radius",
-        "node_mass",
-        "fixed",
-        "stiffness",
-        "damping",
-        "rest_length",
-        "string_mass",
-    )
-    content: dict[str, Any] = {name: getattr(s, name) for name in fields}
-    writers: Writers = {
-        ".npz": lambda path: np.savez_compressed(path, **content, equilibrium_force_density=gamma),
-        ".png": lambda path: plots.structure(s, labels=True, title=source.stem, path=path),
-    }
-    write_files(arguments.output, f"{source.stem}-structure", writers)
-    return 0
+        report.say(f"simulation    {simulation.t_end:g} s{step} by {simulation.scheme}")
+    if found.has("plan"):
+        files = load_ocp().io.problem_files
+        problem = files.read_arguments(found.document)["problem"]
+        report.say(f"plan          {files.describe_problem(problem)}")
+    report.say(f"C compiler    {compiler}")
+    if report.output is not None:
+        content = {**structure.to_fields(), "equilibrium_force_density": gamma}
+        arrays = {name: np.asarray(value) for name, value in content.items()}
+        plain: dict[str, Any] = {
+            name: array for name, array in arrays.items() if array.dtype.kind != "O"
+        }
+        report.write(
+            f"{found.stem}-structure",
+            {".npz": lambda path: np.savez_compressed(path, **plain)},
+            {
+                ".png": lambda path: load_plots().structure(
+                    structure, labels=True, title=found.stem, path=path
+                )
+            },
+        )
+    counts = {name: len(getattr(structure, name)) for name in ("nodes", "bars", "strings")}
+    rates = {"fastest_rate": rate, "stable_step": stable, "states": model.nx}
+    return report.finish(0, **counts, **rates, mass=float(structure.bar_mass.sum()))
 
 
-def _equilibrium(structure: Structure) -> Any:
-    """Print and return the force densities (α,) of the equilibrium without loads; NaN where there is none."""
+def _describe_members(structure: Structure) -> list[str]:
+    pins = sorted({*structure.pinned, *structure.rollers})
+    fixed = [label(structure.node_names, k) for k in pins]
+    lines = [f"nodes         {len(structure.nodes)}, pinned: {', '.join(fixed) or 'none'}"]
+    bars, strings = structure.bar_lengths, structure.string_lengths
+    mass, stiffness = structure.bar_mass.sum(), _format_range(structure.stiffness)
+    own = f", lengths {_format_range(bars)} m, mass {mass:g} kg in all" if len(bars) else ""
+    lines.append(f"bars          {len(bars)}{own}")
+    lengths = _format_range(strings)
+    own = f", lengths {lengths} m, stiffness {stiffness} N/m" if len(strings) else ""
+    return [*lines, f"strings       {len(strings)}{own}"]
+
+
+def _find_equilibrium(structure: Structure) -> tuple[Any, str]:
+    """Compute the force densities (α,) of the equilibrium without loads, and describe them."""
     if not len(structure.strings):
-        return np.zeros(0)
+        return np.zeros(0), "equilibrium   no strings"
     try:
         gamma = equilibrium_force_density(structure)
     except EquilibriumError as error:
-        print(f"equilibrium   {error}")
-        return np.full(len(structure.strings), np.nan)
-    print(
-        f"equilibrium   without loads, force densities in the ratio {' : '.join(f'{value:.4g}' for value in np.unique(gamma.round(9)))}"
-    )
-    return gamma
+        return np.full(len(structure.strings), np.nan), f"equilibrium   {error}"
+    ratio = " : ".join(f"{value:.4g}" for value in np.unique(gamma.round(9)))
+    return gamma, f"equilibrium   without loads, force densities in the ratio {ratio}"
 
 
-def _range(values: Any) -> str:
+def _format_range(values: Any) -> str:
+    if not np.size(values):
+        return ""
     low, high = float(np.min(values)), float(np.max(values))
     return f"{low:g}" if np.isclose(low, high) else f"{low:g} … {high:g}"

@@ -1,14 +1,13 @@
-"""The commands that write what other tools read, and read what they write: by the endings of the files."""
+"""Commands that export to and import from other programs, by the endings of files."""
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from tenscasadi.cli.output import check_file
+from tenscasadi.cli.report import check_file
 from tenscasadi.cli.results import load_result
 from tenscasadi.cli.source import find_source
 from tenscasadi.exchange.matlab.save import save_mat
@@ -16,94 +15,119 @@ from tenscasadi.exchange.matlab.structures import load_mat
 from tenscasadi.exchange.mjcf import export_mjcf, import_mjcf
 from tenscasadi.exchange.ntrt.load import load_ntrt
 from tenscasadi.exchange.vtk import export_vtk
+from tenscasadi.io.document import ENDINGS
 from tenscasadi.io.scene_files import save_scene
 from tenscasadi.scene.scene import Scene
 from tenscasadi.simulation.motions import Rollouts
 from tenscasadi.simulation.trajectory import Trajectory
 
-_SCENES: dict[str, Callable[[Scene, Path], object]] = {
+FILE: dict[str, Any] = {
+    "metavar": "FILE",
+    "complete": {"bash": "_tenscasadi_files", "zsh": "_tenscasadi_files"},
+}
+_OWN = dict.fromkeys(ENDINGS, save_scene)
+_SCENES: dict[str, Callable[..., object]] = {
     ".xml": export_mjcf,
     ".mat": lambda scene, path: save_mat(scene.structure, path),
-    ".toml": save_scene,
+    **_OWN,
 }
-_MOTIONS: dict[str, Callable[[Any, Path], object]] = {
+_MOTIONS: dict[str, Callable[..., object]] = {
     ".csv": lambda motion, path: motion.to_csv(path),
-    ".mat": lambda motion, path: save_mat(_trajectory(motion), path),
+    ".mat": lambda motion, path: save_mat(_find_trajectory(motion), path),
     ".pvd": lambda motion, path: export_vtk(
-        _trajectory(motion), path, model=getattr(motion, "model", None)
+        _find_trajectory(motion), path, model=getattr(motion, "model", None)
     ),  # a plan's, for forces of bars
 }
 
 
-def _import_mat(arguments: argparse.Namespace) -> Scene:
-    structure = load_mat(arguments.source, strict=not arguments.lenient)
+def _import_mat(path: str, strict: bool, **_: Any) -> Scene:
+    structure = load_mat(path, strict=strict)
     # in MATLAB's programs, nodes carry the mass of strings
     return Scene(structure, ends="lumped" if structure.string_mass.any() else "interior")
 
 
-def _import_ntrt(arguments: argparse.Namespace) -> Scene:
-    structure = load_ntrt(
-        arguments.source,
-        length_unit=arguments.length_unit,
-        ball_joints=arguments.ball_joints,
-        strict=not arguments.lenient,
-    )
-    return Scene(structure)
-
-
-_FOREIGN: dict[str, Callable[[argparse.Namespace], Scene]] = {
-    ".xml": lambda arguments: import_mjcf(arguments.source, strict=not arguments.lenient),
+_FOREIGN: dict[str, Callable[..., Scene]] = {
+    ".xml": lambda path, strict, **_: import_mjcf(path, strict=strict),
     ".mat": _import_mat,
-    **dict.fromkeys((".yaml", ".yml"), _import_ntrt),
+    **dict.fromkeys((".yaml", ".yml"), lambda path, **own: Scene(load_ntrt(path, **own))),
 }
 
 
-def run_export(arguments: argparse.Namespace) -> int:
-    """Write a scene, a motion or a plan for another tool. Raises ValueError, OSError, ImportError."""
-    is_result = arguments.source.endswith(".npz")
-    write = _by_ending(
-        _MOTIONS if is_result else _SCENES,
-        arguments.out,
-        "motions and plans" if is_result else "scenes",
-    )
-    check_file("OUT", arguments.out)
-    source = None if is_result else find_source(arguments.source)
-    if source is not None and arguments.out.exists() and arguments.out.samefile(source.path):
-        raise ValueError(f"OUT is {arguments.out}, the file that is read: give another")
-    content = load_result(arguments.source) if source is None else source.scene()
-    if isinstance(content, Rollouts):
-        raise ValueError(f"{arguments.source} holds rollouts: give a trajectory or a plan")
-    write(content, arguments.out)
-    print(f"wrote {arguments.out}")
-    if source is not None and (
-        left := [f"[{name}]" for name in _not_held(arguments.out) if source.has(name)]
-    ):
+def export_file(source: Annotated[str, FILE], out: Annotated[Path, FILE]) -> int:
+    """Export a scene, a trajectory or a plan to other programs.
+
+    Scenes: .xml (MuJoCo), .mat (MATLAB: MOTES), .toml or .json (a scene file without formulas).
+    Trajectories and plans (.npz): .csv, .mat (MATLAB), .pvd (ParaView).
+
+    Parameters
+    ----------
+    source : str
+        Template, scene file (.toml, .json), trajectory or plan (.npz).
+    out : Path
+        File to write; its ending tells the format.
+    """
+    if source.endswith(".npz"):
+        write = _find_by_ending(_MOTIONS, out, "motions and plans")
+        check_file("OUT", out)
+        motion = load_result(source)
+        if isinstance(motion, Rollouts):
+            raise ValueError(f"{source} holds rollouts: give a trajectory or a plan")
+        write(motion, out)
+        print(f"wrote {out}")
+        return 0
+    write = _find_by_ending(_SCENES, out, "scenes")
+    check_file("OUT", out)
+    found = find_source(source)
+    if out.exists() and out.samefile(found.path):
+        raise ValueError(f"OUT is {out}, the file that is read: give another")
+    write(found.scene(), out)
+    print(f"wrote {out}")
+    parts = ("scene", "start", "simulation", "plan")[out.suffix.lower() != ".mat" :]
+    if left := [f"[{name}]" for name in parts if found.has(name)]:
         print(f"tenscasadi: left out: {', '.join(left)}", file=sys.stderr)
     return 0
 
 
-def _not_held(path: Path) -> tuple[str, ...]:
-    """Return the tables of a scene file that have no place in the exported file."""
-    return (*(("scene",) if path.suffix.lower() == ".mat" else ()), "start", "simulation", "plan")
+def import_file(
+    source: Annotated[str, FILE],
+    out: Annotated[Path, FILE],
+    length_unit: float = 1.0,
+    ball_joints: bool = True,
+    lenient: bool = False,
+) -> int:
+    """Import a file of another program as a scene file.
 
+    MuJoCo: .xml; MATLAB: .mat of MOTES or TsgFEM; NTRT: .yaml. Parts without a counterpart in a scene
+    file are errors; --lenient leaves them out and lists them.
 
-def run_import(arguments: argparse.Namespace) -> int:
-    """Write what another tool wrote as a scene file. Raises ValueError, OSError, ImportError."""
-    read = _by_ending(_FOREIGN, Path(arguments.source), "scenes")
-    _by_ending({".toml": save_scene}, arguments.out, "scene files")
-    check_file("OUT", arguments.out)
-    save_scene(read(arguments), arguments.out)
-    print(f"wrote {arguments.out}")
+    Parameters
+    ----------
+    source : str
+        File of another program; its ending tells which.
+    out : Path
+        Scene file to write (.toml, .json).
+    length_unit : float
+        NTRT: its unit of length, m (default: 1).
+    ball_joints : bool
+        NTRT: rods that share a node may turn there (default).
+    lenient : bool
+        Leave out parts that a scene cannot have, and list them.
+    """
+    read = _find_by_ending(_FOREIGN, Path(source), "scenes")
+    _find_by_ending(_OWN, out, "scene files")
+    check_file("OUT", out)
+    options = {"length_unit": length_unit, "ball_joints": ball_joints, "strict": not lenient}
+    save_scene(read(source, **options), out)
+    print(f"wrote {out}")
     return 0
 
 
-def _trajectory(motion: Any) -> Trajectory:
+def _find_trajectory(motion: Any) -> Trajectory:
     return motion if isinstance(motion, Trajectory) else motion.trajectory
 
 
-def _by_ending(known: dict[str, Callable[..., Any]], path: Path, what: str) -> Callable[..., Any]:
+def _find_by_ending(known: dict[str, Any], path: Path, kind: str) -> Any:
     if path.suffix.lower() not in known:
-        raise ValueError(
-            f"{path} does not end as the files of {what} do: give one of {', '.join(sorted(known))}"
-        )
+        cure = f"give one of {', '.join(sorted(known))}"
+        raise ValueError(f"{path} does not end as the files of {kind} do: {cure}")
     return known[path.suffix.lower()]

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 import warnings
 from collections.abc import Sequence
 from typing import TextIO
 
-from tenscasadi.cli.output import BAD_INPUT, FAILED, INTERRUPTED, check_folder
-from tenscasadi.cli.parser import command_parser
+from tenscasadi.cli.parser import parse
+from tenscasadi.cli.report import BAD_INPUT, FAILED, INTERRUPTED
 from tenscasadi.util.compile import CompileError
 
 
@@ -41,27 +42,25 @@ def main(argv: Sequence[str] | None = None) -> int:
     >>> main(["info", "cube"])
     2
     """
-    arguments = command_parser().parse_args(argv)
+    words = sys.argv[1:] if argv is None else argv
+    code, fault = BAD_INPUT, ""
     try:
         with warnings.catch_warnings():
             warnings.showwarning = _warn
-            if hasattr(arguments, "output"):
-                check_folder("output", arguments.output)
-            return int(arguments.run(arguments))
-    except BrokenPipeError:  # whoever read the output has left, as `head` does
-        os.dup2(
-            os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
-        )  # or Python complains once more when it ends
+            return parse(words)()
+    except BrokenPipeError:  # the reader of the output has left, as `head` does
+        # or Python complains once more when it ends
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILED
     except (ValueError, TypeError, OSError, ImportError, MemoryError, CompileError) as error:
-        if isinstance(error, OSError) and error.filename is not None and error.strerror:
-            _tell(f"{error.filename}: {error.strerror}")
-        else:
-            _tell(str(error) or "not enough memory")
-        return BAD_INPUT
+        named = isinstance(error, OSError) and error.filename is not None and error.strerror
+        fault = f"{error.filename}: {error.strerror}" if named else str(error)  # type: ignore[union-attr]
     except KeyboardInterrupt:
-        _tell("interrupted")
-        return INTERRUPTED
+        code, fault = INTERRUPTED, "interrupted"
+    _tell(fault or "not enough memory")
+    if "--json" in words:
+        print(json.dumps({"success": False, "message": fault}))
+    return code
 
 
 def _tell(text: str) -> None:

@@ -1,51 +1,46 @@
-"""Scenes by the name of a shape, or of a scene file: with their start, and how they are simulated."""
+"""Scenes by the name of a template or of a scene file, with changes from the command line."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
-from tenscasadi.integrators.stabilization import Projection
-from tenscasadi.io.document import read_document
+from tenscasadi.io.document import ENDINGS, Change, read_document
 from tenscasadi.io.scene_files import read_scene
 from tenscasadi.io.simulation_section import read_simulation
-from tenscasadi.scene.loads import Gravity
 from tenscasadi.scene.scene import Scene
 from tenscasadi.schema.reading import Document
 from tenscasadi.simulation.declared import Simulation
-from tenscasadi.util.validate import positive_number
 
-STARTING_FILES = Path(__file__).with_name("starting_files")
-
-SHAPES = MappingProxyType(  # scene files of the package by name, and what help tells of them
-    {
-        "pendulum": "one bar of 1 m and 1 kg, released from rest 135° from hanging down, under gravity",
-        "double-pendulum": "two bars of 1 m and 1 kg, released from rest 90° and 120° from hanging down, under gravity",
-        "prism": (
-            "three bars, nine strings of 1000 N/m with force densities of 50 and 87 N/m; top and bottom start turning against each other at 4 rad/s"
-        ),
-        "d-bar": "four bars in a diamond pinned at node 0, two strings of 1000 N/m with 50 N/m; swings about the pin at 3 rad/s",
-        "six-bar-ball": "six bars of 1 m and 1 kg, 24 strings of 1000 N/m with 50 N/m; thrown at 3 m/s along x and 5 m/s up, tumbling, under gravity",
-        "reach": "an arm, one bar on a hinge between four strings of 500 N/m with 50 N/m, pushed at 0.5 m/s, under gravity",
-    }
-)
+FOLDER = Path(__file__).with_name("templates")
+TEMPLATES = {path.stem: path for path in sorted(FOLDER.glob("*.toml"))}
 
 
 @dataclass(frozen=True)
 class Source:
-    """A scene file, one of the package's or somebody's own: `name` as it was given, the `path` that is read, and `text` for people."""
+    """A scene file of the package or of a user.
+
+    Attributes
+    ----------
+    name : str
+        Name as it was given.
+    path : Path
+        The file.
+    changes : sequence of Change
+        Changes from the command line.
+    """
 
     name: str
     path: Path
-    text: str
+    changes: Sequence[Change] = ()
 
     @cached_property
     def document(self) -> Document:
-        """The file, read once."""
-        return read_document(self.path)
+        """Content of the file."""
+        return read_document(self.path, self.changes)
 
     @property
     def stem(self) -> str:
@@ -53,48 +48,45 @@ class Source:
         return self.path.stem
 
     def scene(self) -> Scene:
-        """Return the scene. Raises SceneFileError, OSError."""
+        """Read the scene. Raises SceneFileError, OSError."""
         return read_scene(self.document)
 
-    def simulation(
-        self, gravity: float | None = None, projection: int | None = None, **changes: Any
-    ) -> Simulation:
-        """Return the simulation, but for what is given here; gravity: m/s² downwards, 0: none; projection: steps from one to the next."""
-        told = read_simulation(self.document, self.scene(), changes.get("t_end"))
-        if gravity is not None:
-            down = positive_number("gravity", gravity, zero=True)
-            changes["scene"] = replace(
-                told.scene, gravity=Gravity((0.0, 0.0, -down)) if down else None
-            )
-        if projection is not None:
-            changes["correction"] = Projection(projection)
-        return replace(
-            told, **{name: value for name, value in changes.items() if value is not None}
-        )
+    def simulation(self) -> Simulation:
+        """Read the simulation. Raises SceneFileError, OSError."""
+        return read_simulation(self.document, self.scene())
 
     @property
     def string_groups(self) -> dict[str, list[int]]:
         """Strings by the names of their groups."""
-        names = self.scene().structure.names
-        groups = names.named["string"].items()
+        groups = self.scene().structure.names.named["string"].items()
         return {name: list(strings) for name, strings in groups if not name.endswith("]")}
 
     def has(self, section: str) -> bool:
-        """Tell whether the file has a table of this name."""
+        """Return whether the file has a section."""
         return self.document.section(section) is not None
 
 
-def find_source(name: str) -> Source:
-    """Return what a shape or a scene file is. Raises ValueError that lists the shapes, FileNotFoundError."""
-    if name in SHAPES:
-        return Source(name, STARTING_FILES / f"{name}.toml", SHAPES[name])
-    if not name.endswith(".toml"):
-        raise ValueError(
-            f"unknown shape {name!r}: give one of {', '.join(SHAPES)}, or a scene file, whose name ends in .toml"
-        )
+def read_title(template: str) -> str:
+    """Read the description of a template, its first line."""
+    with TEMPLATES[template].open(encoding="utf-8") as file:
+        return file.readline().strip("# .\n")
+
+
+def find_source(name: str, changes: Sequence[Change] = ()) -> Source:
+    """Find a template or a scene file. Raises ValueError, FileNotFoundError."""
+    if name in TEMPLATES:
+        return Source(name, TEMPLATES[name], changes)
+    if not name.endswith(ENDINGS):
+        known = ", ".join(TEMPLATES)
+        cure = f"give one of {known}, or a scene file, whose name ends in .toml or .json"
+        raise ValueError(f"unknown template {name!r}: {cure}")
     path = Path(name)
     if not path.exists():
-        raise FileNotFoundError(
-            f"there is no file {name}: `tenscasadi new prism > {path.name}` writes one to start from"
-        )
-    return Source(name, path, "scene file")
+        cure = f"`tenscasadi new prism > {path.name}` writes one to start from"
+        raise FileNotFoundError(f"there is no file {name}: {cure}")
+    return Source(name, path, changes)
+
+
+def describe_change(option: str, key: str, value: Any) -> Change:
+    """Build the change that an option asks for."""
+    return Change(f"--{option} {value}", key, str(value))

@@ -8,7 +8,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from tenscasadi.schema.formulas import RESERVED
 from tenscasadi.schema.reading import Document, Item, SceneFileError, nearest
@@ -29,11 +29,21 @@ LARGEST_FILE = 16_000_000  # bytes of a file with its includes
 MOST_VALUES = 1_000_000  # keys and entries of lists
 
 
-def read_document(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> Document:
-    """Read a scene file with its includes.
+class Change(NamedTuple):
+    """Change of a scene file: the option that asks for it, a dotted key, and a value in TOML.
 
-    Nothing in the files is run, and no other file is opened. `changes` such as
-    "simulation.step=0.01" take precedence over the file. Raises SceneFileError, OSError.
+    A value that is no TOML is text.
+    """
+
+    option: str
+    key: str
+    value: str
+
+
+def read_document(path: str | os.PathLike[str], changes: Sequence[Change] = ()) -> Document:
+    """Read a scene file with its includes, then apply changes.
+
+    Nothing in the files is run, and no other file is opened. Raises SceneFileError, OSError.
     """
     source = file_path("path", path)
     if not source.exists():
@@ -41,10 +51,15 @@ def read_document(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> 
     reader = _Reader()
     data = reader.read(source, source.name, ())
     for change in changes:
-        data = _merge(data, reader.parse(*_split_change(change)))
+        section, _, name = change.key.partition(".")
+        known = data.get("numbers", {})
+        if section == "numbers" and name not in known:
+            cure = nearest(name, known)
+            raise ValueError(f"{change.option.split()[0]} is no option and no number: {cure}")
+        data = _merge(data, reader.parse(change.option, _format_change(change), "toml"))
     document = Document(source.name, data, {}, tuple(reader.sources))
     for name in data:
-        if name not in (*HEAD, "include", "numbers", *SECTIONS):
+        if name not in (*HEAD, "include", "numbers", "$schema", *SECTIONS):
             cure = nearest(name, (*SECTIONS, *HEAD, "include", "numbers"))
             raise document.root.child(name).error(f"is no part of a scene file: {cure}")
     return replace(document, numbers=_compute_numbers(document))
@@ -58,17 +73,16 @@ def write_document(path: Path, tables: Mapping[str, Any]) -> Path:
     return path
 
 
-def _split_change(change: str) -> tuple[str, str, str]:
-    """Return the name, text and language of a change; a value that is no TOML is text."""
-    key, _, value = change.partition("=")
-    name = f"--set {change}"
-    if not re.fullmatch(r"[\w-]+(\.[\w-]+)*", key):
-        raise ValueError(f"set is {shown(change)}: give KEY=VALUE, such as simulation.step=0.01")
+def _format_change(change: Change) -> str:
+    if not re.fullmatch(r"[\w-]+(\.[\w-]+)+", change.key):
+        cure = "give KEY=VALUE, such as simulation.step=0.01"
+        raise ValueError(f"set is {shown(change.key)}: {cure}")
+    text = f"{change.key} = {change.value}"
     try:
-        parse(f"{key} = {value}", "toml", MOST_VALUES)
+        parse(text, "toml", MOST_VALUES)
     except TextError:
-        value = to_toml({"x": value}).partition(" = ")[2]
-    return name, f"{key} = {value}", "toml"
+        return to_toml({"x": change.value}).replace("x", change.key, 1)
+    return text
 
 
 class _Reader:

@@ -48,6 +48,11 @@ def extend_names(names: Sequence[str], count: int) -> list[str]:
     return [*names, *[""] * (count - len(names))] if names else []
 
 
+def label(names: Sequence[str], index: int) -> str:
+    """Return the name of an item, its index if it has none."""
+    return (names[index] if names else "") or str(index)
+
+
 def find_names(counts: Mapping[Any, int], names: Mapping[Any, Sequence[str]]) -> Names:
     """Find the indices of all names, and of the groups that names such as "guys[2]" belong to."""
     found: dict[Any, dict[str, list[int]]] = {}

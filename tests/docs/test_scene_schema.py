@@ -23,7 +23,7 @@ SCHEMA = json.loads((ROOT / "docs/scene_schema.json").read_text(encoding="utf-8"
 FILES = sorted(
     [
         *(ROOT / "examples/scenes").glob("*.toml"),
-        *(ROOT / "tenscasadi/cli/starting_files").glob("*.toml"),
+        *(ROOT / "tenscasadi/cli/templates").glob("*.toml"),
     ]
 )
 BLOCKS = re.findall(
@@ -47,12 +47,12 @@ def test_scene_files_are_valid(text):
     ("old", "new"),
     [
         ("StringLengths", "StringLength"),
-        ("lower = 10.0", "lowr = 10.0"),
+        ('lower = "lower"', 'lowr = "lower"'),
         ("duration = 1.0", "duration = true"),
     ],
 )
 def test_wrong_plans_are_invalid(old, new):
-    text = (ROOT / "tenscasadi/cli/starting_files/prism.toml").read_text(encoding="utf-8")
+    text = (ROOT / "tenscasadi/cli/templates/prism.toml").read_text(encoding="utf-8")
     assert old in text
     assert not jsonschema.Draft202012Validator(SCHEMA).is_valid(
         tomllib.loads(text.replace(old, new))

@@ -21,7 +21,7 @@ else:
 ROOT = Path(__file__).parents[3]
 VALIDATOR = jsonschema.Draft202012Validator(file_schema())
 FILES = [
-    *sorted((ROOT / "tenscasadi/cli/starting_files").glob("*.toml")),
+    *sorted((ROOT / "tenscasadi/cli/templates").glob("*.toml")),
     *sorted((ROOT / "examples/scenes").glob("*.toml")),
 ]
 HEAD = 'format = 1\nunits = "SI"\n[structure]\nshape = "prism"\n[plan]\n'

@@ -20,7 +20,7 @@ from ocp_problems.tasks import (
 import ocp
 import tenscasadi as tc
 
-STARTING_FILES = tc.__path__[0] + "/cli/starting_files"
+FOLDER = tc.__path__[0] + "/cli/templates"
 HEAD = 'format = 1\nunits = "SI"\n'
 ARM = """
 [structure]
@@ -279,7 +279,7 @@ def test_what_no_file_holds_is_refused_by_name(tmp_path):
 
 @pytest.mark.parametrize("name", ["prism", "d-bar", "six-bar-ball", "reach"])
 def test_the_files_to_start_from_are_planned(name):
-    plan = ocp.solve(**ocp.load_arguments(f"{STARTING_FILES}/{name}.toml"))
+    plan = ocp.solve(**ocp.load_arguments(f"{FOLDER}/{name}.toml"))
     assert plan.success, plan.message
 
 

@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from tenscasadi.cli.main import main
-from tenscasadi.cli.source import SHAPES
+from tenscasadi.cli.source import TEMPLATES
 
 BASH = shutil.which("bash")
 
@@ -51,7 +51,7 @@ def test_zsh_gets_a_script_with_all_shapes(capsys):
     assert main(["completion", "zsh"]) == 0
     out = capsys.readouterr().out
     assert out.startswith("#compdef tenscasadi")
-    assert " ".join(SHAPES) in out
+    assert " ".join(TEMPLATES) in out
 
 
 def test_without_shtab_it_says_what_to_install(monkeypatch, capsys):

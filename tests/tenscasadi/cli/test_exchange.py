@@ -19,12 +19,12 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize("ending", ["xml", "mat", "toml"])
+@pytest.mark.parametrize("ending", ["xml", "mat", "toml", "json"])
 def test_scenes_go_out_and_come_back(ending, here, capsys):
     assert main(["export", "prism", f"out.{ending}"]) == 0
     assert capsys.readouterr().out == f"wrote out.{ending}\n"
     back = f"out.{ending}"
-    if ending != "toml":
+    if ending in ("xml", "mat"):
         assert main(["import", back, "back.toml"]) == 0
         back = "back.toml"
     ours, theirs = find_source("prism").scene().structure, tc.load_scene(back).structure
@@ -118,7 +118,7 @@ def test_lenient_import_leaves_out_unknown_entries(here, capsys):
     [
         (
             ["export", "prism", "out.csv"],
-            "out.csv does not end as the files of scenes do: give one of .mat, .toml, .xml",
+            "out.csv does not end as the files of scenes do: give one of .json, .mat, .toml, .xml",
         ),
         (["export", "run.npz", "out.xml"], "give one of .csv, .mat, .pvd"),
         (["export", "gone.npz", "out.csv"], "gone.npz"),
@@ -130,7 +130,7 @@ def test_lenient_import_leaves_out_unknown_entries(here, capsys):
         (["export", "prism", "folder/out.xml"], "there is no folder folder"),
         (["import", "gone.mat", "out.toml"], "tenscasadi: gone.mat: No such file"),
         (["import", "run.npz", "out.toml"], "give one of .mat, .xml, .yaml, .yml"),
-        (["import", "gone.mat", "out.txt"], "give one of .toml"),
+        (["import", "gone.mat", "out.txt"], "give one of .json, .toml"),
     ],
 )
 def test_what_cannot_be_exchanged_is_told_in_a_line(arguments, named, here, capsys):

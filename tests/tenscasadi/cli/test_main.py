@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import os
 import re
 import subprocess
@@ -19,9 +20,10 @@ import ocp
 import tenscasadi as tc
 from tenscasadi.cli.main import main
 from tenscasadi.cli.parser import COMMANDS
-from tenscasadi.cli.source import SHAPES, find_source
+from tenscasadi.cli.source import TEMPLATES, find_source, read_title
 
 ROOT = Path(__file__).resolve().parents[3]
+SHAPES = ["pendulum", "double-pendulum", "prism", "d-bar", "six-bar-ball", "reach"]
 
 
 def run(*arguments):
@@ -279,7 +281,7 @@ def test_ctrl_c_in_a_tradeoff_keeps_what_there_is(rows, tmp_path, capsys, monkey
 def test_single_precision_is_measured_too_when_asked(tmp_path, monkeypatch):
     ways = []
 
-    def asked(*_, compiled, **__):
+    def asked(*_: object, compiled: object, **__: object) -> None:
         ways.append(compiled)
         raise KeyboardInterrupt
 
@@ -290,7 +292,7 @@ def test_single_precision_is_measured_too_when_asked(tmp_path, monkeypatch):
 
 
 def test_a_plan_that_fails_is_told_and_kept(tmp_path, capsys):
-    options = ["--intervals", 5, "--duration", 0.02, "--upper", 20]
+    options = ["--intervals", 5, "--duration", 0.02, "--upper", 20, "--lower", 5]
     assert run("plan", "prism", *options, "--output", tmp_path) == 1
     assert "no plan" in capsys.readouterr().out
     assert not ocp.Plan.load(tmp_path / "prism-plan.npz").success
@@ -303,11 +305,8 @@ def test_a_plan_that_fails_is_told_and_kept(tmp_path, capsys):
         (["fly"], "fly"),
         (["completion"], "shell"),
         (["completion", "sh"], "bash"),
-        (["simulate"], "SHAPE|FILE"),
-        (
-            ["simulate", "cube"],
-            "pendulum, double-pendulum, prism, d-bar, six-bar-ball, reach, or a scene file",
-        ),
+        (["simulate"], "NAME|FILE"),
+        (["simulate", "cube"], "six-bar-ball, or a scene file"),
         (["info", "cube"], "six-bar-ball"),
         (["tradeoff", "cube"], "six-bar-ball"),
         (["tradeoff", "prism", "--steps", "0"], "steps[0]"),
@@ -315,7 +314,7 @@ def test_a_plan_that_fails_is_told_and_kept(tmp_path, capsys):
         (["tradeoff", "prism", "--rtol", "2"], "rtol"),
         (["tradeoff", "prism", "--tolerance", "-1"], "tolerance"),
         (["plan", "cube"], "prism"),
-        (["simulate", "prism", "--t-end", "soon"], "--t-end"),
+        (["simulate", "prism", "--t-end", "soon"], "t_end"),
         (["simulate", "prism", "--t-end", "nan"], "t_end"),
         (["simulate", "prism", "--t-end", "-1"], "t_end"),
         (["simulate", "prism", "--step", "0"], "step"),
@@ -324,7 +323,14 @@ def test_a_plan_that_fails_is_told_and_kept(tmp_path, capsys):
         (["simulate", "prism", "--gravity", "-9.81"], "gravity"),
         (["simulate", "prism", "--save-every", "0"], "save_every"),
         (["simulate", "prism", "--projection", "0"], "Projection.every"),
-        (["simulate", "prism", "--speed", "3"], "--speed"),
+        (
+            ["simulate", "prism", "--sped", "3"],
+            "--sped is no option and no number: did you mean 'speed'",
+        ),
+        (["simulate", "prism", "extra"], "extra"),
+        (["export", "prism", "p.toml", "--height", "3"], "--height"),
+        (["simulate", "prism", "--set", "step"], "set is 'step': give KEY=VALUE"),
+        (["simulate", "prism", "--set", "numbers.new=3"], "no number"),
         (["new", "cube"], "six-bar-ball"),
         (["simulate", "gone.toml"], "new prism > gone.toml"),
         (["plan", "gone.toml"], "gone.toml"),
@@ -337,8 +343,8 @@ def test_a_plan_that_fails_is_told_and_kept(tmp_path, capsys):
         (["plan", "prism", "--bars", "2"], "bars"),
         (["plan", "prism", "--height", "-1"], "height"),
         (["plan", "prism", "--radius", "inf"], "radius"),
-        (["plan", "prism", "--to-height", "2"], "to-height"),
-        (["plan", "prism", "--to-height", "nan"], "to-height"),
+        (["plan", "prism", "--to-height", "2"], "to_height"),
+        (["plan", "prism", "--to-height", "nan"], "to_height"),
         (["plan", "prism", "--duration", "0"], "duration"),
         (["plan", "prism", "--intervals", "0"], "intervals"),
         (["plan", "prism", "--lower", "20", "--upper", "10"], "lower"),
@@ -360,8 +366,8 @@ def test_bad_input_is_told_in_one_line(arguments, named, tmp_path, monkeypatch, 
 
 @pytest.mark.parametrize("command", ["simulate", "tradeoff", "info", "plan"])
 def test_output_that_no_folder_can_be_is_refused_at_once(command, tmp_path, capsys, monkeypatch):
-    monkeypatch.delattr("tenscasadi.cli.commands.find_source")  # nothing is built
-    monkeypatch.delattr("tenscasadi.cli.plan.shapes")
+    for module in ("commands", "plan"):
+        monkeypatch.delattr(f"tenscasadi.cli.{module}.find_source")  # nothing is built
     (tmp_path / "file").write_text("")
     for output in ("file", "file/new/folder"):
         assert run(command, "prism", "--output", tmp_path / output) == 2
@@ -390,15 +396,77 @@ def test_interrupted(monkeypatch, capsys):
     assert capsys.readouterr().err == "tenscasadi: interrupted\n"
 
 
-@pytest.mark.parametrize("command", ["simulate", "tradeoff", "info"])
-def test_help_tells_every_shape_and_its_start(command, capsys):
+@pytest.mark.parametrize("command", ["new", "simulate", "tradeoff", "info", "plan", "view"])
+def test_help_describes_every_template(command, capsys):
     with pytest.raises(SystemExit) as leaving:
         main([command, "--help"])
     assert leaving.value.code == 0
     out = capsys.readouterr().out
-    for name, text in SHAPES.items():
+    for name in TEMPLATES:
         assert name in out
-        assert text in out
+        assert read_title(name) in out
+
+
+def test_fields_of_sections_are_options(tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        main(["simulate", "--help"])
+    out = capsys.readouterr().out
+    for name in ("t_end", "step", "scheme", "correction", "save_every", "energy_balance"):
+        assert f"--{name.replace('_', '-')}" in out
+    assert "End of the run, s." in out  # from the docstring
+    options = ["--scheme", "Rattle", "--correction", "{kind = 'Projection', every = 3}"]
+    options += ["--t-end", "0.02", "--set", "scene.gravity=[0, 0, '-g']", "--no-plots"]
+    assert run("simulate", "prism", "--output", tmp_path, *options) == 2
+    assert (
+        "--set scene.gravity=[0, 0, '-g'], scene.gravity[2]: 'g' is not" in capsys.readouterr().err
+    )
+    options[-2] = "scene.gravity=[0, 0, '-9.81 / 6']"
+    assert run("simulate", "prism", "--output", tmp_path, *options, "--height", 1.5) == 0
+    loaded = tc.Trajectory.load(tmp_path / "prism-simulation.npz")
+    assert loaded.scene.gravity == tc.Gravity((0.0, 0.0, -9.81 / 6))
+    assert np.ptp(loaded.nodes[0, :, 2]) == pytest.approx(1.5)
+    assert {path.name for path in tmp_path.iterdir()} == {"prism-simulation.npz"}
+
+
+@pytest.mark.parametrize(
+    ("command", "names"),
+    [
+        (["simulate", "prism", "--t-end", "0.02"], {"message", "step", "error_estimate", "files"}),
+        (["plan", "reach", "--duration", "0.9"], {"objective", "replay_error", "status", "files"}),
+        (["info", "prism"], {"nodes", "fastest_rate", "mass"}),
+        (["tradeoff", "prism", "--t-end", "0.02", "--steps", "0.01", "--rtol", "1e-3"], {"rows"}),
+    ],
+)
+def test_json_is_one_object(command, names, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run(*command, "--json", "--no-plots", "-o", "out") == 0
+    told = capsys.readouterr()
+    found = json.loads(told.out, parse_constant=lambda word: pytest.fail(word))
+    assert found["success"] is True
+    assert names <= found.keys()
+    assert {Path(name).suffix for name in found["files"]} == {".npz"}
+
+
+def test_json_tells_of_errors(capsys):
+    assert run("simulate", "prism", "--t-end", -1, "--json") == 2
+    told = capsys.readouterr()
+    assert json.loads(told.out) == {
+        "success": False,
+        "message": "--t-end -1, simulation.t_end: Simulation.t_end is -1: it must be greater than 0",
+    }
+    assert told.err.startswith("tenscasadi: --t-end -1")
+
+
+def test_quiet_prints_nothing(tmp_path, capsys):
+    assert run("simulate", "pendulum", "--t-end", 0.02, "--quiet", "-o", tmp_path) == 0
+    assert capsys.readouterr() == ("", "")
+    assert len(list(tmp_path.iterdir())) == 3
+
+
+def test_info_writes_no_files_unless_asked(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert run("info", "prism") == 0
+    assert not list(tmp_path.iterdir())
 
 
 def test_as_a_process(tmp_path):
@@ -437,16 +505,15 @@ def test_a_reader_that_leaves_is_no_error(tmp_path):
 
 
 def test_warnings_are_one_line_each(capsys, monkeypatch):
-    def warn(_):
+    def warn() -> int:
+        """Warn."""
         warnings.warn("two\n  lines", stacklevel=1)
         return 0
 
-    monkeypatch.setattr(
-        "tenscasadi.cli.parser.COMMANDS", {"info": COMMANDS["info"]._replace(run=warn)}
-    )
+    monkeypatch.setitem(COMMANDS, "info", COMMANDS["info"]._replace(run=warn))
     with warnings.catch_warnings():
         warnings.simplefilter("always")
-        assert run("info", "prism") == 0
+        assert run("info") == 0
     assert capsys.readouterr().err == "tenscasadi: warning: two lines\n"
 
 

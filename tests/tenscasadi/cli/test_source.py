@@ -8,7 +8,8 @@ import pytest
 import ocp
 import tenscasadi as tc
 from tenscasadi.cli.main import main
-from tenscasadi.cli.source import SHAPES, STARTING_FILES, find_source
+from tenscasadi.cli.source import TEMPLATES, find_source
+from tenscasadi.io.document import Change
 
 
 def run(*arguments):
@@ -27,16 +28,13 @@ def new(name, path, capsys):
     path.write_text(capsys.readouterr().out, encoding="utf-8")
 
 
-def test_every_starting_file_is_a_shape():
-    assert {path.stem for path in STARTING_FILES.iterdir()} == set(SHAPES)
-
-
-@pytest.mark.parametrize("shape", SHAPES)
-def test_new_writes_a_file_that_is_the_shape(shape, here, capsys):
-    new(shape, here / "my.toml", capsys)
-    ours, theirs = find_source("my.toml").simulation(), find_source(shape).simulation()
-    assert np.array_equal(ours.start, theirs.start)
-    assert repr(ours.scene) == repr(theirs.scene)
+@pytest.mark.parametrize("name", TEMPLATES)
+def test_new_writes_a_file_that_is_the_template(name, here, capsys):
+    new(name, here / "my.toml", capsys)
+    ours, theirs = find_source("my.toml"), find_source(name)
+    assert repr(ours.scene()) == repr(theirs.scene())
+    if ours.has("simulation"):
+        assert np.array_equal(ours.simulation().start, theirs.simulation().start)
 
 
 def test_the_starts_are_those_that_help_tells():
@@ -60,28 +58,21 @@ def test_the_starts_are_those_that_help_tells():
     assert bent == pytest.approx(tc.shapes.double_pendulum(angles=(np.pi / 2, 2 * np.pi / 3)).nodes)
 
 
-def test_options_go_before_the_file(here, capsys):
+def test_changes_go_before_the_file(here, capsys):
     new("six-bar-ball", here / "ball.toml", capsys)
-    options = {
-        "t_end": 0.3,
-        "step": 0.01,
-        "coordinates": "full",
-        "gravity": 1.5,
-        "save_every": 3,
-        "projection": 2,
+    changes = {
+        "simulation.t_end": "0.3",
+        "simulation.coordinates": "full",
+        "simulation.scheme": "Rattle",
+        "scene.gravity": "[0, 0, -1.5]",
+        "numbers.half": "'1 / 4'",
     }
-    found = find_source("ball.toml").simulation(**options)
-    assert (found.t_end, found.step, found.coordinates, found.save_every, found.correction) == (
-        0.3,
-        0.01,
-        "full",
-        3,
-        tc.Projection(2),
-    )
+    source = find_source("ball.toml", [Change("--set", *pair) for pair in changes.items()])
+    found = source.simulation()
+    assert (found.t_end, found.step, found.coordinates) == (0.3, 1e-3, "full")
+    assert found.scheme == tc.Rattle()
     assert found.scene.gravity == tc.Gravity((0.0, 0.0, -1.5))
-    assert find_source("ball.toml").simulation(gravity=0.0).scene.gravity is None
-    kept = find_source("ball.toml").simulation(**dict.fromkeys(options))
-    assert (kept.t_end, kept.step, kept.correction) == (1.0, 1e-3, None)
+    assert found.scene.structure.bar_lengths == pytest.approx(np.full(6, 0.5))
 
 
 def test_a_new_user(here, capsys):
