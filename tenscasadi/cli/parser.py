@@ -157,11 +157,12 @@ def _add_option(parser: argparse.ArgumentParser, name: str, option: Option) -> N
     hint = own[0] if own else hint
     positional = option.default is inspect.Parameter.empty
     if hint is bool:
-        on = option.default is True
-        settings["action"] = argparse.BooleanOptionalAction if on else "store_true"
-    else:
-        settings |= {"type": hint} if hint in (int, float, Path) else {}
-        settings |= {} if positional else {"default": option.default}
+        switch = argparse.BooleanOptionalAction if option.default else "store_true"
+        settings["action"] = switch
+    elif hint in (int, float, Path):
+        settings["type"] = hint
+    if not positional:
+        settings["default"] = option.default
     if not positional and hint is not bool and "choices" not in settings:
         settings.setdefault("metavar", name.upper())
     flags = [name] if positional else ["-o", "--output"] if name == "output" else [_flag(name)]
