@@ -43,7 +43,7 @@ def main(folder: Path = Path(), quick: bool = False) -> Learned:
         forward,
         lower=0.2,
         upper=1.0,
-        speed=RATE,
+        rest_length_rate=RATE,
         period=PERIOD,
         steps=STEPS,
         duration=DURATION,

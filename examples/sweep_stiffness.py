@@ -82,7 +82,7 @@ def main(folder: Path = Path(), results: Path | None = None, *, quick: bool = Fa
     print(
         f"{table.message}: {time.perf_counter() - began:.1f} s, {table.seconds.sum():.1f} s of work"
     )
-    print(table.csv())
+    print(table.to_csv())
     draw(table, folder / "sweep_stiffness.png")
     return table
 

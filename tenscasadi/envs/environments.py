@@ -18,9 +18,6 @@ except ImportError as error:
     raise ImportError("tenscasadi.envs needs gymnasium: pip install 'tenscasadi[gym]'") from error
 
 
-MOST = 1_000_000  # parallel episodes
-
-
 class TensegrityEnv(gymnasium.Env[Any, Any]):
     """Control task as a gymnasium environment.
 
@@ -147,7 +144,7 @@ class TensegrityVectorEnv(VectorEnv[Any, Any, Any]):
 
     def __init__(self, task: Task, num_envs: int, threads: int = 1) -> None:
         instance("task", task, Task, "a tenscasadi.envs.Task")
-        self.task, self.num_envs = task, whole_number("num_envs", num_envs, 1, MOST)
+        self.task, self.num_envs = task, whole_number("num_envs", num_envs, 1, 10**6)
         self._episodes = Episodes(task, num_envs, whole_number("threads", threads, 1, 1024))
         self.single_observation_space, self.single_action_space = _spaces(self._episodes)
         self.observation_space, self.action_space = (

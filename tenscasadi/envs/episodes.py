@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tenscasadi.envs.task import Task, Transition, pair
+from tenscasadi.envs.task import Task, Transition, read_spread
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.stabilization import projection
 from tenscasadi.simulation.engine.kernel import BROKEN_BARS, build_kernel
@@ -36,7 +36,10 @@ class Episodes:
     def __init__(self, task: Task, count: int, threads: int = 1) -> None:
         self.task, self.threads = task, threads
         model = task.model
-        self._first, self._start = np.array(task.state, dtype=float), pair("Task.start", task.start)
+        self._first, self._start = (
+            np.array(task.state, dtype=float),
+            read_spread("Task.start", task.start),
+        )
         self.states, self.control = (
             np.tile(self._first, (count, 1)),
             np.tile(model.initial_control, (count, 1)),
@@ -135,7 +138,7 @@ class Episodes:
             rows = [
                 self.nodes.reshape(n, -1),
                 self.velocities.reshape(n, -1),
-                *([self.control] if task.winds else []),
+                *([self.control] if task.controls_rest_lengths else []),
             ]
             seen = np.concatenate(rows, axis=1)
         return np.clip(seen, -FARTHEST, FARTHEST).astype(np.float32)
@@ -174,13 +177,13 @@ class Episodes:
         Rest lengths change in every step.
         """
         task, model = self.task, self.task.model
-        n, pieces = len(action), task.steps if task.winds else 1
+        n, pieces = len(action), task.steps if task.controls_rest_lengths else 1
         inputs = np.empty((n, pieces, model.nw))
         inputs[:, :, model.nu :] = self.parameters[:, None]
         lower, upper = task.limits
-        if task.winds:
+        if task.controls_rest_lengths:
             share = (np.arange(pieces) + 0.5) / pieces
-            change = action * np.asarray(task.speed, dtype=float) * task.period
+            change = action * np.asarray(task.rest_length_rate, dtype=float) * task.period
             rest = inputs[:, :, : model.nu]
             np.multiply(share[:, None], change[:, None], out=rest)
             rest += self.control[:, None]

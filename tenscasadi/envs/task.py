@@ -13,6 +13,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import Correction, Projection
 from tenscasadi.scene.strings import ForceDensity, RestLength
 from tenscasadi.simulation.diagnosis import off_constraints
+from tenscasadi.util.renamed import RenamedAttribute, rename_keywords
 from tenscasadi.util.validate import (
     Array,
     finite_array,
@@ -25,10 +26,6 @@ from tenscasadi.util.validate import (
     text,
     whole_number,
 )
-
-CORRECTION = Projection(10)
-MOST_STEPS = 1_000_000  # steps per period, about a second of computation
-ROUNDED = 1e-3  # relative to lengths and speeds: constraint tolerance of the initial state
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +77,7 @@ class Task:
         Function of a `Transition` of n episodes that returns rewards (n,).
     lower, upper : array_like, scalar or shape (α,)
         Force densities at the actions −1 and 1 [N/m], or limits of rest lengths [m].
-    speed : array_like, scalar or shape (α,), optional
+    rest_length_rate : array_like, scalar or shape (α,), optional
         Rate of rest lengths at the action 1 [m/s]. Only for `RestLength`.
     period : float
         Control period [s].
@@ -131,7 +128,7 @@ class Task:
     reward: Callable[[Transition], ArrayLike]
     lower: ArrayLike
     upper: ArrayLike
-    speed: ArrayLike | None = None
+    rest_length_rate: ArrayLike | None = None
     period: float = 0.05
     steps: int = 10
     duration: float = 5.0
@@ -140,62 +137,57 @@ class Task:
     parameters: Mapping[str, float] = field(default_factory=dict)
     observation: Callable[[Array, Array, Array], ArrayLike] | None = None
     terminated: Callable[[Transition], ArrayLike] | None = None
-    correction: Correction | None = CORRECTION
+    correction: Correction | None = Projection(10)  # noqa: RUF009  frozen
 
     def __post_init__(self) -> None:
-        model, own = self.model, self.__dict__
+        model = self.model
         instance("Task.model", model, Model, "a tenscasadi.Model")
         if not isinstance(model.scene.control, (ForceDensity, RestLength)) or not model.nu:
-            raise ValueError(
-                f"Task.model has the control {model.scene.control}: give Scene(..., control=ForceDensity() or RestLength())"
-            )
+            cure = "give Scene(..., control=ForceDensity() or RestLength())"
+            raise ValueError(f"Task.model has the control {model.scene.control}: {cure}")
         for name in ("reward", "observation", "terminated"):
-            if not callable(getattr(self, name)) and (
-                name == "reward" or getattr(self, name) is not None
-            ):
-                raise TypeError(f"Task.{name} is {shown(getattr(self, name))}: give a function")
-        for name in ("lower", "upper"):
-            own[name] = nonnegative(
-                f"Task.{name}",
-                per_item(f"Task.{name}", getattr(self, name), model.nu),
-                "string",
-                strict=self.winds,
-            )
-        crossed = np.less_equal(*reversed(self.limits))
-        if np.any(crossed):
+            given = getattr(self, name)
+            if not callable(given) and (name == "reward" or given is not None):
+                raise TypeError(f"Task.{name} is {shown(given)}: give a function")
+        whole_number("Task.steps", self.steps, 1, 10**6)  # about a second of computation
+        state = model.initial_state if self.state is None else self.state
+        own: dict[str, Any] = {
+            "lower": self._per_string("lower", strict=self.controls_rest_lengths),
+            "upper": self._per_string("upper", strict=self.controls_rest_lengths),
+            "period": positive_number("Task.period", self.period),
+            "duration": positive_number("Task.duration", self.duration),
+            "state": finite_array("Task.state", state, (model.nx,)),
+            "start": read_spread("Task.start", self.start),
+            "parameters": _read_spreads(model, self.parameters),
+        }
+        if self.controls_rest_lengths != (self.rest_length_rate is not None):
+            cure = "give the greatest rate, m/s, for RestLength(), and None for ForceDensity()"
+            raise ValueError(f"Task.rest_length_rate is {shown(self.rest_length_rate)}: {cure}")
+        if self.rest_length_rate is not None:
+            own["rest_length_rate"] = self._per_string("rest_length_rate")
+        for name, value in own.items():
+            object.__setattr__(self, name, value)
+        if np.any(crossed := np.greater_equal(*self.limits)):
             k = int(np.argmax(crossed))
             raise ValueError(f"Task.lower of string {k} is not below upper: give lower < upper")
-        if self.winds != (self.speed is not None):
-            raise ValueError(
-                f"Task.speed is {shown(self.speed)}: give the greatest rate, m/s, for RestLength(), and None for ForceDensity()"
-            )
-        if self.speed is not None:
-            own["speed"] = nonnegative(
-                "Task.speed", per_item("Task.speed", self.speed, model.nu), "string"
-            )
-        own["period"] = positive_number("Task.period", self.period)
-        whole_number("Task.steps", self.steps, 1, MOST_STEPS)
-        own["duration"] = positive_number("Task.duration", self.duration)
         if self.duration < self.period:
-            raise ValueError(
-                f"Task.duration is {self.duration:g}, shorter than the period of {self.period:g} s: give a longer one"
-            )
-        own["state"] = (
-            model.initial_state
-            if self.state is None
-            else finite_array("Task.state", self.state, (model.nx,))
-        )
-        if off := off_constraints(model, own["state"], ROUNDED):
+            fault = f"{self.duration:g}, shorter than the period of {self.period:g} s"
+            raise ValueError(f"Task.duration is {fault}: give a longer one")
+        if off := off_constraints(model, own["state"], 1e-3):  # rounded numbers are projected
             raise ValueError(f"Task.state is {off}")
-        own["start"] = pair("Task.start", self.start)
-        own["parameters"] = _spreads(model, self.parameters)
         if self.correction is not None and not hasattr(self.correction, "every"):
-            raise TypeError(
-                f"Task.correction is {shown(self.correction)}: give Projection(every), BarLengthCorrection(weight) or None"
-            )
+            cure = "give Projection(every), BarLengthCorrection(weight) or None"
+            raise TypeError(f"Task.correction is {shown(self.correction)}: {cure}")
+
+    def _per_string(self, name: str, strict: bool = False) -> Array:
+        field = f"Task.{name}"
+        array = per_item(field, getattr(self, name), self.model.nu)
+        return nonnegative(field, array, "string", strict=strict)
+
+    speed = RenamedAttribute("rest_length_rate")
 
     @property
-    def winds(self) -> bool:
+    def controls_rest_lengths(self) -> bool:
         """Whether actions are rates of rest lengths."""
         return isinstance(self.model.scene.control, RestLength)
 
@@ -219,35 +211,33 @@ class Task:
         return values
 
 
-def pair(field: str, value: Any) -> tuple[float, float]:
+Task.__init__ = rename_keywords(speed="rest_length_rate")(Task.__init__)  # type: ignore[method-assign]
+
+
+def read_spread(field: str, value: Any) -> tuple[float, float]:
     """Read the spreads of positions and velocities.
 
     One number is the spread of positions. Raises TypeError, ValueError.
     """
     if nesting(value) == 0:
         return positive_number(field, value, zero=True), 0.0
-    place, speed = finite_array(field, value, (2,))
-    return positive_number(f"{field}[0]", place, zero=True), positive_number(
-        f"{field}[1]", speed, zero=True
-    )
+    pair = enumerate(finite_array(field, value, (2,)))
+    position, speed = (positive_number(f"{field}[{k}]", x, zero=True) for k, x in pair)
+    return position, speed
 
 
-def _spreads(model: Model, given: Any) -> dict[str, float]:
-    if not isinstance(given, Mapping):
-        raise TypeError(
-            f"Task.parameters is {shown(given)}: give spreads by name, such as {{'bar_mass': 0.1}}"
-        )
-    known = ", ".join(model.parameters.places) or "none"
-    found = {}
+def _read_spreads(model: Model, given: Any) -> dict[str, float]:
+    instance("Task.parameters", given, Mapping, "spreads by name, such as {'bar_mass': 0.1}")
+    places, found = model.parameters.places, {}
     for name, value in given.items():
         text("Task.parameters: a name", name)
-        if name not in model.parameters.places:
-            raise ValueError(
-                f"Task.parameters has {shown(name)}, and the model's parameters are {known}: give Scene(..., parameters=Parameters({shown(name)}))"
-            )
-        found[name] = positive_number(f"Task.parameters[{shown(name)}]", value, zero=True)
+        if name not in places:
+            known = f"the model's parameters are {', '.join(places) or 'none'}"
+            cure = f"give Scene(..., parameters=Parameters({shown(name)}))"
+            raise ValueError(f"Task.parameters has {shown(name)}, and {known}: {cure}")
+        field = f"Task.parameters[{shown(name)}]"
+        found[name] = positive_number(field, value, zero=True)
         if found[name] >= 1:
-            raise ValueError(
-                f"Task.parameters[{shown(name)}] is {value:g}: give a spread relative to the value, less than 1"
-            )
+            cure = "give a spread relative to the value, less than 1"
+            raise ValueError(f"{field} is {value:g}: {cure}")
     return found

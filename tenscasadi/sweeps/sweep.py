@@ -1,4 +1,4 @@
-"""Sweeps: one function of many independent cases, on the cores of this machine or on a cluster, each result on disk at once."""
+"""Sweeps: one function of many independent cases, on many cores or a cluster."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import Any
 
 from tqdm import tqdm
 
-from tenscasadi.sweeps.case_files import CaseFiles, Outcome
+from tenscasadi.sweeps.case_files import CaseFiles, CaseOutcome
 from tenscasadi.sweeps.sweep_table import Sweep
 from tenscasadi.sweeps.workers import run_in_processes, run_on_executor
 from tenscasadi.util.interrupts import on_interrupt
 from tenscasadi.util.validate import file_path, flag, instance, listed, shown
 
-_MISSING = Outcome({}, "", float("nan"))
+_MISSING = CaseOutcome({}, "", float("nan"))
 
 
 def sweep(
@@ -33,15 +33,15 @@ def sweep(
         Function of one case. It returns a dict of numbers, text and arrays of these, or one of
         them, which is then named ``result``.
     cases : iterable
-        Cases. Dicts by text, whose values are the columns of the table, or any other value. With a
+        Cases: dicts by text, whose values are the columns of the table, or any other value. With a
         `folder`, cases hold None, numbers, text, NumPy arrays, lists, tuples and dicts of these,
         structures, scenes, models, and options that are dataclasses, such as schemes.
     executor : concurrent.futures.Executor, optional
-        Who computes: processes of this machine, as many as it has cores and each with one thread,
-        by default. Dask's ``client.get_executor()`` computes on a cluster.
+        Executor of the jobs. Default: processes of this machine, one for each core and each with
+        one thread. Dask's ``client.get_executor()`` computes on a cluster.
     folder : str or PathLike, optional
-        Folder of results. Each finished case is written there at once, and what is found there is
-        not computed again.
+        Folder of results. Each case is saved as soon as it finishes. Saved cases are not
+        recomputed.
     progress : bool
         Whether to show a progress bar.
 
@@ -49,15 +49,13 @@ def sweep(
     -------
     Sweep
         Table of cases and results. A case that raises, or whose worker dies, is recorded with its
-        traceback, and the others go on. So does Ctrl-C end the sweep early: what has finished is
-        kept.
+        traceback, and the others go on. Ctrl-C ends the sweep early and keeps the finished cases.
 
     Raises
     ------
     TypeError, ValueError
-        An argument is wrong, a case holds what a folder of results cannot tell, the folder is that
-        of another script's function of the same name, or other processes cannot import the
-        function.
+        An argument is wrong, a folder of results cannot identify a case, the folder is that of
+        another script's function of the same name, or other processes cannot import the function.
     RuntimeError
         Worker processes cannot begin, as in a script without ``if __name__ == "__main__":``.
     OSError
@@ -69,18 +67,16 @@ def sweep(
 
     Notes
     -----
-    A case is identified by what it holds, and by the name of the function with what that holds: the
-    arguments of a `functools.partial`, the attributes of its object, numbers, text, arrays,
-    structures, scenes and models in its closure and defaults. Its file is read without running what
-    is in it (no pickle).
-    Failed cases are computed again in the next sweep of the folder. Where the text of the function
-    has changed since, the message says how many results are older; what else the function calls is
-    not compared: take a new folder when that changes.
+    A case is identified by its content, and by the name and content of the function: the arguments
+    of a `functools.partial`, the attributes of its object, and numbers, text, arrays, structures,
+    scenes and models in its closure and defaults. No code in a file is run (no pickle).
+    Failed cases are computed again in the next sweep of the folder. If the text of the function has
+    changed, the message gives the number of older results. Other functions that it calls are not
+    compared: take a new folder when they change.
 
-    Processes are started anew, so that a script has to guard what it runs by ``if __name__ ==
-    "__main__":``. Compiled code is shared among them, also by machines that share a home folder
-    (``TENSCASADI_CACHE`` names another one). Threads share one CasADi, which computes one case
-    after the other at best: prefer processes.
+    Processes are spawned, so that a script needs ``if __name__ == "__main__":``. They share compiled
+    code, also with machines that share a home folder (``TENSCASADI_CACHE`` names another one).
+    Threads share one CasADi, which computes one case after the other: prefer processes.
 
     Examples
     --------
@@ -98,42 +94,50 @@ def sweep(
     """
     given = _check(function, cases, executor, progress)
     files = None if folder is None else CaseFiles(file_path("folder", folder), function)
-    keys: list[Any] = (
-        list(range(len(given)))
-        if files is None
-        else [files.key(case, f"cases[{k}]") for k, case in enumerate(given)]
-    )
-    outcomes: dict[Any, Outcome] = {} if files is None else dict(files.read(keys))
-    read = set(outcomes)
+    keys: list[Any] = list(range(len(given)))
+    if files is not None:
+        keys = [files.key(case, f"cases[{k}]") for k, case in enumerate(given)]
+    read = {} if files is None else files.read(keys)
     todo = {key: case for key, case in zip(keys, given, strict=True) if key not in read}
-    jobs = (
-        run_in_processes(function, todo)
-        if executor is None
-        else run_on_executor(function, todo, executor)
-    )
-    interrupted, pressed = False, list[bool]()
+    computed: dict[Any, CaseOutcome] = {}
+    interrupted = _compute(function, todo, executor, files, computed, progress)
+    outcomes = read | computed
+    rows = [outcomes.get(key, _MISSING) for key in keys]
+    success = [key in outcomes and not outcomes[key].error for key in keys]
+    message = _describe(len(given), computed, len(todo), files, interrupted)
+    values, errors, seconds = zip(*rows, strict=True) if rows else ((), (), ())
+    return Sweep(given, values, errors, seconds, message, interrupted, success)  # type: ignore[arg-type]
+
+
+def _compute(
+    function: Callable[[Any], Any],
+    todo: Mapping[Any, Any],
+    executor: Executor | None,
+    files: CaseFiles | None,
+    computed: dict[Any, CaseOutcome],
+    progress: bool,
+) -> bool:
+    """Compute and save cases; return whether Ctrl-C has ended it."""
+    if executor is None:
+        jobs = run_in_processes(function, todo)
+    else:
+        jobs = run_on_executor(function, todo, executor)
+    pressed: list[bool] = []
     try:
         with tqdm(total=len(todo), unit=" cases", disable=not progress) as bar:
             for key, outcome in jobs:
-                with on_interrupt(
-                    lambda: pressed.append(True), then_raise=False
-                ):  # what is done is written whole
-                    outcomes[key] = outcome
+                with on_interrupt(lambda: pressed.append(True), then_raise=False):  # whole files
+                    computed[key] = outcome
                     if files is not None:
                         files.write(key, todo[key], outcome)
                 bar.update()
                 if pressed:
-                    raise KeyboardInterrupt
+                    return True
     except KeyboardInterrupt:
-        interrupted = True
+        return True
     finally:
         jobs.close()
-    rows = [outcomes.get(key, _MISSING) for key in keys]
-    success = [key in outcomes and not outcomes[key].error for key in keys]
-    computed = {key: outcome for key, outcome in outcomes.items() if key not in read}
-    message = _describe(len(given), computed, len(todo), files, interrupted)
-    values, errors, seconds = zip(*rows, strict=True) if rows else ((), (), ())
-    return Sweep(given, values, errors, seconds, message, interrupted, success)  # type: ignore[arg-type]
+    return False
 
 
 def _check(function: Any, cases: Any, executor: Any, progress: Any) -> tuple[Any, ...]:
@@ -156,25 +160,20 @@ def _check(function: Any, cases: Any, executor: Any, progress: Any) -> tuple[Any
 
 def _describe(
     total: int,
-    computed: Mapping[Any, Outcome],
+    computed: Mapping[Any, CaseOutcome],
     todo: int,
     files: CaseFiles | None,
     interrupted: bool,
 ) -> str:
-    failed, missing = (
-        sum(bool(outcome.error) for outcome in computed.values()),
-        todo - len(computed),
-    )
-    parts = (
-        [f"{len(computed)} computed"]
-        + [f"{failed} failed"] * (failed > 0)
-        + [f"{missing} missing"] * (missing > 0)
-    )
+    failed = sum(bool(outcome.error) for outcome in computed.values())
+    counts = {"computed": len(computed), "failed": failed, "missing": todo - len(computed)}
+    parts = [f"{count} {name}" for name, count in counts.items() if count or name == "computed"]
+    notes = ["interrupted from the keyboard"] if interrupted else []
     if files is not None:
         parts.append(f"{files.found} read from {files.folder}")
-    text = f"{total} cases: " + ", ".join(parts) + "; interrupted from the keyboard" * interrupted
-    if files is not None and files.damaged:
-        text += f"; {files.damaged} files could not be read, their cases were computed again"
-    if files is not None and files.outdated:
-        text += f"; {files.outdated} results are of an older text of {files.name}: take a new folder to compute them again"
-    return text
+        lost = f"{files.damaged} files could not be read, their cases were computed again"
+        name = files.function.name
+        older = f"{files.outdated} results are of an older text of {name}: take a new folder"
+        notes += [lost] if files.damaged else []
+        notes += [f"{older} to compute them again"] if files.outdated else []
+    return "; ".join([f"{total} cases: {', '.join(parts)}", *notes])

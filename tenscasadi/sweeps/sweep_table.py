@@ -1,4 +1,4 @@
-"""Table of a sweep: a row for each case, a column for each thing that cases hold or return."""
+"""Table of a sweep: a row for each case, a column for each entry and result."""
 
 from __future__ import annotations
 
@@ -14,30 +14,31 @@ from typing import Any
 import numpy as np
 
 from tenscasadi.util.read_only import ReadOnlyArrays
+from tenscasadi.util.renamed import RenamedAttribute
 from tenscasadi.util.validate import Array, real_array
 from tenscasadi.util.whole_file import write_whole
 
 
 @dataclass(frozen=True, eq=False)
 class Sweep(ReadOnlyArrays):
-    """Cases and their results, which `sweep` returns.
+    """Table of cases and their results.
 
     ``len(table)`` is the number of cases, ``table["name"]`` the column of that name, see `columns`.
 
     Attributes
     ----------
     cases : tuple
-        Cases in the order in which they were given.
+        Cases in the given order.
     results : tuple of dict
-        Numbers, text and arrays by name that each case returned; empty where it has none.
+        Results of each case by name: numbers, text and arrays; empty if there are none.
     errors : tuple of str
-        Traceback of each case that failed; "" for others, also for those that were not computed.
+        Traceback of each failed case; "" for others, also for those that were not computed.
     success : ndarray of bool, shape (n,)
         Whether each case has finished without error.
     seconds : ndarray, shape (n,)
-        Wall time of each case, s; NaN where it is not known.
+        Wall time of each case, s; NaN if it is unknown.
     message : str
-        How many cases were computed, read and failed, and how the sweep ended.
+        Number of computed, read and failed cases, and the end of the sweep.
     interrupted : bool
         Whether it was interrupted from the keyboard.
 
@@ -51,7 +52,7 @@ class Sweep(ReadOnlyArrays):
     >>> table = tc.Sweep(({"k": 1.0}, {"k": 2.0}), ({"peak": 3.0}, {}), ("", "ValueError: no"), [0.1, 0.1], "by hand")
     >>> table["peak"]
     array([ 3., nan])
-    >>> print(table.csv())
+    >>> print(table.to_csv())
     k,peak,case_seconds,case_error
     1.0,3.0,0.1,
     2.0,,0.1,ValueError: no
@@ -68,22 +69,18 @@ class Sweep(ReadOnlyArrays):
     def __post_init__(self) -> None:
         count = len(self.cases)
         for name in ("results", "errors"):
-            if len(getattr(self, name)) != count:
-                raise ValueError(
-                    f"Sweep.{name} has {len(getattr(self, name))} entries: give one for each of {count} cases"
-                )
+            own = len(getattr(self, name))
+            if own != count:
+                cure = f"give one for each of {count} cases"
+                raise ValueError(f"Sweep.{name} has {own} entries: {cure}")
+        done = [not error for error in self.errors] if self.success is None else self.success
         seconds = real_array("Sweep.seconds", self.seconds, f"{count} numbers")
-        done = np.array(
-            [not error for error in self.errors] if self.success is None else self.success,
-            dtype=bool,
-        )
-        for name, array in {"seconds": seconds, "success": done}.items():
+        for name, array in {"seconds": seconds, "success": np.array(done, dtype=bool)}.items():
             if array.shape != (count,):
-                raise ValueError(
-                    f"Sweep.{name} has shape {array.shape}: give ({count},), one for each case"
-                )
-            array.flags.writeable = False
+                cure = f"give ({count},), one for each case"
+                raise ValueError(f"Sweep.{name} has shape {array.shape}: {cure}")
             object.__setattr__(self, name, array)
+        super().__post_init__()
 
     def __len__(self) -> int:
         return len(self.cases)
@@ -99,24 +96,21 @@ class Sweep(ReadOnlyArrays):
 
     @property
     def columns(self) -> dict[str, Any]:
-        """Columns by name, arrays (n, …): what cases hold, then what they return.
+        """Columns by name, arrays (n, …): entries of the cases, then of the results.
 
-        Cases that are no dicts are the column ``case``; results that are named as what cases hold
-        begin with ``result.``. Where a case has no value there is NaN, or "" for text. Arrays of
-        different shapes, and what is neither number nor text, give columns of objects.
+        Cases other than dicts are the column ``case``. Results with the name of an entry of a case
+        begin with ``result.``. Missing values are NaN, or "" for text. Arrays of different shapes
+        and other values are columns of objects.
         """
         given = [case if isinstance(case, Mapping) else {"case": case} for case in self.cases]
-        columns = {str(name): _column([case.get(name) for case in given]) for name in _names(given)}
-        found = {
-            name: _column([result.get(name) for result in self.results])
-            for name in _names(self.results)
-        }
+        columns = {str(name): column for name, column in _build_columns(given).items()}
+        found = _build_columns(self.results).items()
         return columns | {
-            f"result.{name}" if name in columns else name: column for name, column in found.items()
+            f"result.{name}" if name in columns else name: column for name, column in found
         }
 
-    def csv(self, path: str | os.PathLike[str] | None = None) -> str:
-        """Write the table as comma-separated values.
+    def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
+        """Format the table as comma-separated values.
 
         Parameters
         ----------
@@ -127,74 +121,60 @@ class Sweep(ReadOnlyArrays):
         -------
         str
             The text: a line of names, then one for each case, with its seconds and the last line of
-            its error. Arrays take a column for each entry, ``name[0]``, ``name[1]``, …; what is
-            missing is empty.
+            its error. Arrays take a column for each entry, ``name[0]``, ``name[1]``, …; missing
+            values are empty.
 
         Raises
         ------
         OSError
             The file cannot be written.
         """
-        flat: dict[str, Sequence[Any]] = {}
+        flat: dict[str, list[Any]] = {}
         for name, column in self.columns.items():
-            flat |= {name + index: entries for index, entries in _entries(column)}
+            for place in np.ndindex(*column.shape[1:]):
+                index = f"[{','.join(map(str, place))}]" if place else ""
+                flat[name + index] = column[(slice(None), *place)].tolist()
         flat["case_seconds"] = self.seconds.tolist()
         flat["case_error"] = [(error.strip().splitlines() or [""])[-1] for error in self.errors]
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(flat)
-        writer.writerows(
-            [_cell(value) for value in row] for row in zip(*flat.values(), strict=True)
-        )
+        for row in zip(*flat.values(), strict=True):
+            writer.writerow(["" if value != value else value for value in row])  # NaN
         if path is not None:
             write_whole(path, text.getvalue())
         return text.getvalue()
 
-
-def _names(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    return list(dict.fromkeys(itertools.chain.from_iterable(rows)))
+    csv = RenamedAttribute("to_csv")
 
 
-def _column(values: list[Any]) -> Any:
-    """Return the values (n) as an array; None: missing."""
-    arrays = [None if value is None else _array(value) for value in values]
+def _build_columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    names = dict.fromkeys(itertools.chain.from_iterable(rows))
+    return {name: _build_column([row.get(name) for row in rows]) for name in names}
+
+
+def _build_column(values: list[Any]) -> Any:
+    """Build an array of values (n); None: missing."""
+    arrays = [None if value is None else _as_array(value) for value in values]
     known = [array for array in arrays if array is not None]
-    text = {array.dtype.kind == "U" for array in known}
-    if (
-        any(array.dtype.kind == "O" for array in known)
-        or len({array.shape for array in known}) > 1
-        or len(text) > 1
-    ):
+    kinds = {array.dtype.kind if array.dtype.kind in "OU" else "" for array in known}
+    if "O" in kinds or len(kinds) > 1 or len({array.shape for array in known}) > 1:
         column = np.empty(len(values), dtype=object)
         for k, value in enumerate(values):  # NumPy would take arrays apart
             column[k] = value
         return column
-    if len(known) == len(values):
-        return np.stack(known) if known else np.zeros(0)
-    empty = np.full(known[0].shape if known else (), "" if True in text else np.nan)
-    return np.stack([empty if array is None else array for array in arrays])
+    if not known:
+        return np.zeros(0)
+    empty = np.full(known[0].shape, "" if kinds == {"U"} else np.nan)
+    complete = len(known) == len(values)
+    return np.stack(known if complete else [empty if a is None else a for a in arrays])
 
 
-def _array(value: Any) -> Any:
-    """Return numbers and text as an array, anything else as one entry of objects."""
+def _as_array(value: Any) -> Any:
+    """Convert numbers and text to an array, other values to one entry of objects."""
     if isinstance(value, (bool, int, float, complex, str, list, tuple, np.ndarray, np.generic)):
         with contextlib.suppress(ValueError):  # lists of different lengths
             return np.asarray(value)
     entry = np.empty((), dtype=object)
     entry[()] = value
     return entry
-
-
-def _entries(column: Any) -> list[tuple[str, list[Any]]]:
-    """Return the columns of numbers or text that an array (n, …) is, with the index of each entry."""
-    return [
-        (
-            "[" + ",".join(map(str, place)) + "]" if place else "",
-            column[(slice(None), *place)].tolist(),
-        )
-        for place in np.ndindex(*column.shape[1:])
-    ]
-
-
-def _cell(value: Any) -> Any:
-    return "" if value is None or (isinstance(value, float) and np.isnan(value)) else value

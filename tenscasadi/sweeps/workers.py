@@ -1,4 +1,4 @@
-"""Workers of a sweep: jobs on an executor of any kind, or in processes of this machine that may die."""
+"""Workers of a sweep: an executor of any kind, or processes that may die."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from concurrent.futures import (
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
-from tenscasadi.sweeps.case_files import Outcome, check_results
+from tenscasadi.sweeps.case_files import CaseOutcome, check_results
 from tenscasadi.util.validate import shown
 
 Function = Callable[[Any], Any]
@@ -36,8 +36,8 @@ _UNPICKLED = (pickle.PicklingError, AttributeError, TypeError, RecursionError)  
 _CURE = "which other processes cannot get: give numbers, text and arrays, and build in the function what is else"
 
 
-def compute(function: Function, case: Any) -> Outcome:
-    """Run one case and catch what it raises, in a worker."""
+def compute(function: Function, case: Any) -> CaseOutcome:
+    """Compute one case in a worker; an exception becomes its error."""
     began = time.perf_counter()
     try:
         values, error = check_results(function(case)), ""
@@ -46,11 +46,11 @@ def compute(function: Function, case: Any) -> Outcome:
             raise
         frames = fault.__traceback__.tb_next if fault.__traceback__ else None  # without this one
         values, error = {}, "".join(traceback.format_exception(type(fault), fault, frames))
-    return Outcome(values, error, time.perf_counter() - began)
+    return CaseOutcome(values, error, time.perf_counter() - began)
 
 
 def _has_keyboard() -> bool:
-    """Whether Ctrl-C may be what has been raised here, rather than in the process that workers work for."""
+    """Return whether Ctrl-C may have been raised in this process."""
     return (
         multiprocessing.parent_process() is None
         and threading.current_thread() is threading.main_thread()
@@ -59,18 +59,19 @@ def _has_keyboard() -> bool:
 
 def run_on_executor(
     function: Function, cases: Mapping[Any, Any], executor: Executor
-) -> Generator[tuple[Any, Outcome], None, None]:
-    """Yield each case's key and outcome as it finishes; what has not begun is cancelled when the caller stops early.
+) -> Generator[tuple[Any, CaseOutcome], None, None]:
+    """Yield the key and outcome of each case as it finishes.
 
-    Raises what the executor does where it takes no jobs.
+    Cases that have not begun are canceled when the caller stops early. Raises the exception of an
+    executor that takes no jobs.
     """
-    futures: dict[Future[Outcome], Any] = {}
+    futures: dict[Future[CaseOutcome], Any] = {}
     try:
         for key, case in cases.items():
             try:
                 futures[executor.submit(compute, function, case)] = key
             except Exception as fault:
-                lost = _lost(fault, case)
+                lost = _describe_loss(fault, case)
                 if (
                     not isinstance(fault, BrokenExecutor) and _CURE not in lost.error
                 ):  # neither its workers have died, nor is it this case
@@ -86,12 +87,12 @@ def run_on_executor(
 
 def run_in_processes(
     function: Function, cases: Mapping[Any, Any]
-) -> Generator[tuple[Any, Outcome], None, None]:
-    """Yield each case's key and outcome as it finishes, in as many new processes as there are cores, each with one thread.
+) -> Generator[tuple[Any, CaseOutcome], None, None]:
+    """Yield the key and outcome of each case as it finishes in a new process.
 
-    Where a process dies its pool is lost. The cases that were running are tried again one by one,
-    which tells whose fault it was. Raises ValueError where processes cannot import the function,
-    RuntimeError where they cannot begin.
+    There are as many processes as cores, each with one thread. When a process dies, its pool is
+    lost. The running cases are tried again one by one to find the cause. Raises ValueError if
+    processes cannot import the function, RuntimeError if they cannot begin.
     """
     _check_function(function)
     workers = min(_cores(), len(cases))
@@ -102,7 +103,7 @@ def run_in_processes(
             pool = ProcessPoolExecutor(
                 width, multiprocessing.get_context("spawn"), initializer=_begin_worker
             )
-            running: dict[Future[Outcome], Any] = {}
+            running: dict[Future[CaseOutcome], Any] = {}
             lost: list[Any] = []
             try:
                 checked = checked or _check_worker(pool, function)
@@ -125,26 +126,28 @@ def run_in_processes(
             pool.shutdown()
             lost += running.values()
             if width == 1 and lost:
-                yield lost[0], Outcome({}, _DIED, float("nan"))
+                yield lost[0], CaseOutcome({}, _DIED, float("nan"))
             else:
                 suspects.extend(lost)
 
 
-def _outcome(future: Future[Outcome], case: Any) -> Outcome:
+def _outcome(future: Future[CaseOutcome], case: Any) -> CaseOutcome:
     try:
         return future.result()
     except Exception as fault:  # noqa: BLE001  what executors make of a lost worker, or of a case that does not pickle
-        return _lost(fault, case)
+        return _describe_loss(fault, case)
 
 
-def _lost(fault: Exception, case: Any) -> Outcome:
-    part = _unsendable(case) if isinstance(fault, _UNPICKLED) else ""
+def _describe_loss(fault: Exception, case: Any) -> CaseOutcome:
+    part = _find_unpicklable(case) if isinstance(fault, _UNPICKLED) else ""
     cure = f": {part}, {_CURE}" if part else ""
-    return Outcome({}, f"no result came back: {type(fault).__name__}: {fault}{cure}", float("nan"))
+    return CaseOutcome(
+        {}, f"no result came back: {type(fault).__name__}: {fault}{cure}", float("nan")
+    )
 
 
-def _unsendable(value: Any, name: str = "case") -> str:
-    """Return which part of a case does not pickle, and what it is; "" for none."""
+def _find_unpicklable(value: Any, name: str = "case") -> str:
+    """Find the part of a case that does not pickle; "" for none."""
     try:
         pickle.dumps(value)
     except Exception:  # noqa: BLE001  pickle raises many things
@@ -155,7 +158,7 @@ def _unsendable(value: Any, name: str = "case") -> str:
             if isinstance(value, (list, tuple))
             else ()
         )
-        found = (_unsendable(part, f"{name}[{key!r}]") for key, part in parts)
+        found = (_find_unpicklable(part, f"{name}[{key!r}]") for key, part in parts)
         return next(filter(None, found), f"{name} is {shown(value)}")
     return ""
 
@@ -171,7 +174,7 @@ def _check_function(function: Function) -> None:
 
 
 def _check_worker(pool: ProcessPoolExecutor, function: Function) -> bool:
-    """Return True once a process has imported the function."""
+    """Import the function in a process. Raises RuntimeError if it cannot begin."""
     try:
         return pool.submit(callable, function).result()
     except BrokenProcessPool:
@@ -189,7 +192,7 @@ def _cores() -> int:
 
 @contextlib.contextmanager
 def _environment(values: Mapping[str, str]) -> Iterator[None]:
-    """Set variables that processes which are started meanwhile inherit: libraries read them when they are loaded."""
+    """Set variables for processes that start in the block: libraries read them at import."""
     before = {name: os.environ.get(name) for name in values}
     os.environ.update(values)
     try:
@@ -203,7 +206,7 @@ def _environment(values: Mapping[str, str]) -> Iterator[None]:
 
 
 def _begin_worker() -> None:
-    """Leave Ctrl-C to the process that this one works for, and end with it: killed, it tells nobody."""
+    """Ignore Ctrl-C, and end with the parent process, even if it is killed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
@@ -216,7 +219,7 @@ def _end_with_parent() -> None:
 
 
 def _terminate(pool: ProcessPoolExecutor) -> None:
-    """End the processes in the middle of their cases."""
+    """Terminate the processes of a pool."""
     for process in list((pool._processes or {}).values()):
         process.terminate()
     pool.shutdown(cancel_futures=True)

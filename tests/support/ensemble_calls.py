@@ -56,7 +56,7 @@ def environment_calls(model: tc.Model) -> dict[str, Call]:
         return {}
     from tenscasadi.envs import Task, TensegrityEnv, TensegrityVectorEnv
 
-    task = {"model": model, "reward": lambda now: now.time, "lower": np.zeros(model.nu), "upper": np.full(model.nu, 9.0), "speed": None,
+    task = {"model": model, "reward": lambda now: now.time, "lower": np.zeros(model.nu), "upper": np.full(model.nu, 9.0), "rest_length_rate": None,
             "period": 0.05, "steps": 2, "duration": 0.1, "state": model.initial_state, "start": (0.01, 0.0), "parameters": {},
             "observation": lambda nodes, velocities, control: nodes[:, :, 0], "terminated": lambda now: now.time > 1.0, "correction": None}  # fmt: skip
     env, envs = TensegrityEnv(Task(**task)), TensegrityVectorEnv(Task(**task), 2)
@@ -213,7 +213,7 @@ def ensemble_calls() -> dict[str, Call]:
                 "progress": False,
             },
         ),
-        "Sweep.csv": (tc.sweep(doubled, [1.0, 2.0], THREAD).csv, {"path": "table.csv"}),
+        "Sweep.to_csv": (tc.sweep(doubled, [1.0, 2.0], THREAD).to_csv, {"path": "table.csv"}),
         "Plan.robustness": (
             short_plan().robustness,
             {

@@ -47,7 +47,7 @@ def wound(**options):
         "duration": 0.5,
         **options,
     }
-    return Task(WOUND, forward, 0.2, 2.0, speed=0.5, **given)
+    return Task(WOUND, forward, 0.2, 2.0, rest_length_rate=0.5, **given)
 
 
 TASKS = {"force densities": driven, "rest lengths": wound}
@@ -101,7 +101,7 @@ def test_rest_lengths_run_on_at_the_rate_of_the_action():
 
 
 def test_rest_lengths_stay_within_their_limits():
-    env = TensegrityEnv(Task(WOUND, forward, 0.9, 1.1, speed=5.0))
+    env = TensegrityEnv(Task(WOUND, forward, 0.9, 1.1, rest_length_rate=5.0))
     env.reset(seed=0)
     for sign in (1.0, -1.0):
         for _ in range(2):

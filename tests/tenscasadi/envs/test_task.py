@@ -72,24 +72,24 @@ BAD = {
         "Task.lower has shape",
     ),
     "rest lengths of zero": (
-        lambda: Task(WOUND, nothing, 0.0, 1.0, speed=1.0),
+        lambda: Task(WOUND, nothing, 0.0, 1.0, rest_length_rate=1.0),
         ValueError,
         "Task.lower of string 0 is 0",
     ),
     "no speed": (
         lambda: Task(WOUND, nothing, 0.1, 1.0),
         ValueError,
-        "Task.speed is None: give the greatest rate",
+        "Task.rest_length_rate is None: give the greatest rate",
     ),
     "a speed without text, of force densities": (
-        lambda: Task(DRIVEN, nothing, 0.1, 1.0, speed=10**5000),
+        lambda: Task(DRIVEN, nothing, 0.1, 1.0, rest_length_rate=10**5000),
         ValueError,
-        "Task.speed is a value",
+        "Task.rest_length_rate is a value",
     ),
     "a speed of force densities": (
-        lambda: Task(DRIVEN, nothing, 0.1, 1.0, speed=1.0),
+        lambda: Task(DRIVEN, nothing, 0.1, 1.0, rest_length_rate=1.0),
         ValueError,
-        "Task.speed is 1",
+        "Task.rest_length_rate is 1",
     ),
     "period zero": (lambda: Task(DRIVEN, nothing, 0.0, 1.0, period=0.0), ValueError, "Task.period"),
     "steps for hours": (

@@ -16,7 +16,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import tenscasadi as tc
-from tenscasadi.sweeps.case_files import CaseFiles, Outcome, case_key, check_results
+from tenscasadi.sweeps.case_files import CaseFiles, CaseOutcome, check_results
+from tenscasadi.sweeps.identity import case_key
 
 PLAIN = st.one_of(
     st.none(), st.booleans(), st.integers(), st.floats(allow_nan=False), st.text(max_size=5)
@@ -136,13 +137,13 @@ def test_files_give_back_what_they_were_given(tmp_path):
     values |= {"texts": np.array(["a", "bcd"]), "none": np.zeros((0, 3))}
     files = CaseFiles(tmp_path / "new" / "folder", check_results)
     name = files.key({"x": 1}, "case")
-    files.write(name, {"x": 1}, Outcome(values, "", 0.25))
+    files.write(name, {"x": 1}, CaseOutcome(values, "", 0.25))
     again = files.read([name, "0" * 32])[name]
     assert (again.error, again.seconds, list(again.values)) == ("", 0.25, list(values))
     for field, value in values.items():
         assert type(again.values[field]) is type(value), field
         np.testing.assert_array_equal(again.values[field], value)
-    files.write(name, {"x": 1}, Outcome({}, "ValueError: no", 0.25))
+    files.write(name, {"x": 1}, CaseOutcome({}, "ValueError: no", 0.25))
     assert files.read([name]) == {}
     assert files.found == 1
 

@@ -328,7 +328,7 @@ def test_cases_that_a_folder_cannot_tell_are_refused_before_the_first_is_compute
 def test_nothing_to_do(tmp_path):
     table = tc.sweep(jobs.square, [], folder=tmp_path)
     assert (len(table), table.message) == (0, f"0 cases: 0 computed, 0 read from {tmp_path}")
-    assert table.csv() == "case_seconds,case_error\n"
+    assert table.to_csv() == "case_seconds,case_error\n"
 
 
 def test_progress_is_shown(capsys, one_thread):

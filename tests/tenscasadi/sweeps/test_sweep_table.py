@@ -52,7 +52,7 @@ def test_what_is_missing_is_nan_or_empty():
     assert made["m"].tolist() == ["", "x", ""]
     assert made["text"].tolist() == ["t", "", ""]
     assert made.success.tolist() == [True, False, True]
-    assert [row["case_error"] for row in csv.DictReader(made.csv().splitlines())] == [
+    assert [row["case_error"] for row in csv.DictReader(made.to_csv().splitlines())] == [
         "",
         "ValueError: no",
         "",
@@ -83,7 +83,7 @@ def test_csv_is_read_by_others(tmp_path):
         [{"k": 0.1, "note": 'a "b", c'}, {"k": np.nan, "note": "two\nlines"}],
         [{"p": np.array([[1.0, 2.0], [3.0, 1e-17]])}, {}],
     )
-    text = made.csv(tmp_path / "table.csv")
+    text = made.to_csv(tmp_path / "table.csv")
     assert (tmp_path / "table.csv").read_text(encoding="utf-8") == text
     rows = list(csv.DictReader(io.StringIO(text, newline="")))
     assert list(rows[0]) == [

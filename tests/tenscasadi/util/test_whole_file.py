@@ -35,7 +35,7 @@ WRITERS: dict[str, Callable[[Path], Any]] = {  # by the name of a file that they
     "picture.pdf": lambda path: plots.structure(PRISM, path=path),
     "motion.gif": lambda path: animate(RUN, path),
     "motion.mp4": film,
-    "sweep.csv": lambda path: TABLE.csv(path),
+    "sweep.csv": lambda path: TABLE.to_csv(path),
     "tensegrity.c": lambda path: tc.export_c(MODEL, path.parent),
     "main.c": lambda path: tc.export_c(MODEL, path.parent),
     "program.h": lambda path: ocp.export_program(PROBLEM, ocp.Variational(3), path.parent),
@@ -66,10 +66,10 @@ def test_a_film_that_fails_leaves_the_old_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail_next(*_: Any, **__: Any) -> None:
-        monkeypatch.setattr(animation.Canvas, "draw", lambda *_: 1 / 0)
+        monkeypatch.setattr(animation.Canvas3D, "draw", lambda *_: 1 / 0)
 
     (tmp_path / "motion.gif").write_bytes(b"old")
-    monkeypatch.setattr(animation.Canvas, "draw", fail_next)
+    monkeypatch.setattr(animation.Canvas3D, "draw", fail_next)
     with pytest.raises(ZeroDivisionError):
         animate(RUN, tmp_path / "motion.gif", frames_per_second=100)
     assert (tmp_path / "motion.gif").read_bytes() == b"old"
