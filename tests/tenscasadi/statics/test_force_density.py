@@ -6,18 +6,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import null_space
 from scipy.optimize import nnls
 
-from tenscasadi.statics import force_density as statics
 from tenscasadi.statics.force_density import (
     EquilibriumError,
     equilibrium_force_density,
     self_stress,
 )
+from tenscasadi.statics.least_force_density import least_force_density
 from tenscasadi.structure import shapes
+from tenscasadi.structure.class_one import connectivity
 from tenscasadi.structure.structure import Structure
 
 
@@ -193,9 +195,8 @@ def test_self_stress_has_the_signs_of_the_paper() -> None:
 
 def least_norm_error(s: Structure, gamma: Any, minimum: Any) -> float:
     """How far γ is from what makes it the least: γ = Aᵀ μ + ν, ν ≥ 0 only where γ is at its minimum, and μ does no work on bars."""
-    C = np.concatenate([s.C_s, s.C_b])
-    A = np.einsum("mx,mn->nxm", C @ s.nodes, C)[~s.fixed]
-    active = np.eye(C.shape[0])[:, np.flatnonzero(gamma <= minimum * (1 + 1e-9) + 1e-9)]
+    A = unit_forces(s)
+    active = np.eye(A.shape[1])[:, np.flatnonzero(gamma <= minimum * (1 + 1e-9) + 1e-9)]
     target = np.concatenate([gamma, np.zeros(len(s.bars))])
     return float(nnls(np.hstack([A.T, -A.T, active]), target, maxiter=10_000)[1])
 
@@ -259,32 +260,57 @@ def random_structure(seed: int) -> tuple[Structure, np.ndarray, Any, list[int]]:
     return s, loads.T, 0.1 * gamma if seed % 2 else 0.0, [0, 1] if seed % 4 == 0 else []
 
 
+def unit_forces(s: Structure) -> np.ndarray:
+    """Forces on free coordinates of unit force densities of strings, then of bars in tension."""
+    C = np.concatenate([s.C_s, s.C_b])
+    return np.einsum("mx,mn->nxm", C @ s.nodes, C)[~s.fixed]
+
+
 @pytest.mark.parametrize("seed", range(30))
-def test_sparse_statics_are_those_of_dense_matrices(
-    seed: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_force_densities_of_random_structures_are_the_least(seed: int) -> None:
     s, loads, minimum, pushing = random_structure(seed)
-    dense = equilibrium_force_density(s, loads, minimum, pushing)
+    gamma = equilibrium_force_density(s, loads, minimum, pushing)
+    least = np.broadcast_to(minimum, gamma.shape).copy()
+    least[pushing] = -np.inf
+    assert np.all(gamma >= least)
+    size = np.abs(loads).max() + 1
+    assert unbalanced(s, gamma, loads) < 1e-10 * size
+    assert least_norm_error(s, gamma, least) < 1e-7 * np.linalg.norm(gamma)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_residual_of_no_equilibrium_is_the_least(seed: int) -> None:
+    s, loads, *_ = random_structure(seed)
     weak = Structure(s.nodes, s.bars, s.strings[:4], pinned=[0], node_mass=1.0)
     pushed = loads + np.random.default_rng(seed).normal(size=loads.shape)
     with pytest.raises(EquilibriumError) as refused:
         equilibrium_force_density(weak, pushed)
-    monkeypatch.setattr(statics, "_DENSE", 0)
-    gamma = equilibrium_force_density(s, loads, minimum, pushing)
-    np.testing.assert_allclose(gamma, dense, atol=1e-7 * abs(dense).max())
-    assert np.all(np.delete(gamma - minimum, pushing) >= 0)
-    with pytest.raises(EquilibriumError) as again:
-        equilibrium_force_density(weak, pushed)
-    assert again.value.residual == pytest.approx(refused.value.residual, rel=1e-6)
-    assert str(again.value) == str(refused.value)
+    A = unit_forces(weak)
+    strings, bars = A[:, :4], A[:, 4:]
+    target = pushed[~weak.fixed] - strings.sum(axis=1)  # of the minimum of 1 N/m
+    least = nnls(np.hstack([strings, bars, -bars]), target, maxiter=10_000)[1]
+    assert refused.value.residual == pytest.approx(least, rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_sparse_and_dense_matrices_give_the_same(seed: int) -> None:
+    s, loads, minimum, pushing = random_structure(seed)
+    A = unit_forces(s)
+    count = len(s.strings)
+    least, bounded = np.broadcast_to(minimum, count).copy(), np.ones(count, bool)
+    least[pushing], bounded[pushing] = 0.0, False
+    given = loads[~s.fixed], least, bounded
+    strings, bars = A[:, :count], A[:, count:]
+    dense, _ = least_force_density(strings, bars, *given)
+    sparse, _ = least_force_density(sp.csc_array(strings), sp.csc_array(bars), *given)
+    assert dense is not None
+    np.testing.assert_allclose(sparse, dense, atol=1e-9 * abs(dense).max())
 
 
 @pytest.mark.parametrize("seed", range(30))
 def test_self_stresses_span_the_null_space(seed: int) -> None:
     s, *_ = random_structure(seed)
-    C = np.concatenate([s.C_s, s.C_b])
-    signs = np.repeat([1.0, -1.0], [len(s.strings), len(s.bars)])
-    balance = np.einsum("mx,mn->nxm", C @ s.nodes, C)[~s.fixed] * signs
+    balance = unit_forces(s) * np.repeat([1.0, -1.0], [len(s.strings), len(s.bars)])
     stresses, dense = self_stress(s), null_space(balance, rcond=1e-9)
     np.testing.assert_allclose(stresses.T @ stresses, dense @ dense.T, atol=1e-9)
 
@@ -299,7 +325,11 @@ def test_two_thousand_bars() -> None:
     s = Structure(nodes, bars, strings)
     stresses = self_stress(s)
     assert stresses.shape == (count, 12 * count)
-    assert abs(stresses @ statics._balance(s).T).max() < 1e-12
+    gamma, lam = np.split(stresses, [len(strings)], axis=1)
+    C_s, C_b = (connectivity(pairs, len(nodes)) for pairs in (strings, bars))
+    for axis in nodes.T:  # N K = 0
+        forces = (gamma * (C_s @ axis)) @ C_s - (lam * (C_b @ axis)) @ C_b
+        assert abs(forces).max() < 1e-12
     np.testing.assert_allclose(
         equilibrium_force_density(s), np.tile(equilibrium_force_density(one), count), rtol=1e-9
     )
