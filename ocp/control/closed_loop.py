@@ -23,9 +23,9 @@ from tenscasadi.util.validate import (
     Array,
     call_user_function,
     finite_array,
+    format_value,
     instance,
     positive_number,
-    shown,
     whole_number,
 )
 
@@ -147,7 +147,7 @@ def run(
         or not callable(controller.control)
     ):
         raise TypeError(
-            f"controller is {shown(controller)}: give an ocp.Mpc(...), ocp.track(plan), or what has model, period and control(time, state)"
+            f"controller is {format_value(controller)}: give an ocp.Mpc(...), ocp.track(plan), or what has model, period and control(time, state)"
         )
     instance("controller.model", controller.model, Model, "a tenscasadi.Model")
     period = positive_number("controller.period", controller.period)
@@ -161,7 +161,7 @@ def run(
     n = whole_number("steps", steps, 1, MOST_STEPS)
     if disturbance is not None and not callable(disturbance):
         raise TypeError(
-            f"disturbance is {shown(disturbance)}: give a function (time, x) -> x, or None"
+            f"disturbance is {format_value(disturbance)}: give a function (time, x) -> x, or None"
         )
     ratio = positive_number("t_end", t_end) / period
     if ratio > MOST:

@@ -26,11 +26,11 @@ from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.validate import (
     Array,
     finite_array,
+    format_value,
     instance,
     nonnegative,
     per_item,
     positive_number,
-    shown,
     whole_number,
 )
 
@@ -334,10 +334,12 @@ def _problem(asked: Any, model: Any) -> Problem:
     for k, one in enumerate(several):
         if isinstance(one, type) or not (isinstance(one, Cost) or callable(one)):
             raise TypeError(
-                f"problem{f'[{k}]' * (one is not asked)} is {shown(one)}: give {example}"
+                f"problem{f'[{k}]' * (one is not asked)} is {format_value(one)}: give {example}"
             )
     if model is None or not several:
-        raise TypeError(f"problem is {shown(asked)}, model is {shown(model)}: give {example}")
+        raise TypeError(
+            f"problem is {format_value(asked)}, model is {format_value(model)}: give {example}"
+        )
     instance("model", model, Model, "a tenscasadi.Model")
     return Problem(
         model,

@@ -12,7 +12,7 @@ from ocp.results.result import PlanResult
 from ocp.targets.target import Target
 from ocp.transcription.initial_guess import NOISE, Guess
 from ocp.transcription.mesh import held_values
-from tenscasadi.util.validate import Array, shown
+from tenscasadi.util.validate import Array, format_value
 
 PULLS = 3.0  # times the weight, over the structure's size: force densities of the guess, N/m
 
@@ -51,7 +51,7 @@ def split_plan(plan: PlanResult, parts: Sequence[Problem], count: int) -> list[G
         or (plan.trajectory.states.shape[1], plan.force_density.shape[1]) != (nx, nu)
     ):
         raise ValueError(
-            f"guess is {shown(plan)}: give a plan of the same structure with {phases} phases, or None"
+            f"guess is {format_value(plan)}: give a plan of the same structure with {phases} phases, or None"
         )
     gamma = held_values(plan.force_density, len(plan.time) - 1)
     own, wanted = np.linspace(0.0, 1.0, before + 1), np.linspace(0.0, 1.0, count + 1)

@@ -30,7 +30,7 @@ from ocp.transcription.sparse_nlp import Block, Program
 from ocp.transcription.variables import Entries, Variables
 from ocp.transcription.variational import Variational
 from tenscasadi.dynamics.model import Model
-from tenscasadi.util.validate import Array, shown
+from tenscasadi.util.validate import Array, format_value
 
 MET = 3e-4  # of the structure's size: goals missed by more are missed
 
@@ -160,7 +160,7 @@ def link_problem(
         )
     if guess is not None and not isinstance(guess, PlanResult):
         raise TypeError(
-            f"guess is {shown(guess)}: phases start from a plan of the same phases, or None"
+            f"guess is {format_value(guess)}: phases start from a plan of the same phases, or None"
         )
     scene, count = problem.model.scene, transcription.count
     air = replace(

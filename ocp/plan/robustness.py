@@ -14,7 +14,14 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import projection
 from tenscasadi.scene.parameters import Parameters
 from tenscasadi.util.read_only import ReadOnlyArrays
-from tenscasadi.util.validate import Array, finite_array, nesting, positive_number, shown, text
+from tenscasadi.util.validate import (
+    Array,
+    finite_array,
+    format_value,
+    nesting,
+    positive_number,
+    text,
+)
 
 SHARES = (0.05, 0.5, 0.95)  # of the replays, whose errors a summary tells
 STRINGS = ("stiffness", "damping")  # quantities that act through the strings' law
@@ -157,12 +164,12 @@ def check_spreads(parameters: Any) -> dict[str, float]:
         return {}
     if not isinstance(parameters, Mapping):
         raise TypeError(
-            f"parameters is {shown(parameters)}: give spreads by name, such as {{'bar_mass': 0.05}}"
+            f"parameters is {format_value(parameters)}: give spreads by name, such as {{'bar_mass': 0.05}}"
         )
     for name in parameters:
         text("parameters: a name", name)
     spreads = {
-        name: positive_number(f"parameters[{shown(name)}]", value, zero=True)
+        name: positive_number(f"parameters[{format_value(name)}]", value, zero=True)
         for name, value in parameters.items()
     }
     for name, value in spreads.items():

@@ -14,12 +14,12 @@ from tenscasadi.schema.field_types import PER_ITEM
 from tenscasadi.schema.value import Value
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import (
+    format_value,
     instance,
     nonnegative,
     number_or_vector,
     per_item,
     positive_number,
-    shown,
 )
 
 ControlTerm = Callable[[Any, Any], Any]  # (force densities α×intervals, interval)
@@ -60,7 +60,7 @@ class Cost(Value):
     def terms(self) -> CostTerms:
         """Return the terms of the cost."""
         raise TypeError(
-            f"Problem.costs has {shown(self)}: give a ControlCost, RunningCost or FinalCost"
+            f"Problem.costs has {format_value(self)}: give a ControlCost, RunningCost or FinalCost"
         )
 
     def check(self, structure: Structure) -> None:

@@ -19,9 +19,9 @@ from tenscasadi.util.validate import (
     Array,
     call_user_function,
     flag,
+    format_value,
     number_or_vector,
     positive_number,
-    shown,
 )
 
 Expression = Callable[[Instant], Any]
@@ -326,10 +326,12 @@ def _check_within(limited: PathConstraint, value: Array, tolerance: float) -> No
 def _named(item: Any) -> None:
     kind = type(item).__name__
     if not isinstance(item.name, str) or not item.name:
-        raise TypeError(f"{kind}.name is {shown(item.name)}: give a name, it stands in reports")
+        raise TypeError(
+            f"{kind}.name is {format_value(item.name)}: give a name, it stands in reports"
+        )
     if not callable(item.expression):
         raise TypeError(
-            f"{kind} {shown(item.name)}: expression is {shown(item.expression)}: give a function of an instant"
+            f"{kind} {format_value(item.name)}: expression is {format_value(item.expression)}: give a function of an instant"
         )
 
 

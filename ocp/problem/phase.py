@@ -21,9 +21,9 @@ from tenscasadi.schema.field_types import SPAN, Members
 from tenscasadi.schema.value import Value
 from tenscasadi.util.validate import (
     Array,
+    as_tuple,
     finite_array,
     instance,
-    listed,
     nesting,
     node_index,
     positive_number,
@@ -85,7 +85,7 @@ class Phase(Value, kind="Phase"):
         own["duration"] = read_duration("Phase.duration", self.duration)
         own["stands"] = tuple(
             whole_number("Phase.stands", node, 0)
-            for node in listed("Phase.stands", self.stands, "[0, 1, 2]")
+            for node in as_tuple("Phase.stands", self.stands, "[0, 1, 2]")
         )
         if len(set(own["stands"])) < len(own["stands"]):
             raise ValueError(f"Phase.stands is {own['stands']}: give each node once")
@@ -110,7 +110,7 @@ class Phase(Value, kind="Phase"):
 
 def read_items(field: str, values: Any, kinds: type, example: str) -> tuple[Any, ...]:
     """Return the values as a tuple. Raises TypeError unless all are of a kind."""
-    found = listed(field, values, example)
+    found = as_tuple(field, values, example)
     for k, value in enumerate(found):
         instance(
             f"{field}[{k}]", value, kinds, f"a {kinds.__name__.lower()}, such as {example[1:-1]}"

@@ -26,7 +26,7 @@ from ocp.problem.phase import Phase, check_phases, phases_between, read_duration
 from ocp.problem.start import FreeStart, read_start
 from tenscasadi.dynamics.model import Model
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, instance, shown
+from tenscasadi.util.validate import Array, format_value, instance
 
 Duration = float | tuple[float, float]
 
@@ -119,7 +119,7 @@ def _whole_duration(given: Any, phases: tuple[Phase, ...]) -> Any:
     whole = read_duration("Problem.duration", sums if last is None else last)
     if read_duration("Problem.duration", given) not in (1.0, whole):
         raise ValueError(
-            f"Problem.duration is {shown(given)}, and phases have durations of their own: leave it out"
+            f"Problem.duration is {format_value(given)}, and phases have durations of their own: leave it out"
         )
     return whole
 

@@ -13,7 +13,13 @@ from ocp.problem.instant import Instant
 from tenscasadi.schema.containers import MapOf
 from tenscasadi.schema.field_types import MOVING_PLACE
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import call_user_function, coordinates, node_index, number, shown
+from tenscasadi.util.validate import (
+    call_user_function,
+    coordinates,
+    format_value,
+    node_index,
+    number,
+)
 
 Place = tuple[float | None, float | None, float | None]
 UNTRACKED = "an axis that does not matter"
@@ -58,12 +64,14 @@ class Tracking(RunningCost, kind="Tracking"):
         check_weight(self)
         if not isinstance(self.positions, Mapping) or not self.positions:
             raise ValueError(
-                f"Tracking.positions is {shown(self.positions)}: give {{node: (x, y, z)}}"
+                f"Tracking.positions is {format_value(self.positions)}: give {{node: (x, y, z)}}"
             )
         places = {
             node: place
             if callable(place)
-            else coordinates(f"Tracking.positions[{shown(node)}]", place, UNTRACKED, some=True)
+            else coordinates(
+                f"Tracking.positions[{format_value(node)}]", place, UNTRACKED, some=True
+            )
             for node, place in self.positions.items()
         }
         object.__setattr__(self, "positions", places)

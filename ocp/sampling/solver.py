@@ -10,7 +10,7 @@ from ocp.sampling.spline_noise import SplineNoise
 from ocp.solvers.base import NamedSolver
 from tenscasadi.schema.containers import ListOf
 from tenscasadi.schema.field_types import InPython, Members
-from tenscasadi.util.validate import flag, shown, whole_number
+from tenscasadi.util.validate import flag, format_value, whole_number
 
 MOST = 1_000_000
 
@@ -109,7 +109,7 @@ class Sampling(NamedSolver, kind="Sampling"):
         flag("Sampling.verbose", self.verbose)
         if self.watch is not None and not callable(self.watch):
             raise TypeError(
-                f"Sampling.watch is {shown(self.watch)}: give a function of a line of text, or None"
+                f"Sampling.watch is {format_value(self.watch)}: give a function of a line of text, or None"
             )
 
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from tenscasadi.util.validate import (
     Array,
-    listed,
+    as_tuple,
     nonnegative,
     number_or_vector,
     per_item,
@@ -77,9 +77,9 @@ class SplineNoise:
             groups = tuple(
                 tuple(
                     whole_number(f"SplineNoise.groups[{k}]", string, 0)
-                    for string in listed(f"SplineNoise.groups[{k}]", group, "[0, 1, 2]")
+                    for string in as_tuple(f"SplineNoise.groups[{k}]", group, "[0, 1, 2]")
                 )
-                for k, group in enumerate(listed("SplineNoise.groups", self.groups, example))
+                for k, group in enumerate(as_tuple("SplineNoise.groups", self.groups, example))
             )
             members = [string for group in groups for string in group]
             if not members or not all(groups):

@@ -16,7 +16,7 @@ from ocp.solvers.monitor import STOPPED, Monitor, Progress
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.schema.containers import TableOf
 from tenscasadi.schema.field_types import InPython, Option
-from tenscasadi.util.validate import Array, positive_number, shown
+from tenscasadi.util.validate import Array, format_value, positive_number
 
 HSL = ("ma27", "ma57", "ma77", "ma86", "ma97")  # linear solvers that CasADi does not bring along
 PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
@@ -123,11 +123,13 @@ class Ipopt(NamedSolver, kind="Ipopt"):
             positive_number("Ipopt.seconds", self.seconds)
         if self.watch is not None and not callable(self.watch):
             raise TypeError(
-                f"Ipopt.watch is {shown(self.watch)}: give a function of an ocp.Progress, or None"
+                f"Ipopt.watch is {format_value(self.watch)}: give a function of an ocp.Progress, or None"
             )
         for name in ("warm", "restart"):
             if not isinstance(getattr(self, name), bool):
-                raise TypeError(f"Ipopt.{name} is {shown(getattr(self, name))}: give True or False")
+                raise TypeError(
+                    f"Ipopt.{name} is {format_value(getattr(self, name))}: give True or False"
+                )
         _check_library(self.options)
 
     def solve(self, program: Program, monitor: Monitor | None = None) -> Solution:

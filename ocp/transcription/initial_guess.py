@@ -20,7 +20,13 @@ from tenscasadi.integrators.stabilization import projection
 from tenscasadi.schema.field_types import PATH, TABLE
 from tenscasadi.schema.value import Value
 from tenscasadi.util.read_only import ReadOnlyArrays
-from tenscasadi.util.validate import Array, finite_array, positive_number, shown, whole_number
+from tenscasadi.util.validate import (
+    Array,
+    finite_array,
+    format_value,
+    positive_number,
+    whole_number,
+)
 
 NOISE = 0.3  # of the strongest force density
 NOISY = 16.0  # rad of the fastest vibration: along longer motions there is less noise
@@ -301,7 +307,7 @@ def evaluate_guess(
     value = InverseDynamics() if value is None else value
     if isinstance(value, type) or not isinstance(value, InitialGuess):
         raise TypeError(
-            f"guess is {shown(value)}: give ocp.InverseDynamics(), ocp.Equilibrium(), ocp.Arrays(states, force_density) or an ocp.Plan"
+            f"guess is {format_value(value)}: give ocp.InverseDynamics(), ocp.Equilibrium(), ocp.Arrays(states, force_density) or an ocp.Plan"
         )
     return value.guess(problem, target, intervals)
 

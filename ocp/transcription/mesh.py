@@ -18,8 +18,8 @@ from tenscasadi.util.validate import (
     Array,
     Indices,
     finite_array,
+    format_value,
     positive_number,
-    shown,
     whole_number,
 )
 
@@ -76,7 +76,7 @@ class NamedProfile(Value):
             groups = tuple(tuple(group) for group in self.groups)
         except TypeError:
             raise TypeError(
-                f"{field} is {shown(self.groups)}: give groups of strings, such as ((0, 1, 2), (3, 4, 5))"
+                f"{field} is {format_value(self.groups)}: give groups of strings, such as ((0, 1, 2), (3, 4, 5))"
             ) from None
         seen: set[int] = set()
         for group in groups:

@@ -82,6 +82,6 @@ def mode_motion(
     nodes = model.structure.nodes + np.sin(omega * time)[:, None, None] * moved
     velocities = omega * np.cos(omega * time)[:, None, None] * moved
     states = np.array([model.state(*row) for row in zip(nodes, velocities, strict=True)])
-    controls = np.tile(model.held(None, parameters), (count, 1))
+    controls = np.tile(model.stack_inputs(None, parameters), (count, 1))
     message = f"mode {index}, {modes.frequency[index]:.4g} Hz"
     return record_trajectory(model, time, states, controls, step=float(time[1]), message=message)

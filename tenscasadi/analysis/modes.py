@@ -249,7 +249,7 @@ def _numbers(model: Model, x: Any, u: Any, parameters: Any) -> tuple[Array, Arra
     None stands for the initial values.
     """
     state = model.initial_state if x is None else finite_array("x", x, (model.nx,))
-    return state, model.held(u, parameters)
+    return state, model.stack_inputs(u, parameters)
 
 
 def _reject_degenerate(model: Model, state: Array, *values: Any) -> None:

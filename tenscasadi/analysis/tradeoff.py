@@ -31,9 +31,9 @@ from tenscasadi.util.validate import (
     call_user_function,
     finite_array,
     flag,
+    format_value,
     instance,
     positive_number,
-    shown,
     whole_number,
 )
 
@@ -353,7 +353,7 @@ def _find_reference(
         return reference
     if reference is not None and not (isinstance(reference, str) and reference in named):
         raise ValueError(
-            f"reference is {shown(reference)}: give a tenscasadi.Reference or the name of a model, {', '.join(map(repr, named))}"
+            f"reference is {format_value(reference)}: give a tenscasadi.Reference or the name of a model, {', '.join(map(repr, named))}"
         )
     model = named[next(iter(named)) if reference is None else reference]
     return certify(
@@ -366,7 +366,7 @@ def _check_models(named: dict[str, Model], schemes: Any, corrections: Any) -> No
         raise ValueError("models is empty: give a tenscasadi.Model, or models by name")
     for name, model in named.items():
         instance(
-            f"models[{shown(name)}]" if name else "models",
+            f"models[{format_value(name)}]" if name else "models",
             model,
             Model,
             "a tenscasadi.Model, or models by name",
@@ -398,7 +398,7 @@ def check_ways(schemes: Any, corrections: Any) -> None:
 def _check_sequence(field: str, values: Any) -> Sequence[Any]:
     single = isinstance(values, str) or (isinstance(values, np.ndarray) and values.ndim == 0)
     if single or not isinstance(values, (Sequence, np.ndarray)):
-        raise TypeError(f"{field} is {shown(values)}: give a sequence, such as a list")
+        raise TypeError(f"{field} is {format_value(values)}: give a sequence, such as a list")
     if not len(values):
         raise ValueError(f"{field} is empty: give at least one")
     return list(values)

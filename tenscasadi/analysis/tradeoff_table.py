@@ -15,7 +15,7 @@ import numpy as np
 from tenscasadi.integrators.scheme import NamedScheme, Scheme, check_scheme
 from tenscasadi.integrators.stabilization import Correction
 from tenscasadi.util import archive
-from tenscasadi.util.validate import instance, listed, positive_number, real_array, shown
+from tenscasadi.util.validate import as_tuple, format_value, instance, positive_number, real_array
 
 _FORMAT = "tenscasadi tradeoff 2"
 Cost = Literal["seconds", "work"]
@@ -159,7 +159,7 @@ class Tradeoff:
     message: str = ""
 
     def __post_init__(self) -> None:
-        for k, row in enumerate(listed("Tradeoff.rows", self.rows, "(Row(...),)")):
+        for k, row in enumerate(as_tuple("Tradeoff.rows", self.rows, "(Row(...),)")):
             instance(f"Tradeoff.rows[{k}]", row, Row, "a tenscasadi.Row")
         _check_kinds(self)
 
@@ -370,7 +370,7 @@ class Tradeoff:
         Of rows of equal cost the more accurate comes first.
         """
         if not isinstance(cost, str) or cost not in ("seconds", "work"):
-            raise ValueError(f'cost is {shown(cost)}: give "seconds" or "work"')
+            raise ValueError(f'cost is {format_value(cost)}: give "seconds" or "work"')
         known = [row for row in self._successful() if not np.isnan(getattr(row, cost))]
         return sorted(known, key=lambda row: (getattr(row, cost), row.position))
 
@@ -401,11 +401,11 @@ def _check_kinds(value: Row | Tradeoff) -> None:
     for field in fields(value):
         name, given = f"{type(value).__name__}.{field.name}", getattr(value, field.name)
         if field.type == "float" and real_array(name, given, "a number").ndim:
-            raise ValueError(f"{name} is {shown(given)}: give a number")
+            raise ValueError(f"{name} is {format_value(given)}: give a number")
         if field.type in _WORDS:
             instance(name, given, *_WORDS[field.type])
         if field.type == "int" and not abs(given) < 2**63:
-            raise ValueError(f"{name} is {shown(given)}: it must be less than 2^63 in size")
+            raise ValueError(f"{name} is {format_value(given)}: it must be less than 2^63 in size")
 
 
 _WORDS: dict[Any, tuple[Any, str]] = {

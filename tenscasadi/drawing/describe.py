@@ -16,7 +16,7 @@ from tenscasadi.scene.strings import Clip, StringLaw
 from tenscasadi.simulation.motions import Rollouts, node_positions
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Indices, shown, text
+from tenscasadi.util.validate import Indices, format_value, text
 
 _KINDS = "Structure, Scene, Model, Trajectory, Rollouts or ocp.Plan"
 MOST_COPIES = 60  # drawn motions of rollouts: more are no longer told apart
@@ -38,7 +38,9 @@ def describe_content(things: Any, field: str = "things", ground: Grounds = None)
     for name, thing in named:
         part = _describe(thing, name)
         if part is None:
-            raise TypeError(f"{field} is {shown(thing)}: give a {_KINDS}, a list or a mapping")
+            raise TypeError(
+                f"{field} is {format_value(thing)}: give a {_KINDS}, a list or a mapping"
+            )
         parts.append(part)
     motions = tuple(motion for part in parts for motion in part.motions)
     if len({motion.name for motion in motions}) < len(motions):

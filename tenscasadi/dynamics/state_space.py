@@ -128,10 +128,10 @@ class StateSpace(NodeCoordinates):
             return stiffness * np.maximum(0.0, 1 - rest / s.string_lengths)  # Eq. 99 at rest
         return np.zeros(0)
 
-    def held(self, u: Any = None, parameters: Any = None) -> Array:
-        """Stack control and parameters to the checked input w (nw,).
+    def stack_inputs(self, u: Any = None, parameters: Any = None) -> Array:
+        """Stack control and parameters to the input w (nw,), and check them.
 
-        If they are None, the initial control and nominal parameters are used.
+        Default: the initial control and nominal parameters.
         """
         p = self.parameters.values(parameters)
         return np.concatenate(

@@ -17,12 +17,12 @@ from tenscasadi.util.renamed import RenamedAttribute, rename_keywords
 from tenscasadi.util.validate import (
     Array,
     finite_array,
+    format_value,
     instance,
     nesting,
     nonnegative,
     per_item,
     positive_number,
-    shown,
     text,
     whole_number,
 )
@@ -148,7 +148,7 @@ class Task:
         for name in ("reward", "observation", "terminated"):
             given = getattr(self, name)
             if not callable(given) and (name == "reward" or given is not None):
-                raise TypeError(f"Task.{name} is {shown(given)}: give a function")
+                raise TypeError(f"Task.{name} is {format_value(given)}: give a function")
         whole_number("Task.steps", self.steps, 1, 10**6)  # about a second of computation
         state = model.initial_state if self.state is None else self.state
         own: dict[str, Any] = {
@@ -162,7 +162,9 @@ class Task:
         }
         if self.controls_rest_lengths != (self.rest_length_rate is not None):
             cure = "give the greatest rate, m/s, for RestLength(), and None for ForceDensity()"
-            raise ValueError(f"Task.rest_length_rate is {shown(self.rest_length_rate)}: {cure}")
+            raise ValueError(
+                f"Task.rest_length_rate is {format_value(self.rest_length_rate)}: {cure}"
+            )
         if self.rest_length_rate is not None:
             own["rest_length_rate"] = self._per_string("rest_length_rate")
         for name, value in own.items():
@@ -177,7 +179,7 @@ class Task:
             raise ValueError(f"Task.state is {off}")
         if self.correction is not None and not hasattr(self.correction, "every"):
             cure = "give Projection(every), BarLengthCorrection(weight) or None"
-            raise TypeError(f"Task.correction is {shown(self.correction)}: {cure}")
+            raise TypeError(f"Task.correction is {format_value(self.correction)}: {cure}")
 
     def _per_string(self, name: str, strict: bool = False) -> Array:
         field = f"Task.{name}"
@@ -233,9 +235,9 @@ def _read_spreads(model: Model, given: Any) -> dict[str, float]:
         text("Task.parameters: a name", name)
         if name not in places:
             known = f"the model's parameters are {', '.join(places) or 'none'}"
-            cure = f"give Scene(..., parameters=Parameters({shown(name)}))"
-            raise ValueError(f"Task.parameters has {shown(name)}, and {known}: {cure}")
-        field = f"Task.parameters[{shown(name)}]"
+            cure = f"give Scene(..., parameters=Parameters({format_value(name)}))"
+            raise ValueError(f"Task.parameters has {format_value(name)}, and {known}: {cure}")
+        field = f"Task.parameters[{format_value(name)}]"
         found[name] = positive_number(field, value, zero=True)
         if found[name] >= 1:
             cure = "give a spread relative to the value, less than 1"

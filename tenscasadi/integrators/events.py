@@ -83,7 +83,7 @@ def build_potential(model: Model) -> ca.Function:
 
 def count_switches(model: Model) -> int:
     """Count the strings and contacts that can switch."""
-    w = ca.DM(model.held())
+    w = ca.DM(model.stack_inputs())
     elements = forces.build_elements(model.scene, model.mechanism, w)
     return sum(element.switch_count for element in elements)
 

@@ -21,7 +21,7 @@ from tenscasadi.dynamics.mechanism import Mechanism
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import Complex, NamedScheme
 from tenscasadi.integrators.tableaux import CLASSICAL, MIDPOINT, Tableau
-from tenscasadi.util.validate import shown, whole_number
+from tenscasadi.util.validate import format_value, whole_number
 
 _OUTER = 1 / (4 - 4 ** (1 / 3))  # Suzuki's composition of order 4, (II.4.5) of [2] of `Rattle`
 _FRACTIONS: dict[int, tuple[float, ...]] = {
@@ -95,7 +95,7 @@ class Rattle(NamedScheme, kind="Rattle"):
             or isinstance(self.order, bool)
             or self.order not in _FRACTIONS
         ):
-            raise ValueError(f"Rattle.order is {shown(self.order)}: give 2 or 4")
+            raise ValueError(f"Rattle.order is {format_value(self.order)}: give 2 or 4")
         whole_number("Rattle.iterations", self.iterations, 1)
 
     def step(self, ode: ca.Function) -> ca.Function:

@@ -25,7 +25,7 @@ from tenscasadi.integrators.tableaux import (
     DORMAND_PRINCE_853,
     Tableau,
 )
-from tenscasadi.util.validate import positive_number, shown, whole_number
+from tenscasadi.util.validate import format_value, positive_number, whole_number
 
 SEVERAL = 3  # weights: more are faster as one product of matrices, in building and in running
 
@@ -126,7 +126,7 @@ class EmbeddedRungeKutta(ExplicitRungeKutta):
         if self.atol is not None:
             if self.rtol is None:
                 raise ValueError(
-                    f"{name}.atol is {shown(self.atol)}, but rtol is None: give both for control of the error, or neither"
+                    f"{name}.atol is {format_value(self.atol)}, but rtol is None: give both for control of the error, or neither"
                 )
             object.__setattr__(self, "atol", positive_number(f"{name}.atol", self.atol, zero=True))
         whole_number(f"{name}.max_attempts", self.max_attempts, 1)

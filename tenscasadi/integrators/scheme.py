@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.schema.value import Value
-from tenscasadi.util.validate import Array, instance, positive_number, shown
+from tenscasadi.util.validate import Array, format_value, instance, positive_number
 
 Complex = NDArray[np.complex128]
 
@@ -209,7 +209,7 @@ def check_scheme(scheme: Any, field: str = "scheme") -> None:
             else f" and lacks {', '.join(lacks)}"
         )
         raise TypeError(
-            f"{field} is {shown(scheme)}{why}: give an integration scheme, such as RungeKutta4()"
+            f"{field} is {format_value(scheme)}{why}: give an integration scheme, such as RungeKutta4()"
         )
 
 

@@ -193,7 +193,7 @@ def rate_bound(model: Model, x: Any, u: Any, parameters: Any = None) -> float:
 
     It follows from λ² q = (λ C + K) q. For large models it is an estimate, likely too high.
     """
-    w = model.held(u, parameters)
+    w = model.stack_inputs(u, parameters)
     if model.nx > DENSE:
         along, v, size = _directional(model), np.random.default_rng(0).normal(size=model.nx), 1.0
         sizes = []
@@ -253,7 +253,7 @@ def _rates(model: Model, x: Any, u: Any, parameters: Any) -> Complex:
     """
     instance("model", model, Model, "a tenscasadi.Model")
     state = model.initial_state if x is None else finite_array("x", x, (model.nx,))
-    inputs = model.held(u, parameters)
+    inputs = model.stack_inputs(u, parameters)
     if model.nx == 0:
         return np.zeros(0, dtype=complex)
     if model.nx <= DENSE:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from tenscasadi.schema.formulas import RESERVED
 from tenscasadi.schema.reading import Document, Item, SceneFileError, nearest
 from tenscasadi.schema.text import TextError, parse, to_json, to_toml
-from tenscasadi.util.validate import file_path, shown
+from tenscasadi.util.validate import file_path, format_value
 from tenscasadi.util.whole_file import whole_file
 
 HEAD: Mapping[str, Any] = {"format": 1, "units": "SI"}
@@ -76,7 +76,7 @@ def write_document(path: Path, tables: Mapping[str, Any]) -> Path:
 def _format_change(change: Change) -> str:
     if not re.fullmatch(r"[\w-]+(\.[\w-]+)+", change.key):
         cure = "give KEY=VALUE, such as simulation.step=0.01"
-        raise ValueError(f"set is {shown(change.key)}: {cure}")
+        raise ValueError(f"set is {format_value(change.key)}: {cure}")
     text = f"{change.key} = {change.value}"
     try:
         parse(text, "toml", MOST_VALUES)
@@ -153,7 +153,9 @@ def _check_head(document: Document) -> None:
             raise SceneFileError(message, document.name, None, name)
         item = document.root.child(name)
         if item.value != right or isinstance(item.value, bool):
-            raise item.error(f"is {shown(item.value)}: give {text}, all that this version reads")
+            raise item.error(
+                f"is {format_value(item.value)}: give {text}, all that this version reads"
+            )
 
 
 def _find_included(item: Item, folder: Path) -> Path:
@@ -165,16 +167,18 @@ def _find_included(item: Item, folder: Path) -> Path:
         cure = (
             "give a .toml or .json file in this file's folder or below, such as 'parts/mast.toml'"
         )
-        raise item.error(f"is {shown(name)}: {cure}")
+        raise item.error(f"is {format_value(name)}: {cure}")
     target = folder.joinpath(*parts)
     if not os.path.lexists(target):
-        raise item.error(f"is {shown(name)}: there is no such file")
+        raise item.error(f"is {format_value(name)}: there is no such file")
     try:
         inside = target.resolve(strict=True).is_relative_to(folder.resolve())
     except (OSError, RuntimeError):  # a link to itself
         inside = False
     if not inside:
-        raise item.error(f"is {shown(name)}, a link out of this file's folder: copy the file there")
+        raise item.error(
+            f"is {format_value(name)}, a link out of this file's folder: copy the file there"
+        )
     return target
 
 

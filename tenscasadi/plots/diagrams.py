@@ -11,12 +11,12 @@ from matplotlib.ticker import LogLocator
 
 from tenscasadi.plots.panels import FilePath, add_legend, css_color, make_panels, save_figure
 from tenscasadi.util.validate import (
+    as_tuple,
     file_path,
+    format_value,
     instance,
-    listed,
     positive_number,
     real_array,
-    shown,
     text,
 )
 
@@ -138,7 +138,7 @@ def _label_points(curves: Any) -> dict[str, Points]:
 
 def _points(field: str, points: Any) -> Points:
     """Check points. Raises TypeError, ValueError."""
-    pairs = listed(field, points, "[(1e-3, 0.1)]")
+    pairs = as_tuple(field, points, "[(1e-3, 0.1)]")
     if not pairs:
         return []
     array = real_array(field, pairs, "pairs (error, cost)")
@@ -211,7 +211,7 @@ class Convergence:
     def __call__(self, now: Iteration) -> None:
         """Record an iteration, and draw all if it is time."""
         if not all(hasattr(now, name) for name in ("iteration", "objective", "infeasibility")):
-            raise TypeError(f"now is {shown(now)}: give an ocp.Progress")
+            raise TypeError(f"now is {format_value(now)}: give an ocp.Progress")
         self._iterations.append(now)
         if self._path is not None and time.monotonic() - self._drawn > self._every:
             save_figure(self.figure(), self._path)

@@ -22,12 +22,12 @@ from tenscasadi.plots.panels import (
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import (
     Array,
+    as_tuple,
     finite_array,
+    format_value,
     instance,
-    listed,
     node_index,
     per_item,
-    shown,
 )
 
 _EXAMPLE = "a tenscasadi.Trajectory, such as plan.trajectory or plan.replay()"
@@ -97,7 +97,7 @@ def node_histories(
     chosen = (
         _find_moving_nodes(trajectory)
         if nodes is None
-        else [node_index("nodes", node, count) for node in listed("nodes", nodes, "[0, 3]")]
+        else [node_index("nodes", node, count) for node in as_tuple("nodes", nodes, "[0, 3]")]
     )
     names = tuple(f"node {node}" for node in chosen)
     paths = trajectory.nodes[:, chosen]
@@ -153,7 +153,9 @@ def force_densities(
     'force density (N/m)'
     """
     if not (hasattr(history, "time") and hasattr(history, "force_density")):
-        raise TypeError(f"history is {shown(history)}: give a tenscasadi.Trajectory or an ocp.Plan")
+        raise TypeError(
+            f"history is {format_value(history)}: give a tenscasadi.Trajectory or an ocp.Plan"
+        )
     time = finite_array("history.time", history.time, (None,))
     values = finite_array("history.force_density", history.force_density, (None, None))
     rows, count = values.shape
@@ -166,7 +168,7 @@ def force_densities(
         if strings is None
         else [
             node_index("strings", string, count, "string")
-            for string in listed("strings", strings, "[0, 3]")
+            for string in as_tuple("strings", strings, "[0, 3]")
         ]
     )
     limits: dict[str, Any] = {}

@@ -12,7 +12,7 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from tenscasadi.plots.panels import FilePath, css_color, save_figure, style_axes
 from tenscasadi.util.renamed import rename_keywords
-from tenscasadi.util.validate import Array, shown, text
+from tenscasadi.util.validate import Array, format_value, text
 
 
 class ReplayErrors(Protocol):
@@ -129,7 +129,7 @@ def _read_errors(data: Any) -> dict[str, ReplayErrors]:
         text("data: a name", name)
         if not all(hasattr(one, field) for field in ("worst_error", "tolerance", "importance")):
             raise TypeError(
-                f"data is {shown(one)}: give the result of plan.robustness(...), or several of them by name"
+                f"data is {format_value(one)}: give the result of plan.robustness(...), or several of them by name"
             )
     return several
 

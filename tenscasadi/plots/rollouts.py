@@ -12,9 +12,9 @@ from tenscasadi.plots.panels import FilePath, css_color, make_panels, save_figur
 from tenscasadi.simulation.motions import Rollouts
 from tenscasadi.util.validate import (
     finite_array,
+    format_value,
     instance,
     real_array,
-    shown,
     text,
     whole_number,
 )
@@ -72,7 +72,9 @@ def fan(
     """
     good = _find_successful(rollouts)
     if not text("axes", axes) or sorted(set(axes) & set("xyz")) != sorted(axes):
-        raise ValueError(f"axes is {shown(axes)}: give some of x, y and z, each once, such as 'xz'")
+        raise ValueError(
+            f"axes is {format_value(axes)}: give some of x, y and z, each once, such as 'xz'"
+        )
     fractions = np.sort(finite_array("bands", bands, (None,)))
     if np.any((fractions < 0) | (fractions >= 0.5)):
         raise ValueError(f"bands is {fractions}: give fractions of at least 0 and less than 0.5")

@@ -16,8 +16,8 @@ from tenscasadi.util.validate import (
     Array,
     call_user_function,
     finite_array,
+    format_value,
     positive_number,
-    shown,
 )
 
 _ACCURACY = 1e-9  # of the largest value: error of piecewise cubics
@@ -66,7 +66,7 @@ class ControlFunction:
     def __post_init__(self) -> None:
         if not callable(self.function):
             raise TypeError(
-                f"ControlFunction.function is {shown(self.function)}: give a function of time"
+                f"ControlFunction.function is {format_value(self.function)}: give a function of time"
             )
         times = finite_array("ControlFunction.breakpoints", self.breakpoints, (None,))
         object.__setattr__(self, "breakpoints", times)

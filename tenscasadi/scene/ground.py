@@ -17,12 +17,12 @@ from tenscasadi.util.casadi_tools import is_expression
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import (
     Array,
+    as_tuple,
     finite_array,
-    listed,
+    format_value,
     node_index,
     number,
     positive_number,
-    shown,
     whole_number,
 )
 
@@ -171,7 +171,7 @@ def slip_velocity(contact: Contact, V: Any) -> tuple[Any, Any]:
 
 
 def _distinct(field: str, nodes: Any) -> tuple[int, ...]:
-    found = tuple(whole_number(field, node, 0) for node in listed(field, nodes, "[0, 3]"))
+    found = tuple(whole_number(field, node, 0) for node in as_tuple(field, nodes, "[0, 3]"))
     if not found or len(set(found)) < len(found):
         raise ValueError(f"{field} is {found}: give each node once, or None for all")
     return found
@@ -443,4 +443,4 @@ def checked_grounds(value: Any, field: str = "Scene.ground") -> tuple[Surface, .
     example = "a tenscasadi.Ground or Terrain, a sequence of them, or None"
     if isinstance(value, (list, tuple)) and all(isinstance(item, Surface) for item in value):
         return tuple(value)
-    raise TypeError(f"{field} is {shown(value)}: give {example}")
+    raise TypeError(f"{field} is {format_value(value)}: give {example}")

@@ -15,7 +15,14 @@ from tenscasadi.schema.field_types import TIMES, Index, Members, varying
 from tenscasadi.util.casadi_tools import is_expression
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.renamed import RenamedAttribute
-from tenscasadi.util.validate import Indices, listed, node_index, number, shown, whole_number
+from tenscasadi.util.validate import (
+    Indices,
+    as_tuple,
+    format_value,
+    node_index,
+    number,
+    whole_number,
+)
 
 
 @takes_breaks
@@ -135,9 +142,9 @@ class Pressure(OverTime, kind="Pressure"):
     breakpoints: Annotated[Any, TIMES] = field(default=(), repr=False)
 
     def __post_init__(self) -> None:
-        given = listed("Pressure.faces", self.faces, "[(0, 1, 2)] of triangles of node indices")
+        given = as_tuple("Pressure.faces", self.faces, "[(0, 1, 2)] of triangles of node indices")
         faces = tuple(
-            listed(f"Pressure.faces[{k}]", face, "(0, 1, 2), three node indices")
+            as_tuple(f"Pressure.faces[{k}]", face, "(0, 1, 2), three node indices")
             for k, face in enumerate(given)
         )
         for k, face in enumerate(faces):
@@ -232,7 +239,7 @@ class NodalForce(OverTime, ReadOnlyArrays, kind="NodalForce"):
         if self.bars is not None:
             if not isinstance(self.bars, Mapping):
                 raise TypeError(
-                    f"NodalForce.bars is {shown(self.bars)}: give a mapping from nodes to bars, such as {{1: 0}}"
+                    f"NodalForce.bars is {format_value(self.bars)}: give a mapping from nodes to bars, such as {{1: 0}}"
                 )
             object.__setattr__(self, "bars", dict(self.bars))
 

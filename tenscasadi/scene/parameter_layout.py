@@ -15,7 +15,7 @@ from tenscasadi.structure.mass_checks import check_mass_ratio
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.read_only import ReadOnlyArrays
-from tenscasadi.util.validate import SMALLEST, Array, Indices, finite_array, nesting, shown
+from tenscasadi.util.validate import SMALLEST, Array, Indices, finite_array, format_value, nesting
 
 
 class Affine(NamedTuple):
@@ -127,7 +127,7 @@ class ParameterLayout(ReadOnlyArrays):
             if name not in self.places:
                 known = ", ".join(self.places) or "none, as its scene has no Parameters"
                 raise ValueError(
-                    f"parameters has {shown(name)}: the parameters of this model are {known}"
+                    f"parameters has {format_value(name)}: the parameters of this model are {known}"
                 )
             place = self.places[name]
             p[place] = finite_array(

@@ -10,7 +10,7 @@ from tenscasadi.schema.containers import Either, ListOf, TableOf
 from tenscasadi.schema.field_types import WHOLE, Members, Word
 from tenscasadi.schema.reading import ItemKind
 from tenscasadi.schema.value import Value
-from tenscasadi.util.validate import listed, shown, whole_number
+from tenscasadi.util.validate import as_tuple, format_value, whole_number
 
 
 class Quantity(NamedTuple):
@@ -123,20 +123,20 @@ class Parameters(Value, kind="Parameters"):
         self, *names: str, scale: Iterable[str] = (), groups: Mapping[str, Any] | None = None
     ) -> None:
         example = '("stiffness", "damping")'
-        scaled = tuple(listed("Parameters.scale", scale, example))
+        scaled = tuple(as_tuple("Parameters.scale", scale, example))
         given = [*names, *scaled]
         for k, name in enumerate(given):
             if not isinstance(name, str):
                 raise TypeError(
-                    f"Parameters got {shown(name)}: give names of quantities, such as {example}"
+                    f"Parameters got {format_value(name)}: give names of quantities, such as {example}"
                 )
             if name not in QUANTITIES:
                 raise ValueError(
-                    f"Parameters got {shown(name)}: give some of {', '.join(QUANTITIES)}"
+                    f"Parameters got {format_value(name)}: give some of {', '.join(QUANTITIES)}"
                 )
             if name in given[:k]:
                 raise ValueError(
-                    f"Parameters got {shown(name)} twice: name a quantity once, in SI units or under scale="
+                    f"Parameters got {format_value(name)} twice: name a quantity once, in SI units or under scale="
                 )
         if not given:
             raise ValueError(
@@ -144,16 +144,16 @@ class Parameters(Value, kind="Parameters"):
             )
         if groups is not None and not isinstance(groups, Mapping):
             raise TypeError(
-                f"Parameters.groups is {shown(groups)}: give a mapping such as {{'stiffness': [[0, 1, 2], [3, 4, 5]]}}"
+                f"Parameters.groups is {format_value(groups)}: give a mapping such as {{'stiffness': [[0, 1, 2], [3, 4, 5]]}}"
             )
         for name in groups or {}:
             if name not in given:
                 raise ValueError(
-                    f"Parameters.groups has {shown(name)}, which is no parameter: name it, too, or leave its groups out"
+                    f"Parameters.groups has {format_value(name)}, which is no parameter: name it, too, or leave its groups out"
                 )
             if QUANTITIES[name].item not in GROUPED:
                 raise ValueError(
-                    f"Parameters.groups has {shown(name)}: groups are of strings, bars, nodes and grounds, leave them out"
+                    f"Parameters.groups has {format_value(name)}: groups are of strings, bars, nodes and grounds, leave them out"
                 )
         read = tuple((name, _read_groups(name, value)) for name, value in (groups or {}).items())
         for attribute, value in {"names": tuple(names), "scale": scaled, "groups": read}.items():
@@ -169,20 +169,20 @@ class Parameters(Value, kind="Parameters"):
 
 
 def _read_groups(name: str, value: Any) -> tuple[tuple[int, ...], ...]:
-    where = f"Parameters.groups[{shown(name)}]"
+    where = f"Parameters.groups[{format_value(name)}]"
     if isinstance(value, str):
         if value != "all":
             raise ValueError(
-                f'{where} is {shown(value)}: give "all", or groups of indices such as [[0, 1], [2, 3]]'
+                f'{where} is {format_value(value)}: give "all", or groups of indices such as [[0, 1], [2, 3]]'
             )
         return ((),)
     groups = tuple(
-        tuple(listed(f"{where}[{g}]", group, "[0, 1, 2]"))
-        for g, group in enumerate(listed(where, value, "[[0, 1], [2, 3]]"))
+        tuple(as_tuple(f"{where}[{g}]", group, "[0, 1, 2]"))
+        for g, group in enumerate(as_tuple(where, value, "[[0, 1], [2, 3]]"))
     )
     if not groups or not all(groups):
         raise ValueError(
-            f"{where} is {shown(value)}: give at least one group, each with at least one index"
+            f"{where} is {format_value(value)}: give at least one group, each with at least one index"
         )
     seen: set[int] = set()
     for g, group in enumerate(groups):

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.schema.value import Value
-from tenscasadi.util.validate import Array, choice, instance, listed, node_index, positive_number
+from tenscasadi.util.validate import Array, as_tuple, choice, instance, node_index, positive_number
 
 
 class Control(Value):
@@ -370,7 +370,7 @@ def read_slack(given: Any, strings: int) -> StringLaw | tuple[StringLaw, ...]:
     else:
         if isinstance(given, (str, bytes)) or not isinstance(given, Sequence):
             instance("Scene.slack", given, StringLaw, example)
-        laws = list(listed("Scene.slack", given, example))
+        laws = list(as_tuple("Scene.slack", given, example))
         if len(laws) != strings:
             raise ValueError(
                 f"Scene.slack has {len(laws)} entries: give one law, or one for each of {strings} strings"

@@ -17,7 +17,7 @@ from tenscasadi.schema.field_types import MOVING_POINT, TIMES
 from tenscasadi.schema.time_formula import TimeFormula
 from tenscasadi.schema.value import Value
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, finite_array, node_index, shown
+from tenscasadi.util.validate import Array, finite_array, format_value, node_index
 
 _AROUND = 1e-9  # of the latest time: how far before and after a switch both sides are compared
 _JUMP = 1e-9  # of the largest value: more is a jump
@@ -61,7 +61,7 @@ class SupportMotion(Value, kind="SupportMotion"):
     def __post_init__(self) -> None:
         if not isinstance(self.positions, Mapping) or not self.positions:
             raise TypeError(
-                f"SupportMotion.positions is {shown(self.positions)}: give a mapping of nodes to functions of time"
+                f"SupportMotion.positions is {format_value(self.positions)}: give a mapping of nodes to functions of time"
             )
         given: Mapping[int, Any] = self.positions
         positions: dict[int, Any] = {}
@@ -70,7 +70,7 @@ class SupportMotion(Value, kind="SupportMotion"):
             positions[node] = TimeFormula(tuple(function)) if constant else function
             if not constant and not callable(function):
                 raise TypeError(
-                    f"SupportMotion.positions[{shown(node)}] is {shown(function)}: give a function of time that returns (x, y, z)"
+                    f"SupportMotion.positions[{format_value(node)}] is {format_value(function)}: give a function of time that returns (x, y, z)"
                 )
         object.__setattr__(self, "positions", positions)
         object.__setattr__(
@@ -98,7 +98,9 @@ class SupportMotion(Value, kind="SupportMotion"):
             The structure whose nodes are moved.
         """
         for node in self.nodes:
-            node_index(f"SupportMotion.positions, node {shown(node)}", node, len(structure.nodes))
+            node_index(
+                f"SupportMotion.positions, node {format_value(node)}", node, len(structure.nodes)
+            )
         start = self.rates()(0.0)[0].full().T
         size = float(np.ptp(structure.nodes, axis=0).max(initial=0.0))
         for node, place in zip(self.nodes, start, strict=True):

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.scene.breakpoints import find_breakpoints, probe_times
-from tenscasadi.util.validate import Array, shown
+from tenscasadi.util.validate import Array, format_value
 
 _CASADI = (ca.SX, ca.MX, ca.DM)
 CURE = "write it with NumPy's or CasADi's mathematics, without math, float() and if"
@@ -39,7 +39,7 @@ def express(field: str, function: Callable[[Any], Any], time: Any) -> Any:
             return ca.vertcat(*map(_row, found)) if isinstance(found, Iterable) else ca.DM(found)
         except Exception as error:  # CasADi's own words list all that it could take
             raise ValueError(
-                f"{field} returns {shown(found)} on a CasADi time: give numbers and expressions of it; {CURE}"
+                f"{field} returns {format_value(found)} on a CasADi time: give numbers and expressions of it; {CURE}"
             ) from error
 
 

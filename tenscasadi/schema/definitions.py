@@ -27,7 +27,7 @@ from tenscasadi.schema.field_types import (
 )
 from tenscasadi.schema.reading import Item, NotWritten, call, nearest
 from tenscasadi.schema.value import Value
-from tenscasadi.util.validate import shown
+from tenscasadi.util.validate import format_value
 
 
 class Field(NamedTuple):
@@ -206,7 +206,7 @@ def field_type(hint: Any, name: str) -> FieldType:
     elif origin in _LISTS and len([each for each in inner if each is not ...]) == 1:
         return Numbers(((None,),)) if inner[0] is float else ListOf(field_type(inner[0], name))
     cure = "annotate it with a field type, such as Annotated[Any, Numbers(((3,),))]"
-    raise TypeError(f"{name} is of type {shown(hint)}: {cure}")
+    raise TypeError(f"{name} is of type {format_value(hint)}: {cure}")
 
 
 @dataclass(frozen=True)
@@ -239,12 +239,12 @@ class OneOf(FieldType):
         elif alone and (len(known) == 1 or isinstance(value, dict)):
             return alone.read(item)
         else:
-            state = "has no kind" if isinstance(value, dict) else f"is {shown(value)}"
+            state = "has no kind" if isinstance(value, dict) else f"is {format_value(value)}"
             raise item.error(f"{state}: give a table with kind = one of {', '.join(known)}")
         given = word.text("the name of a kind")
         kind = self.family.earlier_kinds.get(given, given)
         if kind not in known:
-            raise word.error(f"is {shown(kind)}: {nearest(kind, known)}")
+            raise word.error(f"is {format_value(kind)}: {nearest(kind, known)}")
         return known[kind].read(rest)
 
     def write(self, value: Any) -> Any:
@@ -252,7 +252,9 @@ class OneOf(FieldType):
         known = self.definitions
         own = known.get(getattr(type(value), "kind", ""))
         if own is None or own.build is not type(value):
-            raise NotWritten(f"{shown(value)} is none of {', '.join(known)}: files hold these only")
+            raise NotWritten(
+                f"{format_value(value)} is none of {', '.join(known)}: files hold these only"
+            )
         table = own.write(value)
         if len(known) == 1:
             del table["kind"]

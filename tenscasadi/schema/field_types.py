@@ -11,7 +11,7 @@ import numpy as np
 from tenscasadi.schema.formulas import FormulaError
 from tenscasadi.schema.reading import Item, ItemKind, NotWritten, nearest
 from tenscasadi.schema.time_formula import TimeFormula
-from tenscasadi.util.validate import shown
+from tenscasadi.util.validate import format_value
 
 Schema = dict[str, Any]
 Schemas = dict[str, Schema]  # definitions that `$ref` refers to, by name
@@ -68,7 +68,7 @@ class Numbers(FieldType):
             for shape in self.shapes
         ]
         if not any(fits):
-            raise item.error(f"is {shown(item.value)}: give {self._describe()}")
+            raise item.error(f"is {format_value(item.value)}: give {self._describe()}")
         found = self._read(item, sizes, self.varying and fits[0])
         if not _has_text(found):
             return tuple(found) if self.free else found
@@ -106,7 +106,7 @@ class Numbers(FieldType):
         try:
             return np.asarray(value, dtype=int if self.whole else float).tolist()
         except (TypeError, ValueError):
-            raise NotWritten(f"{shown(value)} is no array of numbers") from None
+            raise NotWritten(f"{format_value(value)} is no array of numbers") from None
 
     def schema(self, kinds: Schemas) -> Schema:
         """Build the schema of all shapes."""
@@ -168,7 +168,7 @@ class Flag(FieldType):
     def read(self, item: Item) -> bool:
         """Read a Boolean."""
         if not isinstance(item.value, bool):
-            raise item.error(f"is {shown(item.value)}: give true or false")
+            raise item.error(f"is {format_value(item.value)}: give true or false")
         return item.value
 
     def write(self, value: Any) -> bool:
@@ -190,7 +190,7 @@ class Word(FieldType):
         """Read a word."""
         word = item.text(" or ".join(map(repr, self.options)) or "text")
         if self.options and word not in self.options:
-            raise item.error(f"is {shown(word)}: {nearest(word, self.options)}")
+            raise item.error(f"is {format_value(word)}: {nearest(word, self.options)}")
         return word
 
     def write(self, value: Any) -> str:
@@ -218,14 +218,14 @@ class Option(FieldType):
             reason = "nothing is loaded or written because a scene file says so"
             raise item.error(f"may name a file, and {reason}: leave it out")
         if not isinstance(item.value, (bool, int, float, str)) or item.value != item.value:
-            raise item.error(f"is {shown(item.value)}: give a number, true, false or a word")
+            raise item.error(f"is {format_value(item.value)}: give a number, true, false or a word")
         return item.value
 
     def write(self, value: Any) -> Any:
         """Write an option."""
         value = value.item() if isinstance(value, np.generic) else value
         if not isinstance(value, (bool, int, float, str)):
-            raise NotWritten(f"{shown(value)} is no number, flag or word: leave it out")
+            raise NotWritten(f"{format_value(value)} is no number, flag or word: leave it out")
         return value
 
     def schema(self, kinds: Schemas) -> Schema:
@@ -244,7 +244,7 @@ class Index(FieldType):
         found = item.indices(self.which)
         if len(found) != 1:
             group = f"a group of {len(found)} {self.which}s"
-            raise item.error(f"is {shown(item.value)}, {group}: give the index of one")
+            raise item.error(f"is {format_value(item.value)}, {group}: give the index of one")
         return found[0]
 
     def write(self, value: Any) -> int:

@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple, TypeVar
 
 from tenscasadi.schema.formulas import Formula
 from tenscasadi.schema.text import Key, find_line
-from tenscasadi.util.validate import LARGEST, shown
+from tenscasadi.util.validate import LARGEST, format_value
 
 T = TypeVar("T")
 ItemKind = Literal["node", "bar", "string"]
@@ -79,13 +79,13 @@ class Names:
             word = int(word)
         if isinstance(word, str):
             cure = nearest(word, named) if named else f"give an index of a {which}"
-            raise ValueError(f"names {which} {shown(word)}, which is not there: {cure}")
+            raise ValueError(f"names {which} {format_value(word)}, which is not there: {cure}")
         if isinstance(word, bool) or not isinstance(word, int):
-            raise ValueError(f"is {shown(word)}: give the name or index of a {which}")
+            raise ValueError(f"is {format_value(word)}: give the name or index of a {which}")
         if not 0 <= word < count:
             indices = f"{which} indices run from 0 to {count - 1}"
             cure = indices if count else f"there are no {which}s"
-            raise ValueError(f"names {which} {shown(word)}: {cure}")
+            raise ValueError(f"names {which} {format_value(word)}: {cure}")
         return [word]
 
 
@@ -145,13 +145,13 @@ class Item(NamedTuple):
     def table(self, wanted: str = "a table") -> dict[str, Item]:
         """Return the items of a table by name. Raises SceneFileError."""
         if not isinstance(self.value, dict):
-            raise self.error(f"is {shown(self.value)}: give {wanted}")
+            raise self.error(f"is {format_value(self.value)}: give {wanted}")
         return {name: self.child(name) for name in self.value}
 
     def entries(self, wanted: str = "a list") -> list[Item]:
         """Return the items of a list. Raises SceneFileError."""
         if not isinstance(self.value, list):
-            raise self.error(f"is {shown(self.value)}: give {wanted}")
+            raise self.error(f"is {format_value(self.value)}: give {wanted}")
         if len(self.value) > MOST_ENTRIES:
             raise self.error(f"has {len(self.value)} entries: give at most {MOST_ENTRIES}")
         return [self.child(k) for k in range(len(self.value))]
@@ -159,7 +159,7 @@ class Item(NamedTuple):
     def text(self, wanted: str = "text") -> str:
         """Return a text. Raises SceneFileError."""
         if not isinstance(self.value, str):
-            raise self.error(f"is {shown(self.value)}: give {wanted}")
+            raise self.error(f"is {format_value(self.value)}: give {wanted}")
         return self.value
 
     def number(self, wanted: str = "a number, or a formula in quotes") -> float:
@@ -167,10 +167,10 @@ class Item(NamedTuple):
         if isinstance(self.value, str):
             return self._call(lambda: Formula(self.value).value(self.document.numbers))
         if isinstance(self.value, bool) or not isinstance(self.value, (int, float)):
-            raise self.error(f"is {shown(self.value)}: give {wanted}")
+            raise self.error(f"is {format_value(self.value)}: give {wanted}")
         if not abs(self.value) <= LARGEST:
             cure = f"give a finite number, at most {LARGEST:g} in size"
-            raise self.error(f"is {shown(self.value)}: {cure}")
+            raise self.error(f"is {format_value(self.value)}: {cure}")
         return float(self.value)
 
     def formula(self) -> Formula:

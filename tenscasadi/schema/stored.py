@@ -26,7 +26,7 @@ from tenscasadi.schema.packing import ENTRY, NotStored, pack, unpack
 from tenscasadi.util import archive
 from tenscasadi.util.archive import Fields
 from tenscasadi.util.read_only import ReadOnlyArrays
-from tenscasadi.util.validate import shown
+from tenscasadi.util.validate import format_value
 
 Own = TypeVar("Own", bound="Stored")
 _KINDS = {bool: "b", int: "i", float: "f", str: "U"}  # NumPy's letters
@@ -267,4 +267,4 @@ def _as_array(name: str, value: Any) -> Any:
     try:
         return np.asarray(value)
     except Exception as error:  # an object's own __array__ may raise anything
-        raise ValueError(f"field {name!r} is {shown(value)}: it must be an array") from error
+        raise ValueError(f"field {name!r} is {format_value(value)}: it must be an array") from error

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from tenscasadi.util.validate import Array, finite_array, real_array, shown
+from tenscasadi.util.validate import Array, finite_array, format_value, real_array
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +95,7 @@ def _limit(name: str, value: Any, size: int) -> Array:
     wanted = f"one number or ({size},)"
     given = real_array(f"Feedback.{name}", value, wanted)
     if given.shape not in ((), (size,)) or np.any(np.isnan(given)):
-        raise ValueError(f"Feedback.{name} is {shown(value)}: give {wanted}, inf for none")
+        raise ValueError(f"Feedback.{name} is {format_value(value)}: give {wanted}, inf for none")
     limit = np.broadcast_to(given, (size,)).copy()
     limit.flags.writeable = False
     return limit

@@ -40,8 +40,8 @@ from tenscasadi.util.validate import (
     call_user_function,
     choice,
     finite_array,
+    format_value,
     instance,
-    shown,
 )
 
 By = Literal["state", "control", "parameters"]
@@ -293,7 +293,7 @@ def _read(
     }.items():
         if value is not None:
             raise ValueError(
-                f"{name} is {shown(value)}, and start is a trajectory, which tells it: leave one out"
+                f"{name} is {format_value(value)}, and start is a trajectory, which tells it: leave one out"
             )
     if (
         not len(start.time) > 1
@@ -330,7 +330,7 @@ def _check(model: Model, scheme: Any, over: Any, by: Any, mode: Any, compiled: A
         )
     if getattr(scheme, "adaptive", False) or isinstance(scheme, Sundials):
         raise ValueError(
-            f"scheme is {shown(scheme)}, which chooses its steps: give one with fixed steps, such as RungeKutta4() or Rattle()"
+            f"scheme is {format_value(scheme)}, which chooses its steps: give one with fixed steps, such as RungeKutta4() or Rattle()"
         )
     if by == "control" and not model.nu:
         raise ValueError(
@@ -368,11 +368,11 @@ def _output(model: Model, of: Any) -> ca.Function:
     elif callable(of):
         value = call_user_function("of", lambda given: of(*given), arguments, wanted)
     else:
-        raise TypeError(f"of is {shown(of)}: {wanted}")
+        raise TypeError(f"of is {format_value(of)}: {wanted}")
     try:
         return ca.Function("output", [x, w], [ca.vec(ca.densify(ca.MX(value)))])
     except (RuntimeError, NotImplementedError, TypeError):
-        raise TypeError(f"of returns {shown(value)}: {wanted}") from None
+        raise TypeError(f"of returns {format_value(value)}: {wanted}") from None
 
 
 def _owners(control: Any, grid: SampledControl) -> Indices:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from tenscasadi.schema.reading import Names
-from tenscasadi.util.validate import listed, shown, text
+from tenscasadi.util.validate import as_tuple, format_value, text
 
 _MEMBER = re.compile(r"(.*)\[\d+\]")  # name of a member of a group, such as "guys[2]"
 
@@ -17,15 +17,15 @@ def read_names(field: str, value: Any, count: int) -> tuple[str, ...]:
 
     Raises TypeError or ValueError, also for names that could be indices and names given twice.
     """
-    names = tuple(text(field, name) for name in listed(field, value, '["foot", "top"]'))
+    names = tuple(text(field, name) for name in as_tuple(field, value, '["foot", "top"]'))
     if names and len(names) != count:
         raise ValueError(f"{field} has {len(names)} entries: give {count}, or none")
     first: dict[str, int] = {}
     for k, name in enumerate(names):
         if re.fullmatch(r"[0-9]*", name) and name:
-            raise ValueError(f"{field}[{k}] is {shown(name)}, an index, too: give letters")
+            raise ValueError(f"{field}[{k}] is {format_value(name)}, an index, too: give letters")
         if name and first.setdefault(name, k) < k:
-            raise ValueError(f"{field}[{k}] is {shown(name)}, as another: give each its own")
+            raise ValueError(f"{field}[{k}] is {format_value(name)}, as another: give each its own")
     return names if any(names) else ()
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tenscasadi.util.validate import Array, finite_array, nesting, node_index, shown
+from tenscasadi.util.validate import Array, finite_array, format_value, nesting, node_index
 
 Normals = tuple[tuple[float, float, float], ...]
 
@@ -26,18 +26,18 @@ def read_pins(pinned: Any, count: int) -> Mapping[int, str]:
         )
     except Exception as error:  # each kind of matrix raises its own error
         raise TypeError(
-            f"pinned is {shown(pinned)}: give node indices, such as [0, 3], or a mapping such as {{0: 'xyz', 3: 'z'}}"
+            f"pinned is {format_value(pinned)}: give node indices, such as [0, 3], or a mapping such as {{0: 'xyz', 3: 'z'}}"
         ) from error
     pins: dict[int, str] = {}
     for key, axes in entries:
         node = node_index("pinned", key, count)
         if not isinstance(axes, str):
             raise TypeError(
-                f"pinned of node {node} is {shown(axes)}: give the axes as text, such as 'xyz' or 'z'"
+                f"pinned of node {node} is {format_value(axes)}: give the axes as text, such as 'xyz' or 'z'"
             )
         if not axes or len(set(axes)) != len(axes) or not set(axes) <= set("xyz"):
             raise ValueError(
-                f"pinned of node {node} is {shown(axes)}: give some of x, y, z, each once"
+                f"pinned of node {node} is {format_value(axes)}: give some of x, y, z, each once"
             )
         if node in pins:
             raise ValueError(f"pinned: node {node} is given twice: leave one out")
@@ -55,7 +55,7 @@ def read_rollers(
     """
     if not isinstance(rollers, Mapping):
         raise TypeError(
-            f"rollers is {shown(rollers)}: give a mapping from nodes to normals, such as {{3: (1, 0, 1)}}"
+            f"rollers is {format_value(rollers)}: give a mapping from nodes to normals, such as {{3: (1, 0, 1)}}"
         )
     held, found = dict(pins), {}
     for key, given in rollers.items():
@@ -104,7 +104,7 @@ def _orthonormal(field: str, given: Any) -> Array:
         )
     sizes = np.linalg.norm(directions, axis=1)
     if not sizes.all():
-        raise ValueError(f"{field} is {shown(given)}: give directions of some length")
+        raise ValueError(f"{field} is {format_value(given)}: give directions of some length")
     units = np.where(abs(sizes - 1) < 1e-15, 1.0, sizes)[:, None]
     normals = directions / units
     for k in range(1, len(normals)):
@@ -113,7 +113,7 @@ def _orthonormal(field: str, given: Any) -> Array:
             rest = normals[k] - along * normals[0]
             if np.linalg.norm(rest) < _PARALLEL:
                 raise ValueError(
-                    f"{field} is {shown(given)}: its directions are parallel, leave one out"
+                    f"{field} is {format_value(given)}: its directions are parallel, leave one out"
                 )
             normals[k] = rest / np.linalg.norm(rest)
     return np.asarray(normals)

@@ -8,7 +8,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import csr_array
 
-from tenscasadi.util.validate import Array, Indices, finite_array, listed, nonnegative, whole_number
+from tenscasadi.util.validate import (
+    Array,
+    Indices,
+    as_tuple,
+    finite_array,
+    nonnegative,
+    whole_number,
+)
 
 LARGEST_COUNT = 200_000  # segments of all strings
 
@@ -60,7 +67,7 @@ def segment_counts(segments: int | Sequence[int] | Indices, strings: int) -> lis
     if not isinstance(segments, (Sequence, np.ndarray)):
         most = max(LARGEST_COUNT // max(strings, 1), 1)
         return [whole_number("segments", segments, 1, most)] * strings
-    counts = listed("segments", segments, "[2, 2, 1]")
+    counts = as_tuple("segments", segments, "[2, 2, 1]")
     if len(counts) != strings:
         raise ValueError(
             f"segments has {len(counts)} entries: give one number, or one for each of {strings} strings"

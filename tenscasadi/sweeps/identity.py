@@ -17,7 +17,7 @@ import numpy as np
 
 from tenscasadi.schema.packing import find_kind
 from tenscasadi.schema.value import Value
-from tenscasadi.util.validate import shown
+from tenscasadi.util.validate import format_value
 
 PLAIN = "biufcU"  # kinds of arrays, in NumPy's letters, that files hold
 _CONSTANTS = (bool, int, float, complex, str, np.generic, np.ndarray, Value)  # of a closure
@@ -126,5 +126,5 @@ def _describe(field: str, value: Any) -> Any:
         " other values in the function"
     )
     raise TypeError(
-        f"{field} is {shown(value)}, whose content a folder of results cannot tell: {cure}"
+        f"{field} is {format_value(value)}, whose content a folder of results cannot tell: {cure}"
     )

@@ -13,7 +13,7 @@ from tenscasadi.sweeps.case_files import CaseFiles, CaseOutcome
 from tenscasadi.sweeps.sweep_table import Sweep
 from tenscasadi.sweeps.workers import run_in_processes, run_on_executor
 from tenscasadi.util.interrupts import on_interrupt
-from tenscasadi.util.validate import file_path, flag, instance, listed, shown
+from tenscasadi.util.validate import as_tuple, file_path, flag, format_value, instance
 
 _MISSING = CaseOutcome({}, "", float("nan"))
 
@@ -142,11 +142,11 @@ def _compute(
 
 def _check(function: Any, cases: Any, executor: Any, progress: Any) -> tuple[Any, ...]:
     if not callable(function):
-        raise TypeError(f"function is {shown(function)}: give a function of one case")
+        raise TypeError(f"function is {format_value(function)}: give a function of one case")
     example = "[{'stiffness': 100.0}, {'stiffness': 200.0}]"
     if isinstance(cases, dict):
-        raise TypeError(f"cases is {shown(cases)}: give a list of cases, such as {example}")
-    given = listed("cases", cases, example)
+        raise TypeError(f"cases is {format_value(cases)}: give a list of cases, such as {example}")
+    given = as_tuple("cases", cases, example)
     if executor is not None:
         instance(
             "executor",

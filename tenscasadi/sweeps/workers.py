@@ -25,7 +25,7 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
 from tenscasadi.sweeps.case_files import CaseOutcome, check_results
-from tenscasadi.util.validate import shown
+from tenscasadi.util.validate import format_value
 
 Function = Callable[[Any], Any]
 _ONE_THREAD = dict.fromkeys(
@@ -159,7 +159,7 @@ def _find_unpicklable(value: Any, name: str = "case") -> str:
             else ()
         )
         found = (_find_unpicklable(part, f"{name}[{key!r}]") for key, part in parts)
-        return next(filter(None, found), f"{name} is {shown(value)}")
+        return next(filter(None, found), f"{name} is {format_value(value)}")
     return ""
 
 
@@ -169,7 +169,7 @@ def _check_function(function: Function) -> None:
     except Exception as fault:  # pickle raises many things
         cure = "define it with def at the top level of a module, or give an executor of threads"
         raise ValueError(
-            f"function is {shown(function)}, which other processes cannot import ({fault}): {cure}"
+            f"function is {format_value(function)}, which other processes cannot import ({fault}): {cure}"
         ) from fault
 
 
@@ -180,7 +180,7 @@ def _check_worker(pool: ProcessPoolExecutor, function: Function) -> bool:
     except BrokenProcessPool:
         cure = "a script needs `if __name__ == '__main__':` around what it runs; a function of a notebook has to move into a module"
         raise RuntimeError(
-            f"worker processes cannot begin, or cannot import {shown(function)}: {cure}"
+            f"worker processes cannot begin, or cannot import {format_value(function)}: {cure}"
         ) from None
 
 

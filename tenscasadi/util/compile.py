@@ -29,7 +29,7 @@ import numpy as np
 import platformdirs
 
 from tenscasadi.util.processes import run_program
-from tenscasadi.util.validate import instance, shown
+from tenscasadi.util.validate import format_value, instance
 
 T = TypeVar("T")
 log = logging.getLogger(__name__)
@@ -149,7 +149,7 @@ def compile_function(
         isinstance(flags, str) or not all(isinstance(flag, str) for flag in flags)
     ):
         raise TypeError(
-            f'flags is {shown(flags)}: give a sequence of strings, such as ("-O2",), or None'
+            f'flags is {format_value(flags)}: give a sequence of strings, such as ("-O2",), or None'
         )
     compiler = find_compiler()
     if compiler is None:

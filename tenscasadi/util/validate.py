@@ -83,28 +83,28 @@ def nesting(value: Any) -> int:
     return 1
 
 
-def listed(field: str, value: Any, example: str) -> tuple[Any, ...]:
+def as_tuple(field: str, value: Any, example: str) -> tuple[Any, ...]:
     """Return the items of `value` as a tuple; TypeError where it is no list of any kind, as text is none. `example` shows a right one."""
     if not isinstance(value, (str, bytes)):
         with suppress(
             Exception
         ):  # CasADi's and SciPy's matrices, arrays of no dimension: each refuses in its own way
             return tuple(value)
-    raise TypeError(f"{field} is {shown(value)}: give a list, such as {example}")
+    raise TypeError(f"{field} is {format_value(value)}: give a list, such as {example}")
 
 
 def choice(field: str, value: Any, *options: str) -> None:
     """Raise ValueError unless `value` is one of these words."""
     if not isinstance(value, str) or value not in options:
         raise ValueError(
-            f"{field} is {shown(value)}: give {' or '.join(repr(option) for option in options)}"
+            f"{field} is {format_value(value)}: give {' or '.join(repr(option) for option in options)}"
         )
 
 
 def flag(field: str, value: Any) -> None:
     """Raise TypeError unless `value` is True or False."""
     if not isinstance(value, (bool, np.bool_)):
-        raise TypeError(f"{field} is {shown(value)}: give True or False")
+        raise TypeError(f"{field} is {format_value(value)}: give True or False")
 
 
 def text(field: str, value: Any) -> str:
@@ -117,10 +117,10 @@ def file_path(field: str, value: Any) -> Path:
     """Return `value` as a path. Raises TypeError, ValueError."""
     if not isinstance(value, (str, os.PathLike)) or not isinstance(os.fspath(value), str):
         raise TypeError(
-            f"{field} is {shown(value)}: give the name of a file or folder, as text or a pathlib.Path"
+            f"{field} is {format_value(value)}: give the name of a file or folder, as text or a pathlib.Path"
         )
     if "\0" in os.fspath(value):
-        raise ValueError(f"{field} is {shown(value)}: give a name without null characters")
+        raise ValueError(f"{field} is {format_value(value)}: give a name without null characters")
     return Path(value)
 
 
@@ -144,9 +144,13 @@ def coordinates(
     try:
         entries = tuple(place.full().ravel() if isinstance(place, ca.DM) else place)
     except Exception as error:  # each kind of matrix refuses in its own way
-        raise TypeError(f"{field} is {shown(place)}: give (x, y, z), None for {none}") from error
+        raise TypeError(
+            f"{field} is {format_value(place)}: give (x, y, z), None for {none}"
+        ) from error
     if len(entries) != 3 or (some and all(entry is None for entry in entries)):
-        raise ValueError(f"{field} is {shown(entries)}: give three coordinates, None for {none}")
+        raise ValueError(
+            f"{field} is {format_value(entries)}: give three coordinates, None for {none}"
+        )
     return tuple(None if entry is None else read(field, entry) for entry in entries)
 
 
@@ -183,9 +187,9 @@ def positive_number(field: str, value: Any, zero: bool = False) -> float:
 def whole_number(field: str, value: Any, minimum: int, maximum: int = 2**31 - 1) -> int:
     """Return `value` as an int from `minimum` to `maximum`; booleans and fractions are refused. Raises TypeError, ValueError."""
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
-        raise TypeError(f"{field} is {shown(value)}: give a whole number")
+        raise TypeError(f"{field} is {format_value(value)}: give a whole number")
     if value < minimum:
-        raise ValueError(f"{field} is {shown(value)}: it must be at least {minimum}")
+        raise ValueError(f"{field} is {format_value(value)}: it must be at least {minimum}")
     if value > maximum:
         raise ValueError(f"{field} is {float(min(value, 10**300)):g}: it must be at most {maximum}")
     return int(value)
@@ -194,9 +198,11 @@ def whole_number(field: str, value: Any, minimum: int, maximum: int = 2**31 - 1)
 def node_index(field: str, value: Any, count: int, item: str = "node") -> int:
     """Return `value` as an index of one of `count` nodes, or other items, zero-based. Raises TypeError, ValueError."""
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
-        raise TypeError(f"{field} is {shown(value)}: give a {item} index, a whole number")
+        raise TypeError(f"{field} is {format_value(value)}: give a {item} index, a whole number")
     if not 0 <= value < count:
-        raise ValueError(f"{field} is {shown(value)}: {item} indices run from 0 to {count - 1}")
+        raise ValueError(
+            f"{field} is {format_value(value)}: {item} indices run from 0 to {count - 1}"
+        )
     return int(value)
 
 
@@ -208,14 +214,14 @@ def node_pairs(
         rows = [tuple(row) for row in value]
     except Exception as error:  # each kind of matrix refuses in its own way
         raise TypeError(
-            f"{field} is {shown(value)}: give a sequence of node pairs, such as [(0, 1), (1, 2)]"
+            f"{field} is {format_value(value)}: give a sequence of node pairs, such as [(0, 1), (1, 2)]"
         ) from error
     seen: dict[tuple[int, int], int] = {}
     pairs = np.empty((len(rows), 2), dtype=np.intp)
     for k, row in enumerate(rows):
         if len(row) != 2:
             raise ValueError(
-                f"{field}[{k}] is {shown(row)}: {item} {k} joins two nodes, give a pair"
+                f"{field}[{k}] is {format_value(row)}: {item} {k} joins two nodes, give a pair"
             )
         a, b = (node_index(f"{field}[{k}]", end, count) for end in row)
         if a == b:
@@ -233,7 +239,7 @@ def node_pairs(
     return pairs
 
 
-def shown(value: Any) -> str:
+def format_value(value: Any) -> str:
     """Return `value` as messages show it: its repr, cut where it is long; its type where it has none, such as a number of 5000 digits."""
     try:
         text = repr(value)
@@ -245,7 +251,7 @@ def shown(value: Any) -> str:
 def item_mask(field: str, value: Any, count: int, item: str) -> np.ndarray[Any, np.dtype[np.bool_]]:
     """Return which of `count` items a list of indices names. Raises TypeError, ValueError."""
     found = np.zeros(count, dtype=bool)
-    for k, index in enumerate(listed(field, value, f"[0, 3] of {item} indices")):
+    for k, index in enumerate(as_tuple(field, value, f"[0, 3] of {item} indices")):
         found[node_index(f"{field}[{k}]", index, count, item)] = True
     return found
 
@@ -253,7 +259,7 @@ def item_mask(field: str, value: Any, count: int, item: str) -> np.ndarray[Any, 
 def instance(field: str, value: Any, kinds: type | tuple[type, ...], example: str) -> None:
     """Raise TypeError unless `value` is one of `kinds`; `example` shows a right one."""
     if not isinstance(value, kinds):
-        raise TypeError(f"{field} is {shown(value)}: give {example}")
+        raise TypeError(f"{field} is {format_value(value)}: give {example}")
 
 
 def call_user_function(field: str, function: Callable[[Any], Any], argument: Any, hint: str) -> Any:

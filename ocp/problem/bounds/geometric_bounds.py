@@ -18,13 +18,13 @@ from tenscasadi.schema.field_types import POINT, VECTOR, Members
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import (
     Array,
+    as_tuple,
     coordinates,
     finite_array,
-    listed,
+    format_value,
     node_index,
     number,
     positive_number,
-    shown,
     whole_number,
 )
 
@@ -241,7 +241,7 @@ class BarClearance(PathBound, kind="BarClearance"):
             for k, pair in enumerate(found):
                 if len(pair) != 2:
                     raise ValueError(
-                        f"BarClearance.pairs[{k}] is {shown(pair)}: give two bars, such as (0, 1)"
+                        f"BarClearance.pairs[{k}] is {format_value(pair)}: give two bars, such as (0, 1)"
                     )
             object.__setattr__(self, "pairs", tuple(found))
 
@@ -434,4 +434,4 @@ def _within_segment(share: Any) -> Any:
 
 def _listed(field: str, value: Any, example: str) -> tuple[Any, ...] | None:
     """Return members that are named one by one as a tuple; None stays None."""
-    return None if value is None else listed(field, value, example)
+    return None if value is None else as_tuple(field, value, example)

@@ -14,7 +14,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.ground import Surface
 from tenscasadi.schema.field_types import Members
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import instance, listed, node_index, number
+from tenscasadi.util.validate import as_tuple, instance, node_index, number
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +58,7 @@ class AboveSurface(PathBound, kind="AboveSurface"):
         instance("AboveSurface.ground", self.ground, Surface, "a tenscasadi.Ground or Terrain")
         object.__setattr__(self, "distance", number("AboveSurface.distance", self.distance))
         if self.nodes is not None:
-            object.__setattr__(self, "nodes", listed("AboveSurface.nodes", self.nodes, "[0, 1]"))
+            object.__setattr__(self, "nodes", as_tuple("AboveSurface.nodes", self.nodes, "[0, 1]"))
 
     def check(self, structure: Structure) -> None:
         """Refuse a structure that this does not fit.

@@ -23,10 +23,10 @@ from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import (
     Array,
     finite_array,
+    format_value,
     nonnegative,
     number_or_vector,
     per_item,
-    shown,
     whole_number,
 )
 
@@ -104,11 +104,11 @@ class SoftGoal(Goal, FinalCost, kind="SoftGoal"):
     def __post_init__(self) -> None:
         if not isinstance(self.goal, Goal) or isinstance(self.goal, SoftGoal):
             raise TypeError(
-                f"SoftGoal.goal is {shown(self.goal)}: give a goal that is met, such as AtRest()"
+                f"SoftGoal.goal is {format_value(self.goal)}: give a goal that is met, such as AtRest()"
             )
         if type(self.goal).rows is Goal.rows:  # goals of another instant
             raise TypeError(
-                f"SoftGoal.goal is {shown(self.goal)}: give its goals, or call its soft(weight)"
+                f"SoftGoal.goal is {format_value(self.goal)}: give its goals, or call its soft(weight)"
             )
         check_weight(self)
 

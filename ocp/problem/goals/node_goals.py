@@ -21,9 +21,9 @@ from tenscasadi.util.validate import (
     Array,
     coordinates,
     finite_array,
+    format_value,
     node_index,
     nonnegative,
-    shown,
 )
 
 _EACH = OfStructure("nodes", Either((dict,), MapOf("node", POINT), POINTS))
@@ -367,7 +367,9 @@ def _read(field: str, given: Any, example: str) -> Any:
     if not given:
         raise ValueError(f"{field} is empty: give {{node: {example}}}")
     return {
-        node: coordinates(f"{field}[{shown(node)}]", entry, "an axis that is free", some=True)
+        node: coordinates(
+            f"{field}[{format_value(node)}]", entry, "an axis that is free", some=True
+        )
         for node, entry in given.items()
     }
 

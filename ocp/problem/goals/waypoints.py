@@ -9,7 +9,7 @@ from typing import Any
 from ocp.problem.goals.goal import Goal
 from tenscasadi.dynamics.model import Model
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, finite_array, nesting, positive_number, shown
+from tenscasadi.util.validate import Array, finite_array, format_value, nesting, positive_number
 
 INSTANT = 1e-9  # of the duration: what lies nearer together is one instant
 
@@ -53,12 +53,12 @@ class Waypoint(Goal, kind="Waypoint"):
     def __post_init__(self) -> None:
         if isinstance(self.goals, Goal) or not isinstance(self.goals, Sequence) or not self.goals:
             raise TypeError(
-                f"Waypoint.goals is {shown(self.goals)}: give a list of goals, such as [NodePositions({{0: (0, 0, 1)}})]"
+                f"Waypoint.goals is {format_value(self.goals)}: give a list of goals, such as [NodePositions({{0: (0, 0, 1)}})]"
             )
         for k, goal in enumerate(self.goals):
             if not isinstance(goal, Goal) or isinstance(goal, Waypoint):
                 raise TypeError(
-                    f"Waypoint.goals[{k}] is {shown(goal)}: give a goal, such as NodePositions({{0: (0, 0, 1)}})"
+                    f"Waypoint.goals[{k}] is {format_value(goal)}: give a goal, such as NodePositions({{0: (0, 0, 1)}})"
                 )
         if (self.time is None) == (self.share is None):
             raise ValueError("Waypoint.time and .share: give one of them")

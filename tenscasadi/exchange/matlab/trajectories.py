@@ -17,7 +17,7 @@ from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity
 from tenscasadi.schema.reading import SceneFileError
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
-from tenscasadi.util.validate import Array, Indices, finite_array, instance, shown
+from tenscasadi.util.validate import Array, Indices, finite_array, format_value, instance
 
 
 class ForeignTrajectory(NamedTuple):
@@ -199,7 +199,7 @@ def _read_tsgfem(scope: Variables) -> ForeignTrajectory:
 
 def _read_numbers(scope: Variables, key: str) -> Array:
     if not isinstance(scope[key], np.ndarray):
-        raise ValueError(f"{key} is {shown(scope[key])}: give an array of numbers")
+        raise ValueError(f"{key} is {format_value(scope[key])}: give an array of numbers")
     return np.asarray(scope[key], dtype=float)
 
 
@@ -240,7 +240,7 @@ def _record(model: Model, motion: ForeignTrajectory, parameters: Any, name: str)
             raise ValueError(f"at time {motion.time[row]:g} s {error}") from error
     model.split(states)[2][:] = motion.time[:, None]
     p = model.parameters.values(parameters)
-    controls = [model.held(None if gamma is None else gamma[row], p) for row in range(rows)]
+    controls = [model.stack_inputs(None if gamma is None else gamma[row], p) for row in range(rows)]
     step = float(motion.time[-1] - motion.time[0]) / max(1, rows - 1) or 1.0
     return record_trajectory(
         model,

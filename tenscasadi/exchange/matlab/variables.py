@@ -9,7 +9,7 @@ import numpy as np
 from scipy.sparse import issparse
 
 from tenscasadi.exchange.source import Source
-from tenscasadi.util.validate import Array, Indices, finite_array, shown
+from tenscasadi.util.validate import Array, Indices, finite_array, format_value
 
 Variables = Mapping[str, Any]
 
@@ -38,7 +38,7 @@ def read_values(source: Source, variables: Variables, key: str, count: int) -> A
 def read_indices(key: str, value: Any, count: int) -> Indices:
     """Convert indices from one-based to zero-based. Raises ValueError."""
     if not isinstance(value, np.ndarray):
-        raise ValueError(f"{key} is {shown(value)}: give numbers from 1 to {count}")
+        raise ValueError(f"{key} is {format_value(value)}: give numbers from 1 to {count}")
     numbers = np.asarray(value, dtype=float).ravel()
     for wrong in numbers[~((numbers >= 1) & (numbers <= count) & (numbers % 1 == 0))][:1]:
         raise ValueError(f"{key} holds {wrong:g}: give whole numbers from 1 to {count}")

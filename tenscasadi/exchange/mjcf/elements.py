@@ -15,7 +15,7 @@ import numpy as np
 
 from tenscasadi.exchange.source import DEEPEST, MOST_PARTS, Source
 from tenscasadi.schema.reading import SceneFileError
-from tenscasadi.util.validate import LARGEST, Array, shown
+from tenscasadi.util.validate import LARGEST, Array, format_value
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Element:
     def error(self, message: str, attribute: str = "") -> SceneFileError:
         """Build the error that names this element or an attribute."""
         name = self.attributes.get("name")
-        tag = f"<{self.tag}>" if name is None else f'<{self.tag} name="{shown(name)[1:-1]}">'
+        tag = f"<{self.tag}>" if name is None else f'<{self.tag} name="{format_value(name)[1:-1]}">'
         return SceneFileError(message, self.file, self.line, f"{tag} {attribute}".strip())
 
     def leave_out(self, message: str, attribute: str = "") -> None:
@@ -61,7 +61,9 @@ class Element:
         """Read an attribute with given alternatives. Raises SceneFileError."""
         found = self.text(attribute, default)
         if found not in words:
-            raise self.error(f"is {shown(found)}: tenscasadi reads {' or '.join(words)}", attribute)
+            raise self.error(
+                f"is {format_value(found)}: tenscasadi reads {' or '.join(words)}", attribute
+            )
         return found
 
     def flag(self, attribute: str, default: bool | None = None) -> bool | None:
@@ -95,7 +97,7 @@ class Element:
             found = np.full(1, np.nan)
         if len(found) not in counts or not np.all(np.abs(found) <= LARGEST):
             expected = expected.replace(" number", " finite number")
-            raise self.error(f"is {shown(given)}: give {expected}", attribute)
+            raise self.error(f"is {format_value(given)}: give {expected}", attribute)
         return found
 
     def number(self, attribute: str, default: float | None = None) -> float:
@@ -106,7 +108,9 @@ class Element:
         """Read an attribute of one integer. Raises SceneFileError."""
         found = self.number(attribute, default)
         if found != round(found) or abs(found) > 2**31:
-            raise self.error(f"is {shown(self.text(attribute))}: give a whole number", attribute)
+            raise self.error(
+                f"is {format_value(self.text(attribute))}: give a whole number", attribute
+            )
         return int(found)
 
 
@@ -162,7 +166,7 @@ class _XmlReader:
         if len(self._open) > DEEPEST:
             message = f"its elements are nested more than {DEEPEST} deep: write it flatter"
             raise SceneFileError(message, self._name, line)
-        element = Element(shown(tag)[1:-1], attributes, self._source, self._name, line)
+        element = Element(format_value(tag)[1:-1], attributes, self._source, self._name, line)
         if tag == "include":
             self._open[-1].children.extend(self._include(element))
         else:

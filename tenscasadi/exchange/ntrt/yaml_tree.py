@@ -15,7 +15,7 @@ import numpy as np
 
 from tenscasadi.exchange.source import MOST_PARTS, Source
 from tenscasadi.schema.reading import SceneFileError
-from tenscasadi.util.validate import Array, shown
+from tenscasadi.util.validate import Array, format_value
 
 _LARGEST = 1e30  # a mass is a product of four numbers and must stay finite
 
@@ -96,7 +96,7 @@ class YamlEntry:
     def format(self) -> str:
         """Format the value for messages."""
         kinds = {dict: "a mapping", list: "a list"}
-        return kinds.get(type(self.value)) or shown(self.value)
+        return kinds.get(type(self.value)) or format_value(self.value)
 
 
 def read_tree(source: Source, path: Path) -> YamlEntry:

@@ -20,10 +20,10 @@ from tenscasadi.util.validate import (
     SMALLEST,
     Array,
     finite_array,
+    format_value,
     nesting,
     positive_number,
     real_array,
-    shown,
 )
 
 _MOST_DECISIONS = 1e7  # feedback updates: bounds the memory
@@ -78,7 +78,7 @@ def read_parameters(model: Model, given: Any) -> Array:
         for name, value in tables.items():
             place = layout.places[name]
             shape = (None, place.stop - place.start)
-            checked[name] = finite_array(f"parameters[{shown(name)}]", value, shape)
+            checked[name] = finite_array(f"parameters[{format_value(name)}]", value, shape)
         counts = {f"parameters[{name!r}]": len(value) for name, value in checked.items()}
         rows = np.tile(shared, (count_runs(**counts), 1))
         for name, value in checked.items():

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tenscasadi.scene.strings import RestLength
-from tenscasadi.util.validate import Array, listed, node_index, shown, text
+from tenscasadi.util.validate import Array, as_tuple, format_value, node_index, text
 from tenscasadi.viewer.live_mode.simulation import LiveSimulation
 
 MOST = 12  # sliders; more do not fit the panel
@@ -145,13 +145,13 @@ def _name_group(strings: Any) -> str:
 def _read_groups(groups: Any, count: int) -> dict[str, tuple[int, ...]]:
     if not isinstance(groups, Mapping) or not groups:
         raise TypeError(
-            f"groups is {shown(groups)}: give a mapping of names to strings, such as {{'top': [0, 1, 2]}}"
+            f"groups is {format_value(groups)}: give a mapping of names to strings, such as {{'top': [0, 1, 2]}}"
         )
     read = {}
     for name, strings in groups.items():
         text("groups", name)
-        field = f"groups[{shown(name)}]"
-        given = listed(field, strings, "[0, 1, 2] of indices of strings")
+        field = f"groups[{format_value(name)}]"
+        given = as_tuple(field, strings, "[0, 1, 2] of indices of strings")
         if not given:
             raise ValueError(f"{field} is empty: give at least one string")
         indices = [node_index(field, string, count, "string") for string in given]

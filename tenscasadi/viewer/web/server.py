@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 from urllib.parse import urlsplit
 
-from tenscasadi.util.validate import instance, shown, whole_number
+from tenscasadi.util.validate import format_value, instance, whole_number
 from tenscasadi.viewer.web.frames import add_frame_rate
 
 LOOPBACK = "127.0.0.1"
@@ -148,7 +148,7 @@ def _find_addresses(host: str) -> list[tuple[Any, ...]]:
         found = socket.getaddrinfo(host or None, 0, type=kind, flags=flags)
     except (OSError, UnicodeError) as error:
         raise OSError(
-            f"host is {shown(host)}: there is no such address on this machine ({error}), give {LOOPBACK}"
+            f"host is {format_value(host)}: there is no such address on this machine ({error}), give {LOOPBACK}"
         ) from None
     return [(family, place) for family, _, _, _, place in found]
 
@@ -181,7 +181,7 @@ def _find_port(host: str, port: int | None) -> int:
             f"port {port} of {host} is not available ({reason}): give another one, or None for a free one"
         )
     raise OSError(
-        f"host is {shown(host)}: none of its ports {_PORTS[0]} to {_PORTS[-1]} is available ({reason})"
+        f"host is {format_value(host)}: none of its ports {_PORTS[0]} to {_PORTS[-1]} is available ({reason})"
     )
 
 
@@ -241,7 +241,7 @@ def refuse_request(path: str, headers: Any, local: bool) -> str:
     except ValueError:
         return "no such host"
     if local and name != "localhost" and not _is_loopback(name):  # a name that resolves to here
-        return f"this viewer is for the machine that it runs on, not for {shown(name)}"
+        return f"this viewer is for the machine that it runs on, not for {format_value(name)}"
     if site is not None and site.lower() != host.lower():  # browsers let any site connect
         return "pages of other sites are refused"
     if ":" in path.lower().replace("%3a", ":").partition("?")[0]:  # a drive of Windows

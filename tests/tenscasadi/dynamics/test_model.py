@@ -265,7 +265,7 @@ def test_functions_of_a_model_with_parameters_take_them_after_the_control() -> N
     assert np.allclose(
         model.stacked(own)(x, np.concatenate([u, p])).full(), 2 * model.ode(x, u, p).full()
     )
-    assert np.array_equal(model.held(u, p), np.concatenate([u, p]))
+    assert np.array_equal(model.stack_inputs(u, p), np.concatenate([u, p]))
     compiled = model.compile()
     assert np.allclose(compiled(x, u, p).full(), model.ode(x, u, p).full(), rtol=1e-12, atol=1e-9)
 

@@ -327,6 +327,6 @@ SHOWN = [
     ("value", "words"), SHOWN, ids=["number", "text", "many digits", "no repr", "long"]
 )
 def test_messages_show_any_value(value: Any, words: str) -> None:
-    assert validate.shown(value) == words
+    assert validate.format_value(value) == words
     with pytest.raises(TypeError, match=rf"^field is {words}: give what is right$"):
         validate.instance("field", value, (), "what is right")
