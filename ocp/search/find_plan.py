@@ -28,7 +28,7 @@ from ocp.transcription.initial_guess import InitialGuess
 from ocp.transcription.mesh import PiecewiseConstant
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
-from tenscasadi.util.blas_threads import one_blas_thread
+from tenscasadi.util.processes import one_blas_thread
 from tenscasadi.util.validate import Array
 
 # of the structure's size (and of it per duration): what a replay may miss by, unless a tolerance is

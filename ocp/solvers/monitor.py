@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import NamedTuple
 
-from tenscasadi.util.interrupts import on_interrupt
+from tenscasadi.util.processes import on_interrupt
 
 STOPPED = "User_Requested_Stop"
 TIME_UP = "Time_Limit_Reached"  # of the whole search, with all that comes before the solver

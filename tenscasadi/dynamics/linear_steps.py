@@ -8,7 +8,7 @@ import numpy as np
 
 from tenscasadi.dynamics.linearization import EquationDerivatives
 from tenscasadi.dynamics.model import Model
-from tenscasadi.util.lazy import lazy_module
+from tenscasadi.util.renamed import lazy_module
 from tenscasadi.util.validate import Array
 
 linalg = lazy_module("scipy.linalg")

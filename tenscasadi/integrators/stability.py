@@ -13,7 +13,7 @@ from tenscasadi.dynamics.linearization import EquationDerivatives
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Complex, Scheme, check_scheme, stability_limit
-from tenscasadi.util.lazy import lazy_module
+from tenscasadi.util.renamed import lazy_module
 from tenscasadi.util.validate import Array, finite_array, instance, positive_number
 
 linalg = lazy_module("scipy.sparse.linalg")

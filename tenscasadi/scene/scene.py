@@ -21,6 +21,7 @@ from tenscasadi.schema.field_types import ElsewhereInFile
 from tenscasadi.schema.value import Value
 from tenscasadi.structure.structure import Structure
 from tenscasadi.structure.subdivision import segment_counts, segment_shares
+from tenscasadi.util.read_only import read_only
 from tenscasadi.util.renamed import RenamedAttribute
 from tenscasadi.util.validate import Array, Indices, instance
 from tenscasadi.util.viewable import Viewable
@@ -150,10 +151,13 @@ class Scene(Value, Viewable, kind="Scene"):
         return self.structure.subdivide(self.segments, self.ends, self.fractions)
 
     @cached_property
-    def segment_fractions(self) -> list[Array]:
+    def segment_fractions(self) -> tuple[Array, ...]:
         """Fractions of each string's length that its segments have."""
         counts = segment_counts(self.segments, len(self.structure.strings))
-        return [segment_shares(count, self.fractions) for count in counts]
+        shares: tuple[Array, ...] = read_only(
+            tuple(segment_shares(count, self.fractions) for count in counts)
+        )
+        return shares
 
     @cached_property
     def string_laws(self) -> list[tuple[StringLaw, Indices]]:

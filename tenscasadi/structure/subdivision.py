@@ -21,7 +21,7 @@ LARGEST_COUNT = 200_000  # segments of all strings
 
 
 def cut_strings(
-    nodes: Array, strings: Indices, fractions: list[Array], lumped: bool
+    nodes: Array, strings: Indices, fractions: Sequence[Array], lumped: bool
 ) -> tuple[Array, Indices, csr_array]:
     """Divide strings into segments with the given fractions of the length.
 
@@ -31,7 +31,7 @@ def cut_strings(
         Positions [m].
     strings : ndarray of int, shape (α, 2)
         End nodes of the strings.
-    fractions : list of ndarray
+    fractions : sequence of ndarray
         Fractions of each string's length that its segments have.
     lumped : bool
         Whether half of each segment's mass is on each of its ends, else the mass is on inner nodes.

@@ -12,7 +12,7 @@ from tqdm import tqdm
 from tenscasadi.sweeps.case_files import CaseFiles, CaseOutcome
 from tenscasadi.sweeps.sweep_table import Sweep
 from tenscasadi.sweeps.workers import run_in_processes, run_on_executor
-from tenscasadi.util.interrupts import on_interrupt
+from tenscasadi.util.processes import on_interrupt
 from tenscasadi.util.validate import as_tuple, file_path, flag, format_value, instance
 
 _MISSING = CaseOutcome({}, "", float("nan"))

@@ -1,4 +1,4 @@
-"""Sparse matrices and small linear systems in CasADi."""
+"""Sparse matrices in CasADi and SciPy, and CasADi Functions of NumPy arrays."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ from tenscasadi.util.validate import Array
 def call_as_sx(
     large: bool, function: Callable[..., tuple[Any, ...]], *arguments: Any
 ) -> tuple[Any, ...]:
-    """Return `function` of the arguments, unless `large` as one call of an SX Function where these are MX: scalar code is shorter."""
+    """Call a function; with MX arguments as one call of an SX Function, unless `large`.
+
+    Scalar code has fewer instructions.
+    """
     if large or not any(isinstance(argument, ca.MX) for argument in arguments):
         return function(*arguments)
     inputs = [ca.MX(argument) for argument in arguments]
@@ -33,19 +36,22 @@ def call_as_sx(
 
 
 def is_expression(value: Any) -> bool:
-    """Say whether `value` is CasADi's, not an array."""
+    """Return whether a value is a CasADi matrix, not an array."""
     return isinstance(value, (ca.SX, ca.MX, ca.DM))
 
 
 def product(*factors: Any) -> Any:
-    """Return the product of sparse matrices: SciPy's without entries that are rounding, CasADi's where one factor is."""
+    """Multiply sparse matrices; the result is a CasADi matrix if a factor is.
+
+    Otherwise it is a SciPy matrix, without entries that are zero but for rounding.
+    """
     if not any(is_expression(factor) for factor in factors):
         return drop_rounding(reduce(matmul, factors))
     return reduce(ca.mtimes, map(sparse, factors))
 
 
 def sparse(matrix: Any) -> Any:
-    """Return a matrix of SciPy or NumPy as a sparse one of CasADi; what is CasADi's as it is."""
+    """Convert a SciPy or NumPy matrix to a sparse CasADi matrix."""
     if is_expression(matrix):
         return matrix
     csc = matrix.tocsc() if sp.issparse(matrix) else sp.csc_array(matrix)
@@ -55,7 +61,10 @@ def sparse(matrix: Any) -> Any:
 
 
 def constant_row(values: Any) -> Any:
-    """Return constants (k,) as 1×k, or as 1×1 where all are the same: that is shorter code, and less memory to read. Expressions stay."""
+    """Convert constants (k,) to a CasADi row, 1×k or 1×1 if they are equal.
+
+    Expressions are returned unchanged.
+    """
     if is_expression(values):
         return values
     return ca.DM(values[0]) if len(values) and np.ptp(values) == 0 else ca.DM(values).T
@@ -66,9 +75,8 @@ def weighted_product(Z: Any, weights: Any, C: Any) -> Any:
     constant = sparse(C)
     if not isinstance(Z, ca.MX):
         return ca.mtimes(Z * ca.repmat(weights, 3, 1), constant)
-    rows, _ = (
-        constant.sparsity().get_triplet()
-    )  # as vector operations: one pass over C is less than three over Z
+    # in vector operations one pass over C costs less than three over Z
+    rows, _ = constant.sparsity().get_triplet()
     return ca.mtimes(
         Z,
         matrix_with_pattern(
@@ -78,21 +86,18 @@ def weighted_product(Z: Any, weights: Any, C: Any) -> Any:
 
 
 def matrix_with_pattern(sparsity: ca.Sparsity, values: Any) -> Any:
-    """Return a matrix of this sparsity with these values (nnz), of their CasADi type."""
+    """Build a matrix of a sparsity from its values (nnz), of their CasADi type."""
     values = ca.densify(values)
-    return (
-        ca.SX(sparsity, values)
-        if isinstance(values, ca.SX)
-        else ca.MX(sparsity, values)
-        if isinstance(values, ca.MX)
-        else ca.DM(sparsity, values)
-    )
+    kind: Any = type(values) if is_expression(values) else ca.DM
+    return kind(sparsity, values)
 
 
 def hermite_cubic(
     left: Any, left_slope: Any, right: Any, right_slope: Any, length: Any, share: Any
 ) -> Any:
-    """Return the cubic with these values and slopes at the ends of an interval of that length, at a share of it.
+    """Evaluate the cubic with given values and derivatives at the ends of an interval.
+
+    `length` is that of the interval, and `share` the fraction at which the cubic is evaluated.
 
     Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, (II.6.7).
     """
@@ -105,7 +110,7 @@ def hermite_cubic(
 
 
 def drop_rounding(matrix: Any) -> sp.csr_array:
-    """Return the matrix without entries that are zero but for rounding."""
+    """Remove the entries that are zero but for rounding."""
     result = sp.csr_array(matrix)
     if result.nnz:
         result.data[abs(result.data) < 1e-14 * abs(result.data).max()] = 0
@@ -114,7 +119,10 @@ def drop_rounding(matrix: Any) -> sp.csr_array:
 
 
 def numbered(matrix: Any) -> sp.csr_array:
-    """Return SciPy's sparse matrix as it is, and of a CasADi matrix the pattern: each entry is its place among the nonzeros, from 1 on."""
+    """Convert a CasADi matrix to a SciPy matrix of the indices, from 1, of its nonzeros.
+
+    A SciPy matrix is returned unchanged.
+    """
     if not is_expression(matrix):
         return sp.csr_array(matrix)
     row, column = matrix.sparsity().get_triplet()
@@ -122,7 +130,7 @@ def numbered(matrix: Any) -> sp.csr_array:
 
 
 def entries_at(matrix: Any, rows: Any, columns: Any) -> Any:
-    """Return the entries of a sparse matrix at these places as a CasADi column, 0 where none is stored."""
+    """Select entries of a sparse matrix as a CasADi column, 0 where none is stored."""
     found = np.asarray(numbered(matrix)[rows, columns]).ravel()
     if not is_expression(matrix):
         return ca.DM(found)
@@ -130,7 +138,10 @@ def entries_at(matrix: Any, rows: Any, columns: Any) -> Any:
 
 
 def multiplied_rows(matrix: Any, one: Any, other: Any) -> Any:
-    """Return the products of rows `one` and `other` of a sparse matrix, entry by entry, as a sparse CasADi matrix (rows × columns)."""
+    """Multiply rows `one` by rows `other` of a sparse matrix, entry by entry.
+
+    Returns a sparse CasADi matrix (rows × columns).
+    """
     index = numbered(matrix)
     if not is_expression(matrix):
         return sparse(index[one, :].multiply(index[other, :]))
@@ -148,12 +159,12 @@ def multiplied_rows(matrix: Any, one: Any, other: Any) -> Any:
 
 
 def diagonal_row(matrix: Any) -> Any:
-    """Return the diagonal of a matrix as 1×n, or as 1×1 where it is constant and all the same."""
+    """Convert the diagonal of a matrix to a CasADi row, 1×1 if its numbers are equal."""
     return ca.diag(matrix).T if is_expression(matrix) else constant_row(matrix.diagonal())
 
 
 def is_diagonal(matrix: Any) -> bool:
-    """Say whether nothing is stored off the diagonal."""
+    """Return whether no entry is stored off the diagonal."""
     if is_expression(matrix):
         return bool(matrix.sparsity().is_diag())
     coo = sp.coo_array(matrix)
@@ -161,7 +172,7 @@ def is_diagonal(matrix: Any) -> bool:
 
 
 def block_inverse(M: sp.csr_array, free: Any) -> sp.csr_array:
-    """Invert M (n×n) on the free coordinates, block by block, as bars rarely all hang together; zeros elsewhere."""
+    """Invert M (n×n) on the free coordinates, block by block; other entries are zero."""
     n = M.shape[0]
     index = np.flatnonzero(free)
     if not len(index):
@@ -190,10 +201,10 @@ def block_inverse(M: sp.csr_array, free: Any) -> sp.csr_array:
 
 
 class ArrayFunction:
-    """A Function on NumPy arrays in place: copies through CasADi's matrices cost several times what small functions take.
+    """CasADi Function of NumPy arrays without copies, which cost more than small functions.
 
-    Arrays go in whose memory holds each input column by column. An array (columns, rows) comes out
-    for each dense output, and the non-zeros of each sparse one.
+    The memory of each argument holds the input column by column. Results are an array (columns,
+    rows) for each dense output, and the nonzeros of each sparse one.
     """
 
     def __init__(self, function: ca.Function) -> None:
@@ -208,7 +219,7 @@ class ArrayFunction:
         ]
 
     def __call__(self, *inputs: Array) -> list[Array]:
-        """Evaluate the Function and return its outputs. Raises RuntimeError where it fails."""
+        """Evaluate the Function. Raises RuntimeError if it fails."""
         arrays = [np.ascontiguousarray(value, dtype=float) for value in inputs]
         results = [np.empty(shape) for shape in self._shapes]
         with self._lock:
@@ -224,15 +235,15 @@ class ArrayFunction:
         return results
 
     def stats(self) -> dict[str, Any]:
-        """Return what a solver says of its last call."""
+        """Return the statistics of a solver's last call."""
         return dict(self._buffer.stats())
 
 
 class ArrayCallback(ca.Callback):
-    """A Function that NumPy evaluates; it lives as long as this object, which whoever uses it in expressions must keep.
+    """CasADi Function that NumPy evaluates.
 
-    evaluate gets an array (columns, rows) for each of the inputs, whose shapes (rows, columns) are
-    given, and returns one for the output.
+    `evaluate` has an array (columns, rows) for each input, and returns one for the output. Shapes
+    are (rows, columns). Keep this object as long as expressions use it.
     """
 
     def __init__(
@@ -247,27 +258,27 @@ class ArrayCallback(ca.Callback):
         self.construct(name, {})
 
     def get_n_in(self) -> int:
-        """Return how many inputs there are."""
+        """Return the number of inputs."""
         return len(self._inputs)
 
     def get_n_out(self) -> int:
-        """Return 1."""
+        """Return the number of outputs, 1."""
         return 1
 
     def get_sparsity_in(self, k: int) -> ca.Sparsity:
-        """Return the shape of an input."""
+        """Return the sparsity of an input."""
         return ca.Sparsity.dense(*self._inputs[k])
 
     def get_sparsity_out(self, _: int) -> ca.Sparsity:
-        """Return the shape of the output."""
+        """Return the sparsity of the output."""
         return ca.Sparsity.dense(*self._output)
 
     def has_eval_buffer(self) -> bool:
-        """Return that numbers are read and written in place."""
+        """Return whether numbers are read and written in place."""
         return True
 
     def eval_buffer(self, arguments: Sequence[Any], results: Sequence[Any]) -> int:
-        """Evaluate in CasADi's memory; what is not finite goes to the solver without a warning."""
+        """Evaluate in CasADi's memory, without warnings of values that are not finite."""
         arrays = [
             np.frombuffer(value).reshape(columns, rows)
             for value, (rows, columns) in zip(arguments, self._inputs, strict=True)
@@ -282,7 +293,7 @@ class ArrayCallback(ca.Callback):
 
 
 def generated(generator: ca.CodeGenerator, name: str) -> dict[str, str]:
-    """Return `name`.c and `name`.h, as CasADi writes them, by name."""
+    """Write the C code and header of a generator, by file name."""
     with TemporaryDirectory() as folder:
         generator.generate(f"{folder}/")
         return {

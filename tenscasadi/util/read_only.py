@@ -1,4 +1,4 @@
-"""Values with read-only arrays, which copies and other processes get read-only, too."""
+"""Values with read-only arrays, also in copies and in other processes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ import numpy as np
 
 
 def read_only(value: Any) -> Any:
-    """Return a view of an array that cannot be written, likewise of each in a tuple or dictionary. Not sparse ones: SciPy sorts them in place."""
+    """Make a read-only view of an array, or of all arrays in a tuple or dictionary.
+
+    Sparse arrays are returned unchanged, because SciPy sorts them in place.
+    """
     if isinstance(value, np.ndarray):
         value = value.view()
         value.flags.writeable = False
@@ -21,13 +24,13 @@ def read_only(value: Any) -> Any:
 
 
 class ReadOnlyArrays:
-    """Base of frozen values: their arrays cannot be written, nor those of copies, where NumPy drops the flag."""
+    """Base of frozen values whose arrays cannot be written, nor those of their copies."""
 
     def __post_init__(self) -> None:
-        """Take the right to write from all arrays, once the fields are there."""
+        """Make all arrays read-only."""
         self.__setstate__(vars(self).copy())
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Take the attributes of the value that was copied."""
+        """Restore the attributes of a copied value."""
         for name, value in state.items():
             object.__setattr__(self, name, read_only(value))

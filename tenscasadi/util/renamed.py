@@ -1,11 +1,13 @@
-"""Names that are found at first use, and old names that warn."""
+"""Names and modules that load at first use, and old names that warn."""
 
 from __future__ import annotations
 
+import sys
 import warnings
 from collections.abc import Callable, Iterable, Mapping
 from functools import wraps
 from importlib import import_module
+from importlib.util import LazyLoader, find_spec, module_from_spec
 from typing import Any, TypeVar
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -39,6 +41,19 @@ def find_attribute(
         return value
 
     return find
+
+
+def lazy_module(name: str) -> Any:
+    """Import a module of another package, and execute it at its first use."""
+    if name in sys.modules:
+        return sys.modules[name]
+    spec = find_spec(name)
+    if spec is None or spec.loader is None:
+        raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+    spec.loader = LazyLoader(spec.loader)
+    module = sys.modules[name] = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 class RenamedAttribute:

@@ -1,4 +1,4 @@
-"""Columns of numbers by name: as CSV, and as a pandas table."""
+"""Tables of named columns, as CSV and as pandas tables."""
 
 from __future__ import annotations
 
@@ -17,29 +17,28 @@ Columns = Mapping[str, Array]  # each (rows,), in order; the name ends in the un
 
 
 def numbered(template: str, values: Any) -> dict[str, Array]:
-    """Return the columns of `values` (rows, items) by the template with each item's number in it, such as "string {} tension (N)"."""
+    """Name the columns of `values` (rows, items) by a template, such as "string {} tension (N)"."""
     return {template.format(k): column for k, column in enumerate(np.asarray(values).T)}
 
 
 def coordinates(template: str, values: Any) -> dict[str, Array]:
-    """Return the columns of `values` (rows, items, 3) by the template with the item's number and x, y or z in it."""
+    """Name the columns of `values` (rows, items, 3) by a template of item and axis."""
     rows, items = np.shape(values)[:2]
     names = [template.format(k, axis) for k in range(items) for axis in "xyz"]
     return dict(zip(names, np.reshape(values, (rows, 3 * items)).T, strict=True))
 
 
 class Tabular:
-    """Base of values that have a table: a column for each quantity, a row for each time."""
+    """Base of values with a table of a column per quantity and a row per time."""
 
     def _columns(self) -> Columns:
-        """Return the columns, that of time first."""
+        """Return the columns, time first."""
         raise NotImplementedError
 
     def to_csv(self, path: str | os.PathLike[str]) -> Path:
-        """Write the table as comma-separated values: a line of names with units, then a line for each time.
+        """Write the table as comma-separated values.
 
-        Numbers have as many digits as tell them apart; read back, they are the same to the last
-        bit.
+        The first line has names with units. Numbers read back are equal to the last bit.
 
         Parameters
         ----------
@@ -54,7 +53,7 @@ class Tabular:
         Raises
         ------
         OSError
-            The file cannot be written; one that was there stays as it was.
+            If the file cannot be written. An existing file then stays unchanged.
         """
         import csv  # takes a while to load
 
@@ -66,11 +65,11 @@ class Tabular:
             writer.writerows(
                 zip(*(np.asarray(column).tolist() for column in columns.values()), strict=True)
             )
-            text.detach()  # which writes what it holds, and leaves the file open
+            text.detach()  # flushes, and leaves the file open
         return file_path("path", path)
 
     def to_pandas(self) -> Any:
-        """Return the table as a ``pandas.DataFrame``, with the columns of `to_csv` and time as its index.
+        """Convert the table to a ``pandas.DataFrame`` with time as its index.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all."""
+"""Atomic writes: a file is complete, or as it was."""
 
 from __future__ import annotations
 
@@ -14,26 +14,23 @@ from typing import BinaryIO
 
 from tenscasadi.util.validate import file_path
 
-_UNFINISHED = ".tenscasadi-"  # what files are called while they are written
-_ABANDONED = (
-    3600.0  # s since it was written to, after which an unfinished file is nobody's any more
-)
+_UNFINISHED = ".tenscasadi-"  # beginning of names of files that are being written
 
 
 @contextmanager
 def whole_file(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
-    """Open a file that becomes exactly `path` where the block succeeds: see `whole_path`."""
+    """Open a file that becomes exactly `path` if the block succeeds, see `whole_path`."""
     with whole_path(path) as part, open(part, "xb") as file:
         yield file
 
 
 @contextmanager
 def whole_path(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Give the name of a file to be written; it becomes exactly `path` where the block succeeds.
+    """Provide the name of a file that becomes exactly `path` if the block succeeds.
 
-    A file that was there stays as it is until then, and after a failure. The name ends as `path`
-    does. Raises OSError when it cannot be written, also where something other than a regular file
-    is there, such as a device.
+    An existing file stays as it is until then, and after a failure. The name has the ending of
+    `path`. Raises OSError if the file cannot be written, or `path` is no regular file, such as a
+    device.
     """
     target = file_path("path", path)
     whole = Path(os.path.realpath(target))  # where a link leads to
@@ -63,13 +60,13 @@ def whole_path(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def write_whole(path: str | os.PathLike[str], content: str) -> None:
-    """Write a text to exactly `path`: see `whole_path`."""
+    """Write a text to exactly `path`, see `whole_path`."""
     with whole_file(path) as file:
         file.write(content.encode())
 
 
 def write_files(folder: Path, texts: Mapping[str, str]) -> list[Path]:
-    """Write texts by name into a folder, which is made if need be, each whole or not at all, and return the files."""
+    """Write texts by file name into a folder, which is created, and return the paths."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, content in texts.items():
         write_whole(folder / name, content)
@@ -77,10 +74,10 @@ def write_files(folder: Path, texts: Mapping[str, str]) -> list[Path]:
 
 
 def _clean(folder: Path) -> None:
-    """Remove the unfinished files that processes which were killed left behind."""
+    """Remove the unfinished files of killed processes, an hour after their last write."""
     with suppress(OSError):
         for entry in os.scandir(folder):
             if entry.name.startswith(_UNFINISHED):
                 with suppress(OSError):  # another process has removed it, or it is another user's
-                    if time.time() - entry.stat(follow_symlinks=False).st_mtime > _ABANDONED:
+                    if time.time() - entry.stat(follow_symlinks=False).st_mtime > 3600:
                         os.unlink(entry)

@@ -1,4 +1,4 @@
-"""Old names and keywords still work, and warn."""
+"""Lazy names and modules, and old names."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import sys
 import pytest
 
 import tenscasadi
-from tenscasadi.util.renamed import RenamedAttribute, find_attribute, rename_keywords
+from tenscasadi.util.renamed import RenamedAttribute, find_attribute, lazy_module, rename_keywords
 
 
 @rename_keywords(colour="color")
@@ -60,3 +60,20 @@ def test_old_attribute_warns_and_works():
 
     with pytest.warns(DeprecationWarning, match=r"Cup\.colour is deprecated: use color"):
         assert Cup().colour == "red"
+
+
+def test_lazy_module_is_executed_at_first_use():
+    code = """
+from tenscasadi.util.renamed import lazy_module
+import sys
+linalg = lazy_module("scipy.sparse.linalg")
+assert "scipy.linalg._basic" not in sys.modules
+assert callable(linalg.eigs) and "scipy.linalg._basic" in sys.modules
+assert lazy_module("scipy.sparse.linalg") is linalg
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_missing_module_is_reported_at_once():
+    with pytest.raises(ModuleNotFoundError, match="no_such_module"):
+        lazy_module("no_such_module")
