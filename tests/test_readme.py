@@ -14,7 +14,7 @@ import pytest
 
 import tenscasadi as tc
 from ocp.problem.goals.goal import Goal
-from tenscasadi.cli.parser import command_parser
+from tenscasadi.cli.parser import parse
 from tenscasadi.integrators.scheme import NamedScheme
 from tenscasadi.structure.shapes import Shape
 
@@ -148,7 +148,7 @@ IN_DOCUMENTS = re.findall(r"^tenscasadi [^\n>|]+", SHELL, re.MULTILINE)
 
 @pytest.mark.parametrize("command", COMMAND.findall(README) + IN_DOCUMENTS)
 def test_commands_are_understood(command):
-    assert callable(command_parser().parse_args(shlex.split(command, comments=True)[1:]).run)
+    assert callable(parse(shlex.split(command, comments=True)[1:]))
 
 
 def test_folders_named_exist_and_all_are_named():
