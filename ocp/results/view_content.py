@@ -18,7 +18,7 @@ from ocp.problem.goals.goal import soft_goals
 from ocp.problem.goals.node_goals import NodePositions
 from ocp.problem.goals.waypoints import Waypoint
 from tenscasadi.drawing.describe import describe_trajectory
-from tenscasadi.drawing.view_content import Chart, Motion, ViewContent
+from tenscasadi.drawing.view_content import Chart, Motion, ViewContent, list_names
 from tenscasadi.util.validate import Array
 
 
@@ -90,7 +90,7 @@ def _build_charts(plan: Any, replay: Any, bounds: list[Any]) -> Iterator[Chart]:
     """Yield charts of the control and of limited tensions."""
 
     def chart(title: str, unit: str, time: Array, values: Array, kind: type[StringLimits]) -> Chart:
-        names = tuple(f"string {k}" for k in range(values.shape[1]))
+        names = list_names(plan.structure, "string", values.shape[1])
         return Chart(title, unit, time, values, names, *_limits(kind, plan, bounds, len(names)))
 
     if plan.rest_length is not None:

@@ -28,10 +28,11 @@ def show(
     color: Literal["tension", "force density"] = "tension",
     speed: float = 1.0,
     follow: bool = False,
+    side_by_side: bool = False,
 ) -> int:
     """Show scenes, motions and plans in a browser, or write them as a page.
 
-    Several motions are drawn over each other; the first one is solid. Ctrl-C ends the viewer.
+    Several motions are superimposed, the first one opaque. Ctrl-C ends the viewer.
 
     Parameters
     ----------
@@ -55,6 +56,8 @@ def show(
         Simulated seconds per second (default: 1).
     follow : bool
         Keep the first motion in the middle.
+    side_by_side : bool
+        Show several motions beside each other.
     """
     where = {"host": host, "port": port, "browser": False if no_browser else None, "wait": True}
     if live:
@@ -72,7 +75,15 @@ def show(
     for name in things:
         label = Path(name).stem if Path(name).stem not in found else name
         found[label] = load_result(name) if name.endswith(".npz") else find_source(name).scene()
-    load_viewer().view(found, html=html, color=color, speed=speed, follow=follow, **where)
+    load_viewer().view(
+        found,
+        html=html,
+        color=color,
+        speed=speed,
+        follow=follow,
+        side_by_side=side_by_side,
+        **where,
+    )
     if html is not None:
         print(f"wrote {html}")
     return 0

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from tenscasadi.drawing.node_forces import describe_scene_forces, describe_trajectory_forces
 from tenscasadi.drawing.view_content import Motion, ViewContent
 from tenscasadi.dynamics.model import Model
-from tenscasadi.scene.ground import Grounds, checked_grounds
+from tenscasadi.scene.ground import Grounds, Surface, checked_grounds
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Clip, StringLaw
 from tenscasadi.simulation.motions import Rollouts, node_positions
@@ -68,14 +69,17 @@ def _describe(thing: Any, name: str) -> ViewContent | None:
         thing = thing.scene
     if isinstance(thing, Scene):
         motion = describe_structure(thing.modelled, name or "scene", thing.string_laws)
+        motion = replace(motion, forces=describe_scene_forces(thing))
         return ViewContent((motion,), thing.grounds)
     if isinstance(thing, Trajectory):
         notes = () if thing.success else (f"{name or 'trajectory'}: {thing.message}",)
-        return ViewContent((describe_trajectory(thing, name or "trajectory"),), notes=notes)
+        motion = describe_trajectory(thing, name or "trajectory")
+        return ViewContent((motion,), find_grounds(thing), notes=notes)
     if isinstance(thing, Rollouts):
         failed = np.count_nonzero(~thing.success)
         notes = (f"{failed} of {len(thing.success)} motions failed",) if failed else ()
-        return ViewContent((describe_rollouts(thing, name or "rollouts"),), notes=notes)
+        motion = describe_rollouts(thing, name or "rollouts")
+        return ViewContent((motion,), find_grounds(thing), notes=notes)
     describe = getattr(thing, "_view_content_", None)
     content = describe() if callable(describe) else None
     return content if isinstance(content, ViewContent) else None
@@ -104,15 +108,23 @@ def describe_structure(
         np.array(sorted({*s.pinned, *s.rollers}), dtype=np.intp),
         tension=tension[None],
         force_density=density[None],
+        structure=structure,
     )
 
 
 def describe_trajectory(trajectory: Trajectory, name: str) -> Motion:
     """Describe a trajectory."""
     t = trajectory
-    return Motion(
-        name, t.time, t.nodes, t.bars, t.strings, t.pinned, t.velocities, t.tension, t.force_density
-    )
+    values = (t.velocities, t.tension, t.force_density)
+    forces = describe_trajectory_forces(t)
+    structure = None if t.scene is None else t.scene.modelled
+    members = t.bars, t.strings, t.pinned
+    return Motion(name, t.time, t.nodes, *members, *values, forces=forces, structure=structure)
+
+
+def find_grounds(result: Trajectory | Rollouts) -> tuple[Surface, ...]:
+    """Find the grounds of a result's scene."""
+    return () if result.scene is None else result.scene.grounds
 
 
 def describe_rollouts(rollouts: Rollouts, name: str) -> Motion:
@@ -128,5 +140,12 @@ def describe_rollouts(rollouts: Rollouts, name: str) -> Motion:
     some = f"{len(chosen)} of {total}" if len(chosen) < total else f"{total}"
     nodes = paths.reshape(len(rollouts.time), -1, 3)
     return Motion(
-        f"{name}: {some} motions", rollouts.time, nodes, bars, strings, pinned, copies=len(chosen)
+        f"{name}: {some} motions",
+        rollouts.time,
+        nodes,
+        bars,
+        strings,
+        pinned,
+        copies=len(chosen),
+        structure=None if rollouts.scene is None else rollouts.scene.modelled,
     )

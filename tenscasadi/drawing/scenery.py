@@ -65,6 +65,11 @@ def find_view(content: ViewContent, margin: float) -> tuple[Array, Array]:
     return low, high
 
 
+def find_floor(content: ViewContent) -> Ground:
+    """Find the level plane below all motions, for pictures without a ground."""
+    return Ground(height=float(content.corners[0][2]) - content.bar_radius)
+
+
 def cut_ground(ground: Surface, low: Array, high: Array) -> GroundPatch | None:
     """Find the part of a ground in a box, or None.
 

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Literal, NamedTuple
 
 import numpy as np
 
 from tenscasadi.drawing.color_scale import ColorScale
 from tenscasadi.drawing.style import STYLE, Bytes, Rgb
-from tenscasadi.drawing.view_content import ViewContent
+from tenscasadi.drawing.view_content import Frame, NodeForces, ViewContent
 from tenscasadi.util.validate import Array, Indices
+
+# kinds of forces on nodes, with their names in legends
+FORCES = {"load": "loads", "contact": "contact forces", "reaction": "reactions"}
 
 
 class Shape(NamedTuple):
@@ -44,12 +48,19 @@ class MotionShapes:
         Index of the motion.
     tint : Rgb, optional
         Color of all shapes. Default: colors by kind.
+
+    Attributes
+    ----------
+    reach : float
+        Length of an arrow of the force `force_scale` [m]; others are at most twice as long.
     """
 
     def __init__(self, content: ViewContent, index: int = 0, tint: Rgb | None = None) -> None:
         self.motion, self.tint = content.motions[index], tint
         self.radius = content.bar_radius
-        self._reach = STYLE.arrow_length * content.size
+        extent = float(np.ptp(self.motion.nodes[0], axis=0).max(initial=0.0))
+        self.reach = STYLE.arrow_length * (extent if 0 < extent < np.inf else content.size)
+        self._scales: dict[str, float] = {}
         count = self.motion.nodes.shape[1]
         ends, meeting = np.unique(self.motion.bars, return_counts=True)
         self.joints: Indices = ends[meeting > 1]
@@ -59,14 +70,19 @@ class MotionShapes:
         self._node_radius[self.joints] = 1.5 * self.radius
         if tint is None:
             self._node_colors[self.joints] = STYLE.joint
-        self._largest = {forces.name: 0.0 for forces in self.motion.forces}
 
-    def at_rest(self, nodes: Array, values: Array | None, scale: ColorScale | None) -> list[Shape]:
-        """Build bars, strings, nodes and supports at positions (n, 3).
+    def build(
+        self,
+        frame: Frame,
+        scale: ColorScale | None = None,
+        kinds: Iterable[str] = ("load", "contact"),
+    ) -> list[Shape]:
+        """Build bars, strings, nodes and supports, and arrows of kinds of forces.
 
-        `values` (α,) of the strings select their colors by `scale`; slack strings are thin.
+        Strings are colored by the quantity of the scale; slack strings are thin.
         """
         motion, radius, tint = self.motion, self.radius, self.tint
+        nodes, values = frame.nodes, None if scale is None else frame.values(scale.quantity)
         count = len(motion.strings)
         taut = np.ones(count) if values is None else np.where(np.nan_to_num(values) != 0, 1.0, 0.5)
         if tint is not None or values is None or scale is None:
@@ -81,20 +97,43 @@ class MotionShapes:
             Shape("member", nodes[motion.strings], STYLE.string_radius * radius * taut, colors),
             Shape("ball", nodes, self._node_radius, self._node_colors),
             Shape("cone", nodes[motion.pinned], pins, supports),
+            *self._build_arrows(frame, kinds),
         ]
 
-    def arrows(self, name: str, nodes: Array, forces: Array) -> Shape:
-        """Build arrows of forces (n, 3) [N] at positions (n, 3).
+    def _build_arrows(self, frame: Frame, kinds: Iterable[str]) -> list[Shape]:
+        """Build the arrows of forces on nodes, one shape for each of the motion's kinds.
 
-        The longest one so far has the length of the style; those below 1 % of it are left out.
+        Kinds that are not wanted have no arrows.
         """
-        sizes = np.linalg.norm(np.nan_to_num(forces), axis=1)
-        self._largest[name] = largest = max(self._largest[name], float(sizes.max(initial=0.0)))
-        shown = np.flatnonzero(sizes > 0.01 * largest)
-        tips = nodes[shown] + forces[shown] * (self._reach / (largest or 1.0))
-        ends = np.stack([nodes[shown], tips], axis=1)
-        color = getattr(STYLE, name)
-        return Shape("arrow", ends, np.full(len(shown), 0.5 * self.radius), _fill(color, len(ends)))
+        found = []
+        for forces in self.motion.forces:
+            vectors = np.zeros((0, 3))
+            if forces.name in kinds:
+                unit = self.reach / (self.force_scale(forces) or 1.0)
+                vectors = unit * np.nan_to_num(forces.at(frame))
+            lengths = np.linalg.norm(vectors, axis=1)
+            shown = np.flatnonzero(lengths > 0.02 * self.reach)
+            factors = np.minimum(1.0, 2 * self.reach / lengths[shown])[:, None]
+            tails = frame.nodes[shown]
+            ends = np.stack([tails, tails + factors * vectors[shown]], axis=1)
+            colors = _fill(getattr(STYLE, forces.name), len(shown))
+            found.append(Shape("arrow", ends, np.full(len(shown), 0.5 * self.radius), colors))
+        return found
+
+    def force_scale(self, forces: NodeForces) -> float:
+        """Compute the force of an arrow of length `reach` [N]; 0 without forces.
+
+        It is a quantile over the motion, so that an impact does not shrink all other arrows.
+        """
+        if forces.name not in self._scales:
+            count = len(self.motion.time)
+            rows = np.unique(np.linspace(0, count - 1, min(count, 50)).astype(int))
+            frames = [self.motion.frame_at(self.motion.time[row]) for row in rows]
+            sizes = np.linalg.norm([forces.at(frame) for frame in frames], axis=2)
+            sizes = sizes[np.isfinite(sizes) & (sizes > 0)]
+            scale = float(np.quantile(sizes, STYLE.saturation)) if sizes.size else 0.0
+            self._scales[forces.name] = scale
+        return self._scales[forces.name]
 
 
 def _fill(color: Rgb, count: int) -> Bytes:

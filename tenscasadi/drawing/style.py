@@ -32,7 +32,7 @@ class Style:
     min_radius : float
         Smallest radius of a bar, relative to the whole picture: half a pixel.
     arrow_length : float
-        Length of the longest arrow, relative to the whole picture.
+        Length of an arrow of a large force, relative to the structure.
     grid_lines : int
         Number of grid lines along the ground.
     saturation : float
@@ -67,7 +67,7 @@ class Style:
     bar_radius: float = 0.014
     string_radius: float = 0.4
     min_radius: float = 0.0008
-    arrow_length: float = 0.2
+    arrow_length: float = 0.25
     grid_lines: int = 20
     saturation: float = 0.99
 

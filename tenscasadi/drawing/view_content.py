@@ -10,22 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tenscasadi.drawing.style import STYLE
+from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, Indices
-
-
-class NodeForces(NamedTuple):
-    """Forces on the nodes of a motion.
-
-    Attributes
-    ----------
-    name : {"load", "reaction", "contact"}
-        Kind of force, which selects its color.
-    at : callable
-        Computes the forces (n, 3) [N] at a row of the motion.
-    """
-
-    name: str
-    at: Callable[[int], Array]
 
 
 class Frame(NamedTuple):
@@ -39,16 +25,46 @@ class Frame(NamedTuple):
         Velocities [m/s].
     tension, force_density : ndarray, shape (α,), or None
         Forces [N] and force densities [N/m] of the strings.
+    time : float
+        Time [s].
+    row : int
+        Row of the motion at or before this time.
     """
 
     nodes: Array
     velocities: Array | None = None
     tension: Array | None = None
     force_density: Array | None = None
+    time: float = 0.0
+    row: int = 0
 
     def values(self, quantity: str) -> Array | None:
         """Select the "tension" or the "force density" of the strings."""
         return self.tension if quantity == "tension" else self.force_density
+
+
+class NodeForces(NamedTuple):
+    """Forces on the nodes of a motion.
+
+    Attributes
+    ----------
+    name : {"load", "contact", "reaction"}
+        Kind of force, which selects its color.
+    at : callable
+        Computes the forces (n, 3) [N] in a frame of the motion.
+    """
+
+    name: str
+    at: Callable[[Frame], Array]
+
+
+def list_names(structure: Structure | None, kind: str, count: int) -> tuple[str, ...]:
+    """List the names of items of a kind, "node", "bar" or "string".
+
+    Unnamed ones are called by their index, such as "node 3".
+    """
+    given = () if structure is None else getattr(structure, f"{kind}_names")
+    return tuple((given[k] if k < len(given) else "") or f"{kind} {k}" for k in range(count))
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +91,8 @@ class Motion:
         Number of equal structures in the arrays.
     forces : tuple of NodeForces
         Forces that are drawn as arrows.
+    structure : Structure, optional
+        Structure that names the items of each copy.
     """
 
     name: str
@@ -88,6 +106,18 @@ class Motion:
     force_density: Array | None = None
     copies: int = 1
     forces: tuple[NodeForces, ...] = ()
+    structure: Structure | None = None
+
+    def count(self, kind: str) -> int:
+        """Count the "nodes", "bars" or "strings" of one copy."""
+        whole = self.nodes.shape[1] if kind == "nodes" else len(getattr(self, kind))
+        return whole // self.copies
+
+    @cached_property
+    def names(self) -> dict[str, tuple[str, ...]]:
+        """Names of the "nodes", "bars" and "strings" of one copy."""
+        kinds = ("nodes", "bars", "strings")
+        return {kind: list_names(self.structure, kind[:-1], self.count(kind)) for kind in kinds}
 
     @property
     def start(self) -> float:
@@ -124,10 +154,11 @@ class Motion:
     def frame_at(self, time: float) -> Frame:
         """Interpolate the nodes, and select the other quantities of the row before."""
         row = self.row_at(time)
-        others = (self.velocities, self.tension, self.force_density)
-        return Frame(
-            self.nodes_at(time), *(values if values is None else values[row] for values in others)
+        velocities, tension, force_density = (
+            values if values is None else values[row]
+            for values in (self.velocities, self.tension, self.force_density)
         )
+        return Frame(self.nodes_at(time), velocities, tension, force_density, time, row)
 
 
 @dataclass(frozen=True, eq=False)

@@ -109,8 +109,7 @@ def animate(
         writer.saving(figure, str(part), dpi=100),
     ):
         for time in tqdm(times, unit=" frames", disable=not progress):
-            pull = None if motion.tension is None else motion.tension[motion.row_at(time)]
-            canvas.draw(shapes.at_rest(motion.nodes_at(time), pull, scale))
+            canvas.draw(shapes.build(motion.frame_at(time), scale))
             figure.suptitle(f"{title}{', ' if title else ''}t = {time:.2f} s")
             writer.grab_frame()
     return target

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from io import StringIO
 from typing import Any
@@ -187,13 +188,16 @@ def _spread(heights: Array, gap: float) -> tuple[list[int], list[float]]:
 
 
 def _join_names(names: list[str]) -> str:
-    """Join names with the same first word.
+    """Join names that differ by numbers.
 
-    "string 0" and "string 1" become "string 0, 1".
+    "string 0" and "string 1" become "string 0, 1"; "top[0]" and "top[1]" become "top[0, 1]".
     """
-    first, *others = names[:4]
-    more = ", …" if len(names) > 4 else ""
-    return ", ".join([first, *(name.rpartition(" ")[2] for name in others)]) + more
+    stems: dict[tuple[str, str], list[str]] = {}
+    for name in names[:4]:
+        stem, number, end = re.findall(r"^(.*?)(\d*)(\]?)$", name)[0]
+        stems.setdefault((stem, end), []).append(number)
+    joined = [f"{stem}{', '.join(numbers)}{end}" for (stem, end), numbers in stems.items()]
+    return ", ".join(joined + ["…"] * (len(names) > 4))
 
 
 def _widen(ax: Axes) -> None:

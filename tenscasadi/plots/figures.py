@@ -51,7 +51,7 @@ def structure(
     time : float, optional
         Time of the motion [s], of which the nearest saved row is drawn. Default: its end.
     labels : bool
-        Whether to number the nodes.
+        Whether to write the names or numbers of the nodes.
     ground : Ground or Terrain or a sequence of them, optional
         Grounds besides those of the scene.
     title : str
@@ -85,20 +85,21 @@ def structure(
     if len(motion.time) > 1:
         title = title or f"t = {motion.time[row]:.4g} s"
     content = _select_rows(content, np.array([row]))
-    nodes, values = content.motions[0].nodes[0], content.motions[0].tension
-    pull = np.zeros(len(motion.strings)) if values is None else values[0]
+    frame = content.motions[0].frame_at(motion.time[row])
+    pull = np.zeros(len(motion.strings)) if frame.tension is None else frame.tension
     if tension is not None:
         pull = per_item("tension", tension, len(motion.strings))
     figure = Figure(figsize=(6.4, 5.2))
     canvas = Canvas3D(figure, content)
     scale = ColorScale.of("tension", pull)
-    canvas.draw(MotionShapes(content).at_rest(nodes, pull, scale))
+    canvas.draw(MotionShapes(content).build(frame._replace(tension=pull), scale))
     if np.any(pull != 0):
         canvas.add_color_bar(scale)
     elif len(pull):
         figure.supxlabel("all strings slack", fontsize=9, color="0.35")
     if labels:
-        canvas.label(nodes, [str(node) for node in range(len(nodes))])
+        names = motion.names["nodes"]
+        canvas.label(frame.nodes, [name.removeprefix("node ") for name in names])
     figure.suptitle(title)
     canvas.fit()
     return save_figure(figure, path)
@@ -163,10 +164,9 @@ def time_lapse(
     shapes = []
     for k, color in enumerate(colors):
         drawn = MotionShapes(content, tint=(color[0], color[1], color[2]))
-        bars, strings, balls, supports = drawn.at_rest(motion.nodes[k], None, None)
-        pale = (0.55 * strings.colors + 0.45 * 255).astype(
-            np.uint8
-        )  # opaque: nothing shines through
+        bars, strings, balls, supports, *_ = drawn.build(motion.frame_at(motion.time[k]))
+        # opaque: nothing shines through
+        pale = (0.55 * strings.colors + 0.45 * 255).astype(np.uint8)
         drawn_now = [bars, strings._replace(colors=pale), balls]
         shapes += [shape._replace(radius=0.6 * shape.radius) for shape in drawn_now]
     shapes.append(supports)

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from tenscasadi.drawing.view_content import Chart
+from tenscasadi.drawing.view_content import Chart, list_names
 from tenscasadi.plots.charts import draw_charts
 from tenscasadi.plots.panels import (
     MOST_NAMED,
@@ -99,7 +99,8 @@ def node_histories(
         if nodes is None
         else [node_index("nodes", node, count) for node in as_tuple("nodes", nodes, "[0, 3]")]
     )
-    names = tuple(f"node {node}" for node in chosen)
+    names = _list_names(trajectory, "node", count)
+    names = tuple(names[node] for node in chosen)
     paths = trajectory.nodes[:, chosen]
     charts = [
         Chart(axis, "m", trajectory.time, paths[..., k], names) for k, axis in enumerate("xyz")
@@ -177,7 +178,8 @@ def force_densities(
             per_item(field, _drop_infinity(limit), count)
             all_limits = np.broadcast_to(np.asarray(limit, dtype=float), (count,))
             limits[field] = all_limits[chosen]
-    names = tuple(f"string {string}" for string in chosen)
+    names = _list_names(history, "string", count)
+    names = tuple(names[string] for string in chosen)
     chart = Chart("force density", "N/m", time, values[:, chosen], names, **limits)
     return save_figure(draw_charts([chart], title), path)
 
@@ -234,6 +236,12 @@ def errors(trajectory: Trajectory, *, title: str = "", path: FilePath | None = N
     ax.set_ylabel("error")
     add_legend(figure, ax, len(curves))
     return save_figure(figure, path)
+
+
+def _list_names(history: Any, kind: str, count: int) -> tuple[str, ...]:
+    """List the names of the items of a trajectory's or plan's structure."""
+    scene = getattr(history, "scene", None)
+    return list_names(None if scene is None else scene.modelled, kind, count)
 
 
 def _describe_smallness(values: Array, bottom: float) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,9 +15,16 @@ from tenscasadi.drawing.meshes import (
     build_cone,
     build_cylinder,
     place_balls,
+    round_floats,
     stretch_cylinders,
 )
-from tenscasadi.drawing.scenery import cut_ground, find_box_edges, find_view
+from tenscasadi.drawing.scenery import (
+    cut_ground,
+    find_box_edges,
+    find_floor,
+    find_view,
+    grid_spacing,
+)
 from tenscasadi.drawing.shapes import MotionShapes, Shape, choose_tint
 from tenscasadi.drawing.style import STYLE, Bytes, Rgb
 from tenscasadi.drawing.view_content import Frame, ViewContent
@@ -27,8 +34,8 @@ if TYPE_CHECKING:
     import viser
 
 PARTS = ("bars", "strings", "nodes", "supports")  # shapes of a motion, in their order
-VIEW_MARGIN = 0.7  # of grounds around all motions, relative to their size
 _FIELD_OF_VIEW = np.radians(40.0)
+_SHADOW = 0.25  # opacity of shadows on grounds
 
 
 class Layer:
@@ -40,13 +47,16 @@ class Layer:
     ----------
     batches : dict of str to viser handle
         Batches by the name of the part.
+    arrows : dict of str to viser handle
+        Arrows by the kind of force.
     frame : Frame
         Last drawn frame.
     """
 
     def __init__(self, scene: viser.SceneApi, name: str, content: ViewContent, index: int) -> None:
-        self.tint = choose_tint(content, index)
-        self.shapes = MotionShapes(content, index, self.tint)
+        self._content, self._index = content, index
+        self.batches: dict[str, Any] = {}
+        self.paint(choose_tint(content, index))
         motion = self.shapes.motion
         self.root = scene.add_frame(name, show_axes=False)
         many = len(motion.bars) + len(motion.strings) > 400
@@ -56,19 +66,33 @@ class Layer:
             "nodes": build_ball(2, 4) if many else build_ball(),
             "supports": build_cone(),
         }
-        opaque = self.tint is None
-        self._opacity = None if opaque else 0.4 if motion.copies == 1 else 0.25
         self._scene, self.grain = scene, 0.0
-        self.batches: dict[str, Any] = {}
+        radius = 0.5 * content.bar_radius
+        self.arrows = {
+            kind.name: add_arrows(scene, f"{name}/{kind.name}", getattr(STYLE, kind.name), radius)
+            for kind in motion.forces
+        }
         self.frame = motion.frame_at(motion.start)
-        self.draw(self.frame, None, None)
+        self.draw(self.frame, None)
 
-    def draw(self, frame: Frame, values: Array | None, scale: ColorScale | None) -> None:
-        """Draw a frame, with strings colored by their values."""
+    def paint(self, tint: Rgb | None) -> None:
+        """Choose the color of all shapes, which are then transparent; None for their own."""
+        self.tint = tint
+        self.shapes = MotionShapes(self._content, self._index, tint)
+        copies = self.shapes.motion.copies
+        self._opacity = None if tint is None else 0.4 if copies == 1 else 0.25
+        for batch in self.batches.values():
+            batch.opacity, batch.cast_shadow = self._opacity, tint is None
+
+    def draw(self, frame: Frame, scale: ColorScale | None, kinds: Collection[str] = ()) -> None:
+        """Draw a frame, with arrows of kinds of forces."""
         self.frame = frame
-        for part, shape in zip(PARTS, self.shapes.at_rest(frame.nodes, values, scale), strict=True):
+        shapes = self.shapes.build(frame, scale, kinds)
+        for part, shape in zip(PARTS, shapes, strict=False):
             if len(shape.points):
                 self._draw_part(part, shape)
+        for forces, shape in zip(self.shapes.motion.forces, shapes[len(PARTS) :], strict=True):
+            self._draw_arrows(forces.name, shape)
 
     def _draw_part(self, part: str, shape: Shape) -> None:
         place = stretch_cylinders if shape.form == "member" else place_balls
@@ -85,8 +109,15 @@ class Layer:
         if shape.form == "member":
             batch.batched_wxyzs = poses.quaternions
             batch.batched_scales = poses.scales
-        if part == "strings" and not np.array_equal(batch.batched_colors, colors):
+        if not np.array_equal(batch.batched_colors, colors):
             batch.batched_colors = colors
+
+    def _draw_arrows(self, kind: str, shape: Shape) -> None:
+        arrows, is_shown = self.arrows[kind], bool(len(shape.points))
+        if arrows.visible != is_shown:
+            arrows.visible = is_shown
+        if is_shown:
+            arrows.points = round_floats(shape.points.astype(np.float32), self.grain or 1e-12)
 
 
 class Canvas:
@@ -102,22 +133,36 @@ class Canvas:
         Content.
     quantity : {"tension", "force density"}
         Quantity that colors the strings.
+    apart : bool
+        Whether the motions are side by side.
+
+    Attributes
+    ----------
+    shaded : bool
+        Whether opaque motions cast shadows on grounds.
+    kinds : set of str
+        Kinds of forces that are drawn as arrows.
     """
 
     def __init__(
-        self, server: viser.ViserServer, content: ViewContent, quantity: str = "tension"
+        self,
+        server: viser.ViserServer,
+        content: ViewContent,
+        quantity: str = "tension",
+        apart: bool = False,
     ) -> None:
-        self.content, self.quantity = content, quantity
+        self.content, self.quantity, self.shaded = content, quantity, False
         self.frames = [motion.frame_at(motion.start) for motion in content.motions]
-        self.followed = False
+        self.followed, self.kinds = False, {"load", "contact"}
         scene = server.scene
-        _add_lights(scene)
+        self._sun = _add_lights(scene)
         self.root = scene.add_frame("/shown", show_axes=False)
-        _add_surroundings(scene, content)
         self.layers = [
             Layer(scene, f"/shown/motion {k}", content, k) for k in range(len(content.motions))
         ]
-        _place_camera(server, content)
+        self._scene = scene
+        self.arrange(apart)
+        _place_camera(server, content, self._distance * (len(self.layers) - 1) if apart else 0.0)
         self.scale: ColorScale | None = None
         self.color_by(quantity)
         self._shift = np.zeros(3)
@@ -127,6 +172,37 @@ class Canvas:
         self._moves_root = bool(
             content.grounds or content.obstacles or content.boxes or len(content.targets)
         )
+
+    @property
+    def margin(self) -> float:
+        """Margin of grounds around all motions, relative to their size."""
+        return 0.15 if self.apart else 0.7
+
+    @property
+    def _distance(self) -> float:
+        """Distance of motions that stand side by side [m]."""
+        low, high = find_view(self.content, self.margin)
+        return float(high[0] - low[0])
+
+    def arrange(self, apart: bool) -> None:
+        """Show the motions side by side along x, each with its surroundings, or superimposed."""
+        self.apart, self._sun.cast_shadow = apart, self.shaded
+        for k, layer in enumerate(self.layers):
+            offset = np.array([k * self._distance if apart else 0.0, 0.0, 0.0])
+            layer.root.position = tuple(offset)
+            is_single = layer.shapes.motion.copies == 1
+            layer.paint(None if apart and is_single else choose_tint(self.content, k))
+            around = f"/shown/around {k}"
+            if apart or k == 0:
+                self._scene.add_frame(around, show_axes=False, position=tuple(offset))
+                _add_surroundings(self._scene, around, self.content, self.margin, self.shaded)
+            else:
+                self._scene.remove_by_name(around)
+
+    def cast_shadows(self, shaded: bool) -> None:
+        """Show or hide shadows on grounds."""
+        self.shaded = shaded
+        self.arrange(self.apart)
 
     @property
     def has_joints(self) -> bool:
@@ -153,8 +229,7 @@ class Canvas:
         self._shift = np.zeros(3) if self._moves_root else away
         for frame, layer in zip(frames, self.layers, strict=True):
             if layer.root.visible:
-                values = None if self.scale is None else frame.values(self.quantity)
-                layer.draw(frame._replace(nodes=frame.nodes + self._shift), values, self.scale)
+                layer.draw(frame._replace(nodes=frame.nodes + self._shift), self.scale, self.kinds)
 
     def locate(self, seen: Any) -> Array:
         """Convert a position on the page to the coordinates of the motion [m]."""
@@ -185,8 +260,23 @@ def add_batch(
         opacity=opacity,
         lod="off",
         material="toon5",
-        cast_shadow=False,
+        cast_shadow=opacity is None,
         receive_shadow=False,
+    )
+
+
+def add_arrows(
+    scene: viser.SceneApi, name: str, color: Rgb, radius: float, points: Array | None = None
+) -> Any:
+    """Add arrows (m, 2, 3) of one color, by default hidden ones."""
+    return scene.add_arrows(
+        name,
+        np.zeros((1, 2, 3)) if points is None else points,
+        linearize_colors(color),
+        shaft_radius=radius,
+        head_radius=2.5 * radius,
+        head_length=6.0 * radius,
+        visible=points is not None,
     )
 
 
@@ -197,31 +287,35 @@ def linearize_colors(colors: Bytes | Rgb) -> Bytes:
     return np.asarray(np.round(255 * linear), dtype=np.uint8)
 
 
-def _add_surroundings(scene: viser.SceneApi, content: ViewContent) -> None:
-    low, high = find_view(content, VIEW_MARGIN)
+def _add_surroundings(
+    scene: viser.SceneApi, root: str, content: ViewContent, margin: float, shaded: bool
+) -> None:
+    """Add the content except for its motions to a frame."""
+    low, high = find_view(content, margin)
     thin: dict[str, Any] = {"thickness_units": "screen"}
     lift = np.array([0.0, 0.0, 1e-3 * content.size])  # else the surface hides parts of the grid
-    for k, ground in enumerate(content.grounds):
+    for k, ground in enumerate(content.grounds or (find_floor(content),)):
         patch = cut_ground(ground, low, high)
         if patch is None:
             continue
         scene.add_mesh_simple(
-            f"/shown/ground/{k}",
+            f"{root}/ground {k}",
             patch.vertices,
             patch.faces,
             color=STYLE.ground,
-            opacity=0.85,
+            opacity=0.85 if content.grounds else 0.0,
             side="double",
             material="toon5",
             cast_shadow=False,
-            receive_shadow=False,
+            receive_shadow=_SHADOW if shaded else False,
         )
         scene.add_line_segments(
-            f"/shown/ground/{k}/grid", patch.lines + lift, STYLE.grid, thickness=1.0, **thin
+            f"{root}/ground {k}/grid", patch.lines + lift, STYLE.grid, thickness=1.0, **thin
         )
+    _add_axes(scene, f"{root}/axes", content)
     for k, (center, radius) in enumerate(content.obstacles):
         scene.add_icosphere(
-            f"/shown/obstacle/{k}",
+            f"{root}/obstacle {k}",
             radius=float(radius),
             color=STYLE.obstacle,
             position=np.asarray(center, dtype=float),
@@ -233,25 +327,44 @@ def _add_surroundings(scene: viser.SceneApi, content: ViewContent) -> None:
     for k, box in enumerate(content.boxes):
         edges = find_box_edges(box, *content.corners)
         if len(edges):
-            scene.add_line_segments(f"/shown/box/{k}", edges, STYLE.obstacle, thickness=2.0, **thin)
+            scene.add_line_segments(f"{root}/box {k}", edges, STYLE.obstacle, thickness=2.0, **thin)
     if len(content.targets):
         sizes = np.full(len(content.targets), 2.5 * content.bar_radius)
         colors = np.tile(linearize_colors(STYLE.target), (len(sizes), 1))
         poses = place_balls(content.targets, sizes)
-        add_batch(scene, "/shown/target", build_ball(), poses, colors, 0.45)
+        add_batch(scene, f"{root}/target", build_ball(), poses, colors, 0.45)
 
 
-def _place_camera(server: viser.ViserServer, content: ViewContent) -> None:
+def _add_axes(scene: viser.SceneApi, root: str, content: ViewContent) -> None:
+    """Add labeled axes of a round length at the lower corner of the motions."""
+    corner, length = content.corners[0], grid_spacing(content.size, 4)
+    corner = corner + [0.0, 0.0, 0.02 * content.size]  # above a ground
+    tips = corner + length * np.eye(3)
+    ends = np.stack([np.tile(corner, (3, 1)), tips], axis=1)
+    add_arrows(scene, root, STYLE.node, 0.3 * content.bar_radius, ends)
+    for name, tip in zip("xyz", tips, strict=True):
+        text = f"{name}, {length:g} m" if name == "x" else name
+        scene.add_label(
+            f"{root}/{name}",
+            text,
+            position=tuple(tip),
+            font_screen_scale=0.8,
+            anchor="bottom-left",
+        )
+
+
+def _place_camera(server: viser.ViserServer, content: ViewContent, more: float) -> None:
     """Look at the middle from the front, slightly from above and the side.
 
-    Flat content is seen from its broad side.
+    Flat content is seen from its broad side. `more` is the width of further motions [m].
     """
     low, high = content.corners
     for center, radius in content.obstacles:
         low = np.minimum(low, np.asarray(center) - radius)
         high = np.maximum(high, np.asarray(center) + radius)
     extent = high - low
-    size = float(np.linalg.norm(extent))
+    high = high + [more, 0.0, 0.0]
+    size = float(np.linalg.norm(high - low))
     broadside = [(1.0, -0.3, 0.2), (0.3, -1.0, 0.2), (0.2, -0.5, 1.0)]
     flat = extent.min() < 0.05 * extent.max()
     direction = broadside[int(np.argmin(extent))] if flat else (0.45, -1.0, 0.35)
@@ -266,10 +379,13 @@ def _place_camera(server: viser.ViserServer, content: ViewContent) -> None:
     camera.far = float(100 * size)
 
 
-def _add_lights(scene: viser.SceneApi) -> None:
-    """Light the scene evenly, so that colors look as in the legend."""
+def _add_lights(scene: viser.SceneApi) -> Any:
+    """Light the scene evenly, so that colors look as in the legend.
+
+    Returns the light that can cast shadows.
+    """
     scene.configure_default_lights(enabled=False)
     scene.configure_environment_map(hdri=None)
     scene.add_light_ambient("/light/all", intensity=1.7)
-    scene.add_light_directional("/light/front", intensity=1.6, position=(0.6, -1.0, 1.2))
     scene.add_light_directional("/light/back", intensity=0.6, position=(-0.8, 1.0, 0.6))
+    return scene.add_light_directional("/light/front", intensity=1.6, position=(0.6, -1.0, 1.6))

@@ -7,14 +7,17 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from tenscasadi.drawing.color_scale import QUANTITIES
+from tenscasadi.drawing.shapes import FORCES
 from tenscasadi.viewer.canvas import PARTS, Canvas
 from tenscasadi.viewer.labels import KINDS, Labels
 from tenscasadi.viewer.legend import build_legend
+from tenscasadi.viewer.pictures import send_screenshot
 
 if TYPE_CHECKING:
     import viser
 
 FRAME_RATE = 30  # pictures per second
+MOST_FRAMES = 3000  # of a page or a film
 SPEEDS = ("0.01", "0.02", "0.05", "0.1", "0.2", "0.5", "1", "2", "5", "10")
 
 
@@ -54,10 +57,36 @@ class ViewControls:
         )
         choice.on_update(lambda _: self._change(lambda: self.color_by(choice.value)))
 
+    def add_shadows(self) -> None:
+        """Add the box of shadows on grounds."""
+        hint = "shadows on grounds; slow without a graphics card"
+        self._add_box("Shadows", self.canvas.shaded, self.canvas.cast_shadows, hint)
+
     def add_visibility(self) -> None:
-        """Add a box for each of several motions."""
+        """Add a box for each of several motions, and one that moves them apart."""
+        if len(self.canvas.layers) > 1:
+            hint = "show the motions beside each other"
+            self._add_box("Side by side", self.canvas.apart, self._arrange, hint)
         for layer in self.canvas.layers if len(self.canvas.layers) > 1 else ():
             self._add_box(layer.shapes.motion.name, True, partial(setattr, layer.root, "visible"))
+
+    def _arrange(self, apart: bool) -> None:
+        """Show the motions side by side, or superimposed."""
+        self.canvas.arrange(apart)
+        self.update_legend()
+
+    def add_forces(self) -> None:
+        """Add a box for each kind of forces on nodes."""
+        for forces in self.canvas.content.motions[0].forces:
+            is_shown = forces.name in self.canvas.kinds
+            self._add_box(
+                FORCES[forces.name].capitalize(), is_shown, partial(self.show_forces, forces.name)
+            )
+
+    def show_forces(self, kind: str, shown: bool) -> None:
+        """Show or hide the arrows of a kind of forces."""
+        self.canvas.kinds = (self.canvas.kinds | {kind}) if shown else (self.canvas.kinds - {kind})
+        self.update_legend()
 
     def add_labels(self) -> None:
         """Add the boxes that number nodes and members, and label clicked ones."""
@@ -71,6 +100,12 @@ class ViewControls:
                     layer.batches[kind].on_click(
                         lambda event, k=k, kind=kind: self.click(k, kind, event.instance_index)
                     )
+
+    def add_screenshot(self, name: str) -> None:
+        """Add the button that lets a page save its picture."""
+        hint = "the picture as a PNG file"
+        button = self._gui.add_button("Screenshot", hint=hint)
+        button.on_click(lambda event: send_screenshot(event.client, name))
 
     def add_legend(self) -> None:
         """Add the legend."""

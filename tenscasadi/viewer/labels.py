@@ -36,7 +36,7 @@ class Labels:
         motions = self._canvas.content.motions
         if not (0 <= k < len(motions) and kind in KINDS):
             return
-        if not 0 <= index < count_items(motions[k], kind):
+        if not 0 <= index < motions[k].count(kind) * motions[k].copies:
             return
         if item in self.clicked:
             self.clicked.pop(item).remove()
@@ -47,21 +47,21 @@ class Labels:
         self.clicked[item] = self._scene.add_label(name, "", anchor="bottom-left")
 
     def number(self, kind: str, shown: bool) -> None:
-        """Show or hide the numbers of nodes, bars or strings.
+        """Show or hide the names or numbers of nodes, bars or strings.
 
         At most 1000 are shown.
         """
         for label in self.numbers[kind]:
             label.remove()
-        count = min(count_items(self._canvas.content.motions[0], kind), 1000) if shown else 0
+        names = self._canvas.content.motions[0].names[kind][:1000] if shown else ()
         self.numbers[kind] = [
             self._scene.add_label(
                 f"/shown/number/{kind} {index}",
-                str(index),
+                name.removeprefix(f"{kind[:-1]} "),
                 anchor="center-center",
                 font_screen_scale=0.8,
             )
-            for index in range(count)
+            for index, name in enumerate(names)
         ]
 
     def update(self) -> None:
@@ -75,12 +75,8 @@ class Labels:
         for (k, kind, index), label in self.clicked.items():
             motion = layers[k].shapes.motion
             label.text = describe_item(motion, self._canvas.frames[k], kind, index)
-            label.position = tuple(find_places(motion, kind, layers[k].frame.nodes)[index])
-
-
-def count_items(motion: Motion, kind: str) -> int:
-    """Count the nodes, bars or strings of a motion."""
-    return motion.nodes.shape[1] if kind == "nodes" else len(getattr(motion, kind))
+            place = find_places(motion, kind, layers[k].frame.nodes)[index]
+            label.position = tuple(place + np.asarray(layers[k].root.position))
 
 
 def find_places(motion: Motion, kind: str, nodes: Array) -> Array:
@@ -94,11 +90,13 @@ def find_places(motion: Motion, kind: str, nodes: Array) -> Array:
 
 
 def describe_item(motion: Motion, frame: Frame, kind: str, index: int) -> str:
-    """Describe a node or member: number, nodes, and quantities with units."""
-    per_copy = count_items(motion, kind) // motion.copies
-    name = f"{kind[:-1]} {index % per_copy}"
+    """Describe a node or member: name, nodes, and quantities with units."""
+    copy, own = divmod(index, motion.count(kind))
+    name, number = motion.names[kind][own], f"{kind[:-1]} {own}"
+    if name != number:
+        name += f", {number}"
     if motion.copies > 1:
-        name += f" of motion {index // per_copy}"
+        name += f" of motion {copy}"
     if kind == "nodes":
         x, y, z = frame.nodes[index]
         lines = [name, f"({x:.4g}, {y:.4g}, {z:.4g}) m"]
@@ -106,9 +104,9 @@ def describe_item(motion: Motion, frame: Frame, kind: str, index: int) -> str:
             lines.append(f"speed {np.linalg.norm(frame.velocities[index]):.3g} m/s")
         return "\n".join(lines)
     first, second = getattr(motion, kind)[index]
-    nodes_per_copy = motion.nodes.shape[1] // motion.copies
+    ends = [motion.names["nodes"][node % motion.count("nodes")] for node in (first, second)]
     lines = [
-        f"{name}, nodes {first % nodes_per_copy} – {second % nodes_per_copy}",
+        f"{name}, {ends[0]} – {ends[1].removeprefix('node ')}",
         f"length {np.linalg.norm(frame.nodes[second] - frame.nodes[first]):.4g} m",
     ]
     if kind == "strings" and frame.tension is not None and frame.force_density is not None:

@@ -6,18 +6,16 @@ from html import escape
 
 from tenscasadi.drawing.color_scale import ColorScale
 from tenscasadi.drawing.scenery import find_view, grid_spacing
+from tenscasadi.drawing.shapes import FORCES
 from tenscasadi.drawing.style import STYLE, Rgb, format_css
-from tenscasadi.drawing.view_content import ViewContent
-from tenscasadi.viewer.canvas import VIEW_MARGIN, Canvas
+from tenscasadi.viewer.canvas import Canvas
 
 
 def build_legend(canvas: Canvas) -> str:
     """Build the legend of a canvas."""
     scale = "" if canvas.scale is None else _build_scale(canvas.scale)
     rows = "".join(_build_row(color, text) for color, text in _list_colors(canvas))
-    notes = "".join(
-        f'<div class="note">{escape(note)}</div>' for note in _list_notes(canvas.content)
-    )
+    notes = "".join(f'<div class="note">{escape(note)}</div>' for note in _list_notes(canvas))
     style = "font:12px/1.45 system-ui,sans-serif;padding:4px 8px"
     return f'<div style="{style}">{scale}<div style="margin-top:6px">{rows}</div>{notes}</div>'
 
@@ -56,6 +54,12 @@ def _list_colors(canvas: Canvas) -> list[tuple[Rgb, str]]:
         rows.append((STYLE.joint, "joints of bars"))
     if single and len(first.pinned):
         rows.append((STYLE.support, "supports"))
+    shapes = canvas.layers[0].shapes
+    for forces in first.forces:
+        force = shapes.force_scale(forces) if forces.name in canvas.kinds else 0.0
+        if force > 0:
+            text = f"{FORCES[forces.name]}, {force:.3g} N as {shapes.reach:.3g} m"
+            rows.append((getattr(STYLE, forces.name), text))
     if content.obstacles or content.boxes:
         rows.append((STYLE.obstacle, "obstacles and limits of the space"))
     if len(content.targets):
@@ -63,12 +67,12 @@ def _list_colors(canvas: Canvas) -> list[tuple[Rgb, str]]:
     return rows
 
 
-def _list_notes(content: ViewContent) -> list[str]:
+def _list_notes(canvas: Canvas) -> list[str]:
+    content = canvas.content
     low, high = content.corners
     size = f"size {' × '.join(f'{extent:.3g}' for extent in high - low)} m"
-    if content.grounds:
-        least, most = find_view(content, VIEW_MARGIN)
-        size += f"; grid lines {grid_spacing(float((most - least).max())):g} m apart"
+    least, most = find_view(content, canvas.margin)
+    size += f"; grid lines {grid_spacing(float((most - least).max())):g} m apart"
     return [size, *content.notes]
 
 

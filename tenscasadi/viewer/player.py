@@ -6,9 +6,11 @@ import time as clock
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from tenscasadi.drawing.view_content import choose_frame_times
 from tenscasadi.viewer.canvas import Canvas
 from tenscasadi.viewer.charts import build_charts, mark_time
-from tenscasadi.viewer.controls import FRAME_RATE, ViewControls, add_speed
+from tenscasadi.viewer.controls import FRAME_RATE, MOST_FRAMES, ViewControls, add_speed
+from tenscasadi.viewer.pictures import send_film
 from tenscasadi.viewer.runner import Runner
 
 if TYPE_CHECKING:
@@ -50,13 +52,20 @@ class Player:
             self._add_controls(gui)
         if canvas.scale is not None:
             self.controls.add_color()
+        self.controls.add_shadows()
         self.controls.add_visibility()
+        self.controls.add_forces()
         self.controls.add_legend()
         self._mark: Any = None
         if canvas.content.charts:
             gui.add_html(build_charts(canvas.content))
             self._mark = gui.add_html(mark_time(self.time))
         self.controls.add_labels()
+        self.controls.add_screenshot(title)
+        if self.moves:
+            hint = "the motion as an mp4 file, seen by the camera of this page"
+            film = gui.add_button("Film", hint=hint)
+            film.on_click(lambda event: self.film(event.client, title))
         self._show(self.time)
         self._runner.start()
 
@@ -67,6 +76,18 @@ class Player:
     def play(self, playing: bool) -> None:
         """Play or pause."""
         self._runner.call(lambda: self._play(playing))
+
+    def film(self, client: Any, name: str) -> None:
+        """Let a page save a film of the motion.
+
+        The page tells why if there can be none.
+        """
+        self.play(False)
+        try:
+            times = choose_frame_times(self.canvas.content, self.speed, FRAME_RATE, MOST_FRAMES)
+            send_film(client, name, times, self.show, FRAME_RATE)
+        except (ImportError, ValueError, TimeoutError) as error:
+            client.add_notification("No film", str(error))
 
     def close(self) -> None:
         """End the player."""

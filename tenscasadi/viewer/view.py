@@ -42,6 +42,8 @@ class View:
         Simulated seconds per second.
     follow : bool
         Whether the middle of the first motion stays in view.
+    side_by_side : bool
+        Whether several motions stand beside each other.
 
     Attributes
     ----------
@@ -57,10 +59,17 @@ class View:
     """
 
     def __init__(
-        self, content: ViewContent, title: str, color: str, speed: float, follow: bool
+        self,
+        content: ViewContent,
+        title: str,
+        color: str,
+        speed: float,
+        follow: bool,
+        side_by_side: bool = False,
     ) -> None:
         self.content, self.title = content, title
         self._color, self._speed, self._follow = color, speed, follow
+        self._apart = side_by_side
         self._server: Any = None
         self.player: Player | None = None
         self.url: str | None = None
@@ -179,7 +188,7 @@ class View:
             stop(server)
 
     def _canvas(self, server: Any) -> Canvas:
-        canvas = Canvas(server, self.content, self._color)
+        canvas = Canvas(server, self.content, self._color, self._apart)
         canvas.followed = self._follow
         return canvas
 
@@ -211,12 +220,13 @@ def view(
     color: str = "tension",
     speed: float = 1.0,
     follow: bool = False,
+    side_by_side: bool = False,
     browser: bool | None = None,
     wait: bool | None = None,
 ) -> View:
     """Show structures, scenes, motions and plans in a browser.
 
-    Several of them are superimposed.
+    Several of them are superimposed, or side by side.
 
     Parameters
     ----------
@@ -241,6 +251,8 @@ def view(
         Simulated seconds per second.
     follow : bool
         Whether the middle of the first motion stays in view.
+    side_by_side : bool
+        Whether several things stand beside each other, instead of being superimposed.
     browser, wait : bool, optional
         Whether to open the browser, and to wait for Ctrl-C; see `View.show`.
 
@@ -275,9 +287,10 @@ def view(
     choice("color", color, *QUANTITIES)
     positive_number("speed", speed)
     flag("follow", follow)
+    flag("side_by_side", side_by_side)
     content = describe_content(things, "things", ground)
     name = text("title", title) or ", ".join(motion.name for motion in content.motions)
-    found = View(content, name, color, float(speed), follow)
+    found = View(content, name, color, float(speed), follow, side_by_side)
     if target is not None:
         found.save(target)
     elif not in_notebook():

@@ -13,7 +13,7 @@ from tenscasadi.drawing.describe import describe_content
 from tenscasadi.drawing.style import STYLE
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import RestLength
-from tenscasadi.viewer.canvas import Canvas, linearize_colors
+from tenscasadi.viewer.canvas import Canvas, add_arrows
 from tenscasadi.viewer.controls import ViewControls, add_speed
 from tenscasadi.viewer.live_mode.pace import Pace
 from tenscasadi.viewer.live_mode.simulation import LiveSimulation
@@ -62,16 +62,8 @@ class LivePanel:
         self.controls = ViewControls(server, self.canvas, do)
         self.running, self._said = True, ""
         self._inputs: list[tuple[Slider, Any]] = []
-        radius = self.canvas.content.bar_radius
-        self._arrow = server.scene.add_arrows(
-            "/shown/pull",
-            np.zeros((1, 2, 3)),
-            linearize_colors(STYLE.load),
-            shaft_radius=0.6 * radius,
-            head_radius=1.5 * radius,
-            head_length=4.0 * radius,
-            visible=False,
-        )
+        radius = 0.6 * self.canvas.content.bar_radius
+        self._arrow = add_arrows(server.scene, "/shown/pull", STYLE.load, radius)
         gui = server.gui
         self._status = gui.add_html("")
         self._play = gui.add_button("Pause")

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from tenscasadi.drawing.view_content import list_names
 from tenscasadi.scene.strings import RestLength
 from tenscasadi.util.validate import Array, as_tuple, format_value, node_index, text
 from tenscasadi.viewer.live_mode.simulation import LiveSimulation
@@ -57,7 +58,7 @@ class Slider:
 def build_slider(simulation: LiveSimulation, string: int) -> Slider:
     """Build the slider of one string."""
     low, high = _choose_range(simulation, simulation.start_control[[string]])
-    return Slider(f"string {string}", (string,), low, high)
+    return Slider(_list_names(simulation)[string], (string,), low, high)
 
 
 def choose_sliders(simulation: LiveSimulation, groups: Groups = None) -> list[Slider]:
@@ -99,6 +100,10 @@ def choose_sliders(simulation: LiveSimulation, groups: Groups = None) -> list[Sl
     return found
 
 
+def _list_names(simulation: LiveSimulation) -> tuple[str, ...]:
+    return list_names(simulation.model.scene.structure, "string", len(simulation.start_control))
+
+
 def _by_length(simulation: LiveSimulation) -> bool:
     return isinstance(simulation.model.scene.control, RestLength)
 
@@ -124,7 +129,7 @@ def _group_equal(simulation: LiveSimulation) -> dict[str, tuple[int, ...]]:
     start, structure = simulation.start_control, simulation.model.scene.structure
     count = len(start)
     if count <= MOST:
-        return {f"string {k}": (k,) for k in range(count)}
+        return {name: (k,) for k, name in enumerate(_list_names(simulation))}
     rows = np.column_stack(
         [values / (np.abs(values).max() or 1.0) for values in (start, structure.string_lengths)]
     )

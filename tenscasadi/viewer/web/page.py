@@ -11,19 +11,18 @@ import numpy as np
 from tenscasadi.drawing.view_content import choose_frame_times
 from tenscasadi.viewer.canvas import Canvas
 from tenscasadi.viewer.charts import build_charts
-from tenscasadi.viewer.controls import FRAME_RATE
+from tenscasadi.viewer.controls import FRAME_RATE, MOST_FRAMES
 from tenscasadi.viewer.legend import build_legend
 from tenscasadi.viewer.web.frames import add_frame_rate
 
 if TYPE_CHECKING:
     import viser
 
-MOST_FRAMES = 3000
-
 _STYLE = """
 #shown{position:fixed;right:12px;top:12px;width:300px;max-height:calc(100vh - 90px);overflow:auto;z-index:5;background:#fffffff0;
 border:1px solid #ddd;border-radius:6px;font:13px/1.45 system-ui,sans-serif}
 #shown summary{cursor:pointer;padding:6px 8px;font-weight:600}
+@media (max-width:600px){#shown{left:8px;right:8px;top:8px;width:auto;max-height:38vh;font-size:11px}}
 """
 
 # The slider of the player tells the time of the film. The panel shows that of the motion, and moves
@@ -41,6 +40,10 @@ _FOLLOW = """
   tell();
 })();
 """
+
+
+# On a phone the panel would hide the motion.
+_CLOSE = 'if (innerWidth < 600) document.getElementById("shown").open = false;'
 
 
 def record_page(server: viser.ViserServer, canvas: Canvas, speed: float) -> str:
@@ -68,6 +71,7 @@ def add_panel(page: str, canvas: Canvas, title: str, speed: float) -> str:
         clock = '<div style="padding:0 8px">t = <span id="shown-time"></span></div>'
         script = f"<script>{_FOLLOW % json.dumps([start, speed, digits])}</script>"
     inside = f"{clock}{build_legend(canvas)}{build_charts(canvas.content)}"
+    script += f"<script>{_CLOSE}</script>"
     panel = f'<details id="shown" open><summary>{escape(title)}</summary>{inside}</details>'
     end = page.rindex("</body>")
     page = page[:end] + f"<style>{_STYLE}</style>{panel}{script}" + page[end:]

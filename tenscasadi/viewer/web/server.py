@@ -29,7 +29,7 @@ _ACCEPTED = {
     "ScenePointerMessage",
     "GuiUpdateMessage",
 }
-_PAGE = ("/", "/index.html")
+MOST_BYTES = 2**22  # of a message of a page, such as a picture of 4 million pixels as JPEG
 _starting = threading.Lock()
 
 
@@ -208,8 +208,8 @@ def _guard_server(local: bool) -> Iterator[list[bool]]:
             is_page = request.path.partition("?")[0] in ("/", "/index.html")
             return response if response is None or not is_page else _extend_page(response)
 
-        # A message of a page has some hundred bytes, and a picture that was asked for more.
-        return original(*arguments, process_request=check, **{**options, "max_size": 2**20})
+        # a message of a page has some hundred bytes, and a picture that was asked for more
+        return original(*arguments, process_request=check, **{**options, "max_size": MOST_BYTES})
 
     module.serve = serve  # type: ignore[assignment, misc]
     try:

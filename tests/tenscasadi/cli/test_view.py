@@ -38,30 +38,21 @@ def test_what_is_given_is_handed_on(here, monkeypatch):
         "view",
         lambda things, **options: asked.update(things=things, **options),
     )
-    assert (
-        main(
-            [
-                "view",
-                "run.npz",
-                "d-bar",
-                "--port",
-                "9000",
-                "--no-browser",
-                "--color",
-                "force density",
-                "--speed",
-                "0.5",
-                "--follow",
-            ]
-        )
-        == 0
-    )
+    options = "--port 9000 --no-browser --speed 0.5 --follow --side-by-side --color"
+    assert main(["view", "run.npz", "d-bar", *options.split(), "force density"]) == 0
     assert {name: type(thing) for name, thing in asked.pop("things").items()} == {
         "run": tc.Trajectory,
         "d-bar": tc.Scene,
     }
-    look = {"color": "force density", "speed": 0.5, "follow": True, "html": None}
-    assert asked == {**look, "host": "127.0.0.1", "port": 9000, "browser": False, "wait": True}
+    look = {"color": "force density", "speed": 0.5, "follow": True, "side_by_side": True}
+    assert asked == {
+        **look,
+        "html": None,
+        "host": "127.0.0.1",
+        "port": 9000,
+        "browser": False,
+        "wait": True,
+    }
 
 
 def test_live_drives_the_groups_of_the_scene(here, monkeypatch):

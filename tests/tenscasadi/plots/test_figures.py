@@ -126,10 +126,10 @@ def test_pinned_nodes_are_marked(swing):
     assert np.ravel(marks._offsets3d) == pytest.approx(swing.nodes[-1, 0])
 
 
-def test_labels_number_the_nodes(prism):
-    assert [text.get_text() for text in plots.structure(prism, labels=True).axes[0].texts] == [
-        str(k) for k in range(6)
-    ]
+def test_labels_name_or_number_the_nodes(prism):
+    named = prism.replace(node_names=["foot", "", "", "", "", "top"])
+    labels = plots.structure(named, labels=True).axes[0].texts
+    assert [text.get_text() for text in labels] == ["foot", "1", "2", "3", "4", "top"]
 
 
 def test_a_lone_mass_and_a_net_can_be_drawn():
@@ -142,8 +142,8 @@ def test_a_lone_mass_and_a_net_can_be_drawn():
 
 def test_node_histories(motion, swing):
     panels = plots.node_histories(motion, [2, 0]).axes
-    assert [line.get_label() for line in panels[0].lines] == ["node 2", "node 0"]
-    assert sorted(text.get_text() for text in panels[0].texts) == ["node 0", "node 2"]
+    assert [line.get_label() for line in panels[0].lines] == ["bottom[2]", "bottom[0]"]
+    assert sorted(text.get_text() for text in panels[0].texts) == ["bottom[0]", "bottom[2]"]
     assert panels[1].lines[1].get_ydata() == pytest.approx(motion.nodes[:, 0, 1])
     assert [line.get_label() for line in plots.node_histories(swing).axes[0].lines] == [
         "node 1"
@@ -153,7 +153,7 @@ def test_node_histories(motion, swing):
 def test_force_densities_of_a_trajectory(motion):
     ax = plots.force_densities(motion, upper=80.0).axes[0]
     curves = {line.get_label(): line for line in ax.lines}
-    assert curves["string 3"].get_ydata() == pytest.approx(motion.force_density[:, 3])
+    assert curves["top[0]"].get_ydata() == pytest.approx(motion.force_density[:, 3])
     assert list(ax.lines[-1].get_ydata()) == [80.0, 80.0]
     assert ax.get_title(loc="right") == "limits: ≤ 80 N/m"
 
@@ -162,7 +162,10 @@ def test_equal_strings_share_a_color_and_a_label(prism):
     rest = tc.simulate(tc.Model(tc.Scene(prism)), 0.1, 0.01, compiled=False)
     ax = plots.force_densities(rest).axes[0]
     assert len({line.get_color() for line in ax.lines}) == 2  # horizontal and vertical strings
-    assert [text.get_text() for text in ax.texts] == ["string 0, 1, 2, 3, …", "string 6, 7, 8"]
+    assert [text.get_text() for text in ax.texts] == [
+        "bottom[0, 1, 2], top[0], …",
+        "vertical[0, 1, 2]",
+    ]
 
 
 def test_force_densities_of_a_plan_are_steps_with_their_bounds():

@@ -73,6 +73,71 @@ def test_following_keeps_the_middle_in_place(shown, motion):
     np.testing.assert_allclose(batch(shown, "nodes").batched_positions, motion.nodes[40], atol=1e-6)
 
 
+def test_motions_stand_side_by_side_with_their_surroundings(shown):
+    canvas = shown.player.canvas
+    second = canvas.layers[1]
+    assert batch(shown, "bars", 1).opacity == 0.4
+    low, high = canvas.content.corners
+    canvas.arrange(True)
+    assert second.root.position[0] > high[0] - low[0]
+    assert batch(shown, "bars", 1).opacity is None
+    shown.player.show(0.2)
+    np.testing.assert_array_equal(
+        batch(shown, "bars", 1).batched_colors[0], linearize_colors(STYLE.bar)
+    )
+    labels = shown.player.controls.labels
+    for motion in (0, 1):
+        labels.toggle((motion, "nodes", 0))
+    labels.update()
+    places = [np.array(label.position) for label in labels.clicked.values()]
+    np.testing.assert_allclose(places[1] - places[0], second.root.position, atol=1e-6)
+    canvas.arrange(False)
+    assert not np.any(second.root.position)
+    assert batch(shown, "bars", 1).opacity == 0.4
+
+
+def test_shadows_can_be_switched(shown):
+    canvas, nodes = shown.player.canvas, shown._server.scene._handle_from_node_name
+    assert not canvas._sun.cast_shadow
+    assert not nodes["/shown/around 0/ground 0"].receive_shadow
+    canvas.cast_shadows(True)
+    floor = nodes["/shown/around 0/ground 0"]
+    assert canvas._sun.cast_shadow
+    assert floor.receive_shadow > 0
+    assert (batch(shown, "bars").cast_shadow, batch(shown, "bars", 1).cast_shadow) == (True, False)
+    canvas.cast_shadows(False)
+    assert not canvas._sun.cast_shadow
+
+
+def pushed():
+    """A prism on the ground that is pushed aside."""
+    prism = tc.shapes.prism(prestress=50.0)
+    loads = np.tile([1.0, 0.0, 0.0], (6, 1))
+    ground = tc.Ground(height=prism.nodes[:, 2].min())
+    scene = tc.Scene(prism, gravity=tc.Gravity(), ground=ground, forces=tc.NodalForce(loads))
+    return tc.simulate(tc.Model(scene), 0.1, 1e-3, save_every=10, compiled=False)
+
+
+def test_forces_are_arrows_that_can_be_hidden():
+    with view(pushed(), browser=False, wait=False) as found:
+        player = found.player
+        player.play(False)
+        player.show(0.1)
+        arrows = player.canvas.layers[0].arrows
+        assert set(arrows) == {"load", "contact"}
+        assert arrows["load"].visible
+        assert arrows["contact"].visible
+        assert len(arrows["load"].points) == 6
+        ends = np.array(arrows["load"].points)
+        along = ends[:, 1] - ends[:, 0]
+        np.testing.assert_allclose(along[:, 1:], 0.0, atol=1e-6)
+        assert "loads, 1 N as 0.25 m" in player.controls._legend.content
+        player.controls.show_forces("load", False)
+        player.show(0.1)
+        assert not arrows["load"].visible
+        assert "loads" not in player.controls._legend.content
+
+
 def test_shorter_motions_stay_at_their_end(shown, motion):
     shown.player.show(0.5)
     for layer, row in ((0, -1), (1, 30)):

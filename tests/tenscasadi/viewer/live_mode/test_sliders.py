@@ -21,10 +21,8 @@ def simulation(structure, **options):
 def test_few_strings_have_one_each_and_one_for_all():
     run = simulation(PRISM)
     sliders = choose_sliders(run)
-    assert [slider.name for slider in sliders] == [
-        "all (factor)",
-        *(f"string {k}" for k in range(9)),
-    ]
+    names = [f"{group}[{k}]" for group in ("bottom", "top", "vertical") for k in range(3)]
+    assert [slider.name for slider in sliders] == ["all (factor)", *names]
     sliders[3].apply(run, 0.9 * run.start_control[2])
     expected = run.start_control.copy()
     expected[2] *= 0.9

@@ -10,6 +10,7 @@ import pytest
 from visitor import CAMERA, connect, say, wait_for
 
 from tenscasadi.viewer.web.server import (
+    MOST_BYTES,
     OpenToNetwork,
     address,
     is_plain,
@@ -146,7 +147,7 @@ def test_a_page_cannot_upload_nor_publish_nor_change_inner_values(server, monkey
 
 def test_a_page_cannot_fill_the_memory(server):
     with connect(server) as page:
-        page.send(b"\0" * (2**20 + 1))
+        page.send(b"\0" * (MOST_BYTES + 1))
         with pytest.raises(refusals.ConnectionClosed):
             list(page)
 
