@@ -17,7 +17,7 @@ from tenscasadi.integrators.rattle import Rattle
 from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853, RungeKutta4
 from tenscasadi.integrators.stabilization import BarLengthCorrection, Projection, projection
 from tenscasadi.integrators.sundials import Cvodes, Idas
-from tenscasadi.io.scene_files import load_scene, load_simulation, save_scene
+from tenscasadi.io.scene_files import load_scene, save_scene
 from tenscasadi.scene.control_function import ControlFunction
 from tenscasadi.scene.ground import Ground, Terrain
 from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
@@ -34,6 +34,7 @@ from tenscasadi.simulation.motions import Rollouts
 from tenscasadi.simulation.rollouts import rollouts
 from tenscasadi.simulation.sensitivities import Sensitivities, sensitivities
 from tenscasadi.simulation.simulate import simulate
+from tenscasadi.simulation.simulation_files import load_simulation
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure import shapes
 from tenscasadi.structure.class_one import ClassOne

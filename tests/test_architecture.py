@@ -18,10 +18,13 @@ import tenscasadi
 ROOT = Path(__file__).resolve().parents[1]
 
 # From left to right; names in one set do not import each other.
-_MODEL = ("util", "schema", "structure", "scene", "dynamics", "integrators", "simulation")
+_MODEL = (
+    *("util", "schema", "structure", "scene", "io"),
+    *("dynamics", "integrators", "simulation"),
+)
 TENSCASADI = (
     *_MODEL,
-    {"statics", "sweeps", "io", "drawing"},
+    {"statics", "sweeps", "drawing"},
     {"exchange", "plots", "envs"},
     "analysis",
     "viewer",
@@ -37,12 +40,13 @@ OCP = (
     "phases",
     "control",
     "search",
+    "io",
     "plan",
-    {"io", "solve"},
+    "solve",
     {"export", "renamed"},
 )
 
-OPEN_TO_OCP = {*_MODEL, "statics", "io", "drawing"}
+OPEN_TO_OCP = {*_MODEL, "statics", "drawing"}
 # Methods that lead on to what is made of a value, such as `value.view()` and `plan.refine()`: it is
 # imported when they are called, and only there.
 ONWARD = {

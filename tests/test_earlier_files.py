@@ -14,8 +14,7 @@ import pytest
 
 import ocp
 import tenscasadi as tc
-from tenscasadi.io.older_files import upgrade
-from tenscasadi.schema.packing import unpack
+from ocp.plan.older_files import upgrade
 from tenscasadi.util.archive import Fields
 
 if sys.version_info >= (3, 11):
@@ -76,18 +75,21 @@ study.__module__ = "study"  # as when the files were written
 
 
 @pytest.mark.parametrize("path", sorted(FOLDERS[0].glob("told_*.npz")), ids=lambda path: path.stem)
-def test_solved_problems_load(path):
-    model = tc.Model(
-        tc.Scene(tc.shapes.prism(3, stiffness=1000.0, bar_radius=0.005), control=tc.ForceDensity())
-    )
+def test_solved_problems_load(path, tmp_path):
     with np.load(path) as told, np.load(FOLDERS[1] / "plan.npz") as plan:
-        content = Fields({**plan, **told})
-    upgrade(content)
-    found = unpack(content)
-    assert len(ocp.Problem(model, **found["problem"]).bounds) == 12
-    told = json.loads(content["solved"].item())
+        prism = tc.shapes.prism(3, bar_radius=0.005)  # what the problems are for
+        own = {f"structure.{name}": getattr(prism, name) for name in ("nodes", "bar_radius")}
+        np.savez(tmp_path / "plan.npz", **{**plan, **told, **own})
+    loaded = ocp.Plan.load(tmp_path / "plan.npz")
+    told = json.loads(loaded_text(path))
+    assert len(loaded.problem.bounds) == 12, loaded.unknown
     for name in ("transcription", "solver"):
-        assert type(found[name]).__name__ == told[name]["class"]
+        assert type(getattr(loaded, name)).__name__ == told[name]["class"]
+
+
+def loaded_text(path: Path) -> str:
+    with np.load(path) as told:
+        return str(told["solved"].item())
 
 
 def scene_of(name: str) -> dict[str, object]:
@@ -148,9 +150,11 @@ MODELS = sorted((FOLDERS[0] / "models").glob("*.npz"))
 
 @pytest.mark.parametrize("path", MODELS, ids=lambda path: path.stem)
 def test_models_load(path):
+    motion = tc.Trajectory.load(FOLDERS[1] / "trajectory.npz")
     with np.load(path) as archive:
         content = Fields(archive)
-    found = upgrade(content)
+    found = upgrade(content, motion)
+    scene = found["trajectory"].scene
     assert (found["model"] is None) is bool(content["scene.functions"].size)
-    assert found["scene"].structure is found["structure"]
-    assert found["sampled"] == tuple(content["scene.functions"].tolist())
+    assert scene.structure is found["structure"]
+    assert found["trajectory"].sampled == tuple(content["scene.functions"].tolist())

@@ -31,10 +31,11 @@ from tenscasadi.schema.definitions import OneOf, definition
 from tenscasadi.schema.field_types import PER_ITEM, STATE, Word
 from tenscasadi.schema.reading import Item, NotWritten, call
 from tenscasadi.simulation.declared import Simulation
+from tenscasadi.simulation.simulation_files import SIMULATION, START
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import positive_number, whole_number
 
-START = OfStructure(
+_START = OfStructure(
     "nodes",
     Either(
         (str,),
@@ -86,7 +87,7 @@ class PlanPart:
     """
 
     duration: float | tuple[float, float] = 1.0
-    start: Annotated[Any, START] = None
+    start: Annotated[Any, _START] = None
     goals: Sequence[Goal] = ()
     bounds: Sequence[Bound] = ()
     costs: Sequence[Cost] = ()
@@ -116,8 +117,8 @@ PLAN = definition(PlanPart, "plan")
 
 
 def file_schema() -> dict[str, Any]:
-    """Return the JSON Schema of scene files, with [plan]."""
-    return scene_schema({"plan": PLAN})
+    """Build the JSON Schema of scene files."""
+    return scene_schema({"start": START, "simulation": SIMULATION, "plan": PLAN})
 
 
 def read_plan(item: Item, simulation: Simulation) -> dict[str, Any]:

@@ -10,10 +10,10 @@ from ocp.io.plan_section import WAY, read_plan, write_plan
 from ocp.problem.problem import Problem
 from tenscasadi.io.document import read_document, write_document
 from tenscasadi.io.scene_files import read_scene, write_scene
-from tenscasadi.io.simulation_section import START, read_simulation
 from tenscasadi.scene.scene import Scene
 from tenscasadi.schema.reading import Document, NotWritten
 from tenscasadi.simulation.declared import Simulation
+from tenscasadi.simulation.simulation_files import START, read_simulation
 from tenscasadi.util.validate import file_path, instance
 
 

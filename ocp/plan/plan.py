@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from types import NoneType
 from typing import Any
 
 from ocp.control.lqr import replay_tracked, track
 from ocp.plan.checks import check_plan
 from ocp.plan.many_replays import measure_robustness
+from ocp.plan.older_files import upgrade
+from ocp.plan.plan_files import find_differences, read_parts, write_parts
 from ocp.plan.robustness import Robustness
 from ocp.problem.problem import Problem
 from ocp.results.refinement import refine_until_accurate
@@ -19,14 +20,11 @@ from ocp.results.report import Report, report_of
 from ocp.results.result import PlanResult
 from ocp.results.view_content import describe_plan
 from ocp.search.find_plan import find_plan
-from ocp.solvers.base import NamedSolver
-from ocp.transcription.base import Transcription
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme
-from tenscasadi.io.older_files import upgrade
+from tenscasadi.io.document import read_tables
 from tenscasadi.scene.samples import sample_functions
-from tenscasadi.schema.packing import NotStored, find_differences, unpack
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.archive import Fields
 from tenscasadi.util.validate import flag, instance, positive_number, whole_number
@@ -327,44 +325,17 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
         return replace(plan, model=problem.model, problem=problem)
 
     @classmethod
-    def _upgrade(cls, content: Fields) -> dict[str, Any]:
-        values = upgrade(content) | unpack(content)
-        return {
-            "unknown": "" if "problem" in values else "its file is of an older version"
-        } | values
+    def _check_loaded(cls, given: Mapping[str, Any]) -> None:
+        check_plan(given)
+
+    def _write_values(self) -> dict[str, str]:
+        return {"plan": write_parts(self)}
 
     @classmethod
-    def _restore(cls, given: dict[str, Any]) -> dict[str, Any]:
-        if "scene" in given:  # of version 0.1
-            scene = {name: given.pop(name) for name in ("scene", "sampled")}
-            given["trajectory"] = replace(given["trajectory"], **scene)
-        if isinstance(given.get("problem"), dict):  # of version 0.1, without its model
-            given["problem"] = _build_problem(given["model"], given["problem"])
-        reasons = []
-        for name, kind in _PARTS.items():
-            part = given.get(name)
-            if not isinstance(part, (kind, NoneType)):
-                failed = isinstance(part, (ValueError, NotStored))
-                reasons.append(str(part) if failed else f"field {name!r} holds no {name}")
-                given[name] = None
-        given["unknown"] = (reasons or [given["unknown"]])[0]
-        given = super()._restore(given)
-        if given["structure"] is None:
-            raise ValueError("field 'structure' holds no structure")
-        check_plan(given)
-        return given
-
-
-_PARTS = {"problem": Problem, "transcription": Transcription, "solver": NamedSolver}
-
-
-def _build_problem(model: Model | None, given: dict[str, Any]) -> Problem | ValueError:
-    try:
-        if model is None:
-            raise ValueError("the scene has functions of time")
-        return Problem(model, **given)
-    except (TypeError, ValueError) as error:
-        return ValueError(str(error))
+    def _read_values(cls, content: Fields, given: Mapping[str, Any]) -> dict[str, Any]:
+        if "plan" not in content:
+            return upgrade(content, given["trajectory"])
+        return read_tables("plan", str(content["plan"]), read_parts)
 
 
 def _find_differences(plan: Plan, model: Model) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -52,10 +52,6 @@ class Duals(Stored):
     names: Annotated[tuple[str, ...], "m", "U"]
     values: Annotated[Array, "m", "f"]
     point: Annotated[Array, "u", "f"]
-
-    @classmethod
-    def _restore(cls, given: dict[str, Any]) -> dict[str, Any]:
-        return {**given, "names": tuple(given["names"].tolist())}
 
     def __repr__(self) -> str:
         return f"Duals({len(self.names)} multipliers, {len(self.point)} unknowns)"

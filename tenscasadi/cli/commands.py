@@ -20,7 +20,7 @@ from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stability import fastest_rate, stable_step
 from tenscasadi.integrators.stabilization import Projection
 from tenscasadi.io.document import Change
-from tenscasadi.io.simulation_section import SIMULATION
+from tenscasadi.simulation.simulation_files import SIMULATION
 from tenscasadi.statics.force_density import EquilibriumError, equilibrium_force_density
 from tenscasadi.structure.names import label
 from tenscasadi.structure.structure import Structure

@@ -10,10 +10,10 @@ from typing import Any
 
 from tenscasadi.io.document import ENDINGS, Change, read_document
 from tenscasadi.io.scene_files import read_scene
-from tenscasadi.io.simulation_section import read_simulation
 from tenscasadi.scene.scene import Scene
 from tenscasadi.schema.reading import Document
 from tenscasadi.simulation.declared import Simulation
+from tenscasadi.simulation.simulation_files import read_simulation
 
 FOLDER = Path(__file__).with_name("templates")
 TEMPLATES = {path.stem: path for path in sorted(FOLDER.glob("*.toml"))}

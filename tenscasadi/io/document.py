@@ -5,10 +5,10 @@ from __future__ import annotations
 import graphlib
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from tenscasadi.schema.formulas import RESERVED
 from tenscasadi.schema.reading import Document, Item, SceneFileError, nearest
@@ -16,6 +16,7 @@ from tenscasadi.schema.text import TextError, parse, to_json, to_toml
 from tenscasadi.util.validate import file_path, format_value
 from tenscasadi.util.whole_file import whole_file
 
+T = TypeVar("T")
 HEAD: Mapping[str, Any] = {"format": 1, "units": "SI"}
 ENDINGS = (".toml", ".json")
 SECTIONS = {
@@ -71,6 +72,19 @@ def write_document(path: Path, tables: Mapping[str, Any]) -> Path:
     with whole_file(path) as file:
         file.write(text.encode("utf-8"))
     return path
+
+
+def format_tables(tables: Mapping[str, Any]) -> str:
+    """Format tables as JSON text for files of results."""
+    return to_json({**HEAD, **tables})
+
+
+def read_tables(field: str, text: str, read: Callable[[Document], T]) -> T:
+    """Read the tables of a field of a file of results. Raises ValueError naming the field."""
+    try:
+        return read(Document(field, parse(text, "json")))
+    except ValueError as error:
+        raise ValueError(f"field {field!r} is damaged ({error})") from error
 
 
 def _format_change(change: Change) -> str:

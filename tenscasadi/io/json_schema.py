@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Any
 
 from tenscasadi.io.document import HEAD, SECTIONS
 from tenscasadi.io.scene_files import SCENE
-from tenscasadi.io.simulation_section import SIMULATION, START
 from tenscasadi.io.structure_section import StructureSection
 from tenscasadi.schema.containers import TableOf
 from tenscasadi.schema.definitions import Definition
-from tenscasadi.schema.field_types import NUMBER, Schema, Schemas
+from tenscasadi.schema.field_types import NUMBER, FieldType, Schema, Schemas
 
-_OWN = {"scene": SCENE, "start": START, "simulation": SIMULATION}
 _INCLUDE: Schema = {
     "type": "array",
     "items": {"type": "string", "pattern": r"\.(toml|json)$"},
@@ -22,17 +19,13 @@ _INCLUDE: Schema = {
 }
 
 
-def scene_schema(more: Mapping[str, Definition] = MappingProxyType({})) -> dict[str, Any]:
-    """Build the JSON Schema of scene files.
-
-    `more` are definitions of sections that other packages read, such as the plan.
-    """
+def scene_schema(sections: Mapping[str, Definition]) -> dict[str, Any]:
+    """Build the JSON Schema of scene files with these sections beside [structure] and [scene]."""
     kinds: Schemas = {}
-    sections = {"structure": StructureSection().schema(kinds)}
-    sections |= {name: own.schema(kinds) for name, own in (_OWN | dict(more)).items()}
+    known: Mapping[str, FieldType | Definition]
+    known = {"structure": StructureSection(), "scene": SCENE, **sections}
     tables = {
-        name: {"description": text, **sections.get(name, {"type": "object"})}
-        for name, text in SECTIONS.items()
+        name: {"description": text, **known[name].schema(kinds)} for name, text in SECTIONS.items()
     }
     head = {name: {"const": value} for name, value in HEAD.items()}
     numbers = TableOf(NUMBER).schema(kinds)

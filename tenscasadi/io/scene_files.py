@@ -1,19 +1,18 @@
-"""Scene files: scenes and simulations from TOML and back, to the last bit."""
+"""Scene files: values in TOML or JSON and back, to the last bit."""
 
 from __future__ import annotations
 
 import os
+from functools import singledispatch
 from pathlib import Path
 from typing import Any
 
 from tenscasadi.io.document import read_document, write_document
-from tenscasadi.io.simulation_section import read_simulation, write_simulation
 from tenscasadi.io.structure_section import StructureSection
 from tenscasadi.scene.scene import Scene
 from tenscasadi.schema.definitions import definition
 from tenscasadi.schema.reading import Document, Item, NotWritten
-from tenscasadi.simulation.declared import Simulation
-from tenscasadi.util.validate import file_path, instance
+from tenscasadi.util.validate import file_path, format_value
 
 SCENE = definition(Scene)
 
@@ -27,23 +26,23 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
     Parameters
     ----------
     path : str or os.PathLike
-        A file in TOML, as docs/scene_files.md describes it.
+        Scene file in TOML or JSON, see docs/scene_files.md.
 
     Returns
     -------
     Scene
-        What [structure] and [scene] tell.
+        Scene of the sections [structure] and [scene].
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     SceneFileError
-        If it is no scene file, in one line: file, line, key, value and cure.
+        If it is no scene file. The message names file, line, key, value and cure.
 
     See Also
     --------
-    load_simulation : Also [start] and [simulation].
+    load_simulation : Also read [start] and [simulation].
     save_scene : Write one.
 
     Examples
@@ -58,53 +57,17 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
     return read_scene(read_document(path))
 
 
-def load_simulation(path: str | os.PathLike[str]) -> Simulation:
-    """Read the scene of a scene file, its start, and how it is simulated.
+def save_scene(scene: Any, path: str | os.PathLike[str]) -> Path:
+    """Write a scene or a simulation to a scene file.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-        A file in TOML with a table [simulation], as docs/scene_files.md describes it.
-
-    Returns
-    -------
-    Simulation
-        What all tables but [plan] tell.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    SceneFileError
-        If it is no scene file or has no [simulation], in one line: file, line, key, value and cure.
-
-    See Also
-    --------
-    load_scene : The scene alone.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> import tenscasadi as tc
-    >>> swing = tc.Simulation(tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity()), t_end=0.1, step=1e-3)
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     path = tc.save_scene(swing, f"{folder}/swing.toml")
-    ...     tc.load_simulation(path).run(compiled=False).message
-    'finished 100 steps of 0.001 s'
-    """
-    document = read_document(path)
-    return read_simulation(document, read_scene(document))
-
-
-def save_scene(scene: Scene | Simulation, path: str | os.PathLike[str]) -> Path:
-    """Write a scene or a simulation to a scene file, from which it comes back to the last bit.
+    It comes back to the last bit.
 
     Parameters
     ----------
     scene : Scene or Simulation
-        What is written.
+        Scene or simulation to write.
     path : str or os.PathLike
-        The file in TOML; one that is there is replaced.
+        File in JSON if its name ends in ".json", otherwise in TOML. An existing one is replaced.
 
     Returns
     -------
@@ -116,8 +79,8 @@ def save_scene(scene: Scene | Simulation, path: str | os.PathLike[str]) -> Path:
     TypeError
         If `scene` is neither.
     ValueError
-        If a part of it cannot be written, by its name: functions of time in Python, structures that
-        `Structure.subdivide` or `Structure.from_matrices` made, schemes of your own.
+        If a part of it cannot be written, by its name: a function of time in Python, or a scheme or
+        law of an own class.
     OSError
         If the file cannot be written.
 
@@ -134,10 +97,9 @@ def save_scene(scene: Scene | Simulation, path: str | os.PathLike[str]) -> Path:
     ...     print(path.read_text().splitlines()[:2])
     ['format = 1', 'units = "SI"']
     """
-    instance("scene", scene, (Scene, Simulation), "a tenscasadi.Scene or a tenscasadi.Simulation")
     target = file_path("path", path)
     try:
-        tables = write_scene(scene)
+        tables = write_tables(scene)
     except NotWritten as error:
         raise ValueError(f"scene cannot be written, {error}") from None
     return write_document(target, tables)
@@ -154,10 +116,16 @@ def read_scene(document: Document) -> Scene:
     return SCENE.read(given._replace(names=structure.names), structure=structure)  # type: ignore[no-any-return]
 
 
-def write_scene(scene: Scene | Simulation) -> dict[str, Any]:
-    """Write the tables of a scene or a simulation. Raises NotWritten."""
-    own = scene.scene if isinstance(scene, Simulation) else scene
-    tables = {"structure": StructureSection().write(own.structure), "scene": SCENE.write(own)}
-    if isinstance(scene, Simulation):
-        tables |= write_simulation(scene)
+@singledispatch
+def write_tables(value: Any) -> dict[str, Any]:
+    """Write the tables of a value of a registered class. Raises NotWritten, TypeError."""
+    raise TypeError(
+        f"scene is {format_value(value)}: give a tenscasadi.Scene or a tenscasadi.Simulation"
+    )
+
+
+@write_tables.register
+def write_scene(scene: Scene) -> dict[str, Any]:
+    """Write [structure] and [scene]. Raises NotWritten."""
+    tables = {"structure": StructureSection().write(scene.structure), "scene": SCENE.write(scene)}
     return {name: table for name, table in tables.items() if table}

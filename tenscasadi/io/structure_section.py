@@ -10,10 +10,20 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from tenscasadi.io.structure_types import MemberGroups, NodeTable, PerItem, Turn
-from tenscasadi.schema.containers import ListOf, MapOf, for_items
+from tenscasadi.schema.containers import ListOf, MapOf, TableOf, for_items
 from tenscasadi.schema.definitions import Definition, definition
-from tenscasadi.schema.field_types import VECTOR, FieldType, Members, Numbers, Schema, Schemas, Word
-from tenscasadi.schema.reading import Item, ItemKind, Names, NotWritten, call, nearest
+from tenscasadi.schema.field_types import (
+    POINTS,
+    TIMES,
+    VECTOR,
+    FieldType,
+    Members,
+    Numbers,
+    Schema,
+    Schemas,
+    Word,
+)
+from tenscasadi.schema.reading import Item, ItemKind, Names, call, nearest
 from tenscasadi.structure.names import find_names, name_members
 from tenscasadi.structure.shapes import Shape
 from tenscasadi.structure.structure import Structure
@@ -35,6 +45,11 @@ _TYPES: dict[str, FieldType] = {
     "rollers": MapOf("node", Numbers(((3,), (None, 3)))),
     **dict.fromkeys(("node_names", "bar_names", "string_names"), ListOf(Word())),
 }
+_INDICES, _PAIRS = (Numbers((shape,), whole=True) for shape in ((None,), (None, 2)))
+_DERIVED = TableOf(
+    {"string_parent": _INDICES, "string_fraction": TIMES, "mass_share": TIMES, "ties": POINTS}
+    | {"physical": _INDICES, "bar_columns": _PAIRS, "string_columns": _PAIRS}
+)
 
 
 @dataclass(frozen=True)
@@ -49,16 +64,21 @@ class _Placement:
         Rotation of all nodes about an axis through the origin.
     move : sequence of float, shape (3,)
         Displacement of all nodes after that, m.
+    derived : table
+        Segments and columns of a structure that `Structure.subdivide` or `Structure.from_matrices`
+        made. Saved files hold it; do not write it by hand.
     """
 
     force_density: Annotated[Any, PerItem("string", np.nan)] = None
     turn: Turn | None = None
     move: Annotated[Any, VECTOR] = None
+    derived: Annotated[Any, _DERIVED] = None
 
 
 _LATER = definition(_Placement).fields
 _NAMES = ("node_names", "bar_names", "string_names")
-_FIRST = ("nodes", "bars", "strings", *_NAMES)  # read before the options, which may use names
+# read before the options, which may use names
+_FIRST = ("nodes", "bars", "strings", *_NAMES, "derived")
 _PLAIN = definition(Structure, "nodes", "shape", types=tuple(_TYPES.items()))
 NODES = replace(_PLAIN, fields={**_PLAIN.fields, **_LATER})
 OPTIONS = {name: own for name, own in NODES.fields.items() if name not in _FIRST}
@@ -97,12 +117,6 @@ class StructureSection(FieldType):
     def write(self, value: Any) -> dict[str, Any]:
         """Write nodes, bars and strings."""
         fields = dict(value.to_fields())
-        if fields.keys() - NODES.fields.keys():
-            raise NotWritten(
-                "Structure: it has columns or segments that `from_matrices` or `subdivide` made,"
-                " which files do not hold: give Scene(segments=...) in place of subdivide, or keep"
-                " it in Python"
-            )
         if all(axes == "xyz" for axes in value.pinned.values()):
             fields["pinned"] = list(value.pinned)
         if np.array_equal(value.rest_length, value.string_lengths):
@@ -112,9 +126,8 @@ class StructureSection(FieldType):
         return {name: content for name, content in written.items() if content not in ([], {})}
 
     def schema(self, kinds: Schemas) -> Schema:
-        """Build the schema of all shapes, and of nodes."""
-        shapes = [shape.schema(kinds, tagged=True) for shape in find_shapes().values()]
-        return {"anyOf": [*shapes, NODES.schema(kinds)]}
+        """Build the schema of nodes and of shapes."""
+        return {"anyOf": [NODES.schema(kinds), _build_shape_schema(kinds)]}
 
 
 @dataclass(frozen=True)
@@ -136,8 +149,16 @@ class OfStructure(FieldType):
 
     def schema(self, kinds: Schemas) -> Schema:
         """Build the schema of both."""
+        return {"anyOf": [self.other.schema(kinds), _build_shape_schema(kinds)]}
+
+
+def _build_shape_schema(kinds: Schemas) -> Schema:
+    """Add the schemas of all shapes, which their names tell apart."""
+    if "Shape" not in kinds:
         shapes = [shape.schema(kinds, tagged=True) for shape in find_shapes().values()]
-        return {"anyOf": [self.other.schema(kinds), *shapes]}
+        several = {"type": "object", "discriminator": {"propertyName": "shape"}, "oneOf": shapes}
+        kinds["Shape"] = {"description": "Shape of a structure by its name.", **several}
+    return {"$ref": "#/$defs/Shape"}
 
 
 Groups = Mapping[str, list[tuple[range, Item, Any]]]  # indices, items and values by property
@@ -165,7 +186,9 @@ def _read_nodes(item: Item, table: dict[str, Item]) -> Structure:
         raise item.error(f"has neither nodes nor shape: {cure}")
     nodes, names = _TYPES["nodes"].read(table["nodes"])
     given: dict[str, Any] = {"nodes": nodes, "node_names": names}
-    given |= NODES.read_fields({name: table[name] for name in _NAMES if name in table})
+    given |= NODES.read_fields(
+        {name: table[name] for name in (*_NAMES, "derived") if name in table}
+    )
     groups: dict[str, Any] = {}
     for which in ("bar", "string"):
         if (part := f"{which}s") in table:
@@ -181,7 +204,7 @@ def _read_nodes(item: Item, table: dict[str, Item]) -> Structure:
         given[name] = np.full(count, given.get(name, _OTHERS[name]))
         for indices, _, value in parts:
             given[name][indices.start : indices.stop] = value
-    return _build(Structure, given, item, table, groups)
+    return _build(Structure.from_fields, given, item, table, groups)
 
 
 def _find_names(given: Mapping[str, Any]) -> Names:
@@ -214,7 +237,9 @@ def _build(
                     raise entry.error(str(error)) from error
             return call(function, item, table, fields)  # type: ignore[no-any-return]
 
-    later = {name: given.pop(name, None) for name in ("rest_length", *_LATER)}
+    later = {
+        name: given.pop(name, None) for name in ("rest_length", "force_density", "turn", "move")
+    }
     structure = make(build, **given)
     lengths, forces = np.full((2, len(structure.strings)), np.nan)
     for name, values in {"rest_length": lengths, "force_density": forces}.items():

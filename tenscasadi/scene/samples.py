@@ -2,49 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from tenscasadi.scene.over_time import read_sample
 from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.time_functions import interpolate
+from tenscasadi.scene.time_functions import Samples
 from tenscasadi.schema.time_formula import TimeFormula
-from tenscasadi.schema.value import Value
-from tenscasadi.util.validate import Array, finite_array
-
-
-@dataclass(frozen=True, eq=False)
-class Samples(Value, kind="Samples"):
-    """Function of time that is known at some times.
-
-    It is linear between them and constant before and after.
-
-    Parameters
-    ----------
-    times : ndarray, shape (K,)
-        Times [s].
-    values : ndarray, shape (K, 3)
-        Values at these times.
-    """
-
-    times: Array
-    values: Array
-
-    def __post_init__(self) -> None:
-        times = finite_array("Samples.times", self.times, (None,))
-        object.__setattr__(self, "times", times)
-        values = finite_array("Samples.values", self.values, (len(times), 3))
-        object.__setattr__(self, "values", values)
-
-    def __call__(self, time: Any) -> Any:
-        """Interpolate at a time, a number or a CasADi symbol."""
-        if isinstance(time, (ca.SX, ca.MX, ca.DM)) and len(self.times) > 1:
-            return interpolate(time, self.times, self.values, 3)
-        number = 0.0 if isinstance(time, (ca.SX, ca.MX)) else float(time)
-        return [float(np.interp(number, self.times, column)) for column in self.values.T]
+from tenscasadi.util.validate import Array
 
 
 def sample_functions(scene: Scene, times: Array) -> tuple[Scene, tuple[str, ...]]:

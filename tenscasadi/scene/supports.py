@@ -11,14 +11,16 @@ import numpy as np
 
 from tenscasadi.scene.breakpoints import at_edges, find_breakpoints, probe_times
 from tenscasadi.scene.over_time import takes_breaks
-from tenscasadi.scene.time_functions import CURE, check_over_run, express
-from tenscasadi.schema.containers import MapOf
+from tenscasadi.scene.time_functions import CURE, Samples, check_over_run, express
+from tenscasadi.schema.containers import Either, MapOf
+from tenscasadi.schema.definitions import OneOf
 from tenscasadi.schema.field_types import MOVING_POINT, TIMES
 from tenscasadi.schema.time_formula import TimeFormula
 from tenscasadi.schema.value import Value
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, finite_array, format_value, node_index
 
+_MOTION = Either((dict, Samples), OneOf(Samples), MOVING_POINT)
 _AROUND = 1e-9  # of the latest time: how far before and after a switch both sides are compared
 _JUMP = 1e-9  # of the largest value: more is a jump
 _STEEP = 100.0  # times what the largest rate makes of it: more is a jump
@@ -55,7 +57,7 @@ class SupportMotion(Value, kind="SupportMotion"):
     True
     """
 
-    positions: Annotated[Mapping[int, Callable[[Any], Any]], MapOf("node", MOVING_POINT)]
+    positions: Annotated[Mapping[int, Callable[[Any], Any]], MapOf("node", _MOTION)]
     breakpoints: Annotated[Any, TIMES] = ()
 
     def __post_init__(self) -> None:

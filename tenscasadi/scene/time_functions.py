@@ -5,14 +5,17 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
 
 from tenscasadi.scene.breakpoints import find_breakpoints, probe_times
-from tenscasadi.util.validate import Array, format_value
+from tenscasadi.schema.field_types import POINTS, TIMES
+from tenscasadi.schema.value import Value
+from tenscasadi.util.validate import Array, finite_array, format_value
 
 _CASADI = (ca.SX, ca.MX, ca.DM)
 CURE = "write it with NumPy's or CasADi's mathematics, without math, float() and if"
@@ -150,3 +153,35 @@ def interpolate(time: Any, times: Array, table: Array, rows: int) -> Any:
     ]
     columns = [ca.vertcat(*entries[k : k + rows]) for k in range(0, len(entries), rows)]
     return ca.Function("table", [t], [ca.densify(ca.SX(ca.horzcat(*columns)))])(time)
+
+
+@dataclass(frozen=True, eq=False)
+class Samples(Value, kind="Samples"):
+    """Function of time that is known at some times.
+
+    It is linear between them and constant before and after. Saved results hold such functions in
+    place of those of Python. Nodes cannot follow the jumps of its velocity in a simulation.
+
+    Parameters
+    ----------
+    times : ndarray, shape (K,)
+        Times [s].
+    values : ndarray, shape (K, 3)
+        Values at these times.
+    """
+
+    times: Annotated[Array, TIMES]
+    values: Annotated[Array, POINTS]
+
+    def __post_init__(self) -> None:
+        times = finite_array("Samples.times", self.times, (None,))
+        object.__setattr__(self, "times", times)
+        values = finite_array("Samples.values", self.values, (len(times), 3))
+        object.__setattr__(self, "values", values)
+
+    def __call__(self, time: Any) -> Any:
+        """Interpolate at a time, a number or a CasADi symbol."""
+        if isinstance(time, (ca.SX, ca.MX, ca.DM)) and len(self.times) > 1:
+            return interpolate(time, self.times, self.values, 3)
+        number = 0.0 if isinstance(time, (ca.SX, ca.MX)) else float(time)
+        return [float(np.interp(number, self.times, column)) for column in self.values.T]

@@ -120,8 +120,7 @@ class Definition:
 
     def schema(self, kinds: Schemas, tagged: bool = False) -> Schema:
         """Add the JSON Schema to `kinds` and refer to it; `tagged`: the table has to name its kind."""
-        package = self.build.__module__.partition(".")[0]
-        name = self.kind if package == __package__.partition(".")[0] else f"{package}.{self.kind}"
+        name = _schema_name(self.build, self.kind)
         if name not in kinds:
             kinds[name] = {}  # a kind may hold its like
             own = {field: _field_schema(known, kinds) for field, known in self._in_files()}
@@ -133,9 +132,18 @@ class Definition:
                 **({"required": needed} if needed else {}),
             }
             short = [self.fields[self.short].type.schema(kinds)] if self.short else []
-            text = (inspect.getdoc(self.build) or "").partition("\n")[0]
+            text = _summary(self.build)
             kinds[name] = {"description": text, **({"anyOf": [table, *short]} if short else table)}
         return {"$ref": f"#/$defs/{name}"}
+
+
+def _schema_name(build: Callable[..., Any], kind: str) -> str:
+    package = build.__module__.partition(".")[0]
+    return kind if package == __package__.partition(".")[0] else f"{package}.{kind}"
+
+
+def _summary(build: Callable[..., Any]) -> str:
+    return (inspect.getdoc(build) or "").partition("\n")[0]
 
 
 def _field_schema(field: Field, kinds: Schemas) -> Schema:
@@ -263,16 +271,22 @@ class OneOf(FieldType):
         return table if set(table) - {"kind"} else own.kind
 
     def schema(self, kinds: Schemas) -> Schema:
-        """Build the schema of all kinds, which their key tells apart, and of their words."""
-        known = self.definitions
+        """Add the schemas of all kinds, which their key tells apart, and of their words."""
+        known, name = (
+            self.definitions,
+            _schema_name(self.family, self.family.__name__.removeprefix("Named")),
+        )
         words = [kind for kind, own in known.items() if not own.needed]
-        tables = [
-            own.schema(kinds, len(known) > 1 and kind != self.family.implied)
-            for kind, own in known.items()
-        ]
-        several = {"type": "object", "discriminator": {"propertyName": "kind"}, "oneOf": tables}
-        options = [several] if len(known) > 1 else tables
-        return {"anyOf": [*options, *([{"enum": words}] if words else [])]}
+        if len(known) == 1:
+            table = next(iter(known.values())).schema(kinds)
+            return {"anyOf": [table, {"enum": words}]} if words else table
+        if name not in kinds:
+            kinds[name] = {}  # a kind may hold its like
+            tables = [own.schema(kinds, kind != self.family.implied) for kind, own in known.items()]
+            many = {"type": "object", "discriminator": {"propertyName": "kind"}, "oneOf": tables}
+            options = [many, *([{"enum": words}] if words else [])]
+            kinds[name] = {"description": _summary(self.family), "anyOf": options}
+        return {"$ref": f"#/$defs/{name}"}
 
 
 def parameter_texts(build: Callable[..., Any]) -> dict[str, str]:

@@ -14,7 +14,6 @@ from tenscasadi.util.validate import LARGEST, format_value
 
 T = TypeVar("T")
 ItemKind = Literal["node", "bar", "string"]
-MOST_ENTRIES = 200_000  # nodes, members or segments
 
 
 class SceneFileError(ValueError):
@@ -152,8 +151,6 @@ class Item(NamedTuple):
         """Return the items of a list. Raises SceneFileError."""
         if not isinstance(self.value, list):
             raise self.error(f"is {format_value(self.value)}: give {wanted}")
-        if len(self.value) > MOST_ENTRIES:
-            raise self.error(f"has {len(self.value)} entries: give at most {MOST_ENTRIES}")
         return [self.child(k) for k in range(len(self.value))]
 
     def text(self, wanted: str = "text") -> str:

@@ -1,4 +1,4 @@
-"""Results in .npz files: frozen dataclasses of numbers, text, arrays and values."""
+"""Results in .npz files: frozen dataclasses of numbers, text and arrays."""
 
 from __future__ import annotations
 
@@ -22,7 +22,6 @@ from typing import (
 
 import numpy as np
 
-from tenscasadi.schema.packing import ENTRY, NotStored, pack, unpack
 from tenscasadi.util import archive
 from tenscasadi.util.archive import Fields
 from tenscasadi.util.read_only import ReadOnlyArrays
@@ -36,8 +35,8 @@ class Stored(ReadOnlyArrays):
     """Base of results that files hold.
 
     A field that is annotated as in ``Annotated[Array, "Tn3", "f"]`` is an array whose dimensions
-    have the sizes T, n and 3 and whose numbers are of NumPy's kind "f". Fields of other types than
-    numbers, text and arrays are values of registered kinds.
+    have the sizes T, n and 3 and whose numbers are of NumPy's kind "f". Subclasses convert fields of
+    other types than numbers, text, arrays and results by `_write_values` and `_read_values`.
     """
 
     _form: ClassVar[str] = ""  # what files tell of themselves
@@ -121,18 +120,15 @@ class Stored(ReadOnlyArrays):
         dict of str to ndarray
             The fields; values as text and arrays.
         """
-        found: dict[str, Any] = {}
-        values: dict[str, Any] = {}
+        found = {name: np.asarray(value) for name, value in self._write_values().items()}
         for field in fields(self):  # type: ignore[arg-type]  # subclasses are dataclasses
             content = getattr(self, field.name)
             if isinstance(content, Stored):
                 own = content.to_arrays().items()
                 found |= {f"{field.name}.{name}": array for name, array in own}
-            elif field.name not in array_fields(type(self)):
-                values[field.name] = content
-            elif content is not None:
-                found[field.name] = np.asarray(content)
-        return found | (pack(values, self._aliases()) if values else {})
+            elif field.name in array_fields(type(self)) and content is not None:
+                found[field.name] = _as_array(field.name, content)
+        return found
 
     @classmethod
     def from_arrays(cls: type[Own], content: Mapping[str, Any]) -> Own:
@@ -155,14 +151,16 @@ class Stored(ReadOnlyArrays):
         """
         own: type = cls
         content, hints = Fields(content), _find_fields(own).hints
-        given: dict[str, Any] = unpack(content) if ENTRY in content else cls._upgrade(content)
-        for field in fields(cls):  # type: ignore[arg-type]
-            name, hint = field.name, hints[field.name]
+        given: dict[str, Any] = {}
+        for name, hint in hints.items():
             if isinstance(hint, type) and issubclass(hint, Stored):
                 if any(entry.startswith(f"{name}.") for entry in content):
                     given[name] = _restore_part(hint, name, content)
             elif name in array_fields(cls) and name in content:
                 given[name] = _as_array(name, content[name])
+        given |= cls._read_values(content, given)
+        for field in fields(cls):  # type: ignore[arg-type]
+            name = field.name
             if name in given:
                 continue
             if field.default is field.default_factory is MISSING:
@@ -171,33 +169,25 @@ class Stored(ReadOnlyArrays):
             given[name] = field.default if made is MISSING else made()
         _check_arrays(given, cls)
         for name, (letters, _) in array_fields(cls).items():
-            if letters == "" and name in content:
-                given[name] = given[name].item()
-        return cls(**cls._restore(given))
+            if letters == "":
+                given[name] = np.asarray(given[name]).item()
+            elif letters and get_origin(get_args(hints[name])[0]) is tuple and name in content:
+                given[name] = tuple(given[name].tolist())
+        cls._check_loaded(given)
+        return cls(**given)
 
-    @classmethod
-    def _upgrade(cls, content: Fields) -> dict[str, Any]:
-        """Restore the values of a file of version 0.1. Raises ValueError."""
+    def _write_values(self) -> dict[str, str]:
+        """Write fields that are no numbers, text or arrays as texts."""
         return {}
 
     @classmethod
-    def _restore(cls, given: dict[str, Any]) -> dict[str, Any]:
-        """Check loaded fields, and drop values that could not be restored. Raises ValueError."""
-        own: type = cls
-        hints = _find_fields(own).hints
-        for name, value in given.items():
-            if name not in hints:
-                raise ValueError(f"it has a field {name!r}")
-            kind = hints[name]
-            if isinstance(value, ValueError):
-                raise ValueError(f"field {name!r} is damaged ({value})") from value
-            wrong = isinstance(kind, type) and not isinstance(value, kind)
-            given[name] = None if wrong or isinstance(value, NotStored) else value
-        return given
-
-    def _aliases(self) -> dict[int, Any]:
-        """Return values that take the place of others in files, by the ids of these."""
+    def _read_values(cls, content: Fields, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Read fields that `_write_values` wrote; `given` are the others. Raises ValueError."""
         return {}
+
+    @classmethod
+    def _check_loaded(cls, given: Mapping[str, Any]) -> None:
+        """Check the values of loaded fields. Raises ValueError."""
 
 
 def _restore_part(kind: type[Stored], name: str, content: Fields) -> Stored:
@@ -265,6 +255,6 @@ def _as_array(name: str, value: Any) -> Any:
     if np.ma.is_masked(value):
         raise ValueError(f"field {name!r} has masked entries")  # NumPy would use the masked values
     try:
-        return np.asarray(value)
+        return np.asarray(value, dtype=str if isinstance(value, tuple) and not value else None)
     except Exception as error:  # an object's own __array__ may raise anything
         raise ValueError(f"field {name!r} is {format_value(value)}: it must be an array") from error

@@ -35,8 +35,11 @@ class TextError(ValueError):
         self.line = line
 
 
-def parse(text: str, language: str, most: int) -> dict[str, Any]:
-    """Parse a text in "toml" or "json" with at most so many keys and entries. Raises TextError."""
+def parse(text: str, language: str, most: float = math.inf) -> dict[str, Any]:
+    """Parse a text in "toml" or "json".
+
+    It may have `most` keys and entries of lists. Raises TextError.
+    """
     if sum(map(text.count, ",=:[")) > most:
         raise TextError(f"it has more than {most} keys and entries of lists: give fewer", None)
     if language == "toml" and (found := _DEEP.search(text)):  # parsing takes quadratic time

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any
 
@@ -186,9 +187,8 @@ class Rollouts(Viewable, SceneResult, form="tenscasadi rollouts 1", title="file 
         return "\n".join(lines)
 
     @classmethod
-    def _restore(cls, given: dict[str, Any]) -> dict[str, Any]:
+    def _check_loaded(cls, given: Mapping[str, Any]) -> None:
         _check_values(given)
-        return super()._restore(given)
 
 
 def node_positions(rollouts: Rollouts, nodes: Any, motions: Any = slice(None)) -> Array:
@@ -200,7 +200,7 @@ def node_positions(rollouts: Rollouts, nodes: Any, motions: Any = slice(None)) -
     return np.einsum("kij,mtkj->mtki", rollouts.turn[nodes], found) if len(rollouts.turn) else found
 
 
-def _check_values(content: dict[str, Any]) -> None:
+def _check_values(content: Mapping[str, Any]) -> None:
     """Check the values of the fields.
 
     Raises ValueError with the name of the first wrong field. Only motions that failed may hold

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
 
+from tenscasadi.io.document import format_tables, read_tables
+from tenscasadi.io.scene_files import read_scene, write_scene
 from tenscasadi.scene.samples import sample_functions
 from tenscasadi.scene.scene import Scene
+from tenscasadi.schema.reading import Document, NotWritten
 from tenscasadi.schema.stored import Stored
+from tenscasadi.util.archive import Fields
 from tenscasadi.util.validate import Array
 
 Own = TypeVar("Own", bound="SceneResult")
@@ -32,9 +38,19 @@ class SceneResult(Stored):
     scene: Scene | None
     sampled: tuple[str, ...]
 
-    def to_arrays(self) -> dict[str, Any]:
-        """Convert to arrays by name, functions of time as samples."""
-        return Stored.to_arrays(self._sample())
+    def _write_values(self) -> dict[str, str]:
+        own = self._sample()
+        with suppress(NotWritten):  # classes of users
+            if own.scene is not None:
+                more = {"sampled": list(own.sampled)} if own.sampled else {}
+                return {"scene": format_tables(more | write_scene(own.scene))}
+        return {}
+
+    @classmethod
+    def _read_values(cls, content: Fields, given: Mapping[str, Any]) -> dict[str, Any]:
+        if "scene" not in content:
+            return {}
+        return read_tables("scene", str(content["scene"]), _read_scene)
 
     def __getstate__(self) -> dict[str, Any]:
         return vars(self._sample())  # other processes cannot get functions of Python
@@ -49,3 +65,9 @@ class SceneResult(Stored):
         except (TypeError, ValueError):  # a function that cannot be sampled
             return replace(self, scene=None)  # type: ignore[type-var]  # results are dataclasses
         return replace(self, scene=scene, sampled=sampled or self.sampled) if sampled else self  # type: ignore[type-var]
+
+
+def _read_scene(document: Document) -> dict[str, Any]:
+    sampled = document.root.table().get("sampled")
+    names = tuple(item.text() for item in sampled.entries()) if sampled else ()
+    return {"scene": read_scene(document), "sampled": names}

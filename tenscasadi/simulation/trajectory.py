@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
@@ -204,9 +205,8 @@ class Trajectory(
         }
 
     @classmethod
-    def _restore(cls, given: dict[str, Any]) -> dict[str, Any]:
+    def _check_loaded(cls, given: Mapping[str, Any]) -> None:
         _check_values(given)
-        return super()._restore(given)
 
 
 def observe_states(model: Model, states: Array, controls: Array) -> dict[str, Array]:
@@ -311,7 +311,7 @@ _UNKNOWN = (
 )  # may be NaN, as they are not always computed
 
 
-def _check_values(content: dict[str, Any]) -> None:
+def _check_values(content: Mapping[str, Any]) -> None:
     """Check the values of the fields.
 
     Raises ValueError with the name of the first wrong field. Only runs that failed may hold values

@@ -24,7 +24,7 @@ from tenscasadi.structure.class_one import (
     member_lengths,
     read_matrices,
 )
-from tenscasadi.structure.derived import DERIVED, read_derived, write_derived
+from tenscasadi.structure.derived import read_derived, write_derived
 from tenscasadi.structure.mass_checks import check_node_masses
 from tenscasadi.structure.names import extend_names, find_names, name_segments, read_names
 from tenscasadi.structure.pins import Normals, read_axes, read_pins, read_rollers
@@ -215,7 +215,7 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
     @classmethod
     def from_fields(cls, **given: Any) -> Structure:
         """Restore a structure from the result of `to_fields`."""
-        derived = {name: given.pop(name) for name in DERIVED if name in given}
+        derived = given.pop("derived", None)
         structure = cls(**given)
         return structure._derived(**read_derived(derived, structure)) if derived else structure
 
@@ -223,9 +223,11 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         """Return the keywords, and the results of `subdivide` and `from_matrices` if there are."""
         own = {name: getattr(self, name) for name in PARAMETERS}
         plain, derived = write_derived(Structure(**own)), write_derived(self)
-        changed = any(not np.array_equal(derived[name], plain[name]) for name in DERIVED)
         own |= {name: dict(own[name]) for name in ("pinned", "rollers")}
-        return own | derived if changed else own
+        same = derived.keys() == plain.keys() and all(
+            np.array_equal(derived[name], value) for name, value in plain.items()
+        )
+        return own if same else own | {"derived": derived}
 
     @classmethod
     def from_matrices(

@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tenscasadi.schema.packing import find_kind
 from tenscasadi.schema.value import Value
 from tenscasadi.util.validate import format_value
 
@@ -119,7 +118,7 @@ def _describe(field: str, value: Any) -> Any:
             if isinstance(value, Value)
             else {item.name: getattr(value, item.name) for item in fields(value)}
         )
-        kind = find_kind(type(value)) or f"{type(value).__module__}.{type(value).__qualname__}"
+        kind = getattr(value, "kind", "") or f"{type(value).__module__}.{type(value).__qualname__}"
         return [kind, [[n, _describe(f"{field}.{n}", part)] for n, part in own.items()]]
     cure = (
         "give numbers, text, arrays, lists, dicts by text, structures, scenes or options; build"

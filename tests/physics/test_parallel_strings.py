@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from planning import save_and_load
 
 import ocp
 import tenscasadi as tc
-from tenscasadi.schema.packing import find_differences, pack, unpack
-from tenscasadi.util.archive import Fields
+from ocp.plan.plan_files import find_differences
 
 RIG = {"nodes": [(0, 0, 0), (1, 0, 0)], "node_mass": [0.0, 2.0], "pinned": [0]}
 
@@ -71,7 +71,7 @@ def test_segments_files_and_plans(tmp_path: Path) -> None:
     )
     assert tc.Scene(pair, segments=2).modelled.string_parent.tolist() == [0, 0, 1, 1, 2, 2]
     model = tc.Model(tc.Scene(pair, control=tc.ForceDensity()))
-    again = unpack(Fields(pack({"model": model}, {})))["model"]
+    again = save_and_load(model=model)["model"]
     assert not list(find_differences(again, model, "Model"))
     problem = ocp.Problem(
         model,

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import casadi as ca
 import numpy as np
 from scipy.integrate import solve_ivp
 
 import ocp
 import tenscasadi as tc
+from ocp.plan.plan_files import read_parts, write_parts
 from ocp.problem.scaling import Scales
 from ocp.targets.find_target import find_target
 from ocp.transcription.initial_guess import make_guess
+from tenscasadi.io.document import read_tables
 
 BAR = 1.4
 GROUPS = ((0, 1, 2), (3, 4, 5), (6, 7, 8))  # of the prism's strings, by its symmetry
@@ -124,3 +128,10 @@ def leaning_arm(bars, lean, weight=False, duration=1.0):
         bounds=[ocp.ForceDensityLimits(1.0, 300.0)],
         costs=[ocp.Effort()],
     )
+
+
+def save_and_load(**parts):
+    """Model, problem and method of solution from the text that the file of a plan holds for them."""
+    given = dict.fromkeys(("problem", "transcription", "solver")) | {"unknown": "none"} | parts
+    plan = SimpleNamespace(structure=parts["model"].structure, **given)
+    return read_tables("plan", write_parts(plan), read_parts)

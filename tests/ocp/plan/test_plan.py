@@ -184,9 +184,9 @@ def test_numbers_that_no_plan_can_have_are_refused_by_name(plan, tmp_path):
             ValueError, match=rf"plan\.npz is not a plan: field 'trajectory.{name}' is "
         ):
             ocp.Plan.load(path)
-    many = content["packed"].item().replace('"segments": 1', '"segments": 1000000000')
-    np.savez(path, **content | {"packed": np.asarray(many)})
-    with pytest.raises(ValueError, match=r"field 'model' is damaged \(segments"):
+    many = content["plan"].item().replace('"scene": {', '"scene": {"segments": 1000000000, ')
+    np.savez(path, **content | {"plan": np.asarray(many)})
+    with pytest.raises(ValueError, match=r"field 'plan' is damaged \(plan, scene.segments: "):
         ocp.Plan.load(path)
     np.savez(path, **content)
     assert ocp.Plan.load(path).success
@@ -290,11 +290,10 @@ def test_files_that_are_no_plans_are_refused(plan, tmp_path):
         content = dict(archive)
     wrong = {
         "force_density": np.zeros((3, 9)),
-        "packed": np.asarray("{}"),
-        "packed.0": np.array([[0, 99]]),
+        "plan": np.asarray("{}"),
         "iterations": np.zeros(3),
     }
-    for name, value in {**wrong, "time": None, "packed": None, "packed.0": None}.items():
+    for name, value in {**wrong, "time": None, "plan": None}.items():
         kept = {key: entry for key, entry in content.items() if key != name} | (
             {} if value is None else {name: value}
         )

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from scene_strategies import scenes
 
 import tenscasadi as tc
-from tenscasadi.io.json_schema import scene_schema
+from ocp.io.plan_section import file_schema
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -19,7 +19,7 @@ else:
     import tomli as tomllib
 
 HEAD = 'format = 1\nunits = "SI"\n'
-SCHEMA = scene_schema()
+SCHEMA = file_schema()
 VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
 
 

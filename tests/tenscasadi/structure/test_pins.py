@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from planning import save_and_load
 
 import tenscasadi as tc
-from tenscasadi.schema.packing import find_differences, pack, unpack
-from tenscasadi.util.archive import Fields
+from ocp.plan.plan_files import find_differences
 
 NODES = [(0, 0, 0), (1, 0, 0.1), (0.2, 1, 0)]
 NONE = np.zeros(0)
@@ -59,7 +59,7 @@ def test_models_with_rollers_come_back_from_arrays() -> None:
         ),
         "full",
     )
-    again = unpack(Fields(pack({"model": model}, {})))["model"]
+    again = save_and_load(model=model)["model"]
     assert again.structure.rollers == model.structure.rollers
     assert not list(find_differences(again, model, "Model"))
     other = tc.Model(

@@ -1,8 +1,7 @@
-"""Values as text and arrays: all that a scene holds comes back, and differences are named."""
+"""Models in files of plans: they come back to the last bit, and differences are named."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import fields
 from inspect import signature
@@ -10,13 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from planning import save_and_load
 
 import tenscasadi as tc
+from ocp.plan.plan_files import find_differences
 from tenscasadi.scene.samples import sample_functions
-from tenscasadi.schema.packing import NotStored, find_differences, pack, unpack
 from tenscasadi.schema.time_formula import TimeFormula
 from tenscasadi.structure.structure import PARAMETERS, Structure
-from tenscasadi.util.archive import Fields
 
 CLOCK = np.array([0.0, 0.3, 0.7])
 NODES = [(0, 0, 0), (1, 0, 0.1), (0.2, 1, 0), (0, 0.3, 1), (0.5, 0.5, 0.5)]
@@ -76,8 +75,8 @@ OTHER: dict[str, Callable[[], tc.Model]] = {
     "Structure.damping": lambda: model(made=structure(damping=1.0)),
     "Structure.rest_length": lambda: model(made=structure(rest_length=0.5)),
     "Structure.string_mass": lambda: model(made=structure(string_mass=0.2)),
-    "Structure.string_parent": lambda: model(made=structure(string_mass=0.1).subdivide(2)),
-    "Structure.layout_physical": lambda: model(made=twisted()),
+    "Structure.derived ": lambda: model(made=structure(string_mass=0.1).subdivide(2)),
+    "Structure.derived": lambda: model(made=twisted()),
     "Scene.segments": lambda: model(segments=2),
     "Scene.ends": lambda: model(ends="lumped"),
     "Scene.fractions": lambda: model(segments=2, fractions=(0.2, 0.8)),
@@ -121,9 +120,10 @@ FUNCTIONS: dict[str, Callable[[], tc.Model]] = {
 }
 
 
-def again(value: Any) -> Any:
-    """A value from the entries of a file."""
-    return unpack(Fields(pack({"value": value}, {})))["value"]
+def again(model: tc.Model) -> tc.Model:
+    """The model from the text of a file."""
+    found: tc.Model = save_and_load(model=model)["model"]
+    return found
 
 
 def differences(one: Any, other: Any) -> set[str]:
@@ -157,14 +157,13 @@ def test_a_model_comes_back_and_differs_from_others(name):
 
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_functions_of_time_are_stored_as_samples(name):
-    own = FUNCTIONS[name]().scene
-    part = name.split(".")[1]
-    reason = again(own)
-    assert isinstance(reason, NotStored)
-    assert f"Value.scene.{part}" in str(reason) or f"Value.{part}" in str(reason)
-    sampled, fields = sample_functions(own, CLOCK)
+    own, part = FUNCTIONS[name](), name.split(".")[1]
+    found = save_and_load(model=own)
+    assert found["model"] is None
+    assert found["unknown"].startswith(f"Scene.{part}")
+    sampled, fields = sample_functions(own.scene, CLOCK)
     assert fields == (part,)
-    assert not differences(again(sampled), sampled)
+    assert not differences(again(tc.Model(sampled, "full")).scene, sampled)
     assert name in differences(sampled, model().scene)
     other, _ = sample_functions(model(forces=wind(2.1)).scene, CLOCK)
     if part == "forces":
@@ -173,9 +172,8 @@ def test_functions_of_time_are_stored_as_samples(name):
 
 def test_formulas_of_time_are_stored():
     own = tc.Gravity(TimeFormula((0.0, 0.0, "-a * t"), (("a", 2.5),)))
-    back = again(own)
-    assert back == own
-    assert back.acceleration(2.0) == [0.0, 0.0, -5.0]
+    back = again(model(gravity=own)).scene.gravity
+    assert back.acceleration(2.0) == own.acceleration(2.0) == [0.0, 0.0, -5.0]
     assert sample_functions(model(gravity=own).scene, CLOCK)[1] == ()
 
 
@@ -183,64 +181,19 @@ def test_rounding_is_no_difference():
     assert not differences(model(), model(made=structure(nodes=np.array(NODES) + 1e-14)))
 
 
-def test_a_value_that_occurs_twice_is_one():
-    own = structure()
-    back = again([own, {"also": own}, tc.Projection(3)])
-    assert back[0] is back[1]["also"]
-    assert back[2] == tc.Projection(3)
-
-
-@pytest.mark.parametrize(
-    "name",
-    ["layout_physical", "layout_bar_columns", "layout_string_columns", "string_parent"],
-)
+@pytest.mark.parametrize("name", ["physical", "bar_columns", "string_columns", "string_parent"])
 def test_indices_that_point_nowhere_are_rejected(name):
     fields = structure(string_mass=0.1).subdivide(2).to_fields()
-    fields[name] = fields[name] + 100
-    with pytest.raises(ValueError, match=f"{name} does not hold indices below"):
+    fields["derived"][name] = fields["derived"][name] + 100
+    with pytest.raises(ValueError, match=f"derived.{name} does not hold indices below"):
         Structure.from_fields(**fields)
 
 
-class Own(tc.RungeKutta4):
-    """A scheme of a user."""
+class OwnLaw(tc.Clip):
+    """A law of strings of a user."""
 
 
-@pytest.mark.parametrize(
-    ("value", "reason"),
-    [
-        (Own(), "Value is of an own class, Own"),
-        ({"a": [1, print]}, r"Value.a\[1\] is a function"),
-        (object(), "Value is of an own class, object"),
-    ],
-)
-def test_reasons_take_the_place_of_values_that_no_file_holds(value, reason):
-    found = again(value)
-    with pytest.raises(NotStored, match=reason):
-        raise found
-
-
-@pytest.mark.parametrize(
-    "tree",
-    [
-        {"class": "os.system", "fields": {}},
-        {"class": "Structure.Structure", "fields": {"nodes": [[0, 0, 0]], "colour": 1}},
-        {"class": "NamedScheme.Rattle", "fields": {"order": "x"}},
-        {"same": 3},
-        {"array": 7},
-        {"tuple": 3},
-        {"mapping": [[1]]},
-        {"nothing": 1},
-        {},
-    ],
-)
-def test_damaged_values_are_errors(tree):
-    content = Fields(packed=np.asarray(json.dumps({"value": tree, "other": 1.5})))
-    found = unpack(content)
-    assert isinstance(found["value"], ValueError)
-    assert found["other"] == 1.5
-
-
-@pytest.mark.parametrize("text", ["", "[1]", "{", "[" * 100_000])
-def test_damaged_texts_are_rejected(text):
-    with pytest.raises(ValueError, match="'packed' holds no values"):
-        unpack(Fields(packed=np.asarray(text)))
+def test_reason_takes_the_place_of_a_model_that_no_file_holds():
+    found = save_and_load(model=model(slack=OwnLaw()))
+    assert found["model"] is None
+    assert "OwnLaw" in found["unknown"]

@@ -1,13 +1,16 @@
-"""Sections [start] and [simulation]."""
+"""Simulations in scene files: sections [start] and [simulation]."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
 
+from tenscasadi.io.document import read_document
+from tenscasadi.io.scene_files import read_scene, write_scene, write_tables
 from tenscasadi.scene.scene import Scene
 from tenscasadi.schema.containers import Either, for_items
 from tenscasadi.schema.definitions import definition
@@ -92,6 +95,45 @@ SIMULATION = definition(Simulation)
 START = definition(Start, "start")
 
 
+def load_simulation(path: str | os.PathLike[str]) -> Simulation:
+    """Read a simulation from a scene file.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        Scene file in TOML or JSON with a section [simulation], see docs/scene_files.md.
+
+    Returns
+    -------
+    Simulation
+        Simulation of all sections but [plan].
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    SceneFileError
+        If it is no scene file or has no [simulation]. The message names file, line, key, value and
+        cure.
+
+    See Also
+    --------
+    load_scene : Read the scene alone.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import tenscasadi as tc
+    >>> swing = tc.Simulation(tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity()), t_end=0.1, step=1e-3)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = tc.save_scene(swing, f"{folder}/swing.toml")
+    ...     tc.load_simulation(path).run(compiled=False).message
+    'finished 100 steps of 0.001 s'
+    """
+    document = read_document(path)
+    return read_simulation(document, read_scene(document))
+
+
 def read_simulation(document: Document, scene: Scene, t_end: float | None = None) -> Simulation:
     """Read [start] and [simulation]; `t_end` is for files without one. Raises SceneFileError."""
     item, first = document.section("simulation"), document.section("start")
@@ -115,7 +157,9 @@ def read_simulation(document: Document, scene: Scene, t_end: float | None = None
     return simulation
 
 
+@write_tables.register
 def write_simulation(simulation: Simulation) -> dict[str, Any]:
-    """Write [start] and [simulation]. Raises NotWritten."""
+    """Write the sections of a simulation. Raises NotWritten."""
     start = {name: getattr(simulation, name) for name in START.fields if hasattr(simulation, name)}
-    return {"start": START.write(start), "simulation": SIMULATION.write(vars(simulation))}
+    tables = {"start": START.write(start), "simulation": SIMULATION.write(vars(simulation))}
+    return write_scene(simulation.scene) | {name: own for name, own in tables.items() if own}

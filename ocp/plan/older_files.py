@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from tenscasadi.dynamics.model import Model
+from ocp.plan.plan_files import read_solution
 from tenscasadi.scene.ground import Ground, Surface, Terrain
 from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
 from tenscasadi.scene.parameters import Parameters
-from tenscasadi.scene.samples import Samples
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Clip, Control, Linear, Smooth, StringLaw
 from tenscasadi.scene.supports import SupportMotion
-from tenscasadi.schema.packing import ENTRY
+from tenscasadi.scene.time_functions import Samples
+from tenscasadi.schema.reading import Document
+from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.structure import PARAMETERS, Structure
 from tenscasadi.util.archive import Fields
 
@@ -27,31 +29,55 @@ _LAWS: Mapping[str, Any] = {
 }
 
 
-def upgrade(content: Fields) -> dict[str, Any]:
-    """Restore the structure, the model and its scene, and rename the text of other values.
+def upgrade(content: Fields, trajectory: Trajectory) -> dict[str, Any]:
+    """Restore structure, model, problem and method of solution.
 
-    The model is None if there is none, or if it has functions of time. Raises ValueError.
+    The model is None if there is none, or if its scene has functions of time. Raises ValueError.
     """
-    content[ENTRY] = np.asarray(_upgrade_text(str(content.get("solved", "{}"))))
+    none = dict.fromkeys(("model", "problem", "transcription", "solver"))
+    unknown = {"unknown": "its file is of an older version"}
     try:
+        structure = read_structure(content)
         if "model.coordinates" not in content:
-            return {"structure": read_structure(content), "model": None}
-        scene = _read_scene(content.within("scene."), read_structure(content), content)
+            return {**none, **unknown, "structure": structure}
+        scene = _read_scene(content.within("scene."), structure, content)
         sampled = tuple(content["scene.functions"].tolist())
-        options = content["model.coordinates"].item(), content["model.bar_length"].item()
-        model = None if sampled else Model(scene, *options)
-    except (TypeError, LookupError, AttributeError, ArithmeticError) as error:
+        own = {"trajectory": replace(trajectory, scene=scene, sampled=sampled)}
+        if sampled:
+            return {**none, **unknown, "structure": structure, **own}
+        table = {name: content[f"model.{name}"].item() for name in ("coordinates", "bar_length")}
+        solved = _read_solved(str(content.get("solved", "{}")))
+        table |= solved.pop("problem", {})
+        left_out = {} if "duration" in table else {"problem": unknown["unknown"]}
+        item = Document("solved", {"plan": table | solved}).root.child("plan")
+        return {"unknown": "", **own, **read_solution(scene, item, left_out)}
+    except (TypeError, LookupError, AttributeError, ArithmeticError, RecursionError) as error:
         raise ValueError(f"its scene is damaged ({error})") from None
-    return {"structure": scene.structure, "model": model, "scene": scene, "sampled": sampled}
 
 
-def _upgrade_text(text: str) -> str:
-    """Name kinds by their families where two families have one; "{}" if there is no JSON."""
+def _read_solved(text: str) -> dict[str, Any]:
+    """Convert the text of problem, transcription and solver to tables; none if there is no JSON."""
     try:
-        json.loads(text)
-    except (ValueError, RecursionError):
-        return "{}"
-    return text.replace('"Collocation (scheme)"', '"NamedScheme.Collocation"')
+        parts = json.loads(text)
+        return {name: tree for name, own in parts.items() if (tree := _convert(own)) is not None}
+    except (ValueError, AttributeError):
+        return {}
+
+
+def _convert(tree: Any) -> Any:
+    """Convert a value to numbers, text, lists and tables, as scene files have them."""
+    if not isinstance(tree, dict):
+        return tree
+    (form, content), *_ = tree.items()
+    if form == "array":
+        return np.reshape(content, tree["shape"]).tolist()
+    if form in ("list", "tuple"):
+        return ["free" if entry is None else _convert(entry) for entry in content]
+    if form not in ("class", "mapping"):  # functions
+        return None
+    pairs = tree["fields"].items() if form == "class" else content
+    table = {str(key): own for key, value in pairs if (own := _convert(value)) is not None}
+    return {"kind": content.partition(" ")[0], **table} if form == "class" else table
 
 
 def read_structure(content: Fields) -> Structure:
@@ -70,8 +96,8 @@ def read_structure(content: Fields) -> Structure:
         derived = {name: told[name] for name in ("string_parent", "string_fraction")}
         layout = told.within("layout.")
         layout.pop("tied")
-        derived |= {f"layout_{name}": value for name, value in layout.items()}
-    return Structure.from_fields(**given, rollers=rollers, **derived)
+        derived |= layout
+    return Structure.from_fields(**given, rollers=rollers, derived=derived)
 
 
 def _read_scene(told: Fields, structure: Structure, content: Fields) -> Scene:

@@ -1,0 +1,130 @@
+"""Models, problems and methods of solution in files of plans."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from ocp.io.plan_section import PLAN, read_plan, write_plan
+from ocp.results.result import PlanResult
+from tenscasadi.dynamics.model import Model
+from tenscasadi.io.document import format_tables
+from tenscasadi.io.scene_files import read_scene, write_scene
+from tenscasadi.io.structure_section import StructureSection
+from tenscasadi.scene.scene import Scene
+from tenscasadi.schema.definitions import definition
+from tenscasadi.schema.field_types import InPython
+from tenscasadi.schema.reading import Document, Item, NotWritten, SceneFileError
+from tenscasadi.schema.value import Value
+from tenscasadi.simulation.declared import Simulation
+
+_METHOD = ("transcription", "solver")
+
+
+def write_parts(plan: PlanResult) -> str:
+    """Format structure, model, problem, transcription and solver as the text of a scene file.
+
+    Reasons take the place of parts that files cannot hold.
+    """
+    left_out: dict[str, str] = {}
+
+    def attempt(part: str, write: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+        try:
+            return write()
+        except NotWritten as error:
+            left_out[part] = str(error)
+            return {}
+
+    model, problem = plan.model, plan.problem
+    tables = {"structure": StructureSection().write(plan.structure)}
+    scene = attempt("model", partial(write_scene, model.scene)) if model else {}
+    if model and scene:
+        own = PLAN.write(model.to_fields())
+        for name in _METHOD:
+            value = _drop_functions(getattr(plan, name))
+            own |= attempt(name, partial(PLAN.write, {name: value}))
+        if problem:
+            own |= attempt("problem", partial(write_plan, problem, {}))
+        else:
+            left_out["problem"] = plan.unknown
+        tables = {**scene, "plan": own}
+    return format_tables({"left_out": left_out, **tables})
+
+
+def _drop_functions(value: Any) -> Any:
+    """Drop the fields that only Python can give."""
+    if not isinstance(value, Value):
+        return value
+    known = definition(type(value)).fields.items()  # type: ignore[arg-type]  # classes hash
+    functions = {name: own.default for name, own in known if type(own.type) is InPython}
+    return replace(value, **functions) if functions else value  # type: ignore[type-var]
+
+
+def read_parts(document: Document) -> dict[str, Any]:
+    """Read the fields of a plan that `write_parts` wrote, see `read_solution`."""
+    left_out = {name: item.text() for name, item in document.root.child("left_out").table().items()}
+    item = document.section("plan")
+    if item is None:
+        structure = StructureSection().read(document.root.child("structure"))
+        reason = {"unknown": left_out["model"]} if "model" in left_out else {}
+        return {**dict.fromkeys(("model", "problem", *_METHOD)), "structure": structure, **reason}
+    return read_solution(read_scene(document), item, left_out)
+
+
+def read_solution(scene: Scene, item: Item, left_out: Mapping[str, str]) -> dict[str, Any]:
+    """Read the model, the problem, and its method of solution from [plan].
+
+    Parts that cannot be read are None, and `unknown` gives the reason. Raises SceneFileError.
+    """
+    item = item._replace(names=scene.structure.names)
+    found: dict[str, Any] = dict.fromkeys(("problem", *_METHOD))
+    reasons, table = list(left_out.values()), item.table()
+
+    def attempt(read: Callable[[], dict[str, Any]]) -> None:
+        try:
+            found.update(read())
+        except SceneFileError as error:
+            reasons.append(str(error))
+
+    for name in table.keys() & {*_METHOD}:
+        attempt(partial(PLAN.read_fields, {name: table[name]}))
+    problem = {name: value for name, value in item.value.items() if name not in _METHOD}
+    if "problem" not in left_out:
+        attempt(partial(read_plan, item._replace(value=problem), Simulation(scene, 1.0)))
+    options = {name: own for name, own in table.items() if name in ("coordinates", "bar_length")}
+    model = (
+        found["problem"].model if found["problem"] else Model(scene, **PLAN.read_fields(options))
+    )
+    reason = {"unknown": reasons[0]} if reasons else {}
+    return {**found, "structure": scene.structure, "model": model, **reason}
+
+
+def find_differences(one: Any, other: Any, name: str) -> Iterator[str]:
+    """Yield the names of fields in which two values differ by more than rounding."""
+    if isinstance(one, Value) and type(one) is type(other):
+        fields, others = one.to_fields(), other.to_fields()
+        for field in {**fields, **others}:
+            label = f"{type(one).__name__}.{field}"
+            yield from find_differences(fields.get(field), others.get(field), label)
+    elif isinstance(one, Mapping) and isinstance(other, Mapping) and one.keys() == other.keys():
+        for key in one:
+            yield from find_differences(one[key], other[key], name)
+    elif isinstance(one, (list, tuple)) and isinstance(other, (list, tuple)):
+        if len(one) != len(other):
+            yield name
+        for pair in zip(one, other, strict=False):
+            yield from find_differences(*pair, name)
+    elif not _is_same(one, other):
+        yield name
+
+
+def _is_same(one: Any, other: Any) -> bool:
+    a, b = np.asarray(one), np.asarray(other)
+    if a.shape != b.shape or a.dtype.kind not in "iuf" or b.dtype.kind not in "iuf":
+        return bool(np.array_equal(a, b))
+    size = np.abs(b[np.isfinite(b)]).max(initial=0.0)
+    return bool(np.allclose(a, b, rtol=1e-9, atol=1e-9 * size, equal_nan=True))
