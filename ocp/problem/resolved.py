@@ -63,6 +63,10 @@ def resolve(
     check_control(model)
     if model.nq == 0:
         raise ValueError("Problem.model has all nodes pinned: there is nothing to move")
+    for bar in np.flatnonzero(model.structure.elastic):
+        raise ValueError(
+            f"Problem.model has an elastic bar, {bar}: plan with rigid bars, of structure.replace(bar_stiffness=None)"
+        )
     own_phases = read_items("Problem.phases", phases, Phase, "[Phase(0.5)]")
     time = read_duration("Problem.duration", _whole_duration(duration, own_phases))
     own_goals = read_items("Problem.goals", goals, Goal, "[AtRest()]")

@@ -271,7 +271,7 @@ def find_redundancy(mech: Mechanism) -> str | None:
             + " (columns of P) and the bars between them"
         )
     else:
-        names = "bars " + ", ".join(str(k) for k in involved)
+        names = "bars " + ", ".join(str(k) for k in mech.rigid[involved])
     return (
         f"the constraints of {names} depend on each other in the initial shape ({int(null.sum())} redundant, condition number "
         f"{float(values[-1]) / smallest:.1e}): motion is exact as long as they stay consistent, their multipliers are not unique; "

@@ -43,6 +43,8 @@ def choose_coordinates(scene: Scene, bar_length: BarLength = "current") -> Coord
     neighbors. Reduced coordinates are also rejected if they do not support the scene.
     """
     structure = scene.modelled
+    if structure.coupled_mass.any():
+        return "reduced"
     if structure.rollers and _has_open_masses(scene):
         return "full"
     if bar_length == "constant" and build_mechanism(structure, "reduced").system_size:
@@ -89,20 +91,23 @@ def _build_reduced(structure: Structure, constant_length: bool) -> Mechanism:
         free=free,
         physical=np.arange(n),
         first=np.arange(n),
-        C_b=connectivity(structure.bars, n),
         C_s=connectivity(structure.strings, n),
         M=M,
         inverse=inverse,
         P=sp.csr_array((n, 0)),
         D=np.zeros((3, 0)),
         active=np.ones((3, 0), bool),
-        lengths=structure.bar_lengths,
         constant_length=constant_length,
         turn=turn,
+        **_split_bars(structure, connectivity(structure.bars, n), structure.bars),
     )
 
 
 def _build_full(structure: Structure, constant_length: bool) -> Mechanism:
+    if structure.coupled_mass.any():
+        raise ValueError(
+            'coordinates is "full", where bars have no mass in common: give "reduced" for strings with Scene(ends="consistent")'
+        )
     split = structure.class_one(sparse=True)
     n = split.N.shape[1]
     first = np.unique(split.physical, return_index=True)[1]
@@ -126,19 +131,32 @@ def _build_full(structure: Structure, constant_length: bool) -> Mechanism:
         free=np.ones((n, 3), dtype=bool),
         physical=split.physical,
         first=first,
-        C_b=sp.csr_array(split.C_b @ split.C_nb),
         C_s=sp.csr_array(split.C_s),
         M=split.M_s,
         inverse=(block_inverse(split.M_s + sp.diags_array(some), np.ones(n, bool)),),
         P=P,
         D=np.hstack([split.D, structure.nodes[held].T]),
         active=np.hstack([np.ones(split.D.shape, bool), fixed[partly].T, among]),
-        lengths=structure.bar_lengths,
         constant_length=constant_length,
         frames=np.array([*axes, *map(_frame, structure.rollers.values())])
         if len(inclined)
         else None,
+        **_split_bars(
+            structure, sp.csr_array(split.C_b @ split.C_nb), structure._layout.bar_columns
+        ),
     )
+
+
+def _split_bars(structure: Structure, C_b: sp.csr_array, ends: Indices) -> dict[str, Any]:
+    """Divide bars with connectivity C_b (bars × n) and these end columns into rigid and elastic."""
+    rigid = np.flatnonzero(~structure.elastic)
+    return {
+        "C_b": C_b[rigid],
+        "C_e": C_b[np.flatnonzero(structure.elastic)],
+        "bar_ends": ends,
+        "rigid": rigid,
+        "lengths": structure.bar_lengths[rigid],
+    }
 
 
 def _has_open_masses(scene: Scene) -> bool:

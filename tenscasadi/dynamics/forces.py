@@ -19,7 +19,7 @@ from tenscasadi.scene.binding import bind
 from tenscasadi.scene.ground import Surface
 from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
 from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.strings import ForceDensity, RestLength, Smooth, StringLaw
+from tenscasadi.scene.strings import ForceDensity, Linear, RestLength, Smooth, StringLaw
 from tenscasadi.util.casadi_tools import constant_row, is_expression, sparse, weighted_product
 from tenscasadi.util.validate import Array, Indices
 
@@ -83,6 +83,8 @@ def build_elements(scene: Scene, mech: Mechanism, w: Any, mode: Any = None) -> l
     found: list[ForceElement] = []
     if len(scene.modelled.strings):
         found.append(StringForces(scene, mech, u))
+    if scene.modelled.elastic.any():
+        found.append(ElasticBars(scene, mech))
     if scene.gravity is not None:
         found.append(Weights(scene.gravity, mech))
     found += [Contacts(ground, mech) for ground in scene.grounds]
@@ -114,7 +116,7 @@ def total(
 
 
 def potential_energy(scene: Scene, mech: Mechanism, N: Any, w: Any) -> tuple[Any, Any]:
-    """Compute elastic energy, of strings and grounds, and gravity energy [J]."""
+    """Compute elastic energy, of strings, bars and grounds, and gravity energy [J]."""
     elastic = gravity = ca.DM(0)
     for element in build_elements(scene, mech, w):
         if isinstance(element, Weights):
@@ -128,6 +130,15 @@ def string_force_density(scene: Scene, mech: Mechanism, N: Any, V: Any, w: Any) 
     """Compute force densities γ (1×α) [N/m] and string vectors S (3×α) [m]."""
     scene, u = bind(scene, w)
     return StringForces(scene, mech, u).force_density(N, V)
+
+
+def bar_force_density(scene: Scene, mech: Mechanism, N: Any, w: Any, lam: Any) -> Any:
+    """Compute λ (1×bars) of all bars [N/m], positive in compression, from that of rigid bars."""
+    if not mech.C_e.shape[0]:
+        return lam
+    bars = ElasticBars(bind(scene, w)[0], mech)
+    E = ca.mtimes(N, sparse(mech.C_e.T))
+    return mech.join_bars(lam, -bars.law_density(ca.sum1(E * E)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,11 +212,15 @@ class StringForces(ForceElement):
     def switches(self, at: NodeMotion) -> Any:
         """Compute the excess lengths of strings that go slack at an instant."""
         S = ca.mtimes(at.N, sparse(self.mech.C_s.T))
+        return self.excess_lengths(ca.sum1(S * S), self._rate(S, at.V))
+
+    def excess_lengths(self, squared: Any, rate: Any = None) -> Any:
+        """Compute the excess lengths (1×k) [m] from squared lengths [m²] and c sᵀṡ [N·m]."""
 
         def gap(law: Any, _: Indices, squared: Any, rest: Any, k: Any, unit: Any, rate: Any) -> Any:
             return law.gap(squared, rest, k, rate, unit)
 
-        return self._by_law(gap, ca.sum1(S * S), self._rate(S, at.V), switching=True)
+        return self._by_law(gap, squared, rate, switching=True)
 
     def _rate(self, S: Any, V: Any) -> Any:
         """Compute c sᵀṡ (1×α) (Eq. 98), or None if no string is damped."""
@@ -238,6 +253,40 @@ class StringForces(ForceElement):
         parent, u = self.scene.modelled.string_parent, self.control
         row = u.T if len(parent) == u.shape[0] else u[parent.tolist(), :].T
         return row if np.all(factor == 1) else row * ca.DM(factor).T
+
+
+@dataclass(frozen=True, eq=False)
+class ElasticBars(ForceElement):
+    """Elastic bars, t = k (l − ρ) in tension and compression."""
+
+    name: ClassVar[str] = "elastic bars"
+    scene: Scene
+    mech: Mechanism
+
+    def law_density(self, squared: Any) -> Any:
+        """Compute γ (1×bars) [N/m], positive in tension, from squared lengths [m²]."""
+        stiffness, rest = self._constants()
+        return Linear().force_density(squared, rest, stiffness, None, rest)
+
+    def forces(self, at: NodeMotion) -> Any:
+        """Compute the forces (3×n) [N]."""
+        E = ca.mtimes(at.N, sparse(self.mech.C_e.T))
+        return weighted_product(E, self.law_density(ca.sum1(E * E)), -self.mech.C_e)
+
+    def energy(self, N: Any) -> Any:
+        """Compute the elastic energy [J]."""
+        E = ca.mtimes(N, sparse(self.mech.C_e.T))
+        stiffness, rest = self._constants()
+        return ca.sum2(Linear().energy(ca.sum1(E * E), rest, stiffness, rest))
+
+    def _constants(self) -> list[Any]:
+        """Select stiffness and rest lengths (1×bars)."""
+        s = self.scene.modelled
+        which = np.flatnonzero(s.elastic)
+        return [
+            _columns(row, which) if is_expression(row) else constant_row(row[which])
+            for row in (s.bar_stiffness, s.bar_rest_length)
+        ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -325,7 +374,7 @@ class NodalForces(ForceElement):
         W = self.load.at(at.time)
         columns = self.mech.first[: W.shape[1]].copy()  # nodes inside strings have no load
         for node, bar in (self.load.bars or {}).items():
-            ends = self.mech.C_b[[bar]].tocoo().col
+            ends = self.mech.bar_ends[bar]
             columns[node] = ends[self.mech.physical[ends] == node][0]
         return _spread(self.mech, W, columns.tolist())
 

@@ -141,19 +141,24 @@ def read_masses(
     if not scene.layout.quantities.keys() & set(MASSES):
         return None
     structure, n, beta = scene.modelled, len(physical), len(scene.modelled.bars)
-    bars, nodes = _affine(scene, "bar_mass"), _node_masses(scene)
+    own_masses = _affine(scene, "bar_mass"), _node_masses(scene), _coupled_masses(scene)
     given = Affine(
-        np.concatenate([bars.constant, nodes.constant]),
-        sp.csr_array(sp.vstack([bars.matrix, nodes.matrix])),
+        np.concatenate([part.constant for part in own_masses]),
+        sp.csr_array(sp.vstack([part.matrix for part in own_masses])),
     )
     columns, share = structure.bars, np.ones(n)
     if layout is not None:
         columns, share = layout.bar_columns, layout.mass_share
     own = structure.bar_inertia / structure.bar_mass  # J/m, Eq. 19
     (a, b), bar, point = columns.T, np.arange(beta), np.arange(n)
-    row, column = np.concatenate([a, b, a, b, point]), np.concatenate([a, b, b, a, point])
-    source = np.concatenate([bar, bar, bar, bar, beta + physical])
-    value = np.concatenate([0.25 + own, 0.25 + own, 0.25 - own, 0.25 - own, share])  # Eq. 59
+    c, d = (structure.strings if layout is None else layout.string_columns).T
+    string = beta + len(structure.nodes) + np.arange(len(structure.strings))
+    sixth = np.full(len(string), 1 / 6 if scene.ends == "consistent" else 0.0)
+    row = np.concatenate([a, b, a, b, point, c, d, c, d])
+    column = np.concatenate([a, b, b, a, point, c, d, d, c])
+    source = np.concatenate([bar] * 4 + [beta + physical] + [string] * 4)
+    bars = [0.25 + own, 0.25 + own, 0.25 - own, 0.25 - own]  # Eq. 59
+    value = np.concatenate([*bars, share, -sixth, -sixth, sixth, sixth])
     kept = value != 0
     code, entry = np.unique((column * n + row)[kept], return_inverse=True)
     onto_entries = sp.csr_array(
@@ -169,13 +174,34 @@ def read_masses(
     return Masses(given.then(onto_entries), pattern, free, held)
 
 
+def node_weights(scene: Any) -> Affine:
+    """Compute the mass that each modeled node carries: the row sums of M [kg]."""
+    bars, count = scene.modelled.bars, len(scene.modelled.nodes)
+    ends = bars.ravel(), np.repeat(np.arange(len(bars)), 2)
+    halves = sp.csr_array((np.full(bars.size, 0.5), ends), shape=(count, len(bars)))
+    own, nodes = _affine(scene, "bar_mass").then(halves), _node_masses(scene)
+    return Affine(own.constant + nodes.constant, sp.csr_array(own.matrix + nodes.matrix))
+
+
 def _node_masses(scene: Any) -> Affine:
     """Compute the point masses of modeled nodes, including those of segments."""
-    s, lumped = scene.structure, scene.ends == "lumped"
-    spread = cut_strings(s.nodes, s.strings, scene.segment_fractions, lumped)[2]
+    s = scene.structure
+    on_ends = scene.ends != "interior"
+    spread = cut_strings(s.nodes, s.strings, scene.segment_fractions, on_ends)[2]
     points = _affine(scene, "node_mass").then(sp.eye_array(spread.shape[0], len(s.nodes)))
     strings = _affine(scene, "string_mass").then(spread)
     return Affine(points.constant + strings.constant, sp.csr_array(points.matrix + strings.matrix))
+
+
+def _coupled_masses(scene: Any) -> Affine:
+    """Compute the mass of each segment, which couples its ends if it is consistent."""
+    s = scene.modelled
+    count = len(s.strings)
+    onto_segments = sp.csr_array(
+        (s.string_fraction, (np.arange(count), s.string_parent)),
+        shape=(count, len(scene.structure.strings)),
+    )
+    return _affine(scene, "string_mass").then(onto_segments)
 
 
 def _affine(scene: Any, name: str) -> Affine:

@@ -68,8 +68,11 @@ class Mechanism(ReadOnlyArrays):
     free: Any  # (n, 3) bool: coordinates that are part of the state
     physical: Indices  # (n,) physical node of each column
     first: Indices  # one column for each physical node
-    C_b: sp.csr_array  # β×n
+    C_b: sp.csr_array  # β×n, rigid bars only
     C_s: sp.csr_array  # α×n
+    C_e: sp.csr_array  # elastic bars × n
+    bar_ends: Indices  # columns of the ends of all bars, two each
+    rigid: Indices  # (β,) rigid ones among all bars
     M: Any  # n×n
     inverse: tuple[
         Any, ...
@@ -78,7 +81,7 @@ class Mechanism(ReadOnlyArrays):
     D: Array  # 3×c
     # 3×c bool: axes that a column of P constrains, or directions of its frame
     active: Any
-    lengths: Array  # (β,)
+    lengths: Array  # (β,) of rigid bars
     constant_length: bool  # λ̂ divides by l² as in Eqs. 46-87, not by the current bᵀb
     # (c, 3, 3): frame of each column, whose `active` directions are constrained; None: the axes
     frames: Any = None
@@ -91,7 +94,7 @@ class Mechanism(ReadOnlyArrays):
 
     @property
     def bars(self) -> int:
-        """Number of bars."""
+        """Number of rigid bars."""
         return len(self.lengths)
 
     @property
@@ -108,7 +111,8 @@ class Mechanism(ReadOnlyArrays):
     def large(self) -> bool:
         """Whether expressions remain vector operations instead of scalar code."""
         return bool(
-            self.bars + self.C_s.shape[0] > UNROLL_MEMBERS or self.system_size > UNROLL_UNKNOWNS
+            self.bars + self.C_e.shape[0] + self.C_s.shape[0] > UNROLL_MEMBERS
+            or self.system_size > UNROLL_UNKNOWNS
         )
 
     @property
@@ -247,6 +251,18 @@ class Mechanism(ReadOnlyArrays):
                 for axis in range(3)
             )
         )
+
+    def join_bars(self, rigid: Any, elastic: Any) -> Any:
+        """Join rows of rigid and of elastic bars, in the order of all bars."""
+        if not self.C_e.shape[0]:
+            return rigid
+        order = np.argsort(np.concatenate([self.rigid, self.elastic]))
+        return ca.horzcat(rigid, elastic)[:, order.tolist()]
+
+    @property
+    def elastic(self) -> Indices:
+        """Elastic ones among all bars."""
+        return np.setdiff1d(np.arange(len(self.bar_ends)), self.rigid)
 
     @cached_property
     def G(self) -> tuple[Any, ...]:

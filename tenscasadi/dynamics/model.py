@@ -223,6 +223,7 @@ class Model(Value, Observations, kind="Model"):
         A, lam, omega = forward_dynamics(self, N, V, u, time)
         if self.coordinates == "reduced":
             omega = joint_forces(self, N, V, A, lam, u, time)
+        lam = forces.bar_force_density(self.scene, self.mechanism, N, u, lam)
         return self._function(
             "multipliers",
             x,

@@ -21,7 +21,7 @@ class Energy(NamedTuple):
     kinetic : float
         Kinetic energy [J].
     elastic : float
-        Energy of taut strings and of the ground's springs [J].
+        Energy of taut strings, elastic bars and the ground's springs [J].
     gravity : float
         Potential energy of gravity [J]; zero with all mass at the origin, or if gravity varies.
 

@@ -21,8 +21,8 @@ from tenscasadi.dynamics.constraint_forces import (
 from tenscasadi.dynamics.coordinates import choose_coordinates, scene_mechanism
 from tenscasadi.dynamics.mechanism import BarLength, Coordinates, Mechanism
 from tenscasadi.dynamics.node_coordinates import NodeCoordinates, check_column
+from tenscasadi.scene.binding import initial_control
 from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.strings import ForceDensity, RestLength
 from tenscasadi.structure.mass_checks import check_mass_ratio
 from tenscasadi.util.read_only import read_only
 from tenscasadi.util.validate import Array, choice, finite_array, instance
@@ -117,16 +117,7 @@ class StateSpace(NodeCoordinates):
 
     def control_at(self, p: Array) -> Array:
         """Compute the initial control (nu,) for parameters (np,)."""
-        s = self.scene.structure
-        if isinstance(self.scene.control, RestLength):
-            return self.parameters.item_values("rest_length", p, s.rest_length)
-        if isinstance(self.scene.control, ForceDensity):
-            stiffness, rest = (
-                self.parameters.item_values(name, p, getattr(s, name))
-                for name in ("stiffness", "rest_length")
-            )
-            return stiffness * np.maximum(0.0, 1 - rest / s.string_lengths)  # Eq. 99 at rest
-        return np.zeros(0)
+        return initial_control(self.scene, p)
 
     def stack_inputs(self, u: Any = None, parameters: Any = None) -> Array:
         """Stack control and parameters to the input w (nw,), and check them.

@@ -28,11 +28,12 @@ from tenscasadi.structure.names import find_names, name_members
 from tenscasadi.structure.shapes import Shape
 from tenscasadi.structure.structure import Structure
 
-BARS = ("bar_mass", "bar_radius")
+BARS = ("bar_mass", "bar_radius", "bar_stiffness", "bar_rest_length")
 STRINGS = ("stiffness", "damping", "string_mass", "rest_length", "force_density")
 _OTHERS = {  # properties of members, and the values where a file gives none
     **{"bar_mass": 1.0, "bar_radius": 0.0, "stiffness": 100.0, "damping": 0.0, "string_mass": 0.0},
     **{"rest_length": np.nan, "force_density": np.nan},
+    **{"bar_stiffness": np.inf, "bar_rest_length": np.nan},
 }
 _TYPES: dict[str, FieldType] = {
     "nodes": NodeTable(),
@@ -119,8 +120,9 @@ class StructureSection(FieldType):
         fields = dict(value.to_fields())
         if all(axes == "xyz" for axes in value.pinned.values()):
             fields["pinned"] = list(value.pinned)
-        if np.array_equal(value.rest_length, value.string_lengths):
-            del fields["rest_length"]
+        for part, lengths in (("", value.string_lengths), ("bar_", value.bar_lengths)):
+            if np.array_equal(fields[f"{part}rest_length"], lengths):
+                del fields[f"{part}rest_length"]
         written = NODES.write(fields)
         del written["shape"]
         return {name: content for name, content in written.items() if content not in ([], {})}
@@ -253,8 +255,10 @@ def _build(
         text = "rest_length and force_density, which say the same: leave one of them out"
         raise item.error(f"gives string {int(np.argmax(both))} {text}")
     if not np.isnan(forces).all():
-        stressed = make(structure.prestressed, force_density=np.nan_to_num(forces)).rest_length
-        lengths = np.where(np.isnan(forces), lengths, stressed)
+        stressed = make(structure.prestressed, force_density=np.nan_to_num(forces))
+        lengths = np.where(np.isnan(forces), lengths, stressed.rest_length)
+        if "bar_rest_length" not in given:
+            structure = structure.replace(bar_rest_length=stressed.bar_rest_length)
     if not np.isnan(lengths).all():
         rest_length = np.where(np.isnan(lengths), structure.rest_length, lengths)
         structure = make(structure.replace, rest_length=rest_length)

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 
 from tenscasadi.schema.containers import ListOf, MapOf, TableOf, for_items
 from tenscasadi.schema.field_types import (
+    LIMITS,
     NUMBER,
     PER_ITEM,
     POINTS,
     VECTOR,
     FieldType,
     Members,
+    Numbers,
     Schema,
     Schemas,
 )
@@ -55,7 +57,7 @@ class Turn(Value, kind="Turn"):
 class PerItem(FieldType):
     """A number for all nodes, bars or strings, a list, or a table of some of them.
 
-    Items that a table does not name have the number `others`.
+    Items that a table does not name have the number `others`. If it is infinite, numbers may be.
     """
 
     which: ItemKind
@@ -64,21 +66,26 @@ class PerItem(FieldType):
     def read(self, item: Item) -> Any:
         """Read a number or a list of numbers."""
         if not isinstance(item.value, dict):
-            return PER_ITEM.read(item)
+            return self._numbers.read(item)
         values = np.full(item.names.counts[self.which], self.others)
-        for index, value in MapOf(self.which, NUMBER).read(item).items():
+        one = replace(self._numbers, shapes=((),))
+        for index, value in MapOf(self.which, one).read(item).items():
             values[index] = value
         return values.tolist()
 
     def write(self, value: Any) -> Any:
         """Write a number if all are equal, otherwise a list."""
-        values = PER_ITEM.write(value)
+        values = self._numbers.write(value)
         alike = isinstance(values, list) and len(set(map(repr, values))) == 1
         return values[0] if alike else values
 
     def schema(self, kinds: Schemas) -> Schema:
         """Build the schema of a number, a list or a table."""
-        return for_items(self.which, NUMBER, PER_ITEM).schema(kinds)
+        return for_items(self.which, NUMBER, self._numbers).schema(kinds)
+
+    @property
+    def _numbers(self) -> Numbers:
+        return LIMITS if np.isinf(self.others) else PER_ITEM
 
 
 @dataclass(frozen=True)
@@ -108,7 +115,7 @@ class MemberGroups(FieldType):
                 raise group.error(f"has no members: give {example}")
             pairs = PAIRS.read(table.pop("members"))
             for key, entry in table.items():
-                value = PER_ITEM.read(entry)
+                value = (LIMITS if key == "bar_stiffness" else PER_ITEM).read(entry)
                 if isinstance(value, list) and len(value) != len(pairs):
                     cure = f"give one number, or one for each of the {len(pairs)} members"
                     raise entry.error(f"has {len(value)} entries: {cure}")

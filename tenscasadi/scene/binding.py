@@ -13,12 +13,13 @@ import numpy as np
 import scipy.sparse as sp
 
 from tenscasadi.scene.parameters import QUANTITIES
-from tenscasadi.scene.strings import RestLength
+from tenscasadi.scene.strings import ForceDensity, RestLength
 from tenscasadi.util.casadi_tools import is_expression
 from tenscasadi.util.validate import Array
 
 Value = TypeVar("Value")
 
+_ELASTIC = "bar_stiffness", "bar_rest_length"
 _LOADS = ("gravity", "pressure", "forces")
 
 
@@ -57,6 +58,7 @@ def bind(scene: Any, w: Any) -> tuple[Any, Any]:
         segments = np.arange(count), s.string_parent
         onto_segments = sp.csr_array((share, segments), shape=(count, len(items[name].constant)))
         own[name] = items[name].then(onto_segments).expression(p).T
+    own |= {name: items[name].expression(p).T for name in items.keys() & set(_ELASTIC)}
     if own:
         changes["modelled"] = with_fields(s, **own)
     on_grounds = {
@@ -80,12 +82,30 @@ def bind(scene: Any, w: Any) -> tuple[Any, Any]:
     return with_fields(scene, **changes), w[: scene.nu]
 
 
+def initial_control(scene: Any, p: Array) -> Array:
+    """Compute the control (nu,) that keeps the structure's rest lengths, for parameters (np,).
+
+    It consists of rest lengths [m], or of the corresponding force densities [N/m].
+    """
+    s, layout = scene.structure, scene.layout
+    if isinstance(scene.control, RestLength):
+        return np.asarray(layout.item_values("rest_length", p, s.rest_length))
+    if isinstance(scene.control, ForceDensity):
+        stiffness, rest = (
+            layout.item_values(name, p, getattr(s, name)) for name in ("stiffness", "rest_length")
+        )
+        return np.asarray(stiffness * np.maximum(0.0, 1 - rest / s.string_lengths))  # Eq. 99
+    return np.zeros(0)
+
+
 def fix(scene: Any, p: Array) -> Any:
     """Replace the constants of a scene by the values of checked parameters (np,)."""
     if scene.parameters is None:
         return scene
     items = {name: affine.numbers(p) for name, affine in scene.layout.quantities.items()}
     own = {name: value for name, value in items.items() if QUANTITIES[name].part == "structure"}
+    for name in own.keys() & set(_ELASTIC):  # rigid bars have none
+        own[name] = np.where(scene.structure.elastic, own[name], getattr(scene.structure, name))
     changes: dict[str, Any] = {"parameters": None, "structure": scene.structure.replace(**own)}
     on_grounds = {
         name.removeprefix("ground_"): values

@@ -197,6 +197,8 @@ class ParameterLayout(ReadOnlyArrays):
 
 EMPTY = ParameterLayout((), (), np.zeros(0), {}, {}, {})
 
+_ELASTIC = "bar_stiffness", "bar_rest_length"
+
 
 class _Block(NamedTuple):
     """Entries of p for one quantity.
@@ -247,6 +249,11 @@ def _build_block(scene: Any, parameters: Parameters, name: str) -> _Block:
     scaled = name in parameters.scale
     for key, group in zip(keys, members, strict=True):
         own = values[group]
+        if name in _ELASTIC and not scene.structure.elastic[group].all():
+            bar = group[~scene.structure.elastic[group]][0]
+            raise ValueError(
+                f"Parameters has {name!r}, but bar {bar} is rigid: give groups of elastic bars"
+            )
         if scaled and not own.any():
             raise ValueError(
                 f"Parameters.scale has {name!r}, whose value{key} is 0: name it without scale="
@@ -258,6 +265,8 @@ def _build_block(scene: Any, parameters: Parameters, name: str) -> _Block:
     items = np.concatenate(members)
     constant = np.array(values, dtype=float)
     constant[items] = 0.0
+    if name in _ELASTIC:  # rigid bars have none
+        constant[~scene.structure.elastic] = 0.0
     return _Block(
         [f"{name}{' scale' if scaled else ''}{key}" for key in keys],
         np.array([1.0 if scaled else values[group[0]] for group in members]),
@@ -328,4 +337,6 @@ def _find_strict(scene: Any, name: str, count: int) -> Any:
         return bare
     if name == "string_mass":  # nodes inside strings need one
         return np.bincount(scene.modelled.string_parent, minlength=count) > 1
+    if name in _ELASTIC:  # rigid bars have none
+        return s.elastic
     return np.full(count, QUANTITIES[name].least == "positive")

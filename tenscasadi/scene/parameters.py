@@ -28,6 +28,8 @@ QUANTITIES = {
     "rest_length": Quantity("m", "string", "positive"),
     "string_mass": Quantity("kg", "string", "zero"),
     "bar_mass": Quantity("kg", "bar", "positive"),
+    "bar_stiffness": Quantity("N/m", "bar", "positive"),
+    "bar_rest_length": Quantity("m", "bar", "positive"),
     "node_mass": Quantity("kg", "node", "zero"),
     "gravity": Quantity("m/s²", "axis", "any", "gravity"),
     "ground_stiffness": Quantity("N/m", "ground", "positive", "ground"),
@@ -65,7 +67,8 @@ class Parameters(Value, kind="Parameters"):
     ----------
     *names : str
         Quantities, in SI units, with an entry of p for each of their items: ``"stiffness"``,
-        ``"damping"``, ``"rest_length"`` and ``"string_mass"`` of strings, ``"bar_mass"`` of bars,
+        ``"damping"``, ``"rest_length"`` and ``"string_mass"`` of strings, ``"bar_mass"``,
+        ``"bar_stiffness"`` and ``"bar_rest_length"`` of bars,
         ``"node_mass"`` of nodes, ``"gravity"`` (x, y, z), ``"ground_stiffness"``,
         ``"ground_damping"`` and ``"ground_friction"``, ``"pressure"``, and constant nodal
         ``"forces"`` (x, y, z of each node).

@@ -42,7 +42,7 @@ class Scene(Value, Viewable, kind="Scene"):
         input.
     segments : int or sequence of int, shape (α,)
         Number of pieces that each string is modelled by.
-    ends : {"interior", "lumped"}
+    ends : {"interior", "lumped", "consistent"}
         Where the mass of a string goes, see `Structure.subdivide`.
     gravity : Gravity, optional
         Gravity.
@@ -80,7 +80,7 @@ class Scene(Value, Viewable, kind="Scene"):
     structure: Annotated[Structure, ElsewhereInFile()]
     control: Control | None = None
     segments: int | Sequence[int] = 1
-    ends: Literal["interior", "lumped"] = "interior"
+    ends: Literal["interior", "lumped", "consistent"] = "interior"
     gravity: Gravity | None = None
     ground: Surface | Sequence[Surface] | None = None
     pressure: Pressure | None = None

@@ -344,7 +344,7 @@ def constraint_violation(model: Model, state: Array) -> float:
     q, v, _ = model.split(state)
     lengths = model.mechanism.lengths
     size = float(lengths.max(initial=0.0)) or extent(model)
-    ends = model.velocities(state)[model.structure.bars]
+    ends = model.velocities(state)[model.structure.bars[model.mechanism.rigid]]
     speed = max(size, float(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).max(initial=0.0)))
     scales = (lengths, speed, size, speed)  # in the order of the constraints
     largest = [np.abs(part).max(initial=0.0) for part in (q, v)] * 2

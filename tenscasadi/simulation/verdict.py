@@ -229,7 +229,7 @@ def _may_be_off(model: Model, starts: Array) -> NDArray[np.bool_]:
     small = OFF * float(lengths.min(initial=np.inf if len(lengths) else 1.0))
     if not model.mechanism.joints:
         ends, moving = (
-            part[:, model.structure.bars]
+            part[:, model.structure.bars[model.mechanism.rigid]]
             for part in (model.nodes(starts), model.velocities(starts))
         )
         bars, rates = ends[:, :, 1] - ends[:, :, 0], moving[:, :, 1] - moving[:, :, 0]

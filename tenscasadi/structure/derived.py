@@ -17,10 +17,11 @@ _INDICES = ("physical", "bar_columns", "string_columns")  # of a layout
 def write_derived(structure: Any) -> dict[str, Array]:
     """Convert the derived attributes of a structure to arrays."""
     layout: Layout = structure._layout
-    ties = layout.P.tocoo()
+    ties, coupled = layout.P.tocoo(), structure.coupled_mass
     found = {
         "string_parent": structure.string_parent,
         "string_fraction": structure.string_fraction,
+        "coupled_mass": coupled if coupled.any() else coupled[:0],
         "mass_share": layout.mass_share,
         "ties": np.column_stack([*ties.coords, ties.data]),
         **{name: np.asarray(getattr(layout, name)) for name in _INDICES},
@@ -51,8 +52,11 @@ def read_derived(given: Mapping[str, Any], structure: Any) -> dict[str, Any]:
         P=csr_array((value, ties), shape=shape),
         **{name: found.pop(name) for name in _INDICES},
     )
-    fraction = finite_array("derived.string_fraction", given.get("string_fraction", ()), (strings,))
-    return {**found, "string_fraction": fraction, "_layout": layout}
+    fraction, coupled = (
+        finite_array(f"derived.{name}", given.get(name, default), (strings,))
+        for name, default in (("string_fraction", ()), ("coupled_mass", np.zeros(strings)))
+    )
+    return {**found, "string_fraction": fraction, "coupled_mass": coupled, "_layout": layout}
 
 
 def _read_indices(name: str, value: Any, shape: tuple[int, ...], count: int) -> Indices:

@@ -506,6 +506,7 @@ def _prestressed(
     """
     if prestress is None:
         return structure
-    if options.get("rest_length") is not None:
-        raise ValueError("prestress and rest_length are both given: leave one of them out")
+    for name in ("rest_length", "bar_rest_length"):
+        if options.get(name) is not None:
+            raise ValueError(f"prestress and {name} are both given: leave one of them out")
     return structure.prestressed(stress * (positive_number("prestress", prestress) / stress.min()))

@@ -20,25 +20,24 @@ from tenscasadi.structure.class_one import (
     class_one,
     connectivity,
     default_layout,
-    extend_layout,
     member_lengths,
     read_matrices,
 )
 from tenscasadi.structure.derived import read_derived, write_derived
+from tenscasadi.structure.elastic_bars import read_elastic_bars
 from tenscasadi.structure.mass_checks import check_node_masses
-from tenscasadi.structure.names import extend_names, find_names, name_segments, read_names
+from tenscasadi.structure.names import find_names, read_names
 from tenscasadi.structure.pins import Normals, read_axes, read_pins, read_rollers
-from tenscasadi.structure.subdivision import cut_strings, segment_counts, segment_shares
+from tenscasadi.structure.prestress import find_rest_lengths
+from tenscasadi.structure.subdivision import divide_strings
 from tenscasadi.util.read_only import ReadOnlyArrays, read_only
 from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import (
     SMALLEST,
     Array,
     Indices,
-    choice,
     finite_array,
     flag,
-    item_mask,
     node_pairs,
     nonnegative,
     per_item,
@@ -84,6 +83,10 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
     rollers : mapping of int to array_like, shape (3,) or (k, 3)
         Fixed directions of nodes, such as ``{3: (1, 0, 1)}``: the normal of the plane on which a
         node rolls, or two normals of its line.
+    bar_stiffness : array_like, shape (β,), optional
+        Force of each bar per elongation [N/m]; inf or None for rigid bars, the default.
+    bar_rest_length : array_like, shape (β,), optional
+        Unstressed length of each elastic bar [m]; by default, and for rigid bars, that in `nodes`.
     node_names, string_names, bar_names : sequence of str, optional
         Names, "" for unnamed ones. ``"guys[0]"`` and ``"guys[1]"`` are members of the group
         ``"guys"``.
@@ -98,12 +101,16 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         The same, including each axis in which the normal of a roller has a component.
     bar_lengths, string_lengths : ndarray, shape (β,) and (α,)
         Lengths in `nodes`, m.
+    elastic : ndarray of bool, shape (β,)
+        Whether a bar is elastic.
     bar_inertia : ndarray, shape (β,)
         J of each bar, kg (Eq. 19).
     string_parent : ndarray of int, shape (α,)
         The string from which `subdivide` made each segment, or the string itself.
     string_fraction : ndarray, shape (α,)
         Length of each string relative to its parent.
+    coupled_mass : ndarray, shape (α,)
+        Mass of each string that couples its ends, as `subdivide` makes it "consistent" [kg].
 
     Raises
     ------
@@ -132,6 +139,9 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
     damping: Array
     rest_length: Array
     string_mass: Array
+    bar_stiffness: Array
+    bar_rest_length: Array
+    elastic: np.ndarray[Any, np.dtype[np.bool_]]
     fixed: np.ndarray[Any, np.dtype[np.bool_]]
     held: np.ndarray[Any, np.dtype[np.bool_]]
     bar_lengths: Array
@@ -139,6 +149,7 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
     bar_inertia: Array
     string_parent: Indices
     string_fraction: Array
+    coupled_mass: Array
     node_names: tuple[str, ...]
     string_names: tuple[str, ...]
     bar_names: tuple[str, ...]
@@ -158,6 +169,8 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         rest_length: ArrayLike | None = None,
         string_mass: ArrayLike = 0.0,
         rollers: Mapping[int, ArrayLike] = MappingProxyType({}),
+        bar_stiffness: ArrayLike | None = None,
+        bar_rest_length: ArrayLike | None = None,
         node_names: Iterable[str] = (),
         string_names: Iterable[str] = (),
         bar_names: Iterable[str] = (),
@@ -191,6 +204,7 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
             own[name] = nonnegative(
                 name, per_item(name, value, count), item, strict=name in ("bar_mass", "rest_length")
             )
+        own.update(read_elastic_bars(bar_stiffness, bar_rest_length, self.bar_lengths))
         own["node_names"] = read_names("node_names", node_names, n)
         own["string_names"] = read_names("string_names", string_names, alpha)
         own["bar_names"] = read_names("bar_names", bar_names, beta)
@@ -209,7 +223,10 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         )
         layout = default_layout(n, self.bars, self.strings, np.flatnonzero(self.fixed.all(axis=1)))
         self._derived(
-            string_parent=np.arange(alpha), string_fraction=np.ones(alpha), _layout=layout
+            string_parent=np.arange(alpha),
+            string_fraction=np.ones(alpha),
+            coupled_mass=np.zeros(alpha),
+            _layout=layout,
         )
 
     @classmethod
@@ -224,6 +241,8 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         own = {name: getattr(self, name) for name in PARAMETERS}
         plain, derived = write_derived(Structure(**own)), write_derived(self)
         own |= {name: dict(own[name]) for name in ("pinned", "rollers")}
+        if not self.elastic.any():  # rigid bars have no properties of their own
+            own |= {"bar_stiffness": None, "bar_rest_length": None}
         same = derived.keys() == plain.keys() and all(
             np.array_equal(derived[name], value) for name, value in plain.items()
         )
@@ -307,10 +326,13 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         csr_array, shape (n, n)
             M [kg], without the masses of strings that `subdivide` has not assigned to nodes.
         """
-        return csr_array(
-            bar_mass_matrix(self.bars, self.bar_inertia, self.bar_mass, len(self.nodes))
-            + diags_array(self.node_mass)
-        )
+        n = len(self.nodes)
+        M = bar_mass_matrix(self.bars, self.bar_inertia, self.bar_mass, n)
+        M = M + diags_array(self.node_mass)
+        if self.coupled_mass.any():
+            C_s = connectivity(self.strings, n)
+            M = M - C_s.T @ diags_array(self.coupled_mass / 6) @ C_s
+        return csr_array(M)
 
     def class_one(self, sparse: bool = False) -> ClassOne:
         """Compute the paper's class-one matrices.
@@ -365,7 +387,8 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         new = Structure(**{**{name: getattr(self, name) for name in PARAMETERS}, **changes})
         kept: dict[str, Any] = {}
         if np.array_equal(new.strings, self.strings):
-            kept.update(string_parent=self.string_parent, string_fraction=self.string_fraction)
+            names = ("string_parent", "string_fraction", "coupled_mass")
+            kept.update({name: getattr(self, name) for name in names})
             if (
                 len(new.nodes) == len(self.nodes)
                 and np.array_equal(new.bars, self.bars)
@@ -380,12 +403,15 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
     ) -> Structure:
         """Copy the structure with rest lengths for given force densities.
 
-        The rest lengths are ρ = s (1 − γ/k) (Appendix A).
+        The rest lengths of strings are ρ = s (1 − γ/k) (Appendix A), and those of elastic bars are
+        l (1 + λ/k).
 
         Parameters
         ----------
-        force_density : array_like, shape (α,)
-            γ of each string at these nodes [N/m], at least 0 and below its stiffness.
+        force_density : array_like, shape (α,) or (α + β,)
+            γ of each string at these nodes [N/m], at least 0 and below its stiffness; then λ of
+            each bar, positive in compression, as in a row of `self_stress`. Without λ, bars balance
+            the strings by least squares.
         compression_strings : sequence of int
             Compression-capable strings, whose γ may be negative (law `Linear`).
 
@@ -399,19 +425,7 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         ValueError
             γ ≥ k, which no positive rest length attains.
         """
-        gamma = per_item("force_density", force_density, len(self.strings))
-        either = item_mask("compression_strings", compression_strings, len(self.strings), "string")
-        nonnegative("force_density", np.where(either, 0.0, gamma), "string")
-        for i in np.flatnonzero((gamma != 0.0) & (gamma >= self.stiffness)):
-            raise ValueError(
-                f"force_density of string {i} is {gamma[i]:g} N/m: it must be below its stiffness, {self.stiffness[i]:g} N/m"
-            )
-        for i in np.flatnonzero((gamma < 0.0) & (self.stiffness == 0.0)):
-            raise ValueError(
-                f"force_density of string {i} is {gamma[i]:g} N/m: its stiffness is 0, so it carries no compression"
-            )
-        ratio = np.divide(gamma, self.stiffness, out=np.zeros_like(gamma), where=gamma != 0.0)
-        return self.replace(rest_length=self.string_lengths * (1.0 - ratio))
+        return self.replace(**find_rest_lengths(self, force_density, compression_strings))
 
     def subdivide(
         self,
@@ -431,10 +445,11 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         ----------
         segments : int or sequence of int, shape (α,)
             Number of segments of each string.
-        ends : {"interior", "lumped"}
+        ends : {"interior", "lumped", "consistent"}
             Distribution of a string's mass m. "interior": m/(segments−1) on each inner node, as in
             the paper; a string with one segment then has no mass. "lumped": half of each segment's
-            mass on each of its ends, which is more accurate.
+            mass on each of its ends, which is more accurate. "consistent": m/6 [[2, 1], [1, 2]] of
+            each segment, as finite elements have it; it couples the ends.
         fractions : array_like, shape (segments,), optional
             Fractions of each string's length, with sum 1. Default: equal.
 
@@ -448,37 +463,8 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         ValueError
             A subdivided string has no mass, or the fractions do not sum to 1.
         """
-        choice("ends", ends, "interior", "lumped")
-        counts = segment_counts(segments, len(self.strings))
-        shares = [segment_shares(count, fractions) for count in counts]
-        parent, share = (
-            np.repeat(np.arange(len(counts)), counts),
-            np.concatenate([np.zeros(0), *shares]),
-        )
-        if len(parent) == len(self.strings) and not self.string_mass.any():
-            return self
-        for i in np.flatnonzero((np.array(counts) > 1) & (self.string_mass == 0.0)):
-            raise ValueError(
-                f"string_mass of string {i} is 0: give it a mass, as segments meet in nodes that need one"
-            )
-        nodes, strings, spread = cut_strings(self.nodes, self.strings, shares, ends == "lumped")
-        new = self.replace(
-            nodes=nodes,
-            strings=strings,
-            node_mass=spread @ self.string_mass
-            + np.pad(self.node_mass, (0, len(nodes) - len(self.nodes))),
-            node_names=extend_names(self.node_names, len(nodes)),
-            string_names=name_segments(self.string_names, counts),
-            stiffness=self.stiffness[parent] / share,
-            damping=self.damping[parent] / share,
-            rest_length=self.rest_length[parent] * share,
-            string_mass=0.0,
-        )
-        return new._derived(
-            _layout=extend_layout(self._layout, len(self.nodes), strings, parent),
-            string_parent=self.string_parent[parent],
-            string_fraction=self.string_fraction[parent] * share,
-        )
+        found = divide_strings(self, segments, ends, fractions)
+        return self if found is None else self.replace(**found.fields)._derived(**found.derived)
 
     def parent_mean(self, values: ArrayLike) -> Array:
         """Average a quantity over the segments of each parent string.

@@ -3,21 +3,92 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import csr_array
 
+from tenscasadi.structure.class_one import extend_layout
+from tenscasadi.structure.names import extend_names, name_segments
 from tenscasadi.util.validate import (
     Array,
     Indices,
     as_tuple,
+    choice,
     finite_array,
     nonnegative,
     whole_number,
 )
 
+ENDS = ("interior", "lumped", "consistent")
 LARGEST_COUNT = 200_000  # segments of all strings
+
+
+class Division(NamedTuple):
+    """Subdivided strings as changed keywords and derived attributes of a structure."""
+
+    fields: dict[str, Any]
+    derived: dict[str, Any]
+
+
+def divide_strings(structure: Any, segments: Any, ends: Any, fractions: Any) -> Division | None:
+    """Divide strings into segments, see `Structure.subdivide`.
+
+    Parameters
+    ----------
+    structure : Structure
+        The structure.
+    segments : int or sequence of int, shape (α,)
+        Number of segments of each string.
+    ends : {"interior", "lumped", "consistent"}
+        Distribution of the mass of a string.
+    fractions : array_like, shape (segments,), or None
+        Fractions of each string's length.
+
+    Returns
+    -------
+    Division or None
+        The changes; None if there are none.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is wrong or a subdivided string has no mass.
+    """
+    choice("ends", ends, *ENDS)
+    s = structure
+    counts = segment_counts(segments, len(s.strings))
+    shares = [segment_shares(count, fractions) for count in counts]
+    parent = np.repeat(np.arange(len(counts)), counts)
+    share = np.concatenate([np.zeros(0), *shares])
+    if len(parent) == len(s.strings) and not s.string_mass.any():
+        return None
+    for i in np.flatnonzero((np.array(counts) > 1) & (s.string_mass == 0.0)):
+        raise ValueError(
+            f"string_mass of string {i} is 0: give it a mass, as segments meet in nodes that need one"
+        )
+    nodes, strings, spread = cut_strings(s.nodes, s.strings, shares, ends != "interior")
+    fields = {
+        "nodes": nodes,
+        "strings": strings,
+        "node_mass": spread @ s.string_mass + np.pad(s.node_mass, (0, len(nodes) - len(s.nodes))),
+        "node_names": extend_names(s.node_names, len(nodes)),
+        "string_names": name_segments(s.string_names, counts),
+        "stiffness": s.stiffness[parent] / share,
+        "damping": s.damping[parent] / share,
+        "rest_length": s.rest_length[parent] * share,
+        "string_mass": 0.0,
+    }
+    derived = {
+        "_layout": extend_layout(s._layout, len(s.nodes), strings, parent),
+        "string_parent": s.string_parent[parent],
+        "string_fraction": s.string_fraction[parent] * share,
+        "coupled_mass": s.coupled_mass[parent] * (share == 1.0),
+    }
+    if ends == "consistent":
+        derived["coupled_mass"] = derived["coupled_mass"] + s.string_mass[parent] * share
+    return Division(fields, derived)
 
 
 def cut_strings(

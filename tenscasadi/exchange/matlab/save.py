@@ -32,7 +32,8 @@ def save_mat(
 
     Indices count from 1 in the file. A structure becomes the variables N (3×n), C_b, C_s, s_0, k,
     c, m and pinned_nodes. The additional variables pinned_X, pinned_Y, pinned_Z, node_mass,
-    string_mass, bar_radius, roller_nodes and roller_normals are unknown to MOTES. `load_mat`
+    string_mass, bar_radius, bar_stiffness (0: rigid), bar_rest_length, roller_nodes and
+    roller_normals are unknown to MOTES. `load_mat`
     restores the structure exactly.
 
     With `class_one` the file is valid input of ``tenseg_sim_class1open(load('x.mat'))`` or
@@ -111,6 +112,9 @@ def _build_physical(structure: Structure) -> dict[str, Any]:
         "string_mass": structure.string_mass,
         "bar_radius": structure.bar_radius,
     }
+    if structure.elastic.any():  # 0: rigid
+        k = np.where(structure.elastic, structure.bar_stiffness, 0.0)
+        more |= {"bar_stiffness": k, "bar_rest_length": structure.bar_rest_length}
     normals = [
         (node + 1, normal) for node, normals in structure.rollers.items() for normal in normals
     ]
@@ -146,6 +150,7 @@ def _build_split(structure: Structure) -> dict[str, Any]:
     masses = structure.node_mass != 0
     for unknown, name, member, cure in (
         (structure.bar_radius != 0, "bar_radius", "bar", "0.0"),
+        (structure.elastic, "bar_stiffness", "bar", "None"),
         (structure.string_mass != 0, "string_mass", "string", "0.0, or subdivide the strings"),
         (~loose & masses, "node_mass", "node", "0.0: MOTES has masses where no bar ends"),
         (loose & ~masses, "node_mass", "node", "a mass: MOTES inverts the mass matrix"),

@@ -24,7 +24,8 @@ from tenscasadi.structure.structure import PARAMETERS, Structure
 from tenscasadi.util.validate import Array, Indices, finite_array, text
 
 _BARS, _STRINGS = ("C_b", "C_b_in", "Cb_in"), ("C_s", "C_s_in", "Cs_in")
-_OF_BARS = {"m": "bar_mass", "bar_radius": "bar_radius"}
+_OF_BARS = {"m": "bar_mass"}
+_OF_BARS |= {name: name for name in ("bar_radius", "bar_stiffness", "bar_rest_length")}
 _OF_STRINGS = {"s_0": "rest_length", "k": "stiffness", "c": "damping"}
 _OF_STRINGS["string_mass"] = "string_mass"
 _OTHERS = (
@@ -61,7 +62,8 @@ def load_mat(
     a struct, such as the input of a MOTES simulation. From MOTES, ``s_0``, ``k``, ``c``, ``m``,
     ``ms`` (with MOTES' defaults), ``P``, ``D`` and ``pinned_nodes`` are read; nodes that P ties
     together are merged. From TsgFEM, ``C``, ``index_b``, ``index_s``, ``E``, ``A``, ``l0``,
-    ``mass``, ``pinned_X``, ``pinned_Y``, ``pinned_Z`` or ``Ib`` are read; its bars become rigid.
+    ``mass``, ``pinned_X``, ``pinned_Y``, ``pinned_Z`` or ``Ib`` are read. Its bars are elastic, of
+    stiffness E A/l0; the option ``bar_stiffness=None`` makes them rigid.
     Loads, velocities, times, objects and function handles are not read; nothing is executed.
 
     Parameters
@@ -190,6 +192,10 @@ def _build(source: Source, variables: Variables, options: Variables) -> ParsedSt
         for key, name in names.items()
         if key in variables and name not in options and len(members)
     }
+    if "bar_stiffness" in given:  # 0: rigid
+        given["bar_stiffness"] = np.where(
+            given["bar_stiffness"] == 0, np.inf, given["bar_stiffness"]
+        )
     if is_filled(variables, "mgyro"):
         message = "mgyro is not 0: bars with gyroscopic wheels cannot be modeled"
         source.leave_out(ValueError(message))

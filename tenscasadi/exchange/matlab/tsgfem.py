@@ -20,7 +20,9 @@ from tenscasadi.util.validate import Array, Indices, finite_array
 
 # variables of MOTES: keyword of Structure, and the variables of TsgFEM from which it follows
 _BARS: dict[str, tuple[str, tuple[str, ...], Callable[..., Array]]] = {
-    "m": ("bar_mass", ("mass",), lambda mass: mass)
+    "m": ("bar_mass", ("mass",), lambda mass: mass),
+    "bar_stiffness": ("bar_stiffness", ("E", "A", "l0"), lambda E, A, l0: E * A / l0),
+    "bar_rest_length": ("bar_rest_length", ("l0",), lambda l0: l0),
 }
 _STRINGS: dict[str, tuple[str, tuple[str, ...], Callable[..., Array]]] = {
     "s_0": ("rest_length", ("l0",), lambda l0: l0),

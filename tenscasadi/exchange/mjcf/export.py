@@ -145,6 +145,12 @@ def _check_scene(scene: Scene) -> None:
                 f"Scene.slack of string {strings[0]} is {law}: MuJoCo's tendons are slack or not, give Clip() or Linear()"
             )
     s = scene.modelled
+    if s.coupled_mass.any():
+        raise ValueError('Scene.ends is "consistent", which MuJoCo lacks: give "lumped"')
+    for bar in np.flatnonzero(s.elastic):
+        raise ValueError(
+            f"bar_stiffness of bar {bar} is {s.bar_stiffness[bar]:g} N/m: bars of MuJoCo are rigid, give structure.replace(bar_stiffness=None)"
+        )
     if scene.control is not None and len(s.strings) > len(scene.structure.strings):
         raise ValueError(
             "Scene.segments: MuJoCo's actuators drive strings in one piece: give segments=1, or control=None"

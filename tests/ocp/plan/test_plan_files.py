@@ -66,6 +66,10 @@ OTHER: dict[str, Callable[[], tc.Model]] = {
     "Structure.strings": lambda: model(made=structure(strings=[(0, 3), (2, 3), (4, 3)])),
     "Structure.bar_mass": lambda: model(made=structure(bar_mass=2.0)),
     "Structure.bar_radius": lambda: model(made=structure(bar_radius=0.01)),
+    "Structure.bar_stiffness": lambda: model(made=structure(bar_stiffness=[1e3, np.inf])),
+    "Structure.bar_rest_length": lambda: model(
+        made=structure(bar_stiffness=1e3, bar_rest_length=1.2)
+    ),
     "Structure.node_mass": lambda: model(made=structure(node_mass=[0, 0, 0, 1, 2])),
     "Structure.pinned": lambda: model(made=structure(pinned={0: "xyz", 2: "x"})),
     "Structure.rollers": lambda: model(

@@ -63,6 +63,13 @@ BAD = {
         ValueError,
         "all nodes pinned",
     ),
+    "elastic bar": (
+        lambda: ocp.Problem(
+            tc.Model(tc.Scene(PRISM.replace(bar_stiffness=1e4), control=tc.ForceDensity()))
+        ),
+        ValueError,
+        "elastic bar, 0",
+    ),
     "duration zero": (lambda: problem(duration=0.0), ValueError, "Problem.duration is 0"),
     "duration nan": (lambda: problem(duration=float("nan")), ValueError, "Problem.duration"),
     "duration text": (lambda: problem(duration="long"), TypeError, "Problem.duration"),

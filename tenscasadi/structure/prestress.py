@@ -1,0 +1,99 @@
+"""Rest lengths of members for given force densities (Appendix A)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from tenscasadi.structure.equilibrium_matrix import balance_bars
+from tenscasadi.util.validate import (
+    Array,
+    finite_array,
+    item_mask,
+    nesting,
+    nonnegative,
+    per_item,
+    real_array,
+)
+
+
+def find_rest_lengths(
+    structure: Any, force_density: Any, compression_strings: Iterable[int]
+) -> dict[str, Array]:
+    """Compute ρ = s (1 − γ/k) of strings, and ρ = l (1 + λ/k) of elastic bars.
+
+    Parameters
+    ----------
+    structure : Structure
+        The structure in its nodes.
+    force_density : array_like, shape (α,) or (α + β,)
+        γ of strings [N/m], then λ of bars, positive in compression.
+    compression_strings : iterable of int
+        Strings whose γ may be negative.
+
+    Returns
+    -------
+    dict of str to ndarray
+        Keywords of `Structure`: `rest_length`, and `bar_rest_length` if there are elastic bars.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the force densities are wrong, or no positive rest length attains them.
+    """
+    gamma, lam = read_force_densities(structure, force_density)
+    k = structure.stiffness
+    either = item_mask("compression_strings", compression_strings, len(gamma), "string")
+    nonnegative("force_density", np.where(either, 0.0, gamma), "string")
+    for i in np.flatnonzero((gamma != 0.0) & (gamma >= k)):
+        raise ValueError(
+            f"force_density of string {i} is {gamma[i]:g} N/m: it must be below its stiffness, {k[i]:g} N/m"
+        )
+    for i in np.flatnonzero((gamma < 0.0) & (k == 0.0)):
+        raise ValueError(
+            f"force_density of string {i} is {gamma[i]:g} N/m: its stiffness is 0, so it carries no compression"
+        )
+    ratio = np.divide(gamma, k, out=np.zeros_like(gamma), where=gamma != 0.0)
+    rest = {"rest_length": structure.string_lengths * (1.0 - ratio)}
+    if not structure.elastic.any():
+        return rest
+    lam, k = balance_bars(structure, gamma) if lam is None else lam, structure.bar_stiffness
+    for bar in np.flatnonzero(structure.elastic & (lam <= -k)):
+        raise ValueError(
+            f"force_density of bar {bar} is {lam[bar]:g} N/m: it must be above −{k[bar]:g} N/m, where a stretched bar would have no rest length"
+        )
+    return rest | {"bar_rest_length": structure.bar_lengths * (1.0 + lam / k)}
+
+
+def read_force_densities(structure: Any, given: Any) -> tuple[Array, Array | None]:
+    """Read force densities of strings (α,), and of bars (β,) where they are given.
+
+    Parameters
+    ----------
+    structure : Structure
+        The structure.
+    given : array_like, shape (α,) or (α + β,)
+        Force densities of strings [N/m], then λ of bars [N/m], positive in compression.
+
+    Returns
+    -------
+    tuple of ndarray
+        γ (α,) and λ (β,); None if only those of strings are given.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the shape is another one or a number is not finite.
+    """
+    strings, bars = len(structure.strings), len(structure.bars)
+    if nesting(given) and bars and np.shape(given) == (strings + bars,):
+        both = finite_array("force_density", given, (strings + bars,))
+        return both[:strings], both[strings:]
+    if nesting(given) and bars and np.shape(given) != (strings,):
+        real_array("force_density", given, f"({strings},) or ({strings + bars},) numbers")
+        raise ValueError(
+            f"force_density has shape {np.shape(given)}: give ({strings},) for strings or ({strings + bars},) for strings, then bars"
+        )
+    return per_item("force_density", given, strings), None
