@@ -58,11 +58,12 @@ if TYPE_CHECKING:
     from tenscasadi.exchange.source import InexactImportWarning
     from tenscasadi.exchange.vtk import export_vtk
     from tenscasadi.integrators.stability import stable_step
-    from tenscasadi.statics.force_density import (
-        EquilibriumError,
-        equilibrium_force_density,
-        self_stress,
-    )
+    from tenscasadi.statics.buckling import BucklingFactor, buckling_factor
+    from tenscasadi.statics.equilibrium import Equilibrium, find_equilibrium
+    from tenscasadi.statics.force_density import EquilibriumError, equilibrium_force_density
+    from tenscasadi.statics.load_path import LoadPath, load_path
+    from tenscasadi.statics.self_stress import self_stress
+    from tenscasadi.statics.stability import Stability, stability
     from tenscasadi.sweeps.sweep import sweep
     from tenscasadi.sweeps.sweep_table import Sweep
 
@@ -84,11 +85,12 @@ __getattr__ = find_attribute(
         "tenscasadi.exchange.source": ("InexactImportWarning",),
         "tenscasadi.exchange.vtk": ("export_vtk",),
         "tenscasadi.integrators.stability": ("stable_step",),
-        "tenscasadi.statics.force_density": (
-            "EquilibriumError",
-            "equilibrium_force_density",
-            "self_stress",
-        ),
+        "tenscasadi.statics.buckling": ("BucklingFactor", "buckling_factor"),
+        "tenscasadi.statics.equilibrium": ("Equilibrium", "find_equilibrium"),
+        "tenscasadi.statics.force_density": ("EquilibriumError", "equilibrium_force_density"),
+        "tenscasadi.statics.load_path": ("LoadPath", "load_path"),
+        "tenscasadi.statics.self_stress": ("self_stress",),
+        "tenscasadi.statics.stability": ("Stability", "stability"),
         "tenscasadi.sweeps.sweep": ("sweep",),
         "tenscasadi.sweeps.sweep_table": ("Sweep",),
     },
@@ -108,6 +110,14 @@ __all__ = [
     "equilibrium_force_density",
     "self_stress",
     "EquilibriumError",
+    "find_equilibrium",
+    "Equilibrium",
+    "stability",
+    "Stability",
+    "buckling_factor",
+    "BucklingFactor",
+    "load_path",
+    "LoadPath",
     # how
     "Scene",
     "ForceDensity",

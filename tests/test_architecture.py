@@ -51,6 +51,7 @@ OPEN_TO_OCP = {*_MODEL, "statics", "drawing"}
 # imported when they are called, and only there.
 ONWARD = {
     ("tenscasadi.util.viewable", "tenscasadi.viewer.view"),
+    ("tenscasadi.statics.load_path", "tenscasadi.plots.load_paths"),
 }
 # documented paths that only lead into a room
 ENTRANCES = {"tenscasadi.__main__", "tenscasadi.animation"}

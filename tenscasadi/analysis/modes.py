@@ -11,13 +11,14 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
 
-from tenscasadi.analysis.constrained_eigenproblem import (
+from tenscasadi.dynamics.linearization import EquationDerivatives, displacements
+from tenscasadi.dynamics.model import Model
+from tenscasadi.dynamics.operating_point import OperatingPoint, split_point
+from tenscasadi.util.constrained_eigenproblem import (
     SaddlePoint,
     fastest_rate,
     lowest_eigenpairs,
 )
-from tenscasadi.dynamics.linearization import EquationDerivatives, displacements
-from tenscasadi.dynamics.model import Model
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import Array, finite_array, instance, whole_number
 
@@ -92,7 +93,9 @@ class Modes(ReadOnlyArrays):
     residual: float
 
 
-def linearize(model: Model, x: Any = None, u: Any = None, parameters: Any = None) -> Linearization:
+def linearize(
+    model: Model | OperatingPoint, x: Any = None, u: Any = None, parameters: Any = None
+) -> Linearization:
     """Linearize a model's equations at a state and control.
 
     The derivatives are exact.
@@ -102,9 +105,9 @@ def linearize(model: Model, x: Any = None, u: Any = None, parameters: Any = None
 
     Parameters
     ----------
-    model : Model
-        The model.
-    x : array_like (nx,), optional
+    model : Model or Equilibrium
+        The model, or an equilibrium of it.
+    x : array_like (nx,), or Equilibrium, optional
         State to linearize about; None: the initial state.
     u : array_like (nu,), optional
         Control to linearize about; None: the initial control.
@@ -138,8 +141,7 @@ def linearize(model: Model, x: Any = None, u: Any = None, parameters: Any = None
     >>> linear.tangent.shape
     (3, 2)
     """
-    instance("model", model, Model, "a tenscasadi.Model")
-    state, inputs = _numbers(model, x, u, parameters)
+    model, state, inputs = _numbers(model, x, u, parameters)
     control, p = np.split(inputs, [model.nu])
     found = EquationDerivatives.of(model).at(state[None], control[None], p)
     J, residual = found.jacobian(0), found.rates[0]
@@ -149,7 +151,11 @@ def linearize(model: Model, x: Any = None, u: Any = None, parameters: Any = None
 
 
 def modes(
-    model: Model, x: Any = None, u: Any = None, count: int | None = None, parameters: Any = None
+    model: Model | OperatingPoint,
+    x: Any = None,
+    u: Any = None,
+    count: int | None = None,
+    parameters: Any = None,
 ) -> Modes:
     """Compute the natural modes about an equilibrium.
 
@@ -160,9 +166,9 @@ def modes(
 
     Parameters
     ----------
-    model : Model
-        The model.
-    x : array_like (nx,), optional
+    model : Model or Equilibrium
+        The model, or an equilibrium of it.
+    x : array_like (nx,), or Equilibrium, optional
         State of equilibrium; None: the initial state.
     u : array_like (nu,), optional
         Control of equilibrium; None: the initial control.
@@ -221,8 +227,7 @@ def modes(
     >>> [round(float(frequency), 4) for frequency in modes.frequency]
     [0.4317, 0.4317]
     """
-    instance("model", model, Model, "a tenscasadi.Model")
-    state, inputs = _numbers(model, x, u, parameters)
+    model, state, inputs = _numbers(model, x, u, parameters)
     number = 20 if count is None else whole_number("count", count, 1)
     mech = model.mechanism
     constraints = mech.bars + int(mech.active.sum())
@@ -243,13 +248,17 @@ def modes(
     return Modes(frequency, shape, rigid, residual)
 
 
-def _numbers(model: Model, x: Any, u: Any, parameters: Any) -> tuple[Array, Array]:
-    """Check a state (nx,) and its inputs (nw,).
+def _numbers(model: Any, x: Any, u: Any, parameters: Any) -> tuple[Model, Array, Array]:
+    """Check a model, a state (nx,) and its inputs (nw,).
 
     None stands for the initial values.
     """
+    if isinstance(model, OperatingPoint):
+        model, x = model.model, model if x is None else x
+    instance("model", model, Model, "a tenscasadi.Model or Equilibrium")
+    x, u, parameters = split_point(model, x, u, parameters)
     state = model.initial_state if x is None else finite_array("x", x, (model.nx,))
-    return state, model.stack_inputs(u, parameters)
+    return model, state, model.stack_inputs(u, parameters)
 
 
 def _reject_degenerate(model: Model, state: Array, *values: Any) -> None:

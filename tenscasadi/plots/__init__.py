@@ -5,6 +5,7 @@ from __future__ import annotations
 from tenscasadi.plots.diagrams import Convergence, work_precision
 from tenscasadi.plots.figures import structure, time_lapse
 from tenscasadi.plots.histories import ForceHistory, errors, force_densities, node_histories
+from tenscasadi.plots.load_paths import load_path
 from tenscasadi.plots.robustness import ReplayErrors, robustness
 from tenscasadi.plots.rollouts import fan, histogram
 
@@ -16,6 +17,7 @@ __all__ = [
     "fan",
     "force_densities",
     "histogram",
+    "load_path",
     "node_histories",
     "robustness",
     "structure",

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from tenscasadi.dynamics.model import Model
+from tenscasadi.dynamics.operating_point import split_point
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme, check_scheme
 from tenscasadi.integrators.stabilization import Correction, check_correction
@@ -59,8 +60,9 @@ def simulate(  # noqa: PLR0913  the options of a run
     scheme : Scheme, optional
         Integration scheme, such as `RungeKutta4` (default), `Rattle`, `DormandPrince853` or
         `Cvodes`.
-    state : array_like, shape (nx,), optional
-        State at the start. Default: `model.initial_state`.
+    state : array_like, shape (nx,), or Equilibrium, optional
+        State at the start; an equilibrium also provides the default control and parameters.
+        Default: `model.initial_state`.
     control : array_like or callable, optional
         Control. An array (nu,) is constant. An array (K, nu) is constant on each of K equal parts
         of [0, t_end]; steps are shortened to fit. Each stage of a step evaluates a function
@@ -136,6 +138,7 @@ def simulate(  # noqa: PLR0913  the options of a run
     """
     flags = {"progress": progress, "energy_balance": energy_balance, "verify": verify}
     _check_options(model, scheme, correction, compiled, **flags)
+    state, control, parameters = split_point(model, state, control, parameters)
     p = model.parameters.values(parameters)
     start = np.array(
         model.start_at(p) if state is None else finite_array("state", state, (model.nx,))

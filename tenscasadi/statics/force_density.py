@@ -1,22 +1,18 @@
-"""Equilibrium N K = W with K = C_sᵀ γ̂ C_s − C_bᵀ λ̂ C_b (Eqs. 58, 60 at rest), and self-stress."""
+"""Equilibrium N K = W with K = C_sᵀ γ̂ C_s − C_bᵀ λ̂ C_b (Eqs. 58, 60 at rest)."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import ArrayLike
-from scipy.linalg import null_space
 
 from tenscasadi.statics.least_force_density import least_force_density
+from tenscasadi.statics.self_stress import TOLERANCE
+from tenscasadi.structure.equilibrium_matrix import equilibrium_matrix, free_directions
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.renamed import rename_keywords
-from tenscasadi.util.sparse_null_space import sparse_null_space
 from tenscasadi.util.validate import Array, finite_array, instance, item_mask, nonnegative, per_item
-
-TOLERANCE = 1e-9  # relative: singular values and unbalanced forces below it are rounding
 
 
 class EquilibriumError(ValueError):
@@ -31,41 +27,6 @@ class EquilibriumError(ValueError):
     def __init__(self, message: str, residual: float) -> None:
         super().__init__(message)
         self.residual = residual
-
-
-def self_stress(structure: Structure) -> Array:
-    """Compute a basis of the self-stresses.
-
-    A self-stress is a set of force densities in equilibrium without loads.
-
-    Parameters
-    ----------
-    structure : Structure
-        The structure in its nodes.
-
-    Returns
-    -------
-    ndarray, shape (k, α + β)
-        Orthonormal self-stresses [N/m]: γ of strings, then λ of bars; λ > 0 is compression.
-
-    Raises
-    ------
-    TypeError
-        If `structure` is no Structure.
-
-    Notes
-    -----
-    N K = 0 at all free coordinates, with K = C_sᵀ γ̂ C_s − C_bᵀ λ̂ C_b (Eqs. 58 and 60 at rest).
-    Equations with a residual below 1e-9 of the largest count as dependent. 2000 bars take a second.
-
-    Examples
-    --------
-    >>> import tenscasadi as tc
-    >>> tc.self_stress(tc.shapes.prism()).shape
-    (1, 12)
-    """
-    instance("structure", structure, Structure, "a tenscasadi.Structure")
-    return sparse_null_space(_balance(structure), TOLERANCE)
 
 
 @rename_keywords(pushing="compression_strings")
@@ -126,9 +87,9 @@ def equilibrium_force_density(
     least = np.where(either, 0.0, least)
     shape = structure.nodes.shape
     load = np.zeros(shape) if loads is None else finite_array("loads", loads, shape)
-    directions = _free_directions(structure)
+    directions = free_directions(structure)
     w = directions.T @ load.ravel()
-    balance = _balance(structure)
+    balance = equilibrium_matrix(structure)
     if balance.shape[0] * balance.shape[1] < 1e6:  # dense operations are faster
         balance = balance.toarray()
     strings, bars = balance[:, :alpha], balance[:, alpha:] * (1 / structure.bar_lengths)
@@ -150,30 +111,3 @@ def equilibrium_force_density(
             residual,
         )
     return gamma
-
-
-def _balance(structure: Structure) -> Any:
-    """Build N K of unit force densities, a sparse array (free coordinates, α + β) [m]."""
-    pairs = np.concatenate([structure.strings, structure.bars])
-    members, coordinates = len(pairs), structure.nodes.size
-    vectors = structure.nodes[pairs[:, 1]] - structure.nodes[pairs[:, 0]]
-    vectors[len(structure.strings) :] *= -1  # bars push
-    rows = 3 * pairs[:, :, None] + np.arange(3)
-    values = np.stack(
-        [-vectors, vectors], axis=1
-    )  # s C_s: what balances the member at its first and its second node
-    columns = np.repeat(np.arange(members), 6)
-    return sp.csc_array(
-        _free_directions(structure).T
-        @ sp.csc_array((values.ravel(), (rows.ravel(), columns)), shape=(coordinates, members))
-    )
-
-
-def _free_directions(structure: Structure) -> sp.csr_array:
-    """Build an orthonormal basis (3n, free coordinates) of the displacements that supports allow."""
-    if not structure.rollers:
-        return sp.eye_array(structure.fixed.size, format="csr")[:, np.flatnonzero(~structure.fixed)]
-    blocks = [np.eye(3)[:, ~fixed] for fixed in structure.fixed]
-    for node, normals in structure.rollers.items():
-        blocks[node] = null_space(np.array(normals))
-    return sp.csr_array(sp.block_diag(blocks))

@@ -9,17 +9,15 @@ import pytest
 import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.linalg import null_space
 from scipy.optimize import nnls
+from statics_cases import random_structure, row_of
 
 from tenscasadi.statics.force_density import (
     EquilibriumError,
     equilibrium_force_density,
-    self_stress,
 )
 from tenscasadi.statics.least_force_density import least_force_density
 from tenscasadi.structure import shapes
-from tenscasadi.structure.class_one import connectivity
 from tenscasadi.structure.structure import Structure
 
 
@@ -170,29 +168,6 @@ def test_no_equilibrium_names_residual_and_node() -> None:
     assert isinstance(caught.value, ValueError)
 
 
-def test_self_stress_has_the_signs_of_the_paper() -> None:
-    s = shapes.d_bar()
-    basis = self_stress(s)
-    assert basis.shape == (1, 6)
-    stress = basis[0] / basis[0, 0]
-    np.testing.assert_allclose(stress, 1.0, rtol=1e-12)  # γ and λ equal, λ > 0 in compression
-    for shape in (
-        shapes.prism(5),
-        shapes.six_bar_ball(),
-        shapes.six_bar_ball(pinned=[0, 3, 7]),
-        shapes.t_bar(),
-    ):
-        for row in self_stress(shape):
-            gamma, lam = np.split(row, [len(shape.strings)])
-            K = (
-                shape.C_s.T @ np.diag(gamma) @ shape.C_s - shape.C_b.T @ np.diag(lam) @ shape.C_b
-            )  # Eq. 60
-            assert np.abs((shape.nodes.T @ K)[~shape.fixed.T]).max() < 1e-12
-    assert (
-        len(self_stress(shapes.six_bar_ball(pinned=range(12)))) == 30
-    )  # everything is pinned: any stress will do
-
-
 def least_norm_error(s: Structure, gamma: Any, minimum: Any) -> float:
     """How far γ is from what makes it the least: γ = Aᵀ μ + ν, ν ≥ 0 only where γ is at its minimum, and μ does no work on bars."""
     A = unit_forces(s)
@@ -229,35 +204,6 @@ def test_random_nets_are_held_or_refused(seed: int, minimum: float, feasible: bo
 
 
 # --- large structures: sparse, and the same as dense where both run ---
-
-
-def random_structure(seed: int) -> tuple[Structure, np.ndarray, Any, list[int]]:
-    """A net of bars and strings with loads that some force densities balance, the least that is asked of each, and strings that push."""
-    rng = np.random.default_rng(seed)
-    n = int(rng.integers(6, 30))
-    pairs = [(i, j) for i in range(n) for j in range(i)]
-    rng.shuffle(pairs)
-    bars = [(2 * k, 2 * k + 1) for k in range(int(rng.integers(0, n // 3 + 1)))]
-    strings = [
-        pair
-        for pair in map(tuple, pairs[: int(rng.integers(6, min(len(pairs), 6 * n)))])
-        if tuple(sorted(pair)) not in bars
-    ]
-    s = Structure(
-        rng.normal(size=(n, 3)),
-        bars,
-        strings,
-        pinned=range(n - 3, n) if seed % 3 else (),
-        node_mass=1.0,
-    )
-    gamma = (
-        rng.exponential(size=len(strings))
-        * (rng.random(len(strings)) < 0.7)
-        * 10 ** rng.uniform(-2, 3)
-    )
-    N, t = s.nodes.T, rng.normal(size=len(bars)) * gamma.max()
-    loads = N @ s.C_s.T @ np.diag(gamma) @ s.C_s + N @ s.C_b.T @ np.diag(t) @ s.C_b
-    return s, loads.T, 0.1 * gamma if seed % 2 else 0.0, [0, 1] if seed % 4 == 0 else []
 
 
 def unit_forces(s: Structure) -> np.ndarray:
@@ -307,31 +253,13 @@ def test_sparse_and_dense_matrices_give_the_same(seed: int) -> None:
     np.testing.assert_allclose(sparse, dense, atol=1e-9 * abs(dense).max())
 
 
-@pytest.mark.parametrize("seed", range(30))
-def test_self_stresses_span_the_null_space(seed: int) -> None:
-    s, *_ = random_structure(seed)
-    balance = unit_forces(s) * np.repeat([1.0, -1.0], [len(s.strings), len(s.bars)])
-    stresses, dense = self_stress(s), null_space(balance, rcond=1e-9)
-    np.testing.assert_allclose(stresses.T @ stresses, dense @ dense.T, atol=1e-9)
-
-
 def test_two_thousand_bars() -> None:
-    """667 prisms side by side: one self-stress each, and each least force density that of its prism."""
+    """Each of 667 prisms side by side has the least force densities of one prism."""
     one, count = shapes.prism(), 667
-    nodes = np.vstack([one.nodes + (0, 0, 3.0 * k) for k in range(count)])
-    bars, strings = (
-        np.vstack([members + 6 * k for k in range(count)]) for members in (one.bars, one.strings)
-    )
-    s = Structure(nodes, bars, strings)
-    stresses = self_stress(s)
-    assert stresses.shape == (count, 12 * count)
-    gamma, lam = np.split(stresses, [len(strings)], axis=1)
-    C_s, C_b = (connectivity(pairs, len(nodes)) for pairs in (strings, bars))
-    for axis in nodes.T:  # N K = 0
-        forces = (gamma * (C_s @ axis)) @ C_s - (lam * (C_b @ axis)) @ C_b
-        assert abs(forces).max() < 1e-12
     np.testing.assert_allclose(
-        equilibrium_force_density(s), np.tile(equilibrium_force_density(one), count), rtol=1e-9
+        equilibrium_force_density(row_of(one, count)),
+        np.tile(equilibrium_force_density(one), count),
+        rtol=1e-9,
     )
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tenscasadi.statics.force_density import self_stress
+from tenscasadi.statics.self_stress import self_stress
 from tenscasadi.structure import shapes
 from tenscasadi.structure.structure import Structure
 

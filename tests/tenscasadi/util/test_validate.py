@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from scipy.sparse import coo_matrix, csr_array
 
-from tenscasadi.statics.force_density import equilibrium_force_density, self_stress
+from tenscasadi.statics.force_density import equilibrium_force_density
+from tenscasadi.statics.self_stress import self_stress
 from tenscasadi.structure import shapes
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util import validate

@@ -1,0 +1,69 @@
+"""Operating points: nodes at rest with a control and parameters, such as an equilibrium."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tenscasadi.dynamics.model import Model
+from tenscasadi.util.validate import Array
+
+
+class OperatingPoint:
+    """Nodes of a scene at rest with its control and parameters.
+
+    Functions of a state, a control and parameters take it in place of the state.
+
+    Attributes
+    ----------
+    nodes : ndarray, shape (n, 3)
+        Positions [m].
+    control : ndarray, shape (nu,)
+        Control.
+    parameters : ndarray, shape (np,)
+        Parameters.
+    time : float
+        Clock [s].
+    """
+
+    nodes: Array
+    control: Array
+    parameters: Array
+    time: float
+
+    @property
+    def model(self) -> Model:
+        """Model of the scene."""
+        raise NotImplementedError
+
+    def state_of(self, model: Model) -> Array:
+        """Compute the state (nx,) of a model of the same structure.
+
+        Parameters
+        ----------
+        model : Model
+            The model.
+
+        Returns
+        -------
+        ndarray, shape (nx,)
+            State at rest.
+        """
+        x = model.state(self.nodes)
+        model.split(x)[2][:] = self.time
+        return x
+
+
+def split_point(model: Model, state: Any, control: Any, parameters: Any) -> tuple[Any, Any, Any]:
+    """Take state, control and parameters from an operating point that is given as the state.
+
+    Control and parameters that are given have priority.
+    """
+    if not isinstance(state, OperatingPoint):
+        return state, control, parameters
+    own = state.control if len(state.control) else None
+    given = state.parameters if len(state.parameters) else None
+    return (
+        state.state_of(model),
+        own if control is None else control,
+        given if parameters is None else parameters,
+    )

@@ -1,0 +1,152 @@
+"""Linear buckling: the least factor of a load at which the tangent stiffness becomes singular."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import ArrayLike
+from scipy.sparse.linalg import ArpackError, LinearOperator, eigsh
+
+from tenscasadi.dynamics.model import Model
+from tenscasadi.scene.loads import NodalForce
+from tenscasadi.scene.scene import Scene
+from tenscasadi.statics.equilibrium import Equilibrium, find_equilibrium
+from tenscasadi.statics.solver.motions import DENSE, motion_basis
+from tenscasadi.statics.stability import Stability, stability
+from tenscasadi.util.validate import Array, instance
+
+_NONE = 1e-12  # of a load's stiffness over the structure's: a smaller one never buckles it
+
+
+class BucklingFactor(NamedTuple):
+    """Least load factor at which a structure buckles.
+
+    Attributes
+    ----------
+    factor : float
+        Least factor of the load, greater than 0; inf if the load never buckles the structure.
+    mode : ndarray, shape (n, 3)
+        Displacements of the nodes, of unit norm; zero if there is no mode.
+    success : bool
+        Whether the scene has a stable equilibrium under its own loads.
+    message : str
+        Result in one sentence; the reason of a failure.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> prism = tc.shapes.prism(prestress=30.0)
+    >>> found = tc.buckling_factor(tc.Scene(prism), [(0, 0, 1)] * 3 + [(0, 0, -1)] * 3)
+    >>> found.success, found.mode.shape
+    (True, (6, 3))
+    """
+
+    factor: float
+    mode: Array
+    success: bool
+    message: str
+
+
+def buckling_factor(
+    scene: Scene | Model | Equilibrium,
+    load: ArrayLike | NodalForce,
+    control: Any = None,
+    parameters: Any = None,
+) -> BucklingFactor:
+    """Compute the least factor of a load at which a scene buckles.
+
+    The load is added to those of the scene. Member forces grow in proportion to it, in the nodes of
+    the equilibrium without it.
+
+    Parameters
+    ----------
+    scene : Scene, Model or Equilibrium
+        The scene, or its equilibrium.
+    load : array_like, shape (n, 3), or NodalForce
+        Forces on the nodes [N].
+    control : array_like, shape (nu,), optional
+        Control; by default the initial control of the scene.
+    parameters : array_like, shape (np,), or mapping, optional
+        Values of the parameters, see `ParameterLayout.values`; nominal if None.
+
+    Returns
+    -------
+    BucklingFactor
+        Factor and mode. Without a stable equilibrium, `success` is False and the factor 0.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is wrong.
+
+    See Also
+    --------
+    load_path : Equilibria under growing loads, with large displacements.
+
+    Notes
+    -----
+    (K + f ΔK) v = 0 on motions that keep rigid bars, with the tangent stiffness K and its change
+    ΔK = Σ Δt/l (I − e eᵀ) by the member forces Δt that the load adds.
+
+    Examples
+    --------
+    Two rigid bars in line, with a spring of 100 N/m across the joint, buckle at k l/2:
+
+    >>> import tenscasadi as tc
+    >>> column = tc.Structure(
+    ...     [(0, 0, 0), (1, 0, 0), (2, 0, 0), (1, 1, 0), (1, -1, 0)], bars=[(0, 1), (1, 2)],
+    ...     strings=[(1, 3), (1, 4)], stiffness=50.0, rest_length=0.5,
+    ...     pinned={0: "xyz", 1: "z", 2: "yz", 3: "xyz", 4: "xyz"})
+    >>> found = tc.buckling_factor(tc.Scene(column), [(0, 0, 0), (0, 0, 0), (-1, 0, 0), (0, 0, 0), (0, 0, 0)])
+    >>> round(found.factor, 6)
+    50.0
+    """
+    kinds = (Scene, Model, Equilibrium)
+    instance("scene", scene, kinds, "a tenscasadi.Scene, Model or Equilibrium")
+    if isinstance(scene, Equilibrium):
+        eq = find_equilibrium(scene.source, scene, control, parameters)
+    else:
+        eq = find_equilibrium(scene, None, control, parameters)
+    st = stability(eq)
+    none = np.zeros(eq.nodes.shape)
+    size = st.stiffness(load)  # also checks the load
+    if not (eq.success and st.stable):
+        fault = "is a saddle or has motions without stiffness" if eq.success else eq.message
+        return BucklingFactor(0.0, none, False, f"no stable equilibrium without the load: {fault}")
+    if size == 0.0:
+        return BucklingFactor(0.0, none, False, "the load moves the structure freely: support it")
+    ratio, mode = _largest_ratio(st, load)
+    if ratio <= _NONE:
+        return BucklingFactor(np.inf, none, True, "the load never buckles the structure")
+    nodal = (st.system.equations.free @ mode).reshape(none.shape)
+    nodal = nodal / np.linalg.norm(nodal)
+    return BucklingFactor(1.0 / ratio, nodal, True, f"buckles at {1.0 / ratio:.6g} times the load")
+
+
+def _largest_ratio(st: Stability, load: Any) -> tuple[float, Array]:
+    """Find the largest μ with −ΔK v = μ K v, and v (free,)."""
+    system = st.system
+    K, J = system.tangent(st.point, st.tension), system.lengthening(st.point)
+    change = -st.force_stiffness(load)
+    free = system.size - system.rigid - st.neutral.shape[1]
+    if system.size > DENSE and free > 2:
+        factors = system.factor(st.point, st.tension, st.scale, 0.0)
+        flat = st.neutral
+
+        def solve(f: Array) -> Array:
+            y = factors.solve(f - flat @ (flat.T @ f))[0]
+            return np.asarray(y - flat @ (flat.T @ y))
+
+        inverse = LinearOperator(K.shape, matvec=lambda f: solve(f.ravel()), dtype=float)
+        start = solve(np.random.default_rng(0).normal(size=system.size))
+        with suppress(ArpackError):
+            values, vectors = eigsh(change, 1, K, which="LA", Minv=inverse, v0=start)
+            return float(values[0]), vectors[:, 0]
+    T = motion_basis(J, st.neutral)
+    if not T.shape[1]:
+        return 0.0, np.zeros(system.size)
+    values, vectors = scipy.linalg.eigh(T.T @ (change @ T), T.T @ (K @ T))
+    return float(values[-1]), T @ vectors[:, -1]

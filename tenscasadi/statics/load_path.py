@@ -1,0 +1,265 @@
+"""Load paths: equilibria under growing loads, with limit points and bifurcations."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tenscasadi.dynamics.model import Model
+from tenscasadi.scene.loads import NodalForce
+from tenscasadi.scene.scene import Scene
+from tenscasadi.scene.strings import RestLength
+from tenscasadi.statics.equilibrium import (
+    describe_rest,
+    newton_system,
+    read_load,
+    read_problem,
+)
+from tenscasadi.statics.solver.continuation import Change, Row, Tracer
+from tenscasadi.statics.solver.newton_system import NewtonSystem
+from tenscasadi.statics.solver.settling import prepare_friction, settle
+from tenscasadi.statics.solver.static_equations import Conditions
+from tenscasadi.util.read_only import ReadOnlyArrays
+from tenscasadi.util.validate import (
+    Array,
+    Indices,
+    finite_array,
+    format_value,
+    instance,
+    nesting,
+    nonnegative,
+)
+
+MOST_STEPS = 1000
+
+
+@dataclass(frozen=True, eq=False)
+class LoadPath(ReadOnlyArrays):
+    """Equilibria along a path. Each row is exact.
+
+    Attributes
+    ----------
+    factor : ndarray, shape (T,)
+        Factor of the load.
+    nodes : ndarray, shape (T, n, 3)
+        Positions [m].
+    tension : ndarray, shape (T, α)
+        Tensions of the strings [N].
+    bar_force : ndarray, shape (T, β)
+        Forces of the bars [N], positive in tension.
+    stable : ndarray of bool, shape (T,)
+        Whether an equilibrium is a minimum of the energy.
+    limit_points : ndarray of int, shape (m,)
+        Rows where the factor turns.
+    bifurcations : ndarray of int, shape (m,)
+        Rows where other paths cross.
+    success : bool
+        Whether the path leaves the range of factors.
+    message : str
+        Result in one sentence; the reason of an early end.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> truss = tc.Structure([(-1, 0, 0), (0, 0.5, 0), (1, 0, 0)], bars=[(0, 1), (1, 2)], bar_stiffness=1000.0, pinned={0: "xyz", 1: "z", 2: "xyz"})
+    >>> path = tc.load_path(tc.Scene(truss), load=[(0, 0, 0), (0, -1, 0), (0, 0, 0)], factors=(-100, 100))
+    >>> path.factor[path.limit_points].round(6).tolist()
+    [42.914326, -42.914326]
+    """
+
+    factor: Array
+    nodes: Array
+    tension: Array
+    bar_force: Array
+    stable: Any
+    limit_points: Indices
+    bifurcations: Indices
+    success: bool
+    message: str
+
+    def plot(self, path: str | os.PathLike[str] | None = None, title: str = "") -> Any:
+        """Draw the factor over the largest displacement.
+
+        Parameters
+        ----------
+        path : path-like, optional
+            File to save the diagram to, whose suffix selects the format.
+        title : str
+            Title of the diagram.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            The diagram.
+        """
+        from tenscasadi.plots import load_paths  # loads matplotlib
+
+        return load_paths.load_path(self, title=title, path=path)
+
+    def __repr__(self) -> str:
+        return f"LoadPath({len(self.factor)} rows: {self.message})"
+
+
+def load_path(
+    scene: Scene | Model,
+    load: ArrayLike | NodalForce | None = None,
+    control: ArrayLike | None = None,
+    parameters: Any = None,
+    factors: tuple[float, float] = (0.0, 2.0),
+    start: Any = None,
+) -> LoadPath:
+    """Follow equilibria while loads, control or parameters change.
+
+    The scene has its own loads, control and nominal parameters; what is given here, times a factor,
+    is added. The path begins at factor 0, or the nearest one in the range, and is followed by arc
+    length through snap-through and slack strings until the factor leaves the range.
+
+    Parameters
+    ----------
+    scene : Scene or Model
+        The scene.
+    load : array_like, shape (n, 3), or NodalForce, optional
+        Forces on the nodes [N].
+    control : array_like, shape (nu,), optional
+        Change of the control, such as that of rest lengths [m].
+    parameters : array_like, shape (np,), or mapping of str to array_like, optional
+        Change of parameters.
+    factors : tuple of float
+        Least and largest factor.
+    start : array_like, shape (n, 3) or (nx,), or Equilibrium, optional
+        Where the search for the first equilibrium begins, see `find_equilibrium`. An equilibrium
+        also provides control and parameters at factor 0.
+
+    Returns
+    -------
+    LoadPath
+        Equilibria, in order. `success` is False and `message` gives the reason if the path ends
+        early or there is no first equilibrium.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is wrong, or a parameter or rest length has no meaning in the range.
+
+    See Also
+    --------
+    find_equilibrium : One equilibrium.
+    buckling_factor : Linear estimate of the first critical factor.
+
+    Notes
+    -----
+    Each row is an equilibrium to rounding, and limit points and bifurcations are rows of their own.
+    At bifurcations the path goes straight on.
+
+    Examples
+    --------
+    Shortening the strings of a prism stiffens it:
+
+    >>> import numpy as np
+    >>> import tenscasadi as tc
+    >>> prism = tc.shapes.prism(prestress=10.0)
+    >>> scene = tc.Scene(prism, control=tc.RestLength())
+    >>> path = tc.load_path(scene, control=-0.1 * prism.rest_length, factors=(0, 1))
+    >>> path.success, bool(np.all(np.diff(path.tension[:, 0]) > 0))
+    (True, True)
+    """
+    instance("scene", scene, (Scene, Model), "a tenscasadi.Scene or Model")
+    bare = scene if isinstance(scene, Scene) else scene.scene
+    low, high = _read_factors(factors)
+    nodes, given = read_problem(scene, start, None, None)
+    system = newton_system(bare)
+    change = _read_change(system, given, load, control, parameters, (low, high))
+    first = float(np.clip(0.0, low, high))
+    rest = settle(system, nodes, change.at(first))
+    if not rest.converged:
+        eq = describe_rest(scene, system, rest, change.at(first))
+        return _collect(system, [], f"no equilibrium at factor {first:g}: {eq.message}")
+    change = change._replace(given=prepare_friction(system, nodes, change.given))
+    tracer = Tracer(system, change, (low, high))
+    begin = tracer.start(rest.point, rest.tension, first)
+    rows, fault = tracer.follow(begin, MOST_STEPS)
+    return _collect(system, rows, fault)
+
+
+def _read_factors(factors: Any) -> tuple[float, float]:
+    low, high = finite_array("factors", factors, (2,)).tolist()
+    if not low < high:
+        raise ValueError(f"factors is ({low:g}, {high:g}): give the least, then the largest")
+    return low, high
+
+
+def _read_change(
+    system: NewtonSystem,
+    given: Conditions,
+    load: Any,
+    control: Any,
+    parameters: Any,
+    factors: tuple[float, float],
+) -> Change:
+    """Read what changes with the factor. Raises TypeError, ValueError."""
+    scene = system.equations.scene
+    if load is None and control is None and parameters is None:
+        raise ValueError("load, control and parameters are None: give one that changes")
+    forces = read_load(system, load) if load is not None else np.zeros(given.anchor.shape)
+    du = np.zeros(scene.nu) if control is None else finite_array("control", control, (scene.nu,))
+    dp = _read_parameters(scene, parameters)
+    change = Change(given._replace(added=np.zeros_like(given.anchor)), np.append(du, dp), forces)
+    for factor in factors:
+        u, p = np.split(change.at(factor).inputs, [scene.nu])
+        try:
+            scene.layout.check(p)
+            if scene.nu:
+                nonnegative("control", u, "string", strict=isinstance(scene.control, RestLength))
+        except ValueError as error:
+            raise ValueError(f"{error} at factor {factor:g}: give a smaller range") from None
+    return change
+
+
+def _read_parameters(scene: Scene, given: Any) -> Array:
+    """Read changes of parameters (np,). Raises TypeError, ValueError."""
+    layout = scene.layout
+    if given is None or not isinstance(given, Mapping):
+        none = np.zeros(len(layout))
+        return none if given is None else finite_array("parameters", given, (len(layout),))
+    changes = np.zeros(len(layout))
+    for name, value in given.items():
+        if name not in layout.places:
+            known = ", ".join(layout.places) or "none, as the scene has no Parameters"
+            raise ValueError(f"parameters has {format_value(name)}: the parameters are {known}")
+        place = layout.places[name]
+        shape = (place.stop - place.start,) if nesting(value) else ()
+        changes[place] = finite_array(f"parameters[{name!r}]", value, shape)
+    return changes
+
+
+def _collect(system: NewtonSystem, rows: list[Row], fault: str) -> LoadPath:
+    """Compute all quantities of a path."""
+    equations = system.equations
+    strings, bars = len(equations.structure.strings), len(equations.structure.bars)
+    count = len(rows)
+    tension, force = np.zeros((count, strings)), np.zeros((count, bars))
+    for k, row in enumerate(rows):
+        point = row.place.point
+        pulls = point.gamma * np.linalg.norm(point.springs, axis=1)
+        tension[k], force[k, equations.elastic] = pulls[:strings], pulls[strings:]
+        force[k, equations.rigid] = row.place.tension
+    nodes = [row.place.point.nodes for row in rows]
+    kinds = np.array([row.kind for row in rows], dtype="U11")
+    factor = np.array([row.place.factor for row in rows])
+    end = f"from factor {factor[0]:g} to {factor[-1]:g} in {count} rows" if count else ""
+    return LoadPath(
+        factor=factor,
+        nodes=np.array(nodes).reshape(count, len(equations.structure.nodes), 3),
+        tension=tension,
+        bar_force=force,
+        stable=np.array([row.place.unstable == 0 for row in rows], dtype=bool),
+        limit_points=np.flatnonzero(kinds == "limit"),
+        bifurcations=np.flatnonzero(kinds == "bifurcation"),
+        success=not fault,
+        message=f"{end}: {fault}" if fault and count else fault or end,
+    )

@@ -1,0 +1,1 @@
+"""Solution of static equations: Newton systems, trust region, continuation."""

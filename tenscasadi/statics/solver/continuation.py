@@ -1,0 +1,401 @@
+"""Equilibria along a path by arc length (Keller's pseudo-arclength continuation).
+
+Unknowns are displacements y, tensions t of rigid bars, and a factor f, by which loads and inputs
+change. A step predicts along the tangent of the path and corrects by Newton's method in the plane
+across it [1]_. Distances are dy/ℓ and df/φ with a length ℓ and a range φ of the factor.
+
+References
+----------
+.. [1] H. B. Keller, Numerical solution of bifurcation and nonlinear eigenvalue problems,
+   Applications of Bifurcation Theory (1977), 359-384.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.optimize import brentq
+from scipy.sparse.linalg import splu
+
+from tenscasadi.statics.solver.motions import neutral_motions, softest_motions
+from tenscasadi.statics.solver.newton_system import FLAT, NewtonSystem
+from tenscasadi.statics.solver.static_equations import Conditions, StaticPoint
+from tenscasadi.statics.solver.trust_region import allowed_residual
+from tenscasadi.util.validate import Array
+
+LONGEST = 0.1  # step, in units of arc length
+SHORTEST = 1e-7
+ITERATIONS = 10  # of a corrector
+_TURN = 0.9  # cosine of the angle between tangents, below which a step is shortened
+_EASY = 4  # iterations of a corrector after which the step stays as long
+_FLAT = 10  # rows of one factor, after which a path ends
+_SAME = 1e-5  # of a step: singular points nearer to each other are one
+_JUMP = 100.0  # times the distance along the path that two points on it may be apart
+_ACROSS = 1e-6  # of a load along a critical motion: a smaller share makes a bifurcation
+_CRITICAL = 1e-6  # of the largest stiffness: that of a critical motion
+
+
+class Change(NamedTuple):
+    """Change of loads and inputs per unit of the factor.
+
+    Attributes
+    ----------
+    given : Conditions
+        Conditions at factor 0.
+    inputs : ndarray (nw,)
+        Change of the inputs.
+    load : ndarray (n, 3)
+        Change of the nodal forces [N].
+    """
+
+    given: Conditions
+    inputs: Array
+    load: Array
+
+    def at(self, factor: float) -> Conditions:
+        """Return the conditions at a factor."""
+        added = self.given.added + factor * self.load
+        return self.given._replace(inputs=self.given.inputs + factor * self.inputs, added=added)
+
+
+class PathPoint(NamedTuple):
+    """Equilibrium on a path.
+
+    Attributes
+    ----------
+    point : StaticPoint
+        Forces.
+    tension : ndarray (β_r,)
+        Tensions of rigid bars [N].
+    factor : float
+        Factor of the load.
+    direction : ndarray (free + 1,)
+        Unit tangent of the path: displacements, then the factor.
+    unstable : int
+        Number of motions without a positive stiffness.
+    neutral : ndarray (free, r)
+        Rigid-body motions that nothing resists.
+    """
+
+    point: StaticPoint
+    tension: Array
+    factor: float
+    direction: Array
+    unstable: int
+    neutral: Array
+
+
+class Row(NamedTuple):
+    """Point of a path; `kind` is "limit" or "bifurcation" at critical points, otherwise ""."""
+
+    place: PathPoint
+    kind: str
+
+
+class PathEnd(ArithmeticError):
+    """The path ends, for the reason in the message."""
+
+
+class BranchJump(ArithmeticError):
+    """The corrector has left the path for another one nearby."""
+
+
+class Tracer:
+    """Follows equilibria along a path.
+
+    Parameters
+    ----------
+    system : NewtonSystem
+        Newton systems of the scene.
+    change : Change
+        What changes with the factor.
+    factors : tuple of float
+        Least and largest factor.
+    """
+
+    def __init__(self, system: NewtonSystem, change: Change, factors: tuple[float, float]) -> None:
+        self.system, self.equations, self.change = system, system.equations, change
+        self.factors, self.growth = factors, 1.0
+        nodes = change.given.anchor
+        size = float(np.ptp(nodes, axis=0).max(initial=0.0)) or 1.0
+        length = 0.2 * size * len(nodes) ** 0.5
+        self.units = np.append(np.full(system.size, length), factors[1] - factors[0])
+
+    # --- along the path ---
+
+    def start(self, point: StaticPoint, tension: Array, factor: float) -> PathPoint:
+        """Begin at an equilibrium, towards larger factors unless the factor is the largest."""
+        ahead = np.zeros(self.system.size + 1)
+        ahead[-1] = 1.0 if factor < self.factors[1] else -1.0
+        return self._complete(point, tension, factor, ahead)
+
+    def follow(self, place: PathPoint, most: int) -> tuple[list[Row], str]:
+        """Follow the path until the factor leaves its range.
+
+        Parameters
+        ----------
+        place : PathPoint
+            First equilibrium.
+        most : int
+            Largest number of steps.
+
+        Returns
+        -------
+        tuple
+            Rows of the path, and the reason for an early end; "" if there is none.
+        """
+        rows, step = [Row(place, "")], 0.5 * LONGEST
+        low, high = self.factors
+        for _ in range(most):
+            try:
+                taken, new = self._advance(place, step)
+                out = not low <= new.factor <= high
+                if out:
+                    new = self._stop_at(place, new, high if new.factor > high else low)
+                critical = self._find_critical(place, new)
+            except BranchJump:
+                step = 0.2 * taken
+                continue
+            except PathEnd as error:
+                return rows, str(error)
+            rows += [*critical, Row(new, "")]
+            if out:
+                return rows, ""
+            if len(rows) > _FLAT and np.ptp([row.place.factor for row in rows[-_FLAT:]]) < 1e-9 * (
+                high - low
+            ):
+                return rows, "the factor does not change along motions without stiffness"
+            step, place = min(LONGEST, self.growth * taken), new
+        return rows, f"the factor stays in its range for {most} steps"
+
+    def _advance(self, place: PathPoint, step: float) -> tuple[float, PathPoint]:
+        """Take a step that the corrector masters, of at most this length; return the length, too."""
+        while step >= SHORTEST:
+            found = self._correct(place, step)
+            if found is not None:
+                new, iterations = found
+                turn = float(new.direction @ place.direction)
+                if turn > _TURN or step < 1e3 * SHORTEST:
+                    self.growth = float(np.clip(_EASY / max(iterations, 1), 0.5, 1.5))
+                    return step, new
+            step *= 0.5
+        raise PathEnd(f"no equilibrium follows the one at factor {place.factor:.6g}")
+
+    def _stop_at(self, place: PathPoint, beyond: PathPoint, bound: float) -> PathPoint:
+        """Find the equilibrium at a factor between two equilibria."""
+        share = (bound - place.factor) / (beyond.factor - place.factor)
+        y = share * self._displacement(place, beyond)
+        tension = place.tension + share * (beyond.tension - place.tension)
+        across = np.zeros(self.system.size + 1)
+        across[-1] = 1.0
+        nodes = self.equations.displace(place.point.nodes, y)
+        found = self._newton(nodes, tension, bound, across, 0.0, place.neutral)
+        if found is None:
+            return beyond
+        point, tension, _, _ = found
+        return self._complete(point, tension, bound, place.direction)
+
+    def _displacement(self, place: PathPoint, other: PathPoint) -> Array:
+        moved = other.point.nodes - place.point.nodes
+        return self.equations.in_free_directions(moved)
+
+    # --- predictor and corrector ---
+
+    def _correct(self, place: PathPoint, step: float) -> tuple[PathPoint, int] | None:
+        """Find the equilibrium at a distance along the tangent; return the iterations, too."""
+        ahead = step * place.direction * self.units
+        nodes = self.equations.displace(place.point.nodes, ahead[:-1])
+        found = self._newton(
+            nodes,
+            place.tension,
+            place.factor + float(ahead[-1]),
+            place.direction / self.units,
+            0.0,
+            place.neutral,
+        )
+        if found is None:
+            return None
+        point, tension, factor, iterations = found
+        return self._complete(point, tension, factor, place.direction), iterations
+
+    def _newton(
+        self,
+        nodes: Array,
+        tension: Array,
+        factor: float,
+        across: Array,
+        offset: float,
+        neutral: Array,
+    ) -> tuple[StaticPoint, Array, float, int] | None:
+        """Balance the forces in a plane across the path; None if that does not converge."""
+        equations, system = self.equations, self.system
+        for iteration in range(ITERATIONS + 1):
+            point = equations.at(nodes, self.change.at(factor))
+            bars = equations.bar_forces(point, tension)
+            rest = equations.in_free_directions(point.applied + bars)
+            errors = equations.bar_errors(nodes)
+            if not np.isfinite(rest).all():
+                return None
+            allowed = allowed_residual(system, point, tension)
+            worst = float(np.abs(errors / equations.lengths).max(initial=0.0))
+            if np.abs(rest).max(initial=0.0) <= allowed and worst <= 1e-12:
+                return point, tension, factor, iteration
+            try:
+                p, change, df = self._solve(point, tension, factor, across, neutral)(
+                    rest, -errors, offset
+                )
+            except np.linalg.LinAlgError:
+                return None
+            nodes, tension = equations.displace(nodes, p), tension + change
+            factor, offset = factor + df, 0.0
+        return None
+
+    def _solve(
+        self, point: StaticPoint, tension: Array, factor: float, across: Array, neutral: Array
+    ) -> Callable[[Array, Array, float], tuple[Array, Array, float]]:
+        """Factorize the system with a row `across` the path and without neutral motions."""
+        system, size, rigid = self.system, self.system.size, self.system.rigid
+        scale = system.stiffness_scale(point, tension)
+        K = system.tangent(point, tension) + system.load_tangent(point)
+        K = K + sp.diags_array(np.full(size, FLAT * scale))
+        J = system.lengthening(point)
+        push = self._push(point, factor)
+        weight = np.linalg.norm(push) or 1.0  # of the factor's column
+        unit = scale  # of the rows of bars and the plane
+        slack = sp.diags_array(np.full(rigid, -1e-10 / scale))
+        row = across[:size][None, :] * unit
+        free = sp.csc_array(neutral * unit)
+        blocks = [
+            [K, J.T, -(push / weight)[:, None] * unit, free],
+            [J, slack, None, None],
+            [row, None, np.array([[across[-1] / weight * unit * unit]]), None],
+            [free.T, None, None, None],
+        ]
+        matrix = sp.csc_array(
+            sp.block_array(
+                [[None if part is None else sp.csc_array(part) for part in line] for line in blocks]
+            )
+        )
+        try:
+            factors = splu(matrix)
+        except RuntimeError as error:
+            raise np.linalg.LinAlgError(str(error)) from None
+
+        def solve(f: Array, g: Array, h: float) -> tuple[Array, Array, float]:
+            target = np.concatenate([f, g, [h * unit], np.zeros(neutral.shape[1])])
+            x = factors.solve(target)
+            x = x + factors.solve(target - matrix @ x)
+            return x[:size], x[size : size + rigid], float(x[size + rigid] * unit / weight)
+
+        return solve
+
+    def _push(self, point: StaticPoint, factor: float) -> Array:
+        """Compute the derivative (free,) of the forces by the factor."""
+        pushed = self.change.load
+        if self.change.inputs.any():
+            pushed = pushed + self.equations.push(
+                point.nodes, self.change.at(factor), self.change.inputs
+            )
+        return self.equations.in_free_directions(pushed)
+
+    def _complete(
+        self, point: StaticPoint, tension: Array, factor: float, ahead: Array
+    ) -> PathPoint:
+        """Find the tangent of the path and the number of motions that are not resisted."""
+        system = self.system
+        pressed = self.equations.at(
+            point.nodes, self.change.at(factor)._replace(pressing=point.nodes)
+        )
+        neutral = neutral_motions(system, pressed, tension)
+        across = ahead / self.units
+        solve = self._solve(point, tension, factor, across, neutral)
+        p, _, df = solve(np.zeros(system.size), np.zeros(system.rigid), 1.0)
+        direction = np.append(p, df) / self.units
+        direction = direction / np.linalg.norm(direction)
+        scale = system.stiffness_scale(pressed, tension)
+        try:
+            factors = system.factor(pressed, tension, scale, -FLAT * scale)
+            unstable = max(0, factors.count_negative() - neutral.shape[1])
+        except np.linalg.LinAlgError:
+            unstable = 1
+        return PathPoint(point, tension, factor, direction, unstable, neutral)
+
+    # --- critical points ---
+
+    def _find_critical(self, place: PathPoint, new: PathPoint) -> list[Row]:
+        """Find limit points and bifurcations between two equilibria, in order."""
+        reach = float(place.direction @ self._way(place, new))
+        low, high = sorted((place.unstable, new.unstable))
+        if high == low and place.direction[-1] * new.direction[-1] >= 0.0:
+            return []
+        # motions across the load, along which the system is singular at a bifurcation
+        _, motions = self._softest(place, high)
+        push = self._push(place.point, place.factor)
+        sideways = np.abs(motions.T @ push) <= _ACROSS * float(np.linalg.norm(push))
+        across = np.hstack(
+            [place.neutral, motions[:, sideways & (np.arange(motions.shape[1]) >= low)]]
+        )
+        found: list[tuple[float, Row]] = []
+
+        def at(step: float) -> PathPoint:
+            if step <= 0.0 or step >= reach:
+                return place if step <= 0.0 else new
+            corrected = self._correct(place._replace(neutral=across), step)
+            if corrected is None:
+                raise BranchJump
+            return corrected[0]
+
+        if place.direction[-1] * new.direction[-1] < 0.0:
+            step = _root(lambda s: float(at(s).direction[-1]), reach)
+            self._check_continuity(at, step, reach)
+            found.append((step, Row(at(step), "limit")))
+        for k in range(low, high):
+            step = _root(lambda s, k=k: float(self._softest(at(s), k + 1)[0][k]), reach)  # type: ignore[misc]
+            known = (0.0, *(other for other, _ in found))
+            if any(abs(step - other) <= _SAME * reach for other in known):
+                continue
+            self._check_continuity(at, step, reach)
+            if self._is_bifurcation(at(step), k):
+                found.append((step, Row(at(step), "bifurcation")))
+        return [row for _, row in sorted(found, key=lambda entry: entry[0])]
+
+    def _is_bifurcation(self, place: PathPoint, k: int) -> bool:
+        """Return whether the k-th softest motion is critical and across the load."""
+        values, motions = self._softest(place, k + 1)
+        push = self._push(place.point, place.factor)
+        scale = self.system.stiffness_scale(place.point, place.tension)
+        across = abs(float(motions[:, k] @ push)) <= _ACROSS * float(np.linalg.norm(push))
+        return across and abs(float(values[k])) <= _CRITICAL * scale
+
+    def _check_continuity(
+        self, at: Callable[[float], PathPoint], step: float, reach: float
+    ) -> None:
+        """Raise BranchJump if the points on both sides of a step are far from each other."""
+        before, after = (at(step + side * _SAME * reach) for side in (-1.0, 1.0))
+        apart = float(np.linalg.norm(self._way(before, after)))
+        if apart > _JUMP * _SAME * reach and reach > 1e3 * SHORTEST:
+            raise BranchJump
+
+    def _way(self, place: PathPoint, other: PathPoint) -> Array:
+        """Compute the way (free + 1,) from one point to another, in units of arc length."""
+        moved = self._displacement(place, other)
+        return np.asarray(np.append(moved, other.factor - place.factor) / self.units)
+
+    def _softest(self, place: PathPoint, count: int) -> tuple[Array, Array]:
+        """Find the lowest stiffnesses and their motions (free, count)."""
+        system, nodes = self.system, place.point.nodes
+        point = self.equations.at(nodes, self.change.at(place.factor)._replace(pressing=nodes))
+        K, J = system.tangent(point, place.tension), system.lengthening(point)
+        neutral = neutral_motions(system, point, place.tension)
+        return softest_motions(K, J, neutral, max(count, 1))
+
+
+def _root(function: Callable[[float], float], reach: float) -> float:
+    """Find where a function changes its sign in (0, reach)."""
+    first, last = function(0.0), function(reach)
+    if first * last >= 0.0:  # the change is at an end
+        return reach if abs(last) < abs(first) else 0.0
+    return float(brentq(function, 0.0, reach, xtol=1e-11 * reach, maxiter=100))

@@ -1,0 +1,122 @@
+"""Motions that keep the lengths of rigid bars: the softest, and those that nothing resists."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from tenscasadi.statics.self_stress import idle_combinations, rigid_body_motions
+from tenscasadi.statics.solver.newton_system import FLAT, NewtonFactors, NewtonSystem
+from tenscasadi.statics.solver.static_equations import StaticPoint
+from tenscasadi.util.constrained_eigenproblem import lowest_eigenpairs
+from tenscasadi.util.linear_algebra import null_space
+from tenscasadi.util.validate import Array
+
+DENSE = 600  # free coordinates up to which all motions are computed, by dense matrices
+NEUTRAL = 1e-9  # of the stiffness by forces: a rigid-body motion with less is free
+REDUNDANT = 1e-9  # of the norm of J: smaller singular values belong to redundant bars
+
+
+def softest_motions(
+    K: Any, J: Any, left_out: Array, count: int | None = None
+) -> tuple[Array, Array]:
+    """Compute the lowest eigenvalues of K on motions v with J v = 0.
+
+    Parameters
+    ----------
+    K : sparse array, shape (n, n)
+        Symmetric tangent stiffness [N/m].
+    J : sparse array, shape (m, n)
+        Derivative of the lengths of rigid bars.
+    left_out : ndarray, shape (n, r)
+        Orthonormal motions with K v = 0 and J v = 0, such as rigid-body motions.
+    count : int, optional
+        Number of eigenvalues; by default all.
+
+    Returns
+    -------
+    tuple of ndarray
+        Eigenvalues [N/m] in ascending order, and orthonormal motions (n, k).
+    """
+    size = K.shape[0]
+    most = size - J.shape[0] - left_out.shape[1]
+    if count is not None and size > DENSE and 2 * count < most:
+        with suppress(np.linalg.LinAlgError):  # then by dense matrices, in more time
+            return lowest_eigenpairs(K, sp.eye_array(size, format="csc"), J, left_out, count)
+    T = motion_basis(J, left_out)
+    values, vectors = np.linalg.eigh(T.T @ (K @ T))
+    return values[:count], np.asarray(T @ vectors[:, :count])
+
+
+def motion_basis(J: Any, left_out: Array) -> Array:
+    """Compute an orthonormal basis (n, ·) of the motions v with J v = 0.
+
+    Parameters
+    ----------
+    J : sparse array, shape (m, n)
+        Derivative of the lengths of rigid bars.
+    left_out : ndarray, shape (n, r)
+        Orthonormal motions to which all are orthogonal.
+
+    Returns
+    -------
+    ndarray
+        The basis, dense.
+    """
+    rows = np.concatenate([J.toarray(), left_out.T])
+    return null_space(rows, REDUNDANT * float(np.linalg.norm(rows)))
+
+
+def neutral_motions(system: NewtonSystem, point: StaticPoint, tension: Array) -> Array:
+    """Find the rigid-body motions that nothing resists.
+
+    Parameters
+    ----------
+    system : NewtonSystem
+        Newton systems of the scene.
+    point : StaticPoint
+        Forces in the equilibrium.
+    tension : ndarray, shape (β_r,)
+        Tensions of rigid bars [N].
+
+    Returns
+    -------
+    ndarray, shape (free, at most 6)
+        Orthonormal motions on the free coordinates.
+    """
+    equations = system.equations
+    motions = equations.free.T @ rigid_body_motions(equations.structure, point.nodes)
+    # members keep their lengths: only their forces and the loads act on such motions
+    K = system.tangent(point._replace(slope=0 * point.slope), tension)
+    return idle_combinations(motions, K @ motions, NEUTRAL * float(np.sqrt((K.data**2).sum())))
+
+
+def find_stable_factors(
+    system: NewtonSystem, point: StaticPoint, tension: Array
+) -> NewtonFactors | None:
+    """Factorize the Newton system if all motions but free rigid-body motions are resisted.
+
+    Parameters
+    ----------
+    system : NewtonSystem
+        Newton systems of the scene.
+    point : StaticPoint
+        Forces in the equilibrium.
+    tension : ndarray, shape (β_r,)
+        Tensions of rigid bars [N].
+
+    Returns
+    -------
+    NewtonFactors or None
+        Factors of K less the stiffness that counts as none; None if a motion is not resisted.
+    """
+    scale = system.stiffness_scale(point, tension)
+    with suppress(np.linalg.LinAlgError):
+        factors = system.factor(point, tension, scale, -FLAT * scale)
+        below = factors.count_negative()
+        if below == 0 or below <= neutral_motions(system, point, tension).shape[1]:
+            return factors
+    return None

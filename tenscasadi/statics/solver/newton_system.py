@@ -1,0 +1,372 @@
+"""Linear system of Newton's method for static equations.
+
+    [[K + σ I, Jᵀ], [J, 0]] [p, δt] = [f, g]
+
+K is the symmetric tangent stiffness on the free coordinates, with the geometric stiffness of rigid
+bars, and J the derivative of their lengths.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import splu
+
+from tenscasadi.statics.solver.static_equations import StaticEquations, StaticPoint
+from tenscasadi.util.sparse_pattern import Entries, SparsePattern, join_entries
+from tenscasadi.util.validate import Array, Indices
+
+FLAT = 1e-12  # of the largest stiffness: a motion with less counts as one without stiffness
+COMPLIANCE = 1e-8  # of rigid bars, relative to the stiffness scale: pivots of redundant bars
+REFINEMENTS = 2  # of a solution, which remove the compliance
+
+
+class NewtonSystem:
+    """Newton systems of static equations, with one sparsity pattern.
+
+    Parameters
+    ----------
+    equations : StaticEquations
+        The static equations.
+    """
+
+    def __init__(self, equations: StaticEquations) -> None:
+        self.equations = equations
+        pairs = np.concatenate([equations.spring_pairs, equations.rigid_pairs])
+        self.size, self.rigid = int(equations.free.shape[1]), len(equations.rigid_pairs)
+        rows, columns = equations.load_pattern
+        self._first_load = 9 * len(pairs)
+        self._first_direction = self._first_load + len(rows)
+        self._sources = self._first_direction + 3 * self.rigid + 2  # then the shift and the slack
+        loads = Entries(rows, columns, np.arange(len(rows)), -np.ones(len(rows)))
+        self._members = member_entries(pairs).projected(equations.free)
+        self._loads = loads.shifted(source=self._first_load).projected(equations.free)
+        lengthening = direction_entries(equations.rigid_pairs).in_columns_of(equations.free)
+        self._lengthening = lengthening.shifted(source=self._first_direction)
+
+    # --- matrices in numbers ---
+
+    def tangent(self, point: StaticPoint, tension: Array) -> Any:
+        """Build K (free × free), sparse and symmetric."""
+        return self._tangent.fill(self._values(point, tension))
+
+    def member_matrix(self, gamma: Array, along: Array, vectors: Array) -> Any:
+        """Build the matrix (free × free) of blocks γ I + c v vᵀ of springs, then rigid bars."""
+        return self._only_members.fill(member_blocks(gamma, along, vectors).ravel())
+
+    def load_tangent(self, point: StaticPoint) -> Any:
+        """Build the part of K that is not symmetric, due to loads."""
+        return self._load_tangent.fill(self._values(point, np.zeros(self.rigid)))
+
+    def is_symmetric(self, point: StaticPoint) -> bool:
+        """Return whether the tangent of the loads is symmetric, as that of an energy."""
+        if not self.equations.follows:
+            return True
+        part = self.load_tangent(point)
+        return bool(abs(part).max() <= 1e-12 * np.abs(point.load_slopes).max(initial=0.0))
+
+    def lengthening(self, point: StaticPoint) -> Any:
+        """Build J (rigid bars × free), sparse."""
+        return self._jacobian.fill(self._values(point, np.zeros(self.rigid)))
+
+    def nodal_material(self, point: StaticPoint) -> sp.csr_array:
+        """Build the stiffness (3n × 3n) due to the change of the springs' forces."""
+        pairs = self.equations.spring_pairs
+        blocks = member_blocks(np.zeros(len(pairs)), 2 * point.slope, point.springs)
+        size = point.nodes.size
+        pattern = SparsePattern(member_entries(pairs), (size, size), blocks.size)
+        return sp.csr_array(pattern.fill(blocks.ravel()))
+
+    def nodal_loads(self, point: StaticPoint) -> sp.csr_array:
+        """Build the symmetric part of the stiffness (3n × 3n) of loads that follow nodes."""
+        size = point.nodes.size
+        rows, columns = self.equations.load_pattern
+        slopes = sp.coo_array((-0.5 * point.load_slopes, (rows, columns)), shape=(size, size))
+        return sp.csr_array(slopes + slopes.T)
+
+    def stiffness_scale(self, point: StaticPoint, tension: Array) -> float:
+        """Estimate the largest stiffness [N/m]."""
+        squared = np.einsum("ij,ij->i", point.springs, point.springs)
+        largest = [
+            np.abs(point.gamma) + np.abs(2 * point.slope * squared),
+            np.abs(tension / self.equations.lengths),
+            np.abs(point.load_slopes),
+        ]
+        scale = max(float(values.max(initial=0.0)) for values in largest)
+        size = float(np.ptp(point.nodes, axis=0).max(initial=0.0)) or 1.0
+        return scale or float(np.abs(point.applied).max(initial=0.0)) / size or 1.0
+
+    def factor(
+        self, point: StaticPoint, tension: Array, scale: float, shift: float = 0.0
+    ) -> NewtonFactors:
+        """Factorize the system with K + σ I.
+
+        Parameters
+        ----------
+        point : StaticPoint
+            Where K and J are taken.
+        tension : ndarray, shape (β_r,)
+            Tensions of rigid bars [N].
+        scale : float
+            The largest stiffness [N/m].
+        shift : float
+            σ [N/m].
+
+        Returns
+        -------
+        NewtonFactors
+            The factors.
+
+        Raises
+        ------
+        LinAlgError
+            If a pivot is zero.
+        """
+        values = self._values(point, tension, penalty=scale)
+        values[-2:] = shift, -COMPLIANCE / scale
+        order, pattern = self._ordered
+        return NewtonFactors(pattern.fill(values), order, self.size, scale, COMPLIANCE / scale)
+
+    def solve_unsymmetric(
+        self, point: StaticPoint, tension: Array, f: Array, g: Array
+    ) -> tuple[Array, Array]:
+        """Solve with the tangent stiffness of loads that have no energy.
+
+        Parameters
+        ----------
+        point : StaticPoint
+            Where K and J are taken.
+        tension : ndarray, shape (β_r,)
+            Tensions of rigid bars [N].
+        f, g : ndarray, shape (free,), (β_r,)
+            Forces [N], and lengthening of rigid bars [m].
+
+        Returns
+        -------
+        tuple of ndarray
+            Displacements (free,) [m] and multipliers (β_r,) [N].
+
+        Raises
+        ------
+        LinAlgError
+            If the matrix is singular.
+        """
+        K = self.tangent(point, tension) + self.load_tangent(point)
+        J, scale = self.lengthening(point), self.stiffness_scale(point, tension)
+        slack = sp.diags_array(np.full(self.rigid, -COMPLIANCE / scale))
+        shift = sp.diags_array(np.full(self.size, FLAT * scale))
+        try:
+            factors = splu(sp.csc_array(sp.block_array([[K + shift, J.T], [J, slack]])))
+        except RuntimeError as error:
+            raise np.linalg.LinAlgError(str(error)) from None
+        return tuple(np.split(factors.solve(np.concatenate([f, g])), [self.size]))  # type: ignore[return-value]
+
+    def factor_bars(self, bars: Array) -> NewtonFactors:
+        """Factorize with K = I, for least displacements and least-squares tensions.
+
+        Parameters
+        ----------
+        bars : ndarray, shape (β_r, 3)
+            Vectors of rigid bars [m].
+
+        Returns
+        -------
+        NewtonFactors
+            The factors.
+        """
+        values = np.zeros(self._sources)
+        values[self._first_direction : -2] = (bars / self.equations.lengths[:, None]).ravel()
+        values[-2:] = 1.0, -COMPLIANCE
+        order, pattern = self._ordered
+        return NewtonFactors(pattern.fill(values), order, self.size, 0.0, COMPLIANCE)
+
+    def _values(self, point: StaticPoint, tension: Array, penalty: float = 0.0) -> Array:
+        """Stack the values of which all matrices are linear combinations.
+
+        A penalty on the lengths of rigid bars changes no solution but makes pivots larger.
+        """
+        units = point.bars / self.equations.lengths[:, None]
+        gamma = np.concatenate([point.gamma, tension / self.equations.lengths])
+        along = np.concatenate([2 * point.slope, np.full(self.rigid, penalty)])
+        vectors = np.concatenate([point.springs, units])
+        values = np.zeros(self._sources)
+        values[: self._first_load] = member_blocks(gamma, along, vectors).ravel()
+        values[self._first_load : self._first_direction] = point.load_slopes
+        values[self._first_direction : -2] = units.ravel()
+        return values
+
+    # --- patterns ---
+
+    @cached_property
+    def _symmetric(self) -> Entries:
+        half = self._loads.scaled(0.5)
+        return join_entries(self._members, half, half.transposed())
+
+    @cached_property
+    def _tangent(self) -> SparsePattern:
+        return SparsePattern(self._symmetric, (self.size, self.size), self._sources)
+
+    @cached_property
+    def _only_members(self) -> SparsePattern:
+        return SparsePattern(self._members, (self.size, self.size), self._first_load)
+
+    @cached_property
+    def _load_tangent(self) -> SparsePattern:
+        half = self._loads.scaled(0.5)
+        entries = join_entries(half, half.transposed().scaled(-1.0))
+        return SparsePattern(entries, (self.size, self.size), self._sources)
+
+    @cached_property
+    def _jacobian(self) -> SparsePattern:
+        return SparsePattern(self._lengthening, (self.rigid, self.size), self._sources)
+
+    @cached_property
+    def _ordered(self) -> tuple[Indices, SparsePattern]:
+        """Order of elimination, and the system's pattern in this order."""
+        size, total = self.size, self.size + self.rigid
+        bars = self._lengthening.shifted(row=size)
+        diagonal = np.arange(total)
+        source = np.where(diagonal < size, self._sources - 2, self._sources - 1)
+        entries = join_entries(
+            self._symmetric,
+            bars,
+            bars.transposed(),
+            Entries(diagonal, diagonal, source, np.ones(total)),
+        )
+        order = elimination_order(self._tangent, self._jacobian)
+        moved = entries._replace(row=order[entries.row], column=order[entries.column])
+        return order, SparsePattern(moved, (total, total), self._sources)
+
+
+class NewtonFactors:
+    """Factors of a Newton system.
+
+    Parameters
+    ----------
+    matrix : csc_array
+        The system in the order of elimination, with a penalty and a compliance of rigid bars.
+    order : ndarray of int
+        Place of each unknown in this order.
+    size : int
+        Number of free coordinates.
+    penalty, slack : float
+        Penalty [N/m] and compliance [m/N] of rigid bars in the matrix.
+    """
+
+    def __init__(
+        self, matrix: Any, order: Indices, size: int, penalty: float, slack: float
+    ) -> None:
+        self.matrix, self.order, self.size = matrix, order, size
+        self.penalty, self.slack = penalty, slack
+        try:
+            self.factors = splu(matrix, "NATURAL", 0.0, options={"SymmetricMode": True})
+        except RuntimeError as error:  # a pivot is zero
+            raise np.linalg.LinAlgError(str(error)) from None
+
+    @property
+    def rigid(self) -> int:
+        """Number of rigid bars."""
+        return len(self.order) - self.size
+
+    def count_negative(self) -> int:
+        """Count the negative eigenvalues of K + σ I on motions that keep rigid bars.
+
+        By Sylvester's law of inertia they are the negative pivots beyond one for each rigid bar.
+        Raises LinAlgError if a pivot left the diagonal.
+        """
+        if not np.array_equal(self.factors.perm_r, self.factors.perm_c):
+            raise np.linalg.LinAlgError("a pivot left the diagonal")
+        return int((self.factors.U.diagonal() < 0.0).sum()) - self.rigid
+
+    def solve(self, f: Array, g: Array | None = None) -> tuple[Array, Array]:
+        """Solve for displacements p (free,) and tensions (β_r,).
+
+        Parameters
+        ----------
+        f : ndarray, shape (free,)
+            Forces [N].
+        g : ndarray, shape (β_r,), optional
+            Lengthening of rigid bars [m]; by default none.
+
+        Returns
+        -------
+        tuple of ndarray
+            p [m] and the multipliers [N].
+        """
+        target = np.zeros(len(self.order))
+        target[self.order[: self.size]] = f
+        bars = self.order[self.size :]
+        if g is not None:  # the penalty acts on g, too
+            target += self.penalty * (self.matrix[:, bars] @ g)
+            target[bars] = g
+        x = self.factors.solve(target)
+        for _ in range(REFINEMENTS if self.rigid else 0):
+            rest = target - self.matrix @ x
+            rest[bars] -= self.slack * x[bars]
+            x = x + self.factors.solve(rest)
+        return x[self.order[: self.size]], x[bars]
+
+
+def member_blocks(gamma: Array, along: Array, vectors: Array) -> Array:
+    """Compute γ I + c v vᵀ (m, 3, 3) of members with c = `along` (m,)."""
+    blocks = (along[:, None] * vectors)[:, :, None] * vectors[:, None, :]
+    blocks[:, range(3), range(3)] += gamma[:, None]
+    return np.asarray(blocks)
+
+
+def member_entries(pairs: Indices) -> Entries:
+    """Build the entries (3n × 3n) of members with blocks (3, 3), one after the other."""
+    first, second = 3 * pairs.T[:, :, None, None]
+    a, b = np.arange(3)[:, None], np.arange(3)
+    source = np.broadcast_to(np.arange(9 * len(pairs)).reshape(-1, 3, 3), (len(pairs), 3, 3))
+    parts = [
+        Entries(
+            *(
+                np.broadcast_to(value, source.shape).ravel()
+                for value in (row + a, column + b, source, np.array(sign))
+            )
+        )
+        for row, column, sign in (
+            (first, first, 1.0),
+            (second, second, 1.0),
+            (first, second, -1.0),
+            (second, first, -1.0),
+        )
+    ]
+    return join_entries(*parts)
+
+
+def direction_entries(pairs: Indices) -> Entries:
+    """Build the entries (m × 3n) of the lengthening of members with unit vectors (3,)."""
+    item = np.repeat(np.arange(len(pairs)), 3)
+    source = np.arange(3 * len(pairs))
+    axis = np.tile(np.arange(3), len(pairs))
+    return join_entries(
+        *(
+            Entries(item, 3 * pairs[item, end] + axis, source, np.full(len(source), sign))
+            for end, sign in ((0, -1.0), (1, 1.0))
+        )
+    )
+
+
+def elimination_order(tangent: SparsePattern, jacobian: SparsePattern) -> Indices:
+    """Find the place of each unknown in an order with little fill.
+
+    Each bar follows the coordinates of its ends: its own pivot is only its compliance.
+    """
+    size = tangent.shape[0]
+    values = np.random.default_rng(0).uniform(0.0, 1e-3, size=len(tangent.indices))
+    sample = sp.csc_array((values, tangent.indices, tangent.indptr), shape=tangent.shape)
+    sample = sp.csc_array(sample + sample.T + sp.eye_array(size))
+    place = np.zeros(0)
+    if size:
+        place = splu(sample, "MMD_AT_PLUS_A", 0.0, options={"SymmetricMode": True}).perm_c
+    columns = np.repeat(np.arange(size), np.diff(jacobian.indptr))
+    after = np.zeros(jacobian.shape[0])
+    np.maximum.at(after, jacobian.indices, place[columns] + 0.5)
+    order = np.empty(size + len(after), dtype=np.intp)
+    order[np.argsort(np.concatenate([place, after]), kind="stable")] = np.arange(len(order))
+    return order

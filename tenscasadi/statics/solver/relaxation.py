@@ -1,0 +1,108 @@
+"""Dynamic relaxation: a simulation that restarts at rest at each maximum of its kinetic energy [1]_.
+
+References
+----------
+.. [1] M. R. Barnes, Form finding and analysis of tension structures by dynamic relaxation,
+   International Journal of Space Structures 14 (1999), 89-104.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.stability import contact_step, stable_step
+from tenscasadi.scene.binding import fix
+from tenscasadi.scene.scene import Scene
+from tenscasadi.simulation.simulate import simulate
+from tenscasadi.util.validate import Array
+
+ROUNDS = 100  # restarts
+MOST_STEPS = 10**5  # of all rounds together
+RESTED = 1e-12  # of the largest maximum of the kinetic energy: a smaller one is none
+_ROWS = 200  # of a round, in which its maximum is looked for
+_LONGEST = 1e-2  # s, steps of motions that nothing stiff limits
+
+
+def relax(scene: Scene, nodes: Array, control: Array, parameters: Array, time: float) -> Array:
+    """Let a scene come to rest under the loads of one instant.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    nodes : ndarray, shape (n, 3)
+        Start, with supports in place [m].
+    control, parameters : ndarray, shape (nu,), (np,)
+        Constant control and parameters.
+    time : float
+        Time at which loads are taken [s].
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        Nodes near an equilibrium; the last ones of a motion that does not come to rest.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        model = Model(freeze_loads(scene, nodes, parameters, time))
+        state = model.state(nodes)
+        limits = (stable_step(model, state, control, safety=0.5), 0.5 * contact_step(model))
+    step = min(_LONGEST, *(limit for limit in limits if limit > 0.0))
+    duration, highest, taken = _ROWS * step, 0.0, 0.0
+    for _ in range(ROUNDS):
+        taken += duration / step
+        if taken > MOST_STEPS:
+            break
+        run = simulate(
+            model, duration, step, state=state, control=control, verify=False, energy_balance=False
+        )
+        kinetic = run.energy_parts[:, 0]
+        if not run.success or not np.isfinite(kinetic).all():
+            break
+        peak = int(np.argmax(kinetic))
+        highest = max(highest, float(kinetic[peak]))
+        state = model.state(run.nodes[peak])
+        if kinetic[peak] <= RESTED * highest:
+            break
+        inside = 0 < peak < len(kinetic) - 1
+        duration = max(_ROWS * step, 2.0 * run.time[peak]) if inside else 2.0 * duration
+    return np.asarray(model.nodes(state))
+
+
+def freeze_loads(scene: Scene, nodes: Array, parameters: Array, time: float) -> Scene:
+    """Build the scene with the constant loads and supports of one instant.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    nodes : ndarray, shape (n, 3)
+        Nodes with supports in place [m].
+    parameters : ndarray, shape (np,)
+        Parameters, which become constants.
+    time : float
+        The instant [s].
+
+    Returns
+    -------
+    Scene
+        A scene without clock and parameters.
+    """
+    fixed: Scene = fix(scene, parameters)
+    changes: dict[str, Any] = {"supports": None}
+    for name in ("gravity", "pressure", "forces"):
+        load = getattr(fixed, name)
+        if load is not None and load.varies:
+            value = ca.DM(load.at(ca.DM(time))).full().T
+            value = value if name == "forces" else np.squeeze(value)
+            constant = {load.quantity_name: value, "times": None, "breakpoints": ()}
+            changes[name] = replace(load, **constant)
+    count = len(fixed.structure.nodes)
+    changes["structure"] = fixed.structure.replace(nodes=nodes[:count])
+    return replace(fixed, **changes)

@@ -1,0 +1,109 @@
+"""Equilibria under all static loads: friction, and loads without an energy."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tenscasadi.statics.solver.motions import find_stable_factors
+from tenscasadi.statics.solver.newton_system import NewtonSystem
+from tenscasadi.statics.solver.static_equations import Conditions
+from tenscasadi.statics.solver.trust_region import (
+    ACCURACY,
+    Rest,
+    allowed_residual,
+    find_rest,
+    pull_to_bars,
+)
+from tenscasadi.util.validate import Array
+
+SLIP = 1e-6  # sizes of the structure: a contact that sticks moves by about this distance
+ROUGH = 1e-4  # of the largest force: accuracy before the final Newton iterations
+NEWTON = 30  # iterations with the unsymmetric tangent
+
+
+def settle(system: NewtonSystem, nodes: Array, given: Conditions) -> Rest:
+    """Find a stable equilibrium, also where loads have no energy.
+
+    Contacts with friction slip from the start by no more than they must.
+
+    Parameters
+    ----------
+    system : NewtonSystem
+        Newton systems of the scene.
+    nodes : ndarray, shape (n, 3)
+        Start of the search [m].
+    given : Conditions
+        Inputs and time. Its slip distance is that of the final equilibrium.
+
+    Returns
+    -------
+    Rest
+        The equilibrium, or the last iterate and the reason.
+    """
+    if system.equations.has_friction:
+        given = prepare_friction(system, nodes, given)
+        deep = nodes - structure_size(nodes) * system.equations.ground_normals(nodes)
+        stuck = find_rest(system, nodes, given._replace(pressing=deep), ROUGH)
+        rest = find_rest(system, stuck.point.nodes, given, ROUGH)
+    else:
+        # forces without an energy lead away from where they balance: Newton's method ends there
+        symmetric = system.is_symmetric(system.equations.at(nodes, given))
+        rest = find_rest(system, nodes, given, ACCURACY if symmetric else ROUGH)
+    exact = not system.equations.has_friction and system.is_symmetric(rest.point)
+    return rest if exact else finish(system, rest, given._replace(pressing=None))
+
+
+def prepare_friction(system: NewtonSystem, nodes: Array, given: Conditions) -> Conditions:
+    """Let contacts slip from some nodes, if there is friction."""
+    if not system.equations.has_friction:
+        return given
+    return given._replace(anchor=nodes, slip=SLIP * structure_size(nodes))
+
+
+def structure_size(nodes: Array) -> float:
+    """Return the largest extent of the nodes [m]; 1 where they coincide."""
+    return float(np.ptp(nodes, axis=0).max(initial=0.0)) or 1.0
+
+
+def finish(system: NewtonSystem, rest: Rest, given: Conditions) -> Rest:
+    """Balance the forces near an equilibrium by Newton's method with the exact tangent.
+
+    Parameters
+    ----------
+    system : NewtonSystem
+        Newton systems of the scene.
+    rest : Rest
+        Start.
+    given : Conditions
+        Inputs, time and friction.
+
+    Returns
+    -------
+    Rest
+        The equilibrium, or the start where the iterations do not converge.
+    """
+    equations = system.equations
+    point, tension = equations.at(rest.point.nodes, given), rest.tension
+    for step in range(NEWTON):
+        bars = equations.bar_forces(point, tension)
+        residual = equations.in_free_directions(point.applied + bars)
+        if np.abs(residual).max(initial=0.0) <= allowed_residual(system, point, tension):
+            # its stiffness is that with constant normal forces, which is symmetric
+            point = equations.at(point.nodes, given._replace(pressing=point.nodes))
+            stable = find_stable_factors(system, point, tension) is not None
+            steps = rest.iterations + step
+            return Rest(point, tension, residual, True, stable, False, "", steps)
+        try:
+            p, change = system.solve_unsymmetric(
+                point, tension, residual, -equations.bar_errors(point.nodes)
+            )
+        except np.linalg.LinAlgError:
+            break
+        nodes = pull_to_bars(
+            system, equations.displace(point.nodes, p), system.factor_bars(point.bars)
+        )
+        if nodes is None or not np.isfinite(nodes).all():
+            break
+        point, tension = equations.at(nodes, given), tension + change
+    reason = rest.reason or "the forces of the loads do not balance near the minimum of the energy"
+    return rest._replace(converged=False, stalled=True, reason=reason)

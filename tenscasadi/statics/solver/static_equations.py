@@ -1,0 +1,368 @@
+"""Forces and tangent stiffness of a scene at rest.
+
+Unknowns are displacements y along the free directions E of the nodes, and tensions t of rigid bars:
+
+    Eᵀ (W(N) − Cᵀ γ̂ S) − Jᵀ t = 0,    φ(N) = (|b|² − l²)/(2 l) = 0,    J = ∂φ/∂y.
+
+Strings and elastic bars are springs of force density γ(|s|²). Their tangent stiffness consists of a
+geometric block γ I and a material block 2 γ' s sᵀ. Rigid bars have the geometric block (t/l) I.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from tenscasadi.dynamics.forces import (
+    Contacts,
+    ElasticBars,
+    NodeMotion,
+    StringForces,
+    build_elements,
+)
+from tenscasadi.dynamics.masses import node_weights
+from tenscasadi.scene.binding import bind, with_fields
+from tenscasadi.scene.scene import Scene
+from tenscasadi.structure.class_one import connectivity
+from tenscasadi.structure.equilibrium_matrix import free_directions
+from tenscasadi.util.casadi_tools import ArrayFunction
+from tenscasadi.util.validate import Array, Indices
+
+_CORNER = 1e-9  # relative: a string shorter than at rest by less is at its rest length
+
+
+class Conditions(NamedTuple):
+    """Constant data of a static problem.
+
+    Attributes
+    ----------
+    inputs : ndarray (nw,)
+        Control, then parameters.
+    time : float
+        Time at which loads and supports are taken [s].
+    anchor : ndarray (n, 3)
+        Nodes from which contacts slip [m].
+    pressing : ndarray (n, 3) or None
+        Nodes whose normal forces limit the friction; None: the current nodes.
+    slip : float
+        Slip distance over which friction grows to its limit [m].
+    added : ndarray (n, 3) or float
+        Nodal forces in addition to those of the scene [N].
+    """
+
+    inputs: Array
+    time: float
+    anchor: Array
+    pressing: Array | None = None
+    slip: float = 1.0
+    added: Array | float = 0.0
+
+    @property
+    def instant(self) -> tuple[Array, Array]:
+        """Slip distance and time, as arguments of functions."""
+        return np.array([self.slip]), np.array([self.time])
+
+
+class NodeColumns(NamedTuple):
+    """Columns of N, one for each node, as force elements need them of a mechanism."""
+
+    N: Array
+    first: Indices
+    physical: Indices
+    bar_ends: Indices
+    node_weight: Any
+
+
+class StaticPoint(NamedTuple):
+    """Forces at some nodes.
+
+    Attributes
+    ----------
+    nodes : ndarray (n, 3)
+        Positions [m].
+    springs, bars : ndarray (·, 3)
+        Vectors of strings and elastic bars, and of rigid bars [m].
+    gamma, slope : ndarray (·,)
+        Force densities γ of springs [N/m], and their derivatives by the squared lengths.
+    ground : ndarray (n, 3)
+        Forces of the grounds on nodes [N].
+    loads : ndarray (n, 3)
+        Gravity, pressure, nodal forces, and forces of the grounds [N].
+    applied : ndarray (n, 3)
+        Loads and forces of springs on nodes [N].
+    load_slopes : ndarray
+        Entries of the derivatives of the loads by the nodes, then by the pressing nodes.
+    """
+
+    nodes: Array
+    springs: Array
+    bars: Array
+    gamma: Array
+    slope: Array
+    ground: Array
+    loads: Array
+    applied: Array
+    load_slopes: Array
+
+
+class StaticEquations:
+    """Static equations of a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+
+    Attributes
+    ----------
+    structure : Structure
+        The structure with subdivided strings.
+    rigid, elastic : ndarray of int
+        Rigid and elastic bars.
+    free : csr_array (3n, free coordinates)
+        Displacements that pins and rollers allow.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene, self.structure = scene, scene.modelled
+        s = self.structure
+        self.rigid, self.elastic = np.flatnonzero(~s.elastic), np.flatnonzero(s.elastic)
+        count = len(s.nodes)
+        self.spring_pairs = np.concatenate([s.strings, s.bars[self.elastic]])
+        self.rigid_pairs: Indices = s.bars[self.rigid]
+        self.lengths = s.bar_lengths[self.rigid]
+        self._across = connectivity(self.spring_pairs, count)
+        self._across_bars = connectivity(self.rigid_pairs, count)
+        self.free = free_directions(s)
+        self._onto_free = self.free.T.tocsr()
+
+    @property
+    def has_friction(self) -> bool:
+        """Whether any ground has friction."""
+        return any(ground.friction is not None for ground in self.scene.grounds)
+
+    @property
+    def follows(self) -> bool:
+        """Whether loads depend on the nodes."""
+        return bool(self.scene.grounds) or self.scene.pressure is not None
+
+    def place_supports(self, nodes: Array, time: float) -> Array:
+        """Move supports to their positions at a time.
+
+        Parameters
+        ----------
+        nodes : ndarray, shape (n, 3)
+            Positions [m].
+        time : float
+            Time [s].
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            A copy with moved supports.
+        """
+        placed = np.array(nodes)
+        supports = self.scene.supports
+        if supports is not None:
+            placed[supports.nodes] = supports.rates()(time)[0].full().T
+        return placed
+
+    def ground_normals(self, nodes: Array) -> Array:
+        """Sum the normals (n, 3) of the grounds that act on each node."""
+        normals = np.zeros_like(nodes)
+        for surface in self.scene.grounds:
+            which = np.arange(len(nodes)) if surface.nodes is None else list(surface.nodes)
+            normals[which] += ca.DM(surface.contact(nodes[which].T).outward).full().T
+        return normals
+
+    def displace(self, nodes: Array, y: Array) -> Array:
+        """Displace nodes by free coordinates y."""
+        return np.asarray(nodes + (self.free @ y).reshape(nodes.shape))
+
+    def at(self, nodes: Array, given: Conditions) -> StaticPoint:
+        """Compute forces at nodes (n, 3)."""
+        springs, bars = self._across @ nodes, self._across_bars @ nodes
+        gamma, slope = np.zeros((2, len(springs)))
+        if len(springs):
+            squared = np.einsum("ij,ij->i", springs, springs)
+            gamma, slope = (part.ravel() for part in self._laws(squared, given.inputs))
+        pressing = nodes if given.pressing is None else given.pressing
+        loads, ground, *slopes = self._loads(
+            nodes, pressing, given.anchor, *given.instant, given.inputs
+        )
+        if given.pressing is not None:  # the normal forces that limit friction are constant
+            slopes[1][:] = 0.0
+        loads, ground = loads.reshape(nodes.shape) + given.added, ground.reshape(nodes.shape)
+        applied = loads - self._across.T @ (gamma[:, None] * springs)
+        entries = np.concatenate([part.ravel() for part in slopes])
+        return StaticPoint(nodes, springs, bars, gamma, slope, ground, loads, applied, entries)
+
+    def in_free_directions(self, forces: Array) -> Array:
+        """Project nodal forces (n, 3) onto the free coordinates."""
+        return np.asarray(self._onto_free @ forces.ravel())
+
+    def bar_forces(self, point: StaticPoint, tension: Array) -> Array:
+        """Compute the nodal forces (n, 3) of rigid bars with tensions (β_r,) [N]."""
+        pull = (tension / self.lengths)[:, None] * point.bars
+        return np.asarray(-(self._across_bars.T @ pull))
+
+    def spring_vectors(self, nodes: Array) -> Array:
+        """Compute the vectors (·, 3) of strings and elastic bars [m]."""
+        return np.asarray(self._across @ nodes)
+
+    def bar_vectors(self, nodes: Array) -> Array:
+        """Compute the vectors (β_r, 3) of rigid bars [m]."""
+        return np.asarray(self._across_bars @ nodes)
+
+    def bar_errors(self, nodes: Array) -> Array:
+        """Compute φ (β_r,) [m], the excess lengths of rigid bars."""
+        bars = self.bar_vectors(nodes)
+        squared = np.einsum("ij,ij->i", bars, bars)
+        return np.asarray((squared - self.lengths**2) / (2 * self.lengths))
+
+    # --- derivatives with respect to inputs ---
+
+    def push(self, nodes: Array, given: Conditions, change: Array) -> Array:
+        """Compute the change (n, 3) of the applied forces per unit of a change (nw,) of the inputs."""
+        springs = self._across @ nodes
+        by_length = np.zeros(len(springs))
+        if len(springs):
+            squared = np.einsum("ij,ij->i", springs, springs)
+            (by_length,) = self._law_changes(squared, given.inputs, change)
+        (loads,) = self._load_changes(
+            nodes, nodes, given.anchor, *given.instant, given.inputs, change
+        )
+        return np.asarray(
+            loads.reshape(nodes.shape) - self._across.T @ (by_length.reshape(-1, 1) * springs)
+        )
+
+    # --- CasADi functions ---
+
+    @cached_property
+    def load_pattern(self) -> tuple[Indices, Indices]:
+        """Rows and columns of the entries of `StaticPoint.load_slopes`."""
+        patterns = [self._load_function.sparsity_out(k).get_triplet() for k in (2, 3)]
+        rows, columns = (
+            np.concatenate([np.array(pattern[k], dtype=np.intp) for pattern in patterns])
+            for k in (0, 1)
+        )
+        return rows, columns
+
+    @property
+    def inputs(self) -> int:
+        """Number of inputs: controls, then parameters."""
+        return self.scene.nu + len(self.scene.layout)
+
+    def _densities(self, squared: Any, w: Any, corner: bool) -> Any:
+        """Build γ (1×springs); with `corner` strings at their rest lengths count as taut."""
+        scene, u = bind(self.scene, w)
+        columns: Any = self._columns(w)
+        count, parts = len(self.structure.strings), []
+        if count:
+            row = squared[:, :count]
+            strings = StringForces(scene, columns, u)
+            if corner and strings.switch_count:
+                lengths = ca.sqrt(row[:, scene.switching_strings.tolist()])
+                taut = strings.excess_lengths(row) >= -_CORNER * lengths
+                strings = replace(strings, mode=taut)
+            parts.append(strings.law_density(row))
+        if len(self.elastic):
+            parts.append(ElasticBars(scene, columns).law_density(squared[:, count:]))
+        return ca.densify(ca.horzcat(*parts))
+
+    def _columns(self, w: Any) -> NodeColumns:
+        """Build what force elements need of a mechanism: a column of N for each node."""
+        n = len(self.structure.nodes)
+        weights = node_weights(self.scene).expression(w[self.scene.nu :])
+        row = ca.repmat(weights.T, 1, n // weights.shape[0])
+        every = np.arange(n)
+        return NodeColumns(self.structure.nodes.T, every, every, self.structure.bars, row)
+
+    @cached_property
+    def _law_symbols(self) -> tuple[Any, Any]:
+        return ca.MX.sym("squared", 1, len(self.spring_pairs)), ca.MX.sym("w", self.inputs)
+
+    @cached_property
+    def _laws(self) -> ArrayFunction:
+        """Function (squared lengths, w) → γ, dγ/d(squared length)."""
+        squared, w = self._law_symbols
+        gamma, taut = (self._densities(squared, w, corner) for corner in (False, True))
+        slope = ca.jtimes(taut, squared, ca.DM.ones(*squared.shape))
+        return ArrayFunction(ca.Function("laws", [squared, w], [gamma, ca.densify(slope)]))
+
+    @cached_property
+    def _law_changes(self) -> ArrayFunction:
+        """Function (squared lengths, w, dw) → dγ."""
+        squared, w = self._law_symbols
+        dw = ca.MX.sym("dw", self.inputs)
+        change = ca.jtimes(self._densities(squared, w, True), w, dw)
+        return ArrayFunction(ca.Function("changes", [squared, w, dw], [ca.densify(change)]))
+
+    @cached_property
+    def _load_symbols(self) -> tuple[Any, ...]:
+        """Nodes N, C and A (3n), slip distance, time, w."""
+        size = 3 * len(self.structure.nodes)
+        names = {"N": size, "C": size, "A": size, "slip": 1, "time": 1, "w": self.inputs}
+        return tuple(ca.MX.sym(name, count) for name, count in names.items())
+
+    @cached_property
+    def _load_expressions(self) -> tuple[Any, Any]:
+        """Loads and ground forces (3n) on nodes N.
+
+        Ground forces at C limit the friction of slips from A to N.
+        """
+        N, C, A = (ca.reshape(nodes, 3, -1) for nodes in self._load_symbols[:3])
+        slip, time, w = self._load_symbols[3:]
+        mech: Any = self._columns(w)
+        at, slipped = NodeMotion(N, ca.DM.zeros(*N.shape), time), (N - A) / slip
+        loads = ground = ca.MX(*N.shape)
+        for element in build_elements(self.scene, mech, w):
+            if isinstance(element, Contacts):
+                ground += _ground_forces(element, at, C, slipped)
+            elif not isinstance(element, (StringForces, ElasticBars)):
+                loads += element.forces(at)
+        return ca.vec(ca.densify(loads + ground)), ca.vec(ca.densify(ground))
+
+    @cached_property
+    def _load_function(self) -> ca.Function:
+        """Function (N, C, A, slip, time, w) → loads, ground forces, derivatives of loads by N, C."""
+        loads, ground = self._load_expressions
+        none = ca.MX(*[loads.shape[0]] * 2)
+        slopes = [
+            ca.jacobian(loads, nodes) if self.follows else none for nodes in self._load_symbols[:2]
+        ]
+        return ca.Function("loads", [*self._load_symbols], [loads, ground, *slopes])
+
+    @cached_property
+    def _loads(self) -> ArrayFunction:
+        return ArrayFunction(self._load_function)
+
+    @cached_property
+    def _load_changes(self) -> ArrayFunction:
+        """Function (N, C, A, slip, time, w, dw) → change of the loads."""
+        loads, _ = self._load_expressions
+        dw = ca.MX.sym("dw", self.inputs)
+        change = ca.jtimes(loads, self._load_symbols[-1], dw)
+        return ArrayFunction(
+            ca.Function("load_changes", [*self._load_symbols, dw], [ca.densify(change)])
+        )
+
+
+def _ground_forces(element: Contacts, at: NodeMotion, C: Any, slipped: Any) -> Any:
+    """Build the forces (3×n) of a ground on nodes at rest.
+
+    Friction resists `slipped` (3×n), relative to the slip distance, with the limit that the normal
+    forces at C set.
+    """
+    surface = element.surface
+    bare = replace(element, surface=with_fields(surface, friction=None, damping=0.0))
+    force = bare.forces(at)
+    if surface.friction is None:
+        return force
+    rough = replace(element, surface=with_fields(surface, damping=0.0))
+    pressed = at._replace(N=C, V=surface.slip_speed * slipped)
+    return force + rough.forces(pressed) - bare.forces(pressed)

@@ -1,0 +1,361 @@
+"""Stable equilibria by Newton's method with a trust region.
+
+The iterates keep the lengths of rigid bars. A step p minimizes the quadratic model of the energy
+with the exact tangent stiffness K over ‖p‖ ≤ Δ and J p = 0: (K + σ I) p = F with the least σ for
+which K + σ I is positive definite on these motions [1]_. It is judged by the work of the forces
+along it, so that forces without an energy need no other treatment.
+
+References
+----------
+.. [1] J. J. Moré, D. C. Sorensen, Computing a trust region step, SIAM Journal on Scientific and
+   Statistical Computing 4 (1983), 553-572.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from tenscasadi.statics.solver.motions import find_stable_factors, softest_motions
+from tenscasadi.statics.solver.newton_system import FLAT, NewtonFactors, NewtonSystem
+from tenscasadi.statics.solver.static_equations import Conditions, StaticPoint
+from tenscasadi.util.validate import Array
+
+ACCURACY = 1e-11  # of the largest force: unbalanced forces in equilibrium
+ITERATIONS = 200
+ESCAPES = 20  # from saddles
+FARTHEST = 1e3  # sizes of the structure: a structure that moves farther is not held
+_ROUNDING = 16 * float(np.finfo(float).eps)
+_SHORTEST = 1e-14  # sizes of the structure: a shorter step changes nothing
+_BARS = 1e-13  # m per m: lengths of rigid bars
+
+
+class Rest(NamedTuple):
+    """Result of a search for an equilibrium.
+
+    Attributes
+    ----------
+    point : StaticPoint
+        Forces at the final nodes.
+    tension : ndarray (β_r,)
+        Tensions of rigid bars [N].
+    residual : ndarray (free,)
+        Unbalanced forces on the free coordinates [N].
+    converged : bool
+        Whether the forces balance and no motion lowers the energy.
+    stable : bool
+        Whether every motion is resisted but rigid-body motions that nothing resists.
+    stalled : bool
+        Whether the search ended where another start may help.
+    reason : str
+        Reason of a failure; empty on success.
+    iterations : int
+        Number of steps.
+    """
+
+    point: StaticPoint
+    tension: Array
+    residual: Array
+    converged: bool
+    stable: bool
+    stalled: bool
+    reason: str
+    iterations: int
+
+
+class NoRestError(ArithmeticError):
+    """There is no equilibrium near the start."""
+
+
+class StalledError(NoRestError):
+    """The search makes no progress."""
+
+
+def find_rest(
+    system: NewtonSystem, nodes: Array, given: Conditions, accuracy: float = ACCURACY
+) -> Rest:
+    """Find a stable equilibrium near some nodes.
+
+    Friction is limited by the normal forces at the pressing nodes that are given, or else by those
+    of the previous iterate.
+
+    Parameters
+    ----------
+    system : NewtonSystem
+        Newton systems of the scene.
+    nodes : ndarray, shape (n, 3)
+        Start of the search [m].
+    given : Conditions
+        Inputs, time and friction.
+    accuracy : float
+        Unbalanced forces in equilibrium, relative to the largest force.
+
+    Returns
+    -------
+    Rest
+        The equilibrium, or the last iterate and the reason.
+    """
+    search = _Search(system, nodes, given, accuracy)
+    try:
+        search.run()
+    except NoRestError as error:
+        return search.result(str(error), isinstance(error, StalledError))
+    except np.linalg.LinAlgError:
+        return search.result("the tangent stiffness cannot be factorized", True)
+    return search.result("")
+
+
+class _Search:
+    """State of a search."""
+
+    def __init__(
+        self, system: NewtonSystem, nodes: Array, given: Conditions, accuracy: float
+    ) -> None:
+        self.system, self.equations, self.accuracy = system, system.equations, accuracy
+        self.lags = given.pressing is None
+        self.given = given._replace(pressing=nodes) if self.lags else given
+        self.start = nodes
+        self.size = float(np.ptp(nodes, axis=0).max(initial=0.0)) or 1.0
+        self.radius = 0.1 * self.size * len(nodes) ** 0.5
+        self.shift = 0.0
+        self.steps = self.escapes = 0
+        self.stable = False
+        self.point = self.equations.at(nodes, self.given)
+        self.tension = np.zeros(system.rigid)
+        self._balance()
+
+    def run(self) -> None:
+        """Take steps until the forces balance at a minimum of the energy."""
+        self._take(restore_bars(self.system, self.start))
+        self._fit_tension()
+        for self.steps in range(ITERATIONS):
+            if self._is_balanced():
+                if not self.system.is_symmetric(self.point):
+                    return  # without an energy there is no minimum of it
+                factors = find_stable_factors(self.system, self.point, self.tension)
+                self.stable = factors is not None
+                factors = factors or self._factor(self.floor)
+                if factors is not None:
+                    return self._polish(factors)
+                self._leave_saddle()
+            else:
+                self._step()
+        raise StalledError(f"the forces did not balance within {ITERATIONS} iterations")
+
+    def result(self, reason: str, stalled: bool = False) -> Rest:
+        """Return the last iterate."""
+        found, stable = not reason, self.stable and not reason
+        return Rest(
+            self.point, self.tension, self.residual, found, stable, stalled, reason, self.steps
+        )
+
+    @property
+    def floor(self) -> float:
+        """Least shift, by which motions without stiffness stay where they are [N/m]."""
+        return FLAT * self.scale
+
+    def _take(self, nodes: Array) -> None:
+        if np.abs(nodes - self.start).max(initial=0.0) > FARTHEST * self.size:
+            raise NoRestError("nothing holds the structure, which moves away")
+        if self.lags:
+            self.given = self.given._replace(pressing=nodes)
+        self.point = self.equations.at(nodes, self.given)
+        if not np.isfinite(self.point.applied).all():
+            raise NoRestError("the forces are not finite")
+
+    def _fit_tension(self) -> None:
+        """Find the tensions of bars that balance the forces best."""
+        if self.system.rigid:
+            force = self.equations.in_free_directions(self.point.applied)
+            self.tension = self.system.factor_bars(self.point.bars).solve(force)[1]
+        self._balance()
+
+    def _balance(self) -> None:
+        """Update the unbalanced forces and the stiffness scale."""
+        bars = self.equations.bar_forces(self.point, self.tension)
+        self.residual = self.equations.in_free_directions(self.point.applied + bars)
+        self.scale = self.system.stiffness_scale(self.point, self.tension)
+
+    def _is_balanced(self) -> bool:
+        allowed = allowed_residual(self.system, self.point, self.tension, self.accuracy)
+        return bool(np.abs(self.residual).max(initial=0.0) <= allowed)
+
+    # --- steps ---
+
+    def _step(self) -> None:
+        """Take one step of the trust region, or make the region smaller."""
+        factors, p, change = self._solve_model()
+        length = float(np.linalg.norm(p))
+        predicted = 0.5 * float(p @ self.residual) + 0.5 * self.shift * length**2
+        half, whole = (self._move(share * p, factors) for share in (0.5, 1.0))
+        ratio = -1.0
+        if half is not None and whole is not None:
+            ratio = (
+                self._work(half, whole, self.tension + change) / predicted
+                if predicted > 0.0
+                else 1.0
+            )
+        if ratio < 0.25:
+            self.radius = 0.25 * length
+        elif ratio > 0.75 and length > 0.5 * self.radius:
+            self.radius = 2.0 * self.radius
+        if ratio > 1e-3 and whole is not None:
+            self._take(whole)
+            self.tension = self.tension + change
+            self._balance()
+        elif self.radius < _SHORTEST * self.size:
+            raise StalledError("no step lowers the energy any more")
+
+    def _solve_model(self) -> tuple[NewtonFactors, Array, Array]:
+        """Minimize the quadratic model within the trust region."""
+        low, high, shift = 0.0, np.inf, max(self.floor, 0.3 * self.shift)
+        found = None
+        for _ in range(60):
+            factors = self._factor(shift)
+            if factors is None:
+                low = shift
+                shift = (low * high) ** 0.5 if high < np.inf else max(4 * low, 1e-4 * self.scale)
+            else:
+                p, change = factors.solve(self.residual)
+                length = float(np.linalg.norm(p))
+                found = factors, p, change
+                self.shift = shift
+                if length > 1.3 * self.radius:
+                    low = shift
+                elif length < 0.6 * self.radius and shift > self.floor:
+                    high = shift
+                else:
+                    break
+                curvature = float(p @ factors.solve(p)[0])
+                shift += length**2 / curvature * (length - self.radius) / self.radius
+                if not low < shift < high:
+                    shift = (max(low, 1e-4 * high) * high) ** 0.5 if high < np.inf else 4 * low
+                shift = max(self.floor, shift)
+            if low > 0.9 * high:
+                break
+        if found is None:
+            raise StalledError("the tangent stiffness is not finite")
+        return found
+
+    def _polish(self, factors: NewtonFactors) -> None:
+        """Take a last Newton step if it leaves less unbalanced force."""
+        before = self.point, self.tension, self.residual
+        p, change = factors.solve(self.residual)
+        nodes = self._move(p, factors)
+        if nodes is not None:
+            self._take(nodes)
+            self.tension = self.tension + change
+            self._balance()
+        if not np.abs(self.residual).max(initial=0.0) < np.abs(before[2]).max(initial=0.0):
+            self.point, self.tension, self.residual = before
+
+    def _leave_saddle(self) -> None:
+        """Step along the motion of least stiffness."""
+        self.escapes += 1
+        if self.escapes > ESCAPES:
+            raise StalledError("all equilibria found are saddles of the energy")
+        K = self.system.tangent(self.point, self.tension)
+        J = self.system.lengthening(self.point)
+        none = np.zeros((self.system.size, 0))
+        _, vectors = softest_motions(K, J, none, 1)
+        direction, factors = vectors[:, 0], self.system.factor_bars(self.point.bars)
+        direction = direction * (np.sign(direction[np.argmax(np.abs(direction))]) or 1.0)
+        length = 0.1 * self.size
+        for _ in range(40):
+            for p in (length * direction, -length * direction):
+                half, whole = (self._move(share * p, factors) for share in (0.5, 1.0))
+                if (
+                    half is not None
+                    and whole is not None
+                    and self._work(half, whole, self.tension) > 0.0
+                ):
+                    self._take(whole)
+                    self.radius = max(self.radius, length)
+                    return self._fit_tension()
+            length *= 0.5
+        raise StalledError("no step leaves the saddle of the energy")
+
+    def _move(self, p: Array, factors: NewtonFactors) -> Array | None:
+        """Displace the nodes and restore the lengths of bars; None where that fails."""
+        return pull_to_bars(self.system, self.equations.displace(self.point.nodes, p), factors)
+
+    def _work(self, half: Array, whole: Array, tension: Array) -> float:
+        """Integrate the forces along the parabola through nodes, by Simpson's rule [J].
+
+        It is exact for constant tensions of rigid bars, which do no work; they take most of the
+        rounding out of it.
+        """
+        first, last = half - self.point.nodes, whole - self.point.nodes
+        ways = 4 * first - last, 4 * last, 3 * last - 4 * first
+        points = [
+            self.point,
+            *(self.equations.at(nodes, self.given) for nodes in (half, whole)),
+        ]
+        works = [
+            np.sum((point.applied + self.equations.bar_forces(point, tension)) * way)
+            for point, way in zip(points, ways, strict=True)
+        ]
+        return float(sum(works)) / 6
+
+    # --- factors ---
+
+    def _factor(self, shift: float) -> NewtonFactors | None:
+        """Factorize with a shift; None unless K + σ I is positive definite on the motions."""
+        try:
+            factors = self.system.factor(self.point, self.tension, self.scale, shift)
+            return factors if factors.count_negative() <= 0 else None
+        except np.linalg.LinAlgError:
+            return None
+
+
+def allowed_residual(
+    system: NewtonSystem, point: StaticPoint, tension: Array, accuracy: float = ACCURACY
+) -> float:
+    """Return the unbalanced force that counts as none [N].
+
+    It is relative to the largest force, and not below the rounding of the springs' forces.
+    """
+    lengths = np.linalg.norm(point.springs, axis=1)
+    forces = [np.abs(point.gamma) * lengths, np.abs(tension), np.abs(point.loads)]
+    largest = max(float(values.max(initial=0.0)) for values in forces)
+    longest = max(float(values.max(initial=0.0)) for values in (lengths, system.equations.lengths))
+    return accuracy * largest + _ROUNDING * system.stiffness_scale(point, tension) * longest
+
+
+def restore_bars(system: NewtonSystem, nodes: Array) -> Array:
+    """Move nodes by as little as possible to where rigid bars have their lengths.
+
+    Raises NoRestError where no such nodes are near.
+    """
+    equations = system.equations
+    if not system.rigid:
+        return nodes
+    for _ in range(50):
+        if _bars_fit(equations.bar_errors(nodes), equations.lengths):
+            return nodes
+        factors = system.factor_bars(equations.bar_vectors(nodes))
+        nodes = equations.displace(
+            nodes, factors.solve(np.zeros(system.size), -equations.bar_errors(nodes))[0]
+        )
+    raise NoRestError("the rigid bars do not fit the supports near the start")
+
+
+def pull_to_bars(system: NewtonSystem, nodes: Array, factors: NewtonFactors) -> Array | None:
+    """Restore the lengths of rigid bars by the factors of nodes nearby; None where that fails."""
+    equations = system.equations
+    last = np.inf
+    for _ in range(30 if system.rigid else 0):
+        errors = equations.bar_errors(nodes)
+        worst = float(np.abs(errors / equations.lengths).max(initial=0.0))
+        if worst <= _BARS:
+            break
+        if not worst < 0.9 * last:
+            return None if worst > 10 * _BARS else nodes
+        last = worst
+        nodes = equations.displace(nodes, factors.solve(np.zeros(system.size), -errors)[0])
+    return nodes
+
+
+def _bars_fit(errors: Array, lengths: Array) -> bool:
+    return bool(np.abs(errors / lengths).max(initial=0.0) <= _BARS)

@@ -1,0 +1,414 @@
+"""Stiffness and stability: self-stress, mechanisms, tangent stiffness and its softest motions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+
+from tenscasadi.dynamics.model import Model
+from tenscasadi.scene.binding import fix
+from tenscasadi.scene.loads import NodalForce
+from tenscasadi.scene.scene import Scene
+from tenscasadi.statics.equilibrium import (
+    Equilibrium,
+    newton_system,
+    read_load,
+    read_problem,
+)
+from tenscasadi.statics.self_stress import mechanisms, self_stress
+from tenscasadi.statics.solver.motions import (
+    DENSE,
+    find_stable_factors,
+    neutral_motions,
+    softest_motions,
+)
+from tenscasadi.statics.solver.newton_system import FLAT, NewtonSystem
+from tenscasadi.statics.solver.static_equations import StaticPoint
+from tenscasadi.statics.solver.trust_region import allowed_residual
+from tenscasadi.statics.super_stability import is_super_stable
+from tenscasadi.structure.class_one import connectivity
+from tenscasadi.structure.equilibrium_matrix import balance_bars, member_pairs
+from tenscasadi.structure.prestress import read_force_densities
+from tenscasadi.structure.structure import Structure
+from tenscasadi.util.kept import keep
+from tenscasadi.util.read_only import ReadOnlyArrays
+from tenscasadi.util.validate import Array, instance, whole_number
+
+LOWEST = 20  # motions of large structures that are computed by default
+BALANCED = 1e-6  # of the largest force: unbalanced forces in equilibrium
+_HELD = 1e-9  # of the least compliance: a load that displaces less is held
+_FREE = 1e-9  # of a load: more on motions without stiffness moves the structure
+
+
+@dataclass(frozen=True, eq=False)
+class Stability(ReadOnlyArrays):
+    """Stiffness and stability of a structure in its nodes.
+
+    Displacements, motions and mechanisms are those that pins and rollers allow. Rigid-body motions
+    that nothing resists are left out.
+
+    Attributes
+    ----------
+    structure : Structure
+        The structure in its nodes, with subdivided strings.
+    force_density : ndarray, shape (α + β,)
+        Force densities: γ of strings, then λ of bars, positive in compression [N/m].
+    residual : float
+        Largest unbalanced force on a node [N]. Away from equilibrium the stiffness of rotations
+        has no meaning.
+    message : str
+        Result in one sentence.
+    eigenvalues : ndarray, shape (k,)
+        Eigenvalues of the tangent stiffness on motions that keep rigid bars, ascending [N/m].
+    modes : ndarray, shape (k, n, 3)
+        Their motions, of unit norm.
+    success : bool
+        Whether the forces balance.
+    system : NewtonSystem
+        Newton systems of the scene.
+    point : StaticPoint
+        Forces and stiffness of the members in the nodes.
+    tension : ndarray
+        Tensions of the rigid bars [N].
+    neutral : ndarray, shape (free coordinates, ·)
+        Orthonormal rigid-body motions that nothing resists.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> st = tc.stability(tc.shapes.prism(prestress=10.0))
+    >>> st.stable, st.super_stable, len(st.self_stress), len(st.mechanisms)
+    (True, True, 1, 1)
+    >>> st.eigenvalues.round(1)[:3].tolist()
+    [55.9, 91.5, 91.5]
+    """
+
+    structure: Structure
+    force_density: Array
+    residual: float
+    message: str
+    eigenvalues: Array
+    modes: Array
+    success: bool
+    system: NewtonSystem = field(repr=False)
+    point: StaticPoint = field(repr=False)
+    tension: Array = field(repr=False)  # of rigid bars
+    neutral: Array = field(repr=False)
+
+    @cached_property
+    def self_stress(self) -> Array:
+        """Orthonormal self-stresses (s, α + β) [N/m], see `tenscasadi.self_stress`."""
+        return self_stress(self.structure)
+
+    @cached_property
+    def mechanisms(self) -> Array:
+        """Orthonormal infinitesimal mechanisms (k, n, 3).
+
+        No member, rigid or elastic, lengthens to first order.
+        """
+        return mechanisms(self.structure)
+
+    @cached_property
+    def stable(self) -> bool:
+        """Whether all motions that keep rigid bars have a positive stiffness."""
+        return find_stable_factors(self.system, self.point, self.tension) is not None
+
+    @cached_property
+    def prestress_stable(self) -> bool:
+        """Whether the member forces stiffen every mechanism.
+
+        The structure is then stable if its members are stiff enough.
+        """
+        flat = self.mechanisms.reshape(len(self.mechanisms), self.structure.nodes.size)
+        stiffness = np.linalg.eigvalsh(flat @ (self.geometric @ flat.T))
+        largest = float(np.abs(self.force_density).max(initial=0.0))
+        return bool(np.all(stiffness > FLAT * largest))
+
+    @cached_property
+    def super_stable(self) -> bool:
+        """Whether the structure is stable for all levels of prestress and stiffnesses.
+
+        The force density matrix is positive semidefinite, of rank n − d − 1 in d dimensions, and no
+        affine motion keeps all lengths. With supports, the motions are those that they allow.
+        """
+        return is_super_stable(self.structure, self.force_density_matrix)
+
+    @cached_property
+    def force_density_matrix(self) -> sp.csr_array:
+        """Force density matrix (n, n) [N/m], sparse."""
+        pairs = member_pairs(self.structure)
+        across = connectivity(pairs, len(self.structure.nodes))
+        density = np.array(self.force_density)
+        density[len(self.structure.strings) :] *= -1.0  # λ > 0 is compression
+        return sp.csr_array(across.T @ sp.diags_array(density) @ across)
+
+    @cached_property
+    def tangent(self) -> sp.csr_array:
+        """Tangent stiffness (3n, 3n) [N/m] before supports and bars, sparse."""
+        return sp.csr_array(self.material + self.geometric)
+
+    @cached_property
+    def material(self) -> sp.csr_array:
+        """Stiffness (3n, 3n) due to the change of member forces: (k − γ) e eᵀ of each member."""
+        return self.system.nodal_material(self.point)
+
+    @cached_property
+    def geometric(self) -> sp.csr_array:
+        """Stiffness (3n, 3n) due to the turn of member forces, and of loads that follow nodes.
+
+        Without such loads it is the force density matrix in each of the three axes.
+        """
+        members = sp.kron(self.force_density_matrix, sp.eye_array(3))
+        return sp.csr_array(members + self.system.nodal_loads(self.point))
+
+    def displacement(self, load: ArrayLike | NodalForce) -> Array:
+        """Compute the linear displacements under a load.
+
+        Parameters
+        ----------
+        load : array_like, shape (n, 3), or NodalForce
+            Forces on the nodes [N].
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            Displacements of least norm [m]. The part of a load that moves the structure freely has
+            none: see `stiffness`.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If the load is wrong.
+        """
+        free = self.system.equations.free
+        return np.asarray((free @ self._displace(read_load(self.system, load))[0]).reshape(-1, 3))
+
+    def stiffness(self, load: ArrayLike | NodalForce) -> float:
+        """Compute the stiffness against a load: |load|²/(load · displacement).
+
+        Parameters
+        ----------
+        load : array_like, shape (n, 3), or NodalForce
+            Forces on the nodes [N].
+
+        Returns
+        -------
+        float
+            Stiffness [N/m]: inf if supports and rigid bars hold the load, 0 if it moves the
+            structure freely.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If the load is wrong or zero.
+        """
+        forces = read_load(self.system, load)
+        size = float(np.linalg.norm(forces))
+        if size == 0.0:
+            raise ValueError("load is zero: give forces on the nodes")
+        unit = forces / size
+        f = self.system.equations.in_free_directions(unit)
+        if np.linalg.norm(self._flat.T @ f) > _FREE:
+            return 0.0
+        compliance = float(f @ self._displace(unit)[0])
+        return np.inf if abs(compliance) <= _HELD / self.scale else 1.0 / compliance
+
+    # --- linear algebra ---
+
+    @property
+    def scale(self) -> float:
+        """Largest stiffness [N/m], approximately."""
+        return self.system.stiffness_scale(self.point, self.tension)
+
+    def force_stiffness(self, load: ArrayLike | NodalForce) -> Any:
+        """Build the stiffness on free coordinates due to the member forces that a load adds.
+
+        Parameters
+        ----------
+        load : array_like, shape (n, 3), or NodalForce
+            Forces on the nodes [N].
+
+        Returns
+        -------
+        csc_array
+            Σ Δt/l (I − e eᵀ) of all members [N/m].
+        """
+        y, tension = self._displace(read_load(self.system, load))
+        equations, point = self.system.equations, self.point
+        moved = equations.spring_vectors((equations.free @ y).reshape(-1, 3))
+        squared = np.einsum("ij,ij->i", point.springs, point.springs)
+        along = point.gamma + 2 * point.slope * squared  # stiffness along the member
+        pull = along * np.einsum("ij,ij->i", moved, point.springs) / squared  # Δt/l
+        density = np.concatenate([pull, tension / equations.lengths])
+        vectors = np.concatenate([point.springs, point.bars])
+        squared = np.einsum("ij,ij->i", vectors, vectors)
+        return self.system.member_matrix(density, -density / squared, vectors)
+
+    @cached_property
+    def _flat(self) -> Array:
+        """Orthonormal motions (free, ·) without stiffness."""
+        flat = np.abs(self.eigenvalues) <= FLAT * self.scale
+        free = self.system.equations.free
+        modes = self.modes[flat].reshape(int(flat.sum()), self.structure.nodes.size)
+        return np.hstack([self.neutral, free.T @ modes.T])
+
+    def _displace(self, forces: Array) -> tuple[Array, Array]:
+        """Compute displacements (free,) and tensions of rigid bars under nodal forces (n, 3)."""
+        system, flat, shift = self.system, self._flat, FLAT * self.scale
+        f = system.equations.in_free_directions(forces)
+        f = f - flat @ (flat.T @ f)
+        factors = system.factor(self.point, self.tension, self.scale, shift)
+        y, multipliers = factors.solve(f)
+        K, J = system.tangent(self.point, self.tension), system.lengthening(self.point)
+        for _ in range(3):  # removes the shift
+            rest = f - K @ y - J.T @ multipliers
+            change, more = factors.solve(rest - flat @ (flat.T @ rest))
+            y, multipliers = y + change, multipliers + more
+        return np.asarray(y - flat @ (flat.T @ y)), multipliers
+
+
+def stability(
+    source: Structure | Scene | Model | Equilibrium,
+    force_density: ArrayLike | None = None,
+    parameters: Any = None,
+    count: int | None = None,
+) -> Stability:
+    """Compute stiffness and stability.
+
+    Parameters
+    ----------
+    source : Structure, Scene, Model or Equilibrium
+        The structure in its nodes, or an equilibrium.
+    force_density : array_like, shape (α,) or (α + β,), optional
+        Force densities of strings, then of bars, as in `Structure.prestressed`; strings then have
+        their stiffness whatever the force density is. Default: those of the rest lengths. Without
+        those of bars, these balance the other forces by least squares.
+    parameters : array_like, shape (np,), or mapping, optional
+        Values of the parameters of a scene, see `ParameterLayout.values`; nominal if None.
+    count : int, optional
+        Number of eigenvalues, from the lowest on. Default: all of a structure of up to 600 free
+        coordinates, the 20 lowest of a larger one.
+
+    Returns
+    -------
+    Stability
+        Stiffness matrices, softest motions and verdicts.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is wrong.
+
+    See Also
+    --------
+    modes : Natural frequencies of a model.
+    buckling_factor : Least load at which the structure buckles.
+
+    Notes
+    -----
+    Strings at exactly their rest lengths count as taut. A motion counts as one without stiffness if
+    that is below 1e-12 of the largest stiffness. The tangent of loads without an energy, such as
+    pressure on a surface with free edges, is made symmetric.
+
+    Super-stability is that of Connelly [1]_, the stiffness that of Guest [2]_.
+
+    References
+    ----------
+    .. [1] R. Connelly, Rigidity and energy, Inventiones Mathematicae 66 (1982), 11-33.
+    .. [2] S. D. Guest, The stiffness of prestressed frameworks: a unifying approach, International
+       Journal of Solids and Structures 43 (2006), 842-854.
+
+    Examples
+    --------
+    A weight on a straight string is held across by its tension alone, 2 T/l per unit displacement:
+
+    >>> import tenscasadi as tc
+    >>> line = tc.Structure([(-1, 0, 0), (0, 0, 0), (1, 0, 0)], strings=[(0, 1), (1, 2)], pinned=[0, 2], node_mass=1.0)
+    >>> st = tc.stability(line, force_density=[5.0, 5.0])
+    >>> st.eigenvalues.round(6).tolist(), len(st.mechanisms)
+    ([10.0, 10.0, 200.0], 2)
+    """
+    kinds = (Structure, Scene, Model, Equilibrium)
+    instance("source", source, kinds, "a tenscasadi.Structure, Scene, Model or Equilibrium")
+    number = None if count is None else whole_number("count", count, 1)
+    scene, start = _read_source(source)
+    nodes, given = read_problem(scene, start, None, parameters)
+    bare = scene if isinstance(scene, Scene) else scene.scene
+    system = newton_system(bare)
+    equations = system.equations
+    fixed = fix(bare, given.inputs[bare.nu :]).modelled
+    structure = fixed if np.array_equal(nodes, fixed.nodes) else fixed.replace(nodes=nodes)
+    point = equations.at(nodes, given._replace(pressing=nodes))
+    if force_density is not None:
+        point, tension = _impose(system, point, structure, force_density)
+    else:
+        force = equations.in_free_directions(point.applied)
+        tension = system.factor_bars(point.bars).solve(force)[1]
+    return _describe(system, point, tension, structure, number)
+
+
+def _read_source(source: Any) -> tuple[Any, Any]:
+    """Return the scene or model, and the start."""
+    if isinstance(source, Equilibrium):
+        return source.source, source
+    if isinstance(source, Structure):
+        return keep(source, "scene", lambda: Scene(source)), None
+    return source, None
+
+
+def _impose(
+    system: NewtonSystem, point: StaticPoint, structure: Structure, force_density: Any
+) -> tuple[StaticPoint, Array]:
+    """Give members force densities, with their stiffness; return the tensions of rigid bars, too."""
+    equations = system.equations
+    gamma, lam = read_force_densities(structure, force_density)
+    if lam is None:
+        lam = balance_bars(structure, gamma, point.loads)
+    density = np.concatenate([gamma, -lam[equations.elastic]])
+    stiffness = np.concatenate([structure.stiffness, structure.bar_stiffness[equations.elastic]])
+    squared = np.einsum("ij,ij->i", point.springs, point.springs)
+    along = (stiffness - density) / (2 * squared)
+    pull = np.zeros_like(point.nodes)
+    for end, sign in ((0, 1.0), (1, -1.0)):
+        np.add.at(pull, equations.spring_pairs[:, end], sign * density[:, None] * point.springs)
+    tension = -(lam * structure.bar_lengths)[equations.rigid]
+    return point._replace(gamma=density, slope=along, applied=point.loads + pull), tension
+
+
+def _describe(
+    system: NewtonSystem,
+    point: StaticPoint,
+    tension: Array,
+    structure: Structure,
+    count: int | None,
+) -> Stability:
+    """Compute the softest motions, and the sentence that tells them."""
+    equations = system.equations
+    if count is None and system.size > DENSE:
+        count = LOWEST
+    neutral = neutral_motions(system, point, tension)
+    K, J = system.tangent(point, tension), system.lengthening(point)
+    values, vectors = softest_motions(K, J, neutral, count)
+    modes = (equations.free @ vectors).T.reshape(-1, *point.nodes.shape)
+    strings = len(structure.strings)
+    density = np.zeros(strings + len(structure.bars))
+    density[:strings] = point.gamma[:strings]
+    density[strings + equations.elastic] = -point.gamma[strings:]
+    density[strings + equations.rigid] = -tension / equations.lengths
+    bars = equations.bar_forces(point, tension)
+    unbalanced = equations.in_free_directions(point.applied + bars)
+    residual = float(
+        np.linalg.norm((equations.free @ unbalanced).reshape(-1, 3), axis=1).max(initial=0.0)
+    )
+    balanced = residual <= allowed_residual(system, point, tension, BALANCED)
+    softest = f"softest motion {values[0]:.4g} N/m" if len(values) else "no motion is free"
+    message = softest if balanced else f"not in equilibrium, {residual:.3g} N stay unbalanced"
+    return Stability(
+        structure, density, residual, message, values, modes, balanced,
+        system, point, tension, neutral,
+    )  # fmt: skip

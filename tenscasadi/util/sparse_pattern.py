@@ -1,0 +1,92 @@
+"""Sparse matrices of fixed pattern whose entries are linear in a vector of values."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from tenscasadi.util.validate import Array, Indices
+
+
+class Entries(NamedTuple):
+    """Contributions to a matrix: weight · values[source] at (row, column)."""
+
+    row: Indices
+    column: Indices
+    source: Indices
+    weight: Array
+
+    def transposed(self) -> Entries:
+        """Return the entries of the transposed matrix."""
+        return Entries(self.column, self.row, self.source, self.weight)
+
+    def shifted(self, row: int = 0, column: int = 0, source: int = 0) -> Entries:
+        """Return the entries with offsets of rows, columns and sources."""
+        return Entries(self.row + row, self.column + column, self.source + source, self.weight)
+
+    def scaled(self, factor: float) -> Entries:
+        """Return the entries with all weights multiplied by a factor."""
+        return self._replace(weight=factor * self.weight)
+
+    def in_columns_of(self, basis: sp.csr_array) -> Entries:
+        """Return the entries of the product with `basis` (columns × new columns) from the right."""
+        counts = np.diff(basis.indptr)[self.column]
+        which = np.repeat(np.arange(len(self.column)), counts)
+        first = np.repeat(np.cumsum(counts) - counts, counts)
+        place = basis.indptr[self.column[which]] + np.arange(len(which)) - first
+        return Entries(
+            self.row[which],
+            basis.indices[place].astype(np.intp),
+            self.source[which],
+            self.weight[which] * basis.data[place],
+        )
+
+    def projected(self, basis: sp.csr_array) -> Entries:
+        """Return the entries of basisᵀ · matrix · basis."""
+        return self.in_columns_of(basis).transposed().in_columns_of(basis).transposed()
+
+
+def join_entries(*parts: Entries) -> Entries:
+    """Join contributions to one matrix."""
+    return Entries(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+class SparsePattern:
+    """Sparse matrix of fixed pattern, filled from values.
+
+    Parameters
+    ----------
+    entries : Entries
+        Contributions to the matrix.
+    shape : tuple of int
+        Rows and columns.
+    sources : int
+        Number of values.
+    """
+
+    def __init__(self, entries: Entries, shape: tuple[int, int], sources: int) -> None:
+        rows = shape[0]
+        code, place = np.unique(entries.column * rows + entries.row, return_inverse=True)
+        self.shape = shape
+        self.indices = (code % max(rows, 1)).astype(np.int32)
+        self.indptr = np.searchsorted(code, rows * np.arange(shape[1] + 1)).astype(np.int32)
+        self._onto = sp.csr_array(
+            (entries.weight, (place, entries.source)), shape=(len(code), sources)
+        )
+
+    def fill(self, values: Array) -> Any:
+        """Build the matrix from its values.
+
+        Parameters
+        ----------
+        values : ndarray, shape (sources,)
+            Values.
+
+        Returns
+        -------
+        csc_array
+            The matrix.
+        """
+        return sp.csc_array((self._onto @ values, self.indices, self.indptr), shape=self.shape)
