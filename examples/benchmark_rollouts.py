@@ -35,7 +35,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import tenscasadi as tc
-from tenscasadi.simulation.engine.kernel import build_kernel
+from tenscasadi.simulation.engine.build import build_kernel
 
 STEP, STEPS = 1e-3, 1000
 HEIGHT = 0.01  # m, of the lowest node above the ground

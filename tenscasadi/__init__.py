@@ -29,7 +29,7 @@ from tenscasadi.scene.supports import SupportMotion
 from tenscasadi.schema.reading import SceneFileError
 from tenscasadi.simulation.declared import Simulation
 from tenscasadi.simulation.export import export_c
-from tenscasadi.simulation.feedback import Feedback
+from tenscasadi.simulation.inputs.feedback import Feedback
 from tenscasadi.simulation.motions import Rollouts
 from tenscasadi.simulation.rollouts import rollouts
 from tenscasadi.simulation.sensitivities import Sensitivities, sensitivities

@@ -15,8 +15,8 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.stabilization import projection
 from tenscasadi.scene.strings import ForceDensity
-from tenscasadi.simulation.diagnosis import off_constraints
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
+from tenscasadi.simulation.verdict.starts import off_constraints
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import (
     LARGEST,

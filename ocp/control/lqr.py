@@ -22,7 +22,7 @@ from tenscasadi.dynamics.linearization import tangents
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.stability import fastest_rate
-from tenscasadi.simulation.feedback import Feedback
+from tenscasadi.simulation.inputs.feedback import Feedback
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import (

@@ -21,7 +21,7 @@ from ocp.sampling.spline_noise import SplineNoise
 from ocp.transcription.inverse_dynamics import inverse_dynamics
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
-from tenscasadi.simulation.engine.kernel import build_kernel
+from tenscasadi.simulation.engine.build import build_kernel
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.validate import (
     Array,

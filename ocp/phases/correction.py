@@ -15,7 +15,7 @@ from ocp.transcription.sparse_nlp import Program
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.stability import contact_step
-from tenscasadi.simulation.control_input import ControlProfile
+from tenscasadi.simulation.inputs.controls import ControlProfile
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.util.validate import Array
 

@@ -24,8 +24,8 @@ from ocp.results.replay import STEPS
 from ocp.results.rest_length_schedule import wind
 from ocp.targets.find_target import find_target
 from tenscasadi.scene.strings import RestLength, rest_length
-from tenscasadi.simulation.control_input import ControlProfile, sample_control
-from tenscasadi.simulation.feedback import Feedback
+from tenscasadi.simulation.inputs.controls import ControlProfile
+from tenscasadi.simulation.inputs.feedback import Feedback
 from tenscasadi.simulation.rollouts import rollouts
 from tenscasadi.util.validate import Array, positive_number, whole_number
 
@@ -98,7 +98,7 @@ def measure_robustness(
     )
 
 
-def _driven(plan: Any, tracker: Any) -> tuple[Feedback, float]:
+def _driven(plan: Any, tracker: Any) -> tuple[Feedback | ControlProfile, float]:
     """Return the force densities of the plan, or of its tracker, and the longest step of a replay, s."""
     longest = float(np.diff(plan.time).min()) / STEPS
     if tracker is not None:
@@ -110,16 +110,7 @@ def _driven(plan: Any, tracker: Any) -> tuple[Feedback, float]:
             tracker.lower,
             tracker.upper,
         ), longest
-    profile = ControlProfile(plan.time, plan.force_density, STEPS)
-    end = float(plan.time[-1])
-    held = sample_control(profile, np.zeros(plan.force_density.shape[1]), end, 1)
-    if len(plan.force_density) < len(plan.time):
-        return _open_loop(plan.time, plan.force_density, plan.trajectory.states.shape[1]), longest
-    return _open_loop(
-        held.times(np.arange(held.steps + 1)),
-        held.window(0, held.steps),
-        plan.trajectory.states.shape[1],
-    ), end
+    return ControlProfile(plan.time, plan.force_density, STEPS), float(plan.time[-1])
 
 
 def _wound(plan: Any, tracker: Any) -> tuple[Feedback, float]:

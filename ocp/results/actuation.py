@@ -11,7 +11,7 @@ from ocp.results.rest_length_schedule import wind
 from ocp.results.result import PlanResult
 from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.strings import RestLength, rest_length
-from tenscasadi.simulation.control_input import ControlProfile
+from tenscasadi.simulation.inputs.controls import ControlProfile
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import Array, instance, nonnegative, per_item, whole_number

@@ -8,7 +8,7 @@ from ocp.results.result import PlanResult
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import Scheme, check_scheme
 from tenscasadi.integrators.stability import contact_step
-from tenscasadi.simulation.control_input import ControlProfile
+from tenscasadi.simulation.inputs.controls import ControlProfile
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import positive_number

@@ -20,7 +20,7 @@ from ocp.problem.scaling import Scales, typical_cost
 from ocp.sampling.horizon_costs import control_cost, rate_cost, running_cost
 from ocp.transcription.mesh import Profile, group_matrix, hermite_state, locate_share, spans
 from tenscasadi.integrators.runge_kutta import RungeKutta4
-from tenscasadi.simulation.engine.kernel import build_kernel
+from tenscasadi.simulation.engine.build import build_kernel
 from tenscasadi.simulation.engine.request import STOPPED, Intervals
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.validate import Array

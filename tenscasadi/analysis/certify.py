@@ -19,9 +19,10 @@ from tenscasadi.integrators.events import build_switching
 from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853
 from tenscasadi.integrators.scheme import Scheme, extent
 from tenscasadi.integrators.stability import stable_step
-from tenscasadi.simulation.control_input import ControlInput
+from tenscasadi.simulation.inputs.controls import ControlInput
+from tenscasadi.simulation.inputs.resolution import UNRESOLVED
+from tenscasadi.simulation.inputs.run_inputs import read_inputs
 from tenscasadi.simulation.simulate import simulate
-from tenscasadi.simulation.time_grid import UNSEEN, lay_run
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import Array, finite_array, instance, positive_number
 
@@ -251,22 +252,23 @@ class _Pairs:
         """
         model, state = self._model, self._options["state"]
         p = self._options["parameters"]
-        laid = lay_run(
+        inputs = read_inputs(
             model,
-            np.array(model.start_at(p) if state is None else state),
             self._t_end,
             self._t_end / _GRID,
             DormandPrince853(_TOLERANCES[0]),
+            state,
             self._options["control"],
             p,
+            many=False,
         )
-        model, start, grid = laid.model, laid.start, laid.inputs
+        model, start, grid = inputs.model, inputs.starts[0], inputs.grid
         if not model.over_time:
             return 0.0
         times = start[-1] + grid.times(np.arange(grid.steps + 1))
         states = np.tile(start, (len(times), 1))
         model.split(states)[2][:, 0] = times
-        held = np.tile(grid.window(0, 1), (len(times), 1))
+        held = np.tile(inputs.stack(0, np.array([0])), (len(times), 1))
         rates = (
             model.stacked(model.ode)
             .map(len(times))(states.T, held.T if model.nw else ca.DM(0, len(times)))
@@ -295,13 +297,13 @@ class _Pairs:
                 self._t_end / count,
                 scheme,
                 save_every=count,
-                seconds=left,
+                time_limit=left,
                 verify=False,
                 **self._options,
             )
             if run.interrupted:
                 raise KeyboardInterrupt
-            if not run.success or UNSEEN in run.message:
+            if not run.success or UNRESOLVED in run.message:
                 self.fault = run.message
                 return
             ends.append(end_nodes(self._model, run))

@@ -27,7 +27,7 @@ from tenscasadi.integrators.stability import stable_step
 from tenscasadi.integrators.stabilization import Correction, Projection
 from tenscasadi.integrators.sundials import Cvodes, Idas
 from tenscasadi.scene.scene import Scene
-from tenscasadi.simulation.control_input import ControlInput
+from tenscasadi.simulation.inputs.controls import ControlInput
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.compile import Compiled, CompileError, Single
 from tenscasadi.util.validate import Array, finite_array, instance, positive_number
@@ -364,7 +364,7 @@ def _measure(
     swift = replace(case, compiled=False) if uncompiled and case.compiled is None else case
 
     def run(**options: Any) -> Trajectory:
-        return swift.run(step, **options, seconds=max(0.1, goal.deadline - time.perf_counter()))
+        return swift.run(step, **options, time_limit=max(0.1, goal.deadline - time.perf_counter()))
 
     bare = {"energy_balance": False, "save_every": 10**9}
     first = run(**bare)

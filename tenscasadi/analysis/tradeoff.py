@@ -22,7 +22,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import Scheme, check_scheme
 from tenscasadi.integrators.stabilization import BarLengthCorrection, Correction, Projection
 from tenscasadi.scene.control_function import ControlFunction
-from tenscasadi.simulation.control_input import ControlInput
+from tenscasadi.simulation.inputs.controls import ControlInput
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.compile import Compiled, CompileError, Single

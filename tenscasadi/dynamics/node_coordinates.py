@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -10,7 +11,8 @@ import numpy as np
 from tenscasadi.dynamics.mechanism import Coordinates, Mechanism
 from tenscasadi.scene.control_function import ControlSchedule
 from tenscasadi.scene.scene import Scene
-from tenscasadi.util.validate import Array, finite_array, rows_of_size
+from tenscasadi.util.read_only import read_only
+from tenscasadi.util.validate import Array, Indices, finite_array, rows_of_size
 
 
 class NodeCoordinates:
@@ -37,6 +39,16 @@ class NodeCoordinates:
     def has_clock(self) -> bool:
         """Whether the state has a clock, as anything depends on time."""
         return self.scene.has_clock or self.schedule is not None
+
+    @cached_property
+    def entries(self) -> Indices:
+        """Entry of q that holds each coordinate of a physical node (n, 3).
+
+        It is -1 for a prescribed coordinate. Rotated supports have coordinates along their own axes.
+        """
+        indices = np.full(self.mechanism.N.size, -1, dtype=np.intp)
+        indices[self._free] = np.arange(self.nq)
+        return read_only(indices.reshape(-1, 3)[self.mechanism.first])  # type: ignore[no-any-return]
 
     # --- numbers ---
 
@@ -225,17 +237,24 @@ class NodeCoordinates:
         if isinstance(x, (ca.SX, ca.MX)):
             columns = self.unpack(check_column("x", x, self.nx))[part]
             return columns[:, self.mechanism.first.tolist()].T
-        states = rows_of_size("x", x, self.nx, "states")
-        result = np.broadcast_to(
-            self.mechanism.local(elsewhere.ravel()), (*states.shape[:-1], elsewhere.size)
-        ).copy()
-        result[..., self._free] = self.split(states)[part]
-        nodes = self.mechanism.world(result).reshape(*states.shape[:-1], len(elsewhere), 3)
+        states = x
+        if not isinstance(x, np.ndarray) or x.dtype != float or x.shape[-1:] != (self.nx,):
+            states = rows_of_size("x", x, self.nx, "states")
+        mech, entries, shape = self.mechanism, self.entries, states.shape[:-1]
+        nodes = np.empty((*shape, *entries.shape))
+        own = self.split(states)[part]
+        if (entries >= 0).all():
+            nodes[...] = own[..., entries]
+        else:
+            nodes[...] = mech.local(elsewhere.ravel()).reshape(-1, 3)[mech.first]
+            nodes[..., entries >= 0] = own[..., entries[entries >= 0]]
+        if mech.turn is not None:
+            nodes = np.einsum("nij,...nj->...ni", mech.frames_of_nodes[mech.first], nodes)
         if self._supports is not None and self.coordinates == "reduced" and states.size:
             times = states[..., -1].ravel()
             moved = self._supports.map(times.size)(times.reshape(1, -1))[part].full().T
-            nodes[..., self._moved, :] = moved.reshape(*states.shape[:-1], len(self._moved), 3)
-        return nodes[..., self.mechanism.first, :]
+            nodes[..., self._moved, :] = moved.reshape(*shape, len(self._moved), 3)
+        return nodes
 
 
 def check_column(name: str, value: Any, size: int) -> Any:

@@ -11,7 +11,8 @@ import numpy as np
 from tenscasadi.envs.task import Task, Transition, read_spread
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.stabilization import projection
-from tenscasadi.simulation.engine.kernel import BROKEN_BARS, build_kernel
+from tenscasadi.simulation.engine.build import build_kernel
+from tenscasadi.simulation.engine.kernel import BROKEN_BARS
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.validate import Array, call_user_function, finite_array
 

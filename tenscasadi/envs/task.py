@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import Correction, Projection
 from tenscasadi.scene.strings import ForceDensity, RestLength
-from tenscasadi.simulation.diagnosis import off_constraints
+from tenscasadi.simulation.verdict.starts import off_constraints
 from tenscasadi.util.renamed import RenamedAttribute, rename_keywords
 from tenscasadi.util.validate import (
     Array,

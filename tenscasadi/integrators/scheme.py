@@ -201,6 +201,8 @@ def check_scheme(scheme: Any, field: str = "scheme") -> None:
 
     A class without parentheses is not one.
     """
+    if isinstance(scheme, NamedScheme):  # quicker than the protocol
+        return
     if isinstance(scheme, type) or not isinstance(scheme, Scheme):
         lacks = [name for name in _MEMBERS if not hasattr(scheme, name)]
         why = (

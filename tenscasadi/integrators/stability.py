@@ -13,6 +13,7 @@ from tenscasadi.dynamics.linearization import EquationDerivatives
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Complex, Scheme, check_scheme, stability_limit
+from tenscasadi.scene.binding import fix
 from tenscasadi.util.renamed import lazy_module
 from tenscasadi.util.validate import Array, finite_array, instance, positive_number
 
@@ -90,7 +91,7 @@ def stable_step(
     0.2828
     """
     check_scheme(scheme)
-    limit = positive_number("safety", safety) * step_limit(scheme, _rates(model, x, u, parameters))
+    limit = positive_number("safety", safety) * find_limit(model, scheme, x, u, parameters)
     if np.isnan(limit):
         warnings.warn(
             "stable_step is NaN: the equations have no finite derivative at x, as where a bar has no length",
@@ -100,51 +101,68 @@ def stable_step(
     return limit
 
 
-def contact_rate(model: Model) -> float:
+def find_limit(
+    model: Model, scheme: Scheme, x: Any = None, u: Any = None, parameters: Any = None
+) -> float:
+    """Compute the largest stable step at a state, as `stable_step` without warnings."""
+    return step_limit(scheme, _rates(model, x, u, parameters))
+
+
+def contact_rate(model: Model, parameters: Any = None) -> float:
     """Compute the fastest rate of ground contact [rad/s].
 
     The lightest node bounces or is damped at this rate. 0 without a ground.
     """
-    m = lightest_mass(model)
+    grounds, m, _ = _contact(model, parameters)
     return max(
-        (max(float(np.sqrt(g.stiffness / m)), float(g.damping) / m) for g in model.scene.grounds),
-        default=0.0,
+        (max(float(np.sqrt(g.stiffness / m)), float(g.damping) / m) for g in grounds), default=0.0
     )
 
 
-def contact_step(model: Model) -> float:
+def contact_step(model: Model, parameters: Any = None) -> float:
     """Compute a step that resolves ground contact [s].
 
     It resolves bouncing, damping and, up to a tenth of the step for these, the stop of a slipping
     node by friction of a third of the weight. Infinite without a ground.
     """
-    rate = contact_rate(model)
+    rate = contact_rate(model, parameters)
     if not rate:
         return float("inf")
-    g = model.scene.gravity
-    push = 0.0 if g is None else float(model.mechanism.M.sum()) * float(ca.norm_2(g.at(0.0))) / 3
-    m = lightest_mass(model)
+    grounds, m, weight = _contact(model, parameters)
     stop = max(
-        (
-            float(one.friction) * push / (m * float(one.slip_speed))
-            for one in model.scene.grounds
-            if one.friction is not None
-        ),
-        default=0.0,
+        float(one.friction) * weight / 3 / (m * float(one.slip_speed))
+        if one.friction is not None
+        else 0.0
+        for one in grounds
     )
     bounce = 0.1 / rate  # a tenth of a radian
     return float(min(bounce, max(0.25 / max(stop, 1e-300), bounce / 10)))
 
 
-def lightest_mass(model: Model) -> float:
+def lightest_mass(model: Model, parameters: Any = None) -> float:
     """Compute the smallest effective mass of a node [kg].
 
     It is 1/max diag M⁻¹, without bars.
     """
-    mech = model.mechanism
-    if model.coordinates == "full":  # massless pinned nodes have arbitrary masses in M⁻
-        return float(1 / mech.inverse[0].diagonal().max())
-    return float(1 / np.linalg.inv(np.asarray(mech.free_mass.toarray())).diagonal().max())
+    w = ca.DM(model.stack_inputs(None, parameters))
+    return float(1 / max(_numbers(part).diagonal().max() for part in model.weighted(w).inverse))
+
+
+def _numbers(matrix: Any) -> Array:
+    return np.asarray(matrix.full() if isinstance(matrix, ca.DM) else matrix.toarray())
+
+
+def _contact(model: Model, parameters: Any) -> tuple[Any, float, float]:
+    """Return the grounds, the lightest mass [kg] and the weight [N]."""
+    p = model.parameters.values(parameters)
+    scene = fix(model.scene, p) if model.np else model.scene
+    if not scene.grounds:
+        return (), 0.0, 0.0
+    mass = float(
+        np.sum(_numbers(model.weighted(ca.DM(model.stack_inputs(None, p)), inverse=False).M))
+    )
+    pull = 0.0 if scene.gravity is None else float(ca.norm_2(scene.gravity.at(0.0)))
+    return scene.grounds, lightest_mass(model, p), mass * pull
 
 
 def log_growth(

@@ -112,12 +112,6 @@ def short_beside_steep(times: Array) -> Array:
     )
 
 
-def at_edges(times: Array, first: float, last: float, steps: int) -> Array:
-    """Return the times just before and just after each of `times`, s: as far as the clock of a run of so many steps may be off."""
-    around = clock_error(first, last, steps)
-    return np.unique(np.concatenate([times - around, times + around]))
-
-
 def clock_error(first: float, last: float, steps: int) -> float:
     """Bound the error, s, of the clock of a run of so many steps, which is the sum of them."""
     return 4.0 * (steps + 1) * float(np.spacing(max(abs(first), abs(last))))

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscasadi.scene.breakpoints import at_edges, find_breakpoints, probe_times
+from tenscasadi.scene.breakpoints import find_breakpoints, probe_times
 from tenscasadi.scene.time_functions import as_numbers, express, is_same, values_at
 from tenscasadi.util.validate import (
     SMALLEST,
@@ -94,15 +94,13 @@ class ControlSchedule:
     def check_run(self, first: float, last: float) -> None:
         """Do nothing: values are checked where the schedule is built."""
 
-    def find_breakpoints(self, first: float, last: float, steps: int) -> Array:
-        """Find the times at which steps have to end: around each jump or kink of the control.
+    def find_breakpoints(self, first: float, last: float) -> Array:
+        """Find the jumps and kinks of the control.
 
         Parameters
         ----------
         first, last : float
             Times at which the run begins and ends, s.
-        steps : int
-            Number of steps of the run.
 
         Returns
         -------
@@ -110,7 +108,7 @@ class ControlSchedule:
             Times, s, in order.
         """
         found = [self.breakpoints, find_breakpoints(self.at, first, last)]
-        return at_edges(np.concatenate(found), first, last, steps)
+        return np.unique(np.concatenate(found))
 
     def changing(self) -> ca.Function:
         """Return the function of time that steps have to follow.

@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, TypeVar
 import casadi as ca
 import numpy as np
 
-from tenscasadi.scene.breakpoints import at_edges, find_breakpoints, short_beside_steep
+from tenscasadi.scene.breakpoints import find_breakpoints, short_beside_steep
 from tenscasadi.scene.time_functions import (
     as_numbers,
     check_over_run,
@@ -148,15 +148,13 @@ class OverTime(Value):
         if self.is_function:
             check_over_run(self.field, self.quantity, trace(self.at), first, last)
 
-    def find_breakpoints(self, first: float, last: float, steps: int) -> Array:
-        """Find the times at which steps have to end: those of a table, or around each jump or kink of a function.
+    def find_breakpoints(self, first: float, last: float) -> Array:
+        """Find the times of a table, or the jumps and kinks of a function.
 
         Parameters
         ----------
         first, last : float
             Times at which the run begins and ends, s.
-        steps : int
-            Number of steps of the run: the clock is the sum of them, and off by their rounding.
 
         Returns
         -------
@@ -168,7 +166,7 @@ class OverTime(Value):
         if not self.is_function:
             return np.empty(0)
         found = [self.breakpoints, find_breakpoints(trace(self.at), first, last)]
-        return at_edges(np.concatenate(found), first, last, steps)
+        return np.unique(np.concatenate(found))
 
     def changing(self) -> ca.Function | None:
         """Build the function of time that steps have to follow; None where it is a table, which they follow."""

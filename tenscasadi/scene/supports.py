@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import casadi as ca
 import numpy as np
 
-from tenscasadi.scene.breakpoints import at_edges, find_breakpoints, probe_times
+from tenscasadi.scene.breakpoints import find_breakpoints, probe_times
 from tenscasadi.scene.over_time import takes_breaks
 from tenscasadi.scene.time_functions import CURE, Samples, check_over_run, express
 from tenscasadi.schema.containers import Either, MapOf
@@ -153,15 +153,13 @@ class SupportMotion(Value, kind="SupportMotion"):
                             f"{name}: {what} jumps by {jump:.3g} at t = {time:g} s, which bars and joints cannot follow: {cure}"
                         )
 
-    def find_breakpoints(self, first: float, last: float, steps: int) -> Array:
-        """Find the times at which steps have to end: around each jump of an acceleration.
+    def find_breakpoints(self, first: float, last: float) -> Array:
+        """Find the jumps and kinks of the accelerations.
 
         Parameters
         ----------
         first, last : float
             Times at which the run begins and ends, s.
-        steps : int
-            Number of steps of the run: the clock is the sum of them, and off by their rounding.
 
         Returns
         -------
@@ -169,7 +167,7 @@ class SupportMotion(Value, kind="SupportMotion"):
             Times, s, in order.
         """
         found = [self.breakpoints, find_breakpoints(self.rates(), first, last)]
-        return at_edges(np.concatenate(found), first, last, steps)
+        return np.unique(np.concatenate(found))
 
     def changing(self) -> ca.Function:
         """Build the function of time that steps have to follow: the accelerations of the moved nodes.

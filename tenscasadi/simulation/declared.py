@@ -22,8 +22,8 @@ from tenscasadi.scene.scene import Scene
 from tenscasadi.schema.containers import TableOf
 from tenscasadi.schema.definitions import OneOf
 from tenscasadi.schema.field_types import PER_ITEM, ElsewhereInFile, varying
+from tenscasadi.simulation.inputs.run_inputs import read_inputs
 from tenscasadi.simulation.simulate import simulate
-from tenscasadi.simulation.time_grid import lay_run
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.subdivision import cut_strings
 from tenscasadi.util.compile import Compiled
@@ -182,9 +182,17 @@ class Simulation:
             raise ValueError(
                 f"state has {len(self.start)} entries: give the {self.model.nx} of the model, or nodes and velocities"
             )
-        p = self.model.parameters.values(self.parameters)
-        laid = lay_run(self.model, self.start, self.t_end, self.step, self.scheme, self.control, p)
-        steps = laid.inputs.steps
+        inputs = read_inputs(
+            self.model,
+            self.t_end,
+            self.step,
+            self.scheme,
+            self.start,
+            self.control,
+            self.parameters,
+            many=False,
+        )
+        steps = inputs.grid.steps
         if self.save_every is not None and steps / self.save_every * self.model.nx > MOST_KEPT:
             raise ValueError(
                 f"save_every is {self.save_every}: {steps} steps would keep more than {MOST_KEPT:g} numbers, give more"

@@ -16,7 +16,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme, check_scheme
 from tenscasadi.integrators.stabilization import Projection, correct
-from tenscasadi.simulation.engine.kernel import check_single
+from tenscasadi.simulation.engine.build import check_single
 from tenscasadi.util.casadi_tools import generated
 from tenscasadi.util.compile import Single
 from tenscasadi.util.validate import Array, file_path, instance

@@ -69,6 +69,8 @@ class Rollouts(Viewable, SceneResult, form="tenscasadi rollouts 1", title="file 
     turn : ndarray, shape (N, 3, 3)
         Directions, as columns, along which each node has these coordinates; empty where all have x,
         y, z.
+    error_estimate : ndarray, shape (n,)
+        Estimated step-size error of the node positions [m], NaN if unknown; empty in older files.
     scene : Scene or None
         The simulated scene; None if the file does not hold it. Its functions of time are tables of
         samples at the saved times after loading.
@@ -113,6 +115,7 @@ class Rollouts(Viewable, SceneResult, form="tenscasadi rollouts 1", title="file 
     )
     pinned: Annotated[Indices, "p", "i"] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
     turn: Annotated[Array, "r33", "f"] = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    error_estimate: Annotated[Array, "e", "f"] = field(default_factory=lambda: np.zeros(0))
     scene: Scene | None = None
     sampled: tuple[str, ...] = ()
 
@@ -215,10 +218,11 @@ def _check_values(content: Mapping[str, Any]) -> None:
                 f"field {name!r} is {content[name]:g}: it must be at least {least:g}, and finite"
             )
     good = np.asarray(content["success"])
-    for name in ("states", "energy", "energy_error", "bar_length_error", "joint_error"):
+    for name in ("states", "energy", "bar_length_error", "joint_error"):
         if not np.all(np.isfinite(content[name][good])):
             raise ValueError(f"field {name!r} is not finite in a motion that succeeded")
-        if name.endswith("error") and np.any(content[name] < 0):
+    for name in ("energy_error", "bar_length_error", "joint_error", "error_estimate"):
+        if np.any(np.asarray(content[name]) < 0):
             raise ValueError(f"field {name!r} holds a value below 0")
 
 

@@ -3,44 +3,31 @@
 from __future__ import annotations
 
 import os
-import time as clock
+import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
-from tenscasadi.integrators.scheme import Scheme, check_scheme
-from tenscasadi.integrators.stabilization import Correction, check_correction
-from tenscasadi.simulation.engine.inputs import (
-    controls_at,
-    first_time,
-    gather_intervals,
-    lay_steps,
-    read_controls,
-    read_parameters,
-    read_starts,
-)
-from tenscasadi.simulation.engine.kernel import Kernel, Watch, build_kernel
-from tenscasadi.simulation.engine.request import (
-    KINETIC,
-    MEASURED,
-    STOPPED,
-    SUPPLIED,
-    count_runs,
-)
+from tenscasadi.integrators.scheme import Scheme
+from tenscasadi.integrators.stabilization import Correction
+from tenscasadi.simulation.engine.request import MEASURED, WORST
+from tenscasadi.simulation.engine.roll import Request, Runs, roll
+from tenscasadi.simulation.engine.step_code import Account
+from tenscasadi.simulation.inputs.run_inputs import read_inputs
 from tenscasadi.simulation.motions import Rollouts
-from tenscasadi.simulation.time_grid import describe_unseen
-from tenscasadi.simulation.verdict import Runs, judge
-from tenscasadi.util.validate import flag, instance, whole_number
+from tenscasadi.simulation.simulate import check_options
+from tenscasadi.simulation.verdict.judge import judge
+from tenscasadi.util.compile import Compiled
+from tenscasadi.util.validate import Array, positive_number, whole_number
 
 
-def rollouts(
+def rollouts(  # noqa: PLR0913  the options of a batch
     model: Model,
     t_end: float,
-    step: float = 1e-3,
+    step: float | None = None,
     states: Any = None,
     controls: Any = None,
     parameters: Any = None,
@@ -49,7 +36,11 @@ def rollouts(
     save_every: int | None = None,
     threads: int | None = None,
     *,
+    compiled: Compiled = None,
     progress: bool = False,
+    energy_balance: bool = True,
+    time_limit: float | None = None,
+    verify: bool = False,
 ) -> Rollouts:
     """Simulate a batch of runs of one model.
 
@@ -61,20 +52,19 @@ def rollouts(
         Model of all runs.
     t_end : float
         End of the runs [s].
-    step : float
-        Largest step [s], as for `simulate`.
+    step : float, optional
+        Largest step [s], with the default of `simulate` at the first initial state.
     states : array_like, shape (n, nx) or (nx,), optional
         Initial state of each run, or of all. Default: `model.initial_state`.
-    controls : array_like or Feedback, optional
+    controls : array_like, callable or Feedback, optional
         Constant control (n, nu), or control (n, K, nu) that is constant on each of K equal parts of
-        [0, t_end]. All runs share (nu,) or (1, K, nu). A `Feedback` depends on the state of each
-        run. Default: `model.initial_control`.
+        [0, t_end]. All runs share (nu,), (1, K, nu) or a function of time, as for `simulate`. A
+        `Feedback` depends on the state of each run. Default: `model.initial_control`.
     parameters : array_like, shape (n, np) or (np,), or mapping of str to array_like, optional
         Values of the model's parameters in each run, or in all. Values by name are (n, k) or as in
         `ParameterLayout.values`; the others are nominal. One compiled code serves all values.
     scheme : Scheme
-        Scheme of fixed, explicit steps: `RungeKutta4`, `Rattle`, `DormandPrince54()` or
-        `DormandPrince853()` without `rtol`.
+        Integration scheme. Explicit schemes with fixed steps compute several runs at once.
     correction : Projection or BarLengthCorrection, optional
         Correction after every `correction.every`-th step. Default: none.
     save_every : int, optional
@@ -82,8 +72,18 @@ def rollouts(
         only these two.
     threads : int, optional
         Threads that share the runs. Default: one for each available processor.
+    compiled : bool or Single, optional
+        As for `simulate`.
     progress : bool
         Whether to show a progress bar.
+    energy_balance : bool
+        Whether to integrate the work of damping, contact and control, as for `simulate`. Without
+        it, `energy_error` is NaN where it depends on that work.
+    time_limit : float, optional
+        Wall time after which runs stop [s], as after Ctrl-C. Default: no limit.
+    verify : bool
+        Whether to repeat finished runs with other steps, as `simulate` does. `error_estimate` then
+        holds their step-size errors.
 
     Returns
     -------
@@ -102,10 +102,11 @@ def rollouts(
 
     Notes
     -----
-    The steps are compiled once for a model, with several runs in the lanes of each instruction: 8
-    with AVX-512, 4 with AVX, else 2. Each result equals that of `simulate` to the last bit. Code
-    that branches on numbers, such as splines, advances one run at a time. Without a C++ compiler,
-    CasADi computes the same numbers more slowly, and `lanes` is 0.
+    Long computations are compiled once for a model, with several runs in the lanes of each
+    instruction: 8 with AVX-512, 4 with AVX, else 2. Each result equals that of `simulate` to the
+    last bit. Schemes with error control and code that branches on numbers, such as splines, advance
+    one run at a time. In short computations and without a C++ compiler, CasADi computes the same
+    numbers more slowly, and `lanes` is 0.
 
     Examples
     --------
@@ -120,68 +121,41 @@ def rollouts(
     >>> bool(many.success.all()), many.final.shape, bool(many.energy_error.max() < 1e-5)
     (True, (100, 6), True)
     """
-    instance("model", model, Model, "a tenscasadi.Model")
-    check_scheme(scheme)
-    check_correction(correction)
-    flag("progress", progress)
-    p = read_parameters(model, parameters)
-    starts = read_starts(model, states, p)
-    plan = read_controls(model, controls, p)
-    n = count_runs(states=len(starts), controls=len(plan.controls), parameters=len(p))
-    inputs = lay_steps(model, starts, t_end, step, plan)
-    every = inputs.steps if save_every is None else whole_number("save_every", save_every, 1)
-    workers = min(
-        _processors() if threads is None else whole_number("threads", threads, 1, 1024), max(n, 1)
-    )
-    _check_memory(n, 1 - (-inputs.steps // every), model.nx)
-    kept = np.append(np.arange(0, inputs.steps, every), inputs.steps)
-    kernel = build_kernel(model, scheme, correction, measured=True)
-    intervals, feedback = gather_intervals(model, inputs, plan)
-    began = clock.perf_counter()
-    with (
-        tqdm(total=n * inputs.steps, unit=" steps", unit_scale=True, disable=not progress) as bar,
-        np.errstate(all="ignore"),
-    ):
-        result = kernel.run(
-            starts,
-            plan.controls,
-            intervals,
-            every,
-            look_every=max(1, inputs.steps // 100),
-            parameters=p,
-            feedback=feedback,
-            threads=workers,
-            longest=inputs.longest,
-            watch=Watch(lambda done: bar.update(done - bar.n)),
-        )
-    seconds = clock.perf_counter() - began
-    time = inputs.times(kept)
-    run = Runs(
-        model,
+    flags = {"progress": progress, "energy_balance": energy_balance, "verify": verify}
+    check_options(model, scheme, correction, compiled, **flags)
+    limit = np.inf if time_limit is None else positive_number("time_limit", time_limit)
+    inputs = read_inputs(model, t_end, step, scheme, states, controls, parameters, many=True)
+    steps, n = inputs.grid.steps, inputs.runs
+    every = steps if save_every is None else whole_number("save_every", save_every, 1)
+    workers = _processors() if threads is None else whole_number("threads", threads, 1, 1024)
+    _check_memory(n, 1 - (-steps // every), model.nx)
+    varies = inputs.controls.shape[1] > 1 or inputs.feedback is not None
+    request = Request(
+        inputs,
         scheme,
-        starts,
-        plan.controls,
-        p,
-        inputs.steps,
-        inputs.step,
-        time,
-        lambda step: float(inputs.times(np.array([step]))[0]),
-        lambda k: controls_at(plan, model, time, result.saved, k),
-        result,
-        describe_unseen(
-            model.over_time, inputs, first_time(model, starts), inputs.step, scheme.order
-        ),
+        correction,
+        every,
+        Account(energy_balance and inputs.model.power is not None, energy_balance and varies),
+        "errors",
+        compiled,
+        threads=min(workers, max(n, 1)),
+        time_limit=limit,
+        deadline=time.monotonic() + limit,
     )
-    return _record(run, kernel, workers, seconds)
+    return _record(model, roll(request, progress), verify)
 
 
 def _check_memory(n: int, rows: int, nx: int) -> None:
     """Raise ValueError if the results do not fit into memory."""
-    needed = 8.0 * n * rows * (2 * nx + len(MEASURED) + 2)  # including derived arrays
+    needed = 8.0 * n * rows * (2 * nx + len(MEASURED) + 3)  # including derived arrays
     free = _free_memory()
     if needed > free:
-        told = f"save_every: {n} motions of {rows} rows take {needed / 1e9:.3g} GB, {free / 1e9:.3g} GB are free"
-        raise ValueError(f"{told}: give a larger save_every, or fewer motions at a time")
+        sizes = (
+            f"{n} motions of {rows} rows take {needed / 1e9:.3g} GB, {free / 1e9:.3g} GB are free"
+        )
+        raise ValueError(
+            f"save_every: {sizes}: give a larger save_every, or fewer motions at a time"
+        )
 
 
 def _free_memory() -> float:
@@ -203,44 +177,59 @@ def _processors() -> int:
         return os.cpu_count() or 1
 
 
-def _record(run: Runs, kernel: Kernel, threads: int, seconds: float) -> Rollouts:
-    model, result = run.model, run.result
-    if result.saved is None or result.measured is None or result.worst is None:
-        raise RuntimeError("the kernel has measured nothing")
-    success, message = judge(run)
-    indices = np.full(model.mechanism.N.T.size, -1, dtype=np.intp)
-    indices[model.mechanism.free_index] = np.arange(model.nq)
-    place = indices.reshape(-1, 3)[model.mechanism.first]
-    probes = np.zeros((len(run.time), model.nx))
-    if model.scene.has_clock and len(run.starts):
-        clocks = model.split(run.starts)[2]
-        model.split(probes)[2][:] = run.time[:, None] + clocks[np.argmax(np.isfinite(clocks))]
-    local = model.mechanism.local(model.nodes(probes).reshape(len(probes), place.size)).reshape(
-        -1, *place.shape
+def _record(model: Model, runs: Runs, verify: bool) -> Rollouts:
+    """Convert runs to rollouts with their verdicts."""
+    request, rolled = runs.request, runs.rolled
+    grid, steps = request.inputs.grid, request.inputs.grid.steps
+    saved = np.append(np.arange(0, steps, request.every), steps)
+    times, verdict = grid.times(saved), judge(runs, verify)
+    worst = dict(
+        zip(
+            WORST,
+            np.zeros((len(WORST), 0)) if rolled.worst is None else rolled.worst.T,
+            strict=True,
+        )
     )
-    given = np.where(place >= 0, np.nan, local)
-    worst = result.worst
+    place, given = _find_places(model, request.inputs.first + times)
+    energy = runs.measured[:, :, 2:5].sum(axis=2)
     return Rollouts(
-        time=run.time,
-        states=result.saved,
-        success=success,
-        message=message,
-        bar_length_error=worst[:, 0],
-        joint_error=worst[:, 1],
-        energy=result.measured[:, :, KINETIC:SUPPLIED].sum(axis=2),
-        energy_error=worst[:, 2],
+        time=times,
+        states=runs.saved[:, :, : model.nx],
+        success=verdict.success,
+        message=np.array(verdict.message, dtype=np.str_).reshape(len(energy)),
+        bar_length_error=worst["bar_length_error"],
+        joint_error=worst["joint_error"],
+        energy=energy,
+        energy_error=worst["energy_error"] if request.balanced else np.full(len(energy), np.nan),
         place=place,
         given=given,
-        step=run.step,
-        steps=run.steps,
-        seconds=seconds,
-        lanes=kernel.lanes,
-        note=kernel.note,
-        threads=threads,
-        interrupted=bool(np.any(result.status == STOPPED)),
+        step=grid.step,
+        steps=steps,
+        seconds=runs.seconds,
+        lanes=runs.kernel.lanes,
+        note=runs.kernel.note,
+        threads=request.threads,
+        interrupted=runs.stopped and not runs.late,
         bars=model.structure.bars,
         scene=model.scene,
         strings=model.structure.strings,
         pinned=np.array(sorted({*model.structure.pinned, *model.structure.rollers}), dtype=np.intp),
         turn=model.mechanism.frames_of_nodes,
+        error_estimate=verdict.error,
     )
+
+
+def _find_places(model: Model, clock: Array) -> tuple[Any, Array]:
+    """Find the state entry of each node coordinate, and the coordinates that supports prescribe.
+
+    `clock` (T,) are the times of the rows [s]. Entries (N, 3) are -1 and coordinates (T, N, 3) NaN
+    where there are none.
+    """
+    place = model.entries
+    probes = np.zeros((len(clock), model.nx))
+    if model.scene.has_clock:
+        model.split(probes)[2][:] = clock[:, None]
+    local = model.mechanism.local(model.nodes(probes).reshape(len(probes), place.size)).reshape(
+        -1, *place.shape
+    )
+    return place, np.where(place >= 0, np.nan, local)

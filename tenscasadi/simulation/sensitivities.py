@@ -18,8 +18,8 @@ from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stabilization import Correction
 from tenscasadi.integrators.sundials import Sundials
-from tenscasadi.scene.control_function import ControlFunction
-from tenscasadi.simulation.control_input import ControlInput, ControlProfile, SampledControl
+from tenscasadi.simulation.inputs.controls import ControlInput, ControlProfile
+from tenscasadi.simulation.inputs.run_inputs import RunInputs, read_inputs
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.tangent_loop import (
     CHUNK,
@@ -29,7 +29,6 @@ from tenscasadi.simulation.tangent_loop import (
     tangent_function,
 )
 from tenscasadi.simulation.tangent_passes import PassSetup, run_adjoint, run_forward
-from tenscasadi.simulation.time_grid import lay_run
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.compile import CompileError, compile_function
@@ -221,26 +220,27 @@ def sensitivities(  # noqa: PLR0913  options of the run and of the derivatives
         model, state=request.start, control=request.control, t_end=request.t_end, step=request.step,
         save_every=CHUNK, energy_balance=False, verify=False, compiled=compiled, parameters=request.parameters, **common,
     )  # fmt: skip
-    laid = lay_run(
+    inputs = read_inputs(
         model,
-        request.start,
         request.t_end,
         request.step,
         scheme,
+        request.start,
         request.control,
         request.parameters,
+        many=False,
     )
-    grid, output = laid.inputs, laid.include_schedule(output)
-    steps = Steps(laid.model, scheme, correction, output if over == "run" else None)
+    grid, output = inputs.grid, inputs.include_schedule(output)
+    steps = Steps(inputs.model, scheme, correction, output if over == "run" else None)
     owner = (
-        _owners(request.control, grid) if by == "control" else np.zeros(grid.steps, dtype=np.intp)
+        _owners(request.control, inputs) if by == "control" else np.zeros(grid.steps, dtype=np.intp)
     )
     entries = {
         "state": None,
         "control": slice(0, model.nu),
         "parameters": slice(model.nu, model.nw),
     }[by]
-    task = PassSetup(steps, laid.states(run.time, run.states), grid, owner, entries)
+    task = PassSetup(steps, inputs.append_clock(run.time, run.states), inputs, owner, entries)
     rows, columns = output.size1_out(0), int(np.prod(task.shape))
     # A gradient costs about as much as two tangents.
     chosen = mode or ("forward" if columns <= 2.0 * rows else "adjoint")
@@ -375,23 +375,20 @@ def _output(model: Model, of: Any) -> ca.Function:
         raise TypeError(f"of returns {format_value(value)}: {wanted}") from None
 
 
-def _owners(control: Any, grid: SampledControl) -> Indices:
+def _owners(control: Any, inputs: RunInputs) -> Indices:
     """Find the control interval of each step.
 
     The interval is that of a table or a profile, or the step itself.
     """
-    ends = grid.times(np.arange(grid.steps + 1))
-    middle = (ends[:-1] + ends[1:]) / 2
-    if isinstance(control, ControlProfile):
-        if len(control.values) == len(control.time):
-            raise ValueError(
-                "control.values is linear between its times: give one row for each interval, or a table"
-            )
-        return np.searchsorted(control.time, middle) - 1
-    if callable(control) or isinstance(control, ControlFunction):
-        return np.arange(grid.steps)
-    table = 1 if control is None or np.ndim(control) < 2 else len(np.asarray(control))
-    return np.minimum((middle / grid.t_end * table).astype(np.intp), table - 1)
+    grid = inputs.grid
+    steps = np.arange(grid.steps)
+    if isinstance(control, ControlProfile) and len(control.values) == len(control.time):
+        raise ValueError(
+            "control.values is linear between its times: give one row for each interval, or a table"
+        )
+    if inputs.model.schedule is not None:
+        return steps
+    return np.asarray(grid.rows[grid.locate(steps)])
 
 
 def _compare(request: _RunArguments, run: Trajectory) -> None:
@@ -415,7 +412,7 @@ def _differentiate(
     symbols = output.mx_in()
     slopes = [ca.densify(ca.jacobian(output(*symbols), symbol)) for symbol in symbols]
     at_end = ca.Function("at_end", symbols, [output(*symbols), *slopes])(
-        task.states[-1], task.grid.window(task.grid.steps - 1, 1)[0]
+        task.states[-1], task.inputs.stack(0, np.array([task.inputs.grid.steps - 1]))[0]
     )
     value, by_z, by_w = (np.asarray(result.full()) for result in at_end)
     if steps.running is not None:  # the output is the last entry of z

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import time
 from typing import Any
 
 import numpy as np
@@ -12,21 +12,24 @@ from tenscasadi.dynamics.operating_point import split_point
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme, check_scheme
 from tenscasadi.integrators.stabilization import Correction, check_correction
-from tenscasadi.simulation.control_input import ControlInput, ControlProfile
-from tenscasadi.simulation.engine.engine import Request, roll
+from tenscasadi.simulation.engine.roll import Request, Runs, roll
 from tenscasadi.simulation.engine.step_code import Account
-from tenscasadi.simulation.time_grid import lay_run
-from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
-from tenscasadi.simulation.verdict import conclude
-from tenscasadi.util.compile import Compiled, Single
-from tenscasadi.util.validate import (
-    finite_array,
-    instance,
-    positive_number,
-    whole_number,
+from tenscasadi.simulation.inputs.controls import ControlInput, ControlProfile
+from tenscasadi.simulation.inputs.run_inputs import read_inputs
+from tenscasadi.simulation.trajectory import (
+    Trajectory,
+    name_measures,
+    observe_states,
+    record_trajectory,
 )
+from tenscasadi.simulation.verdict.endings import describe_steps
+from tenscasadi.simulation.verdict.judge import judge
+from tenscasadi.util.compile import Compiled, Single
+from tenscasadi.util.renamed import rename_keywords
+from tenscasadi.util.validate import instance, positive_number, whole_number
 
 
+@rename_keywords(seconds="time_limit")
 def simulate(  # noqa: PLR0913  the options of a run
     model: Model,
     t_end: float,
@@ -40,7 +43,7 @@ def simulate(  # noqa: PLR0913  the options of a run
     progress: bool = False,
     *,
     energy_balance: bool = True,
-    seconds: float | None = None,
+    time_limit: float | None = None,
     parameters: Any = None,
     verify: bool = True,
 ) -> Trajectory:
@@ -82,9 +85,9 @@ def simulate(  # noqa: PLR0913  the options of a run
     energy_balance : bool, optional
         Whether to integrate the work of damping, contact and control, which takes time. Without it,
         `energy_error` is NaN where it depends on that work.
-    seconds : float, optional
-        Wall time after which the run stops [s], without compilation. As after Ctrl-C, `success` is
-        False and the rows so far are returned. Default: no limit.
+    time_limit : float, optional
+        Wall time after which the run stops [s]. As after Ctrl-C, `success` is False and the rows so
+        far are returned. Default: no limit.
     parameters : array_like, shape (np,), or mapping of str to array_like, optional
         Values of the model's parameters (`Scene.parameters`), or of some by name, see
         `ParameterLayout.values`. One compiled loop serves all values. Default: nominal.
@@ -137,58 +140,75 @@ def simulate(  # noqa: PLR0913  the options of a run
     True
     """
     flags = {"progress": progress, "energy_balance": energy_balance, "verify": verify}
-    _check_options(model, scheme, correction, compiled, **flags)
+    check_options(model, scheme, correction, compiled, **flags)
     state, control, parameters = split_point(model, state, control, parameters)
-    p = model.parameters.values(parameters)
-    start = np.array(
-        model.start_at(p) if state is None else finite_array("state", state, (model.nx,))
-    )
-    laid = lay_run(model, start, t_end, step, scheme, control, p)
-    inputs = laid.inputs
-    every = (
-        max(1, -(-inputs.steps // 1000))
+    limit = np.inf if time_limit is None else positive_number("time_limit", time_limit)
+    inputs = read_inputs(model, t_end, step, scheme, state, control, parameters, many=False)
+    steps, varies = inputs.grid.steps, inputs.controls.shape[1] > 1
+    request = Request(
+        inputs,
+        scheme,
+        correction,
+        max(1, -(-steps // 1000))
         if save_every is None
-        else whole_number("save_every", save_every, 1)
+        else whole_number("save_every", save_every, 1),
+        Account(energy_balance and inputs.model.power is not None, energy_balance and varies),
+        "all",
+        compiled,
+        lanes=1,
+        time_limit=limit,
+        deadline=time.monotonic() + limit,
     )
-    limit = np.inf if seconds is None else positive_number("seconds", seconds)
-    driven = laid.model
-    account = Account(energy_balance and driven.power is not None, energy_balance and inputs.varies)
-    request = Request(driven, scheme, correction, laid.start, inputs, every, account, compiled)
-    run = roll(request, limit, progress)
-    supplied: Any = run.supplied if any(account) else 0.0
-    if not any(account) and (inputs.varies or driven.power is not None):
-        supplied = np.nan
-    recorded = record_trajectory(
-        model,
-        run.time,
-        run.states[:, : model.nx],
-        laid.controls(run.time, run.controls),
-        step=run.step,
-        message="",
-        supplied=supplied,
-        seconds=run.seconds,
-        observed=run.observed,
-    )
-    energy = run.energy
-    if driven.schedule is not None:  # the schedule also supplies energy of strings
-        energy = recorded.energy_parts[:, 0]
-    recorded = replace(
-        recorded,
-        energy_error=energy - energy[0] - supplied,
-        correction_shift=run.corrected[:, 0],
-        correction_energy=run.corrected[:, 1],
-        compiled=run.compiled,
-        attempts=run.attempts,
-        interrupted=run.interrupted,
-    )
-    return conclude(model, request, run, recorded, verify)
+    return record_run(model, roll(request, progress), verify)
 
 
-def _check_options(model: Any, scheme: Any, correction: Any, compiled: Any, **flags: Any) -> None:
+def check_options(model: Any, scheme: Any, correction: Any, compiled: Any, **flags: Any) -> None:
+    """Check the options of runs. Raises TypeError."""
     instance("model", model, Model, "a tenscasadi.Model")
     check_scheme(scheme)
     check_correction(correction)
     if compiled is not None:
         instance("compiled", compiled, (bool, Single), "True or False, None or Single()")
-    for name, flag in flags.items():
-        instance(name, flag, bool, "True or False")
+    for name, value in flags.items():
+        instance(name, value, bool, "True or False")
+
+
+def record_run(model: Model, runs: Runs, verify: bool) -> Trajectory:
+    """Convert a run to a trajectory with its verdict."""
+    request, rolled, steps = runs.request, runs.rolled, runs.saved_steps(0)
+    inputs, scheme, count = request.inputs, request.scheme, len(steps)
+    time_, states = runs.times(steps), runs.saved[0, :count, : model.nx]
+    held = inputs.add_schedule(inputs.stack(0, steps), time_)
+    measured = runs.measured[0, :count]
+    if isinstance(request.compiled, Single):  # measures in double precision
+        observed = observe_states(model, states, held)
+    else:
+        observed = name_measures(model, states, measured[:, :-1])
+    parts = observed["energy"]
+    if inputs.model.schedule is not None:  # the work includes that of strings and gravity
+        parts = parts[:, :1]
+    energy = parts.sum(axis=1)
+    corrected = np.zeros((count, 2)) if rolled.corrected is None else rolled.corrected[0, :count]
+    if request.correction is not None and scheme.adaptive:
+        corrected = np.full((count, 2), np.nan)
+    verdict, taken = judge(runs, verify), describe_steps(runs, 0)
+    single = "; in single precision" if isinstance(request.compiled, Single) else ""
+    note = runs.kernel.note and f"; {runs.kernel.note}"
+    return record_trajectory(
+        model,
+        time_,
+        states,
+        held,
+        step=taken.step,
+        message=verdict.message[0] + (single or note),
+        success=bool(verdict.success[0]),
+        energy_error=energy - energy[0] - (measured[:, -1] if request.balanced else np.nan),
+        seconds=runs.seconds,
+        observed=observed,
+        correction_shift=corrected[:, 0],
+        correction_energy=corrected[:, 1],
+        compiled=runs.kernel.lanes > 0,
+        attempts=taken.computed,
+        interrupted=runs.stopped and not runs.late,
+        error_estimate=float(verdict.error[0]),
+    )

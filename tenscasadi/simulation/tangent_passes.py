@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tenscasadi.simulation.control_input import SampledControl
+from tenscasadi.simulation.inputs.run_inputs import RunInputs
 from tenscasadi.simulation.tangent_loop import CHUNK, Steps
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.validate import Array, Indices
@@ -18,14 +18,13 @@ from tenscasadi.util.validate import Array, Indices
 class PassSetup(NamedTuple):
     """Derivatives to compute over a run.
 
-    `states` (C, nx) are CHUNK steps apart, and `grid` holds the inputs w. `entries` selects the
-    entries of w in each interval; `owner` (steps,) is the interval of each step. None selects the
-    initial state.
+    `states` (C, nx) are CHUNK steps apart. `entries` selects the entries of w in each interval;
+    `owner` (steps,) is the interval of each step. None selects the initial state.
     """
 
     steps: Steps
     states: Array
-    grid: SampledControl
+    inputs: RunInputs
     owner: Indices
     entries: slice | None
 
@@ -70,14 +69,14 @@ def _chunk(task: PassSetup, number: int) -> _Chunk:
         number * CHUNK,
         1 if task.steps.correction is None else task.steps.correction.every,
     )
-    places = np.arange(first, first + CHUNK)
-    lengths = np.where(places < task.grid.steps, task.grid.lengths(first, CHUNK), 0.0)
+    grid, places = task.inputs.grid, np.arange(first, first + CHUNK)
+    lengths = np.where(places < grid.steps, grid.lengths[grid.locate(places)], 0.0)
     z = np.zeros(task.steps.size)
     z[: task.steps.model.nx] = task.states[number]
     owner = task.owner[first : first + CHUNK]
     return _Chunk(
         z,
-        task.grid.window(first, CHUNK),
+        task.inputs.stack(0, places),
         np.column_stack([lengths, (places + 1) % every == 0]),
         owner,
     )

@@ -246,36 +246,37 @@ def record_trajectory(
     *,
     step: float,
     message: str,
-    success: bool = True,
-    supplied: Array | float = np.nan,
-    seconds: float = 0.0,
     observed: dict[str, Array] | None = None,
+    **others: Any,
 ) -> Trajectory:
     """Compute a trajectory from states and controls.
 
     The states are (T, nx) at `time` (T,). The controls (T, nw) are followed by the parameters.
-    `supplied` is the energy given to the model since the start [J], a number or (T,), NaN if
-    unknown. `observed` is the result of `observe_states`, if it is known. See `Trajectory` for the
-    rest.
+    `observed` is the result of `observe_states`, if it is known. Other fields of `Trajectory` may
+    be given; by default, the run has succeeded and its energy error is not known.
     """
     rows = len(time)
     if observed is None:
         observed = observe_states(model, states, controls)
-    energy = observed["energy"].sum(axis=1)
     nodes = (rows, len(model.structure.nodes), 3)
+    fields: dict[str, Any] = {
+        "energy_error": np.full(rows, np.nan),
+        "correction_shift": np.zeros(rows),
+        "correction_energy": np.zeros(rows),
+        "success": True,
+        "seconds": 0.0,
+        "compiled": False,
+    }
     return Trajectory(
         time=time,
         nodes=observed["nodes"].reshape(nodes),
         velocities=observed["velocities"].reshape(nodes),
         force_density=observed["force_density"],
         tension=observed["tension"],
-        energy=energy,
+        energy=observed["energy"].sum(axis=1),
         energy_parts=observed["energy"],
-        energy_error=energy - energy[0] - supplied,
         bar_length_error=observed["bar_length_error"][:, 0],
         joint_error=observed["joint_error"][:, 0],
-        correction_shift=np.zeros(rows),
-        correction_energy=np.zeros(rows),
         states=states.copy(),
         control=controls[:, : model.nu],
         parameters=controls[0, model.nu :].copy(),
@@ -283,11 +284,9 @@ def record_trajectory(
         strings=model.structure.strings,
         pinned=np.array(sorted({*model.structure.pinned, *model.structure.rollers}), dtype=np.intp),
         scene=model.scene,
-        success=success,
-        message=message,
         step=step,
-        seconds=seconds,
-        compiled=False,
+        message=message,
+        **fields | others,
     )
 
 

@@ -170,18 +170,22 @@ def compile_function(
     )
 
 
-def compile_library(name: str, source: str, suffix: str = ".cpp") -> ctypes.CDLL:
+def compile_library(
+    name: str, source: str, suffix: str = ".cpp", *, build: bool = True
+) -> ctypes.CDLL:
     """Compile C, or C++ that needs nothing of C++'s own library, by the C compiler, and load it; the cache keeps it as it does a Function's.
 
-    suffix: ".c" or ".cpp". Raises CompileError where there is no compiler, where it knows no C++ or
-    where it refuses the code.
+    suffix: ".c" or ".cpp". Without `build`, only the cache is looked at. Raises CompileError where
+    there is no compiler, where it knows no C++ or refuses the code, or the cache has no library.
     """
     compiler = find_compiler()
     if compiler is None:
         raise CompileError(
             "no C compiler found: install gcc or clang, or name one in the environment variable CC"
         )
-    return _load(compiler, None, source, name, suffix, lambda library: ctypes.CDLL(str(library)))
+    return _load(
+        compiler, None, source, name, suffix, lambda library: ctypes.CDLL(str(library)), build
+    )
 
 
 def _load(
@@ -191,6 +195,7 @@ def _load(
     name: str,
     suffix: str,
     load: Callable[[Path], T],
+    may_build: bool = True,
 ) -> T:
     """Return what `load` makes of the library of this source, compiled unless the cache holds it."""
     if flags is None:
@@ -209,7 +214,7 @@ def _load(
     key = hashlib.sha256("\0".join(identity).encode()).hexdigest()
     library = cache_folder() / f"{name}-{key[:32]}{_SUFFIX}"
     reason: object = ""
-    for build in (False, True):
+    for build in (False, True) if may_build else (False,):
         try:
             code = (
                 _build(compiler, flags, source, suffix, library, key)
@@ -228,6 +233,8 @@ def _load(
                 raise
             log.info("%s cannot be loaded: %s", library, error)
             reason = error
+    if not may_build:
+        raise CompileError(f"{library} is not in the cache")
     raise CompileError(f"{library} was compiled by {compiler[0]} but cannot be loaded: {reason}")
 
 

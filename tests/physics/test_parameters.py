@@ -8,7 +8,7 @@ import pytest
 
 import tenscasadi as tc
 import tenscasadi.util.compile as compiling
-from tenscasadi.simulation.engine.kernel import build_kernel
+from tenscasadi.simulation.engine.build import build_kernel
 
 STRINGS = "stiffness", "damping", "rest_length"
 GROUND = "ground_stiffness", "ground_damping", "ground_friction"

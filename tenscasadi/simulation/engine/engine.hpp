@@ -1,5 +1,6 @@
 // Integration loop that advances LANES runs at once. The library also contains lanes.hpp and the two functions of the scheme declared
 // below. OWN_MODEL is the struct of a model in the same library. z is the state x and, with `work`, the energy supplied by forces.
+// All memory comes from the caller. There are no exceptions.
 
 #ifndef casadi_int
 #define casadi_int long long int
@@ -9,13 +10,13 @@ enum { FINISHED, NOT_FINITE, BEYOND, BROKEN, STOPPED, UNSOLVED, STUCK, TIRED };
 enum { BARS, JOINTS, ENERGY, KINETIC, ELASTIC_LOW, ELASTIC_HIGH, GRAVITY_LOW, GRAVITY_HIGH, WORST };
 enum { REST, NEXT, MEMORY = 11 };                      // memory of error control: time left, next trial step, and more
 enum { ENERGY_0, BARS_0, WORK, JUMPS, CARRIED };       // of a run that continues in another request; its memory follows
-enum { TOLD = 5 };                                     // measures of a saved row: errors of bars and joints, three energies
 enum { CHECKED = 64 };                                 // trial steps between checks of their length
 
 typedef int (*Call)(const lanes **, lanes **, casadi_int *, lanes *, int);
 
 struct Model {
-  int64_t nx, nw, nu, work, jumps, measures, modes, errors, stages;  // modes and errors: for error control
+  int64_t nx, nw, nu, work, jumps, measures, potential;  // potential: whether elastic and gravity energy are apart from the work
+  int64_t modes, errors, stages;  // modes and errors: for error control
   int64_t size_arg, size_res, size_iw, size_w;
   Call ode;      // (z, w) -> zdot; w: control, parameters and modes
   Call step;     // (z, w, h, numbers) -> z after a step; for schemes without a tableau
@@ -23,7 +24,7 @@ struct Model {
   Call decide;   // (z, memory, w, numbers, h, w with modes, z after, errors, first and last slope) -> z, memory
   Call project;  // (x, w) -> projected x
   Call effect;   // (x before, x after, w) -> movement of a node, energy added by a correction
-  Call measure;  // (x, w) -> errors of bars and joints, energies, and more
+  Call measure;  // (x, w) -> errors of bars and joints, three energies, and more
   Call energy;   // (x, w) -> total energy
   Call stage;    // (x, w) -> cost rate of an interval
   Call final;    // (x, w) -> terminal cost
@@ -37,8 +38,8 @@ static const Model own = OWN_MODEL;
 #endif
 
 struct Request {
-  // runs; strides of states, inputs and parameters, 0 if all runs share one row; width of a row of inputs
-  int64_t motions, state_stride, input_stride, parameter_stride, width;
+  // strides of states, inputs and parameters, 0 if all runs share one row; width of a row of inputs
+  int64_t state_stride, input_stride, parameter_stride, width;
   // intervals: row of the inputs, number and length of steps; whether feedback is updated at the start
   int64_t intervals;
   const int64_t *row, *count;
@@ -52,14 +53,13 @@ struct Request {
   const double *numbers;  // numbers of the scheme, such as tolerances
   int64_t counted, trials;  // count of numbers; largest number of trial steps in a grid step
   double shortest;  // shortest trial step
-  // steps between corrections, saved rows and checks; 0: none. Steps before this request and in all requests of these runs
+  // steps between corrections, saved rows and, on average, checks; 0: none. Steps before this request and in all requests of these runs
   int64_t correct_every, save_every, look_every, rows, begin, total;
   double broken, beyond, largest;  // largest: bound of a start
-  // results
+  // results; measured: the measures and the energy supplied in each saved row
   double *last, *saved, *measured, *corrected, *worst, *cost, *carry;
   int64_t *status, *fault, *good;
-  // shared by the threads of a request
-  int64_t *next, *done, *stop;
+  const int64_t *stop;  // not 0: stop trial steps
 };
 
 struct Room {  // workspace of one thread
@@ -149,6 +149,22 @@ static bool all_fine(const Request &q, const Group &g, const Room &room) {
   return true;
 }
 
+// Update the extremes of the measures; those of a failed run stay as before the failure.
+static void weigh(const Group &g, Room &room, bool start) {
+  const lanes *m = room.measure;
+  lanes total = MODEL.potential ? m[2] + m[3] + m[4] : m[2];
+  if (start) room.first[0] = total;
+  lanes error = total - room.first[0] - supplied(room);
+  lanes now[WORST] = {m[0], m[1], fabs(error), m[2], m[3], m[3], m[4], m[4]};
+  for (int i = 0; i < WORST; ++i) {
+    bool low = i == ELASTIC_LOW || i == GRAVITY_LOW;
+    lanes worst = start ? now[i] : low ? fmin(room.worst[i], now[i]) : fmax(room.worst[i], now[i]);
+    for (int k = 0; k < g.live; ++k)
+      if (g.status[k]) set(worst, k, get(room.worst[i], k));
+    room.worst[i] = worst;
+  }
+}
+
 // Measure the states and mark the runs that failed.
 static void look(const Request &q, Group &g, Room &room, int64_t step) {
   if (MODEL.measures) {
@@ -160,31 +176,34 @@ static void look(const Request &q, Group &g, Room &room, int64_t step) {
       if (!g.status[k] && (g.status[k] = fault_of(q, room, k, step))) g.fault[k] = step;
   for (int k = 0; k < g.live; ++k)
     if (!g.status[k]) g.good[k] = step;
-  if (!MODEL.measures) return;
-  const lanes *m = room.measure;
-  lanes total = m[2] + m[3] + m[4];
-  if (!step) room.first[0] = total;
-  lanes error = total - room.first[0] - supplied(room);
-  lanes now[WORST] = {m[0], m[1], fabs(error), m[2], m[3], m[3], m[4], m[4]};
-  for (int i = 0; i < WORST; ++i) {
-    bool low = i == ELASTIC_LOW || i == GRAVITY_LOW;
-    lanes worst = !step ? now[i] : low ? fmin(room.worst[i], now[i]) : fmax(room.worst[i], now[i]);
-    for (int k = 0; k < g.live; ++k)
-      if (g.status[k]) set(worst, k, get(room.worst[i], k));  // as before the failure
-    room.worst[i] = worst;
-  }
+  if (MODEL.measures) weigh(g, room, !step);
 }
 
-static void keep(const Request &q, Group &g, Room &room, int64_t row) {
+// Save the states in a row; NaN for failed runs, and for all if they are over.
+static void keep(const Request &q, Group &g, Room &room, int64_t row, bool over) {
   g.pending = row;
   for (int k = 0; k < g.live; ++k) {
-    bool lost = g.status[k];
+    bool lost = over || (g.status[k] && g.status[k] < STOPPED);
     int64_t place = (g.start + k) * q.rows + row;
     for (int i = 0; i < MODEL.nx; ++i) q.saved[place * MODEL.nx + i] = lost ? NAN : get(room.z[i], k);
     if (!q.measured) continue;
-    for (int i = 0; i < TOLD; ++i) q.measured[place * (TOLD + 1) + i] = lost ? NAN : get(room.measure[i], k);
-    q.measured[place * (TOLD + 1) + TOLD] = lost ? NAN : get(supplied(room), k);
+    double *measured = q.measured + place * (MODEL.measures + 1);
+    for (int i = 0; i < MODEL.measures; ++i) measured[i] = lost ? NAN : get(room.measure[i], k);
+    measured[MODEL.measures] = lost ? NAN : get(supplied(room), k);
   }
+}
+
+// Return whether a step is checked. Fractions of the golden ratio are evenly spread and meet no period of the motion.
+static bool checked(const Request &q, int64_t step) {
+  double turns = 0.6180339887498949 * step;
+  return q.look_every && (turns - (double)(int64_t)turns) * q.look_every < 1.0;
+}
+
+// Measure and save the states before a step, or the last ones.
+static void observe(const Request &q, Group &g, Room &room, int64_t step, bool end) {
+  bool save = q.save_every && (end || step % q.save_every == 0);
+  if (save || end || !step || checked(q, step)) look(q, g, room, step);
+  if (save) keep(q, g, room, (step + q.save_every - 1) / q.save_every, false);
 }
 
 static void measure_correction(const Request &q, Group &g, Room &room, const lanes *before, const lanes *after) {
@@ -211,7 +230,7 @@ static int advance(const Request &q, Group &g, Room &room, double length, bool c
 }
 
 // Take trial steps to the end of a grid step, with one lane. A failure leaves z at the start of the grid step.
-static int try_steps(const Request &q, Room &room, double length) {
+static int try_steps(const Request &q, const Group &g, Room &room, double length) {
   room.memory[REST] = length;
   for (int64_t i = 0; i < MODEL.nw; ++i) room.v[i] = room.w[i];
   for (int64_t trial = 1;; ++trial) {
@@ -226,15 +245,19 @@ static int try_steps(const Request &q, Room &room, double length) {
     for (int i = 0; i < MEMORY; ++i)
       if (!(fabs(get(room.memory[i], 0)) <= 1.7976931348623157e308)) return NOT_FINITE;
     if (get(room.memory[REST], 0) <= 0.0) return FINISHED;
+    if (MODEL.measures && get(room.memory[REST], 0) < get(room.kept[REST], 0)) {  // an accepted step
+      evaluate(room, MODEL.measure, {room.z, room.w}, {room.measure});
+      weigh(g, room, false);
+    }
     if (*(volatile int64_t *)q.stop) return STOPPED;
     if (trial % CHECKED == 0 && get(room.memory[NEXT], 0) < q.shortest * length) return STUCK;
     if (trial >= q.trials) return TIRED;
   }
 }
 
-static int control_error(const Request &q, Room &room, double length) {
+static int control_error(const Request &q, const Group &g, Room &room, double length) {
   for (int64_t i = 0; i < MODEL.nx + MODEL.work; ++i) room.entry[i] = room.z[i];
-  int code = try_steps(q, room, length);
+  int code = try_steps(q, g, room, length);
   if (code) {
     lanes *t = room.z;
     room.z = room.entry, room.entry = t;
@@ -261,8 +284,9 @@ static void hold(const Request &q, const Group &g, Room &room, int64_t interval,
 }
 
 static void enter(const Request &q, Group &g, Room &room) {
-  const int64_t entries = CARRIED + MEMORY + MODEL.nw;
-  g.pending = -1;
+  const int64_t entries = CARRIED + MEMORY + MODEL.nw, row = q.begin && q.save_every ? (q.begin - 1) / q.save_every : 0;
+  const bool corrected = !q.correct_every || q.begin / q.correct_every > row * q.save_every / q.correct_every;
+  g.pending = q.begin && q.save_every && !corrected ? row : -1;
   for (int k = 0; k < LANES; ++k) {
     const int64_t n = g.motion(k);
     const double *x = q.states + n * q.state_stride, *carry = q.carry ? q.carry + n * entries : 0;
@@ -274,9 +298,10 @@ static void enter(const Request &q, Group &g, Room &room) {
       set(room.first[0], k, carry[ENERGY_0]), set(room.bars[0], k, carry[BARS_0]);
       for (int i = 0; i < MEMORY; ++i) set(room.memory[i], k, carry[CARRIED + i]);
       for (int64_t i = 0; i < MODEL.nw; ++i) set(room.w[i], k, carry[CARRIED + MEMORY + i]);
+      for (int64_t i = 0; i < MODEL.nu; ++i) room.u[i] = room.w[i];
     }
     for (int64_t i = 0; i < q.counted; ++i) set(room.numbers[i], k, q.numbers[i]);
-    g.status[k] = FINISHED, g.fault[k] = -1, g.good[k] = q.begin ? q.good[n] : 0;
+    g.status[k] = q.begin ? q.status[n] : FINISHED, g.fault[k] = q.begin ? q.fault[n] : -1, g.good[k] = q.begin ? q.good[n] : 0;
   }
 }
 
@@ -301,38 +326,34 @@ static void leave(const Request &q, const Group &g, const Room &room, const lane
 
 static void roll_group(const Request &q, Group &g, Room &room) {
   enter(q, g, room);
+  if (g.all_lost()) return;
   lanes cost = 0.0, value;
   int64_t step = q.begin;
   for (int64_t interval = 0; interval < q.intervals && !g.all_lost(); ++interval) {
     if (interval == 0 || q.gains || q.row[interval] != q.row[interval - 1]) hold(q, g, room, interval, MODEL.jumps && step);
-    if (!step) {
-      look(q, g, room, 0);
-      if (q.save_every) keep(q, g, room, 0);
-    }
-    for (int64_t j = 0; j < q.count[interval] && !g.all_lost(); ++j) {
+    for (int64_t j = 0; j < q.count[interval]; ++j) {
+      observe(q, g, room, step, false);
+      if (g.all_lost()) break;
       bool correct = q.correct_every && (step + 1) % q.correct_every == 0;
-      int code = *(volatile int64_t *)q.stop ? STOPPED : MODEL.decide ? control_error(q, room, q.length[interval]) : advance(q, g, room, q.length[interval], correct);
+      int code = MODEL.decide ? control_error(q, g, room, q.length[interval]) : advance(q, g, room, q.length[interval], correct);
       if (code) {
         g.end(code, step);
         break;
       }
       ++step;
-      bool save = q.save_every && (step % q.save_every == 0 || step == q.total);
-      if (save || step == q.total || (q.look_every && step % q.look_every == 0)) look(q, g, room, step);
-      if (save) keep(q, g, room, step == q.total ? q.rows - 1 : step / q.save_every);
     }
     if (MODEL.stage) {
       if (evaluate(room, MODEL.stage, {room.z, room.w}, {&value})) g.end(UNSOLVED, step);
       cost += value * lanes(q.length[interval] * q.count[interval]);
     }
-    __atomic_fetch_add(q.done, g.live * q.count[interval], __ATOMIC_RELAXED);
   }
+  if (step == q.total || g.all_lost()) observe(q, g, room, step, true);
   if (MODEL.final) {
     if (evaluate(room, MODEL.final, {room.z, room.w}, {&value})) g.end(UNSOLVED, step);
     cost += value;
   }
   if (q.save_every && g.all_lost())
-    for (int64_t row = step / q.save_every + 1; row < q.rows; ++row) keep(q, g, room, row);
+    for (int64_t row = (step + q.save_every - 1) / q.save_every + 1; row < q.rows; ++row) keep(q, g, room, row, true);
   leave(q, g, room, cost);
 }
 
@@ -342,56 +363,40 @@ static lanes *take(char *&memory, int64_t count) {
   return found;
 }
 
-static char *make_room(Room &room, int64_t counted) {
+// Divide memory into a workspace. Returns the number of bytes; without memory, it only counts them.
+static int64_t furnish(Room &room, int64_t counted, char *memory) {
   const int64_t nz = MODEL.nx + MODEL.work, nv = MODEL.nw + MODEL.modes;
   const int64_t sizes[] = {nz, nz, MODEL.nw, MODEL.measures, 1, WORST, 1, 1, MODEL.nu, counted, MEMORY, MEMORY, nv, nz * MODEL.errors, nz * MODEL.stages, nz, nz, MODEL.size_w};
   lanes **places[] = {&room.z, &room.after, &room.w, &room.measure, &room.first, &room.worst, &room.bars, &room.jumped, &room.u,
                       &room.numbers, &room.memory, &room.kept, &room.v, &room.errors, &room.slopes, &room.point, &room.entry, &room.work};
-  int64_t numbers = 0;
-  for (int64_t size : sizes) numbers += size;
-  int64_t pointers = MODEL.size_arg + MODEL.size_res + MODEL.size_iw;
-  char *memory = (char *)calloc(1, numbers * sizeof(lanes) + pointers * 8 + sizeof(lanes) + 8);
-  if (!memory) return 0;
   char *place = memory + (sizeof(lanes) - (uintptr_t)memory % sizeof(lanes)) % sizeof(lanes);
   for (unsigned i = 0; i < sizeof(sizes) / sizeof(sizes[0]); ++i) *places[i] = take(place, sizes[i]);
   place += (8 - (uintptr_t)place % 8) % 8;
   room.iw = (casadi_int *)place, place += 8 * MODEL.size_iw;
   room.arg = (const lanes **)place, place += 8 * MODEL.size_arg;
-  room.res = (lanes **)place;
-  return memory;
+  room.res = (lanes **)place, place += 8 * MODEL.size_res;
+  return place - memory + sizeof(lanes);
 }
 
-extern "C" __attribute__((visibility("default"))) int64_t motion_lanes(void) { return LANES; }
+#define EXPORT extern "C" __attribute__((visibility("default")))
 
-// Integrate runs until no thread finds another one. Returns 0 on success, 2 without memory.
-extern "C" __attribute__((visibility("default"))) int motion_roll(const Model *model, const Request *request) {
+EXPORT int64_t motion_lanes(void) { return LANES; }
+
+// Return the bytes of workspace that a thread needs.
+EXPORT int64_t motion_room(const Model *model, int64_t counted) {
   Room room;
   room.model = model;
-  char *memory = make_room(room, request->counted);
-  if (!memory) return 2;
-  for (;;) {
-    Group g;
-    g.start = LANES * __atomic_fetch_add(request->next, 1, __ATOMIC_RELAXED);
-    if (g.start >= request->motions) break;
-    g.live = request->motions - g.start < LANES ? (int)(request->motions - g.start) : LANES;
+  return furnish(room, counted, 0);
+}
+
+// Integrate the runs from `first` to before `last`. The memory is zero.
+EXPORT void motion_roll(const Model *model, const Request *request, int64_t first, int64_t last, char *memory) {
+  Room room;
+  room.model = model;
+  furnish(room, request->counted, memory);
+  for (Group g; first < last; first += LANES) {
+    g.start = first;
+    g.live = last - first < LANES ? (int)(last - first) : LANES;
     roll_group(*request, g, room);
   }
-  free(memory);
-  return 0;
-}
-
-// Compute measures (rows, measures) of states (rows, nx) and inputs w (rows, nw), with one lane.
-extern "C" __attribute__((visibility("default"))) int motion_observe(const Model *model, int64_t rows, const double *x, const double *w, double *out) {
-  Room room;
-  room.model = model;
-  char *memory = make_room(room, 0);
-  if (!memory) return 2;
-  for (int64_t row = 0; row < rows; ++row) {
-    for (int i = 0; i < MODEL.nx; ++i) set(room.z[i], 0, x[row * MODEL.nx + i]);
-    for (int64_t i = 0; i < MODEL.nw; ++i) set(room.w[i], 0, w[row * MODEL.nw + i]);
-    evaluate(room, MODEL.measure, {room.z, room.w}, {room.measure});
-    for (int64_t i = 0; i < MODEL.measures; ++i) out[row * MODEL.measures + i] = get(room.measure[i], 0);
-  }
-  free(memory);
-  return 0;
 }

@@ -5,9 +5,8 @@ Its results equal those of the compiled loop to the last bit.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from functools import reduce
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -27,85 +26,84 @@ from tenscasadi.simulation.engine.request import (
 )
 from tenscasadi.simulation.engine.step_code import KernelFunctions
 from tenscasadi.util.casadi_tools import ArrayFunction
-from tenscasadi.util.validate import Array
+from tenscasadi.util.validate import Array, Indices
 
-_FOLDED = 32  # steps per call: a call from Python costs as much as a step of a ball
 _REST, _NEXT = (Memory._fields.index(name) for name in ("rest", "step"))
 Values = Mapping[str, Any]
 
 
+class Rows(NamedTuple):
+    """States and work z (k, n, nz) after each of k steps.
+
+    `effects` (k, n, 2) are those of corrections, None without them. `code` is the reason if a step
+    failed.
+    """
+
+    z: Array
+    effects: Array | None = None
+    code: int = FINISHED
+
+
 class Interpreted:
-    """Backend that calls CasADi's virtual machine."""
+    """Backend that calls CasADi's virtual machine.
+
+    A call of the step Function takes `chunk` steps of one run, or one step of several.
+    """
 
     lanes = 0
 
     def __init__(self, program: KernelFunctions) -> None:
         functions, self.sizes = dict(program.functions), program.sizes
-        self.together = 1 if program.adaptive else 256
+        self.chunk = 32  # a call from Python costs as much as a step of a ball
         if program.adaptive and program.tableau is not None:
+            self.chunk = 1
             control = ErrorControl(*(functions.pop(name) for name in ErrorControl._fields))
             functions["attempt"] = build_attempt(control, program.tableau)
         elif program.tableau is not None:
             functions["step"] = build_step(program.tableau, functions.pop("ode"))
         if "step" in functions:
-            functions["folded"] = _fold(functions["step"])
+            functions["advance"] = _append_correction(functions)
         self._functions = functions
-        self._mapped: dict[tuple[str, int], ArrayFunction] = {}
+        self._mapped: dict[tuple[str, int, int], ArrayFunction] = {}
 
-    def __call__(self, values: Values) -> None:
-        """Fill the result arrays of a request."""
+    def __call__(self, values: Values, first: int, last: int) -> None:
+        """Fill the result arrays of the runs from `first` to before `last`."""
+        together = 256 if self.has("advance") else 1
         with np.errstate(all="ignore"):
-            for first in range(0, values["motions"], self.together):
-                last = min(first + self.together, values["motions"])
-                Loop(self, values, np.arange(first, last)).roll()
+            for begin in range(first, last, together):
+                Loop(self, values, np.arange(begin, min(begin + together, last))).roll()
 
     def has(self, name: str) -> bool:
         """Return whether the kernel has the Function `name`."""
         return name in self._functions
 
-    def evaluate(self, name: str, *inputs: Array) -> list[Array]:
-        """Evaluate a Function at rows of inputs (n, size)."""
-        key = name, len(inputs[0])
+    def evaluate(self, name: str, *inputs: Array, steps: int = 1) -> list[Array]:
+        """Evaluate a Function at rows of inputs (n, size).
+
+        With several `steps`, the first input starts a recursion, and rows belong to steps.
+        """
+        key = name, len(inputs[-1]), steps
         if key not in self._mapped:
-            function = self._functions[name]
-            self._mapped[key] = ArrayFunction(function if key[1] == 1 else function.map(key[1]))
+            f = self._functions[name]
+            mapped = f.mapaccum(steps) if steps > 1 else f.map(key[1]) if key[1] > 1 else f
+            self._mapped[key] = ArrayFunction(mapped)
         return self._mapped[key](*inputs)
 
-    def observe(self, states: Array, inputs: Array) -> Array:
-        """Compute the measures (T, M).
-
-        States are (T, nx), inputs (T, nw).
-        """
-        return self.evaluate("measure", states, inputs)[0]
-
-    def steps(self, loop: Loop, interval: int) -> Iterator[tuple[int, int]]:
-        """Take the steps of an interval.
-
-        Yields a status code and the number of steps taken.
-        """
-        q, sizes = loop.q, self.sizes
-        length = float(q["length"][interval])
-        n, numbers = len(loop.z), np.tile(q["numbers"], (len(loop.z), 1))
-        h, left = np.full((n, 1), length), int(q["count"][interval])
-        while left:
-            if self.has("attempt"):
-                left -= 1
-                yield self._control_error(loop, length), 1
-                continue
-            fold = not self.has("project") and min(left, loop.unobserved) >= _FOLDED
-            taken = _FOLDED if fold else 1
-            left -= taken
-            given = [loop.z, loop.w, h, numbers][: self._functions["step"].n_in()]
-            loop.z = self.evaluate("folded" if fold else "step", *given)[0]
-            if self.has("project") and (loop.step + 1) % q["correct_every"] == 0:
-                x = loop.x
-                corrected = self.evaluate("project", x, loop.w)[0]
-                if q["corrected"] is not None and loop.pending is not None:
-                    effect = self.evaluate("effect", x, corrected, loop.w)[0]
-                    q["corrected"][loop.motions, loop.pending] = effect
-                    loop.pending = None
-                loop.z = np.hstack([corrected, loop.z[:, sizes["nx"] :]])
-            yield FINISHED, taken
+    def take(self, loop: Loop, length: float, most: int) -> Rows:
+        """Take up to `most` steps of `length` s."""
+        if self.has("attempt"):
+            code = self._control_error(loop, length)
+            return Rows(loop.z[None], None, code)
+        n, q = len(loop.z), loop.q
+        steps = self.chunk if n == 1 and most >= self.chunk else 1
+        every, places = q["correct_every"], loop.step + 1 + np.arange(steps)
+        flags = (places % every == 0) if every else np.zeros(steps)
+        rows = [
+            np.repeat(value, steps * n // len(value), axis=0)
+            for value in (loop.w, np.full((1, 1), length), q["numbers"][None], flags[:, None])
+        ]
+        z, effects = self.evaluate("advance", loop.z, *rows, steps=steps)
+        return Rows(z.reshape(steps, n, -1), effects.reshape(steps, n, 2) if every else None)
 
     def _control_error(self, loop: Loop, length: float) -> int:
         """Take trial steps to the end of a grid step.
@@ -115,13 +113,16 @@ class Interpreted:
         q, z, memory = loop.q, loop.z, loop.memory
         memory[0, _REST] = length
         for trial in range(1, int(q["trials"]) + 1):
-            z, memory = self.evaluate("attempt", z, memory, loop.w, q["numbers"])
+            rest = memory[0, _REST]
+            z, memory = self.evaluate("attempt", z, memory, loop.w, q["numbers"][None])
             loop.memory = memory
             if not np.all(np.isfinite(memory)):
                 return NOT_FINITE
             if memory[0, _REST] <= 0:
                 loop.z = z
                 return FINISHED
+            if memory[0, _REST] < rest:
+                loop.weigh(z)
             if q["stop"][0]:
                 return STOPPED
             if trial % 64 == 0 and memory[0, _NEXT] < q["shortest"] * length:
@@ -132,100 +133,95 @@ class Interpreted:
 class Loop:
     """Integration loop over a block of runs.
 
-    `backend.steps` advances z, the states (n, nx) and the work, through an interval.
+    `backend.take` computes z, the states (n, nx) and the work, after the next steps.
     """
 
     def __init__(self, backend: Any, q: Values, motions: Any) -> None:
         self.backend, self.q, self.motions, self.sizes = backend, q, motions, backend.sizes
         n, nx = len(motions), self.sizes["nx"]
         self.step = int(q["begin"])
-        self.pending: int | None = None
         self.z = np.zeros((n, nx + self.sizes["work"]))
         self.z[:, :nx] = q["states"][motions if q["state_stride"] else np.zeros(n, int)]
         carry, known = q["carry"][motions], len(CARRIED)
         self.energy, self.bars, work, self.jumped = carry[:, :4].T.copy()
         self.z[:, nx:] = work[:, None]
-        self.memory, self.w, self.u = (
-            carry[:, 4:known].copy(),
-            carry[:, known:].copy(),
-            carry[:, :0],
+        self.memory, self.w = carry[:, 4:known].copy(), carry[:, known:].copy()
+        self.u = self.w[:, : self.sizes["nu"]]
+        if not self.step:
+            q["status"][motions], q["fault"][motions], q["good"][motions] = FINISHED, -1, 0
+        self.status, self.fault, self.good = (
+            q[name][motions] for name in ("status", "fault", "good")
         )
-        self.status, self.fault = np.full(n, FINISHED), np.full(n, -1)
-        self.good = q["good"][motions] if self.step else np.zeros(n, int)
-        self.worst = q["worst"][motions] if self.step and self.measures else np.zeros((n, 0))
+        self.measures = self.sizes["measures"] > 0
+        self.worst = q["worst"][motions] if self.measures else np.zeros((n, 0))
         self.cost = np.zeros(n)
+        self.pending = self._find_pending()
 
-    @property
-    def measures(self) -> bool:
-        """Whether runs are measured."""
-        return bool(self.sizes["measures"])
-
-    @property
-    def x(self) -> Array:
-        """States (n, nx)."""
-        return np.ascontiguousarray(self.z[:, : self.sizes["nx"]])
-
-    @property
-    def unobserved(self) -> int:
-        """Number of steps to the next saved or checked one."""
-        q = self.q
-        periods = [period for period in (q["save_every"], q["look_every"]) if period]
-        return int(min([q["total"] - self.step, *(each - self.step % each for each in periods)]))
-
-    @property
-    def supplied(self) -> Array:
-        """Energy supplied (n,), J."""
-        nx = self.sizes["nx"]
-        return np.asarray(self.jumped + self.z[:, nx] if self.sizes["work"] else self.jumped)
+    def _find_pending(self) -> int | None:
+        """Find the saved row before this request whose correction is still to come."""
+        every, saved = self.q["correct_every"], self.q["save_every"]
+        if not (self.step and every and saved):
+            return None
+        row = (self.step - 1) // saved
+        return int(row) if self.step // every == row * saved // every else None
 
     def roll(self) -> None:
         """Integrate all intervals and store the final states."""
         q = self.q
+        if self.status.all():
+            return
         for interval in range(q["intervals"]):
             if self.status.all():
                 break
             changed = interval == 0 or q["row"][interval] != q["row"][interval - 1]
             if changed or q.get("gains") is not None:
                 self._hold(interval)
-            if self.step == 0:
-                self._look()
-                self._keep(0)
-            self._march(interval)
+            self._march(int(q["count"][interval]), float(q["length"][interval]))
             if self.backend.has("stage"):
-                rate = self.backend.evaluate("stage", self.x, self.w)[0][:, 0]
+                rate = self.backend.evaluate("stage", self._x(self.z), self.w)[0][:, 0]
                 self.cost += rate * (q["length"][interval] * q["count"][interval])
-            q["done"][0] += len(self.z) * q["count"][interval]
+        if self.step == q["total"] or self.status.all():
+            self._observe(self.z[None], end=True)
         if self.backend.has("final"):
-            self.cost += self.backend.evaluate("final", self.x, self.w)[0][:, 0]
+            self.cost += self.backend.evaluate("final", self._x(self.z), self.w)[0][:, 0]
         if q["save_every"] and self.status.all():
-            left = slice(self.step // q["save_every"] + 1, None)
+            left = slice(-(-self.step // q["save_every"]) + 1, None)
             for rows in (q["saved"], q["measured"]):
                 if rows is not None:
                     rows[self.motions, left] = np.nan
         self._leave()
 
-    def _march(self, interval: int) -> None:
-        q, steps = self.q, self.backend.steps(self, interval)
-        for code, taken in _until_failure(steps):
-            if code:
-                self._mark(np.full(len(self.z), code))
-                return
-            self.step += taken
-            last = self.step == q["total"]
-            save = q["save_every"] and (self.step % q["save_every"] == 0 or last)
-            if save or last or (q["look_every"] and self.step % q["look_every"] == 0):
-                self._look()
-            if save:
-                self._keep(q["rows"] - 1 if last else self.step // q["save_every"])
-            if q["stop"][0] and not last:
-                self._mark(np.full(len(self.z), STOPPED))
+    def _march(self, left: int, length: float) -> None:
+        while left and not self.status.all():
+            before = self.z
+            try:
+                rows = self.backend.take(self, length, left)
+            except RuntimeError:  # CasADi could not evaluate a step
+                rows = Rows(before[None], None, UNSOLVED)
+            self._observe(np.concatenate([before[None], rows.z[:-1]]))
             if self.status.all():
                 return
+            if rows.code:
+                self._end(rows.code)
+                return
+            self._record_effects(rows)
+            self.step, self.z, left = self.step + len(rows.z), rows.z[-1], left - len(rows.z)
+
+    def _record_effects(self, rows: Rows) -> None:
+        """Store the effect of the first correction after each saved row."""
+        q = self.q
+        if rows.effects is None or not q["save_every"]:
+            return
+        for step, effects in enumerate(rows.effects, self.step):
+            if step % q["save_every"] == 0:
+                self.pending = step // q["save_every"]
+            if self.pending is not None and (step + 1) % q["correct_every"] == 0:
+                q["corrected"][self.motions, self.pending], self.pending = effects, None
 
     def _hold(self, interval: int) -> None:
         q, own, shared = self.q, self.motions, np.zeros(len(self.z), dtype=int)
-        account = self.backend.has("energy") and self.step > 0
-        before = self.backend.evaluate("energy", self.x, self.w)[0] if account else None
+        account, x = self.backend.has("energy") and self.step > 0, self._x(self.z)
+        before = self.backend.evaluate("energy", x, self.w)[0] if account else None
         self.w = q["inputs"][own if q["input_stride"] else shared, q["row"][interval]]
         if q["parameters"].shape[1]:
             self.w = np.hstack([self.w, q["parameters"][own if q["parameter_stride"] else shared]])
@@ -236,79 +232,138 @@ class Loop:
                 self.u = np.clip(q["given"][k] - away @ q["gains"][k].T, q["lower"], q["upper"])
             self.w[:, : self.u.shape[1]] = self.u
         if before is not None:
-            self.jumped += (self.backend.evaluate("energy", self.x, self.w)[0] - before)[:, 0]
+            self.jumped += (self.backend.evaluate("energy", x, self.w)[0] - before)[:, 0]
 
-    def _mark(self, codes: Any) -> None:
-        new = (self.status == FINISHED) & (codes != FINISHED)
-        self.status[new], self.fault[new] = codes[new], self.step
+    def _end(self, code: int) -> None:
+        """End all runs before the next step."""
+        self.fault[self.status == FINISHED] = self.step
+        self.status[self.status == FINISHED] = code
 
-    def _look(self) -> None:
-        q, x, first = self.q, self.x, self.step == 0
-        bad = np.full(len(x), FINISHED)
-        if self.measures:
-            self.measure = self.backend.evaluate("measure", x, self.w)[0]
-            bars = self.measure[:, 0]
-            if first:
-                self.bars = bars.copy()
-            bad[~(bars <= q["broken"] + self.bars)] = BROKEN
-            bad[np.isnan(bars)] = NOT_FINITE
-        bad[np.any(np.abs(x) > q["largest" if first else "beyond"], axis=1)] = BEYOND
-        bad[~np.all(np.isfinite(x), axis=1)] = NOT_FINITE
-        self._mark(bad)
-        fine = self.status == FINISHED
-        self.good[fine] = self.step
-        if self.measures:
-            self._weigh(fine)
-
-    def _weigh(self, fine: Any) -> None:
-        """Update the extremes of the measures."""
-        bars, joints, kinetic, elastic, gravity = self.measure[:, :5].T
-        energy = kinetic + elastic + gravity
-        if self.step == 0:
-            self.energy = energy
-        error = np.abs(energy - self.energy - self.supplied)
-        now = np.stack([bars, joints, error, kinetic, elastic, elastic, gravity, gravity], axis=1)
-        if self.step == 0:
-            self.worst = np.where(fine[:, None], now, np.nan)
-        new = np.maximum(self.worst, now)
-        minima = [4, 6]  # columns of `WORST`
-        new[:, minima] = np.minimum(self.worst, now)[:, minima]
-        self.worst = np.where(fine[:, None], new, self.worst)
-
-    def _keep(self, row: int) -> None:
-        q, self.pending = self.q, row
-        if not q["save_every"]:
+    def _observe(self, z: Array, end: bool = False) -> None:
+        """Measure and save states (k, n, nz) before the next k steps, or the last ones."""
+        q, steps = self.q, self.step + np.arange(len(z))
+        saved = (steps % q["save_every"] == 0) | end if q["save_every"] else steps < 0
+        turns = 0.6180339887498949 * steps  # of the golden ratio, see `engine.hpp`
+        checked = (turns % 1.0) * q["look_every"] < 1.0 if q["look_every"] else steps < 0
+        due = saved | checked | end | (steps == 0)
+        if not due.any():
             return
-        lost = (self.status != FINISHED)[:, None]
-        q["saved"][self.motions, row] = np.where(lost, np.nan, self.x)
+        measure = self._measure(z)
+        if steps[0] == 0:
+            self.bars = measure[0, :, 0] if self.measures else self.bars
+            self.energy, self.worst = self._energy(measure[0]), np.full_like(self.worst, np.nan)
+        codes = self._find_faults(z, measure, steps) * due[:, None]
+        before = (self.status != FINISHED) & (self.status < STOPPED)
+        lost = (np.cumsum(codes, axis=0) > 0) | before
+        new = lost[-1] & (self.status == FINISHED)
+        place = np.argmax(codes != FINISHED, axis=0)
+        self.status[new], self.fault[new] = (
+            codes[place, np.arange(len(new))][new],
+            steps[place][new],
+        )
+        fine = due[:, None] & ~lost & ((self.status == FINISHED) | new)
+        last = np.max(np.where(fine, steps[:, None], -1), axis=0)
+        self.good = np.maximum(self.good, last)
+        if self.measures:
+            self._update_extremes(measure, z, fine)
+        if saved.any():
+            rows = -(-steps[saved] // q["save_every"])
+            self._keep(rows, z[saved], measure[saved], lost[saved])
+        if self.status.all() and new.any():
+            self.step = int(self.fault.max())
+
+    def _measure(self, z: Array) -> Array:
+        """Measure states (k, n, nz)."""
+        shape = z.shape[:2]
+        if not self.measures:
+            return np.zeros((*shape, 0))
+        w = np.tile(self.w, (len(z), 1))
+        found = self.backend.evaluate("measure", self._x(z.reshape(-1, z.shape[2])), w)[0]
+        return np.asarray(found.reshape(*shape, -1))
+
+    def _find_faults(self, z: Array, measure: Array, steps: Indices) -> Any:
+        """Find the failures (k, n) of states before these steps."""
+        q, x = self.q, z[:, :, : self.sizes["nx"]]
+        codes = np.full(x.shape[:2], FINISHED)
+        if self.measures:
+            bars = measure[:, :, 0]
+            codes[~(bars <= q["broken"] + self.bars)] = BROKEN
+            codes[np.isnan(bars)] = NOT_FINITE
+        size = np.abs(x).max(axis=2, initial=0.0)
+        limits: Any = np.where(steps, q["beyond"], q["largest"])
+        codes[size > limits[:, None]] = BEYOND
+        codes[~np.isfinite(size)] = NOT_FINITE
+        return codes
+
+    def weigh(self, z: Array) -> None:
+        """Update the extremes of the measures by states (n, nz) within a grid step."""
+        if self.measures:
+            self._update_extremes(self._measure(z[None]), z[None], (self.status == FINISHED)[None])
+
+    def _update_extremes(self, measure: Array, z: Array, fine: Any) -> None:
+        bars, joints, kinetic, elastic, gravity = np.moveaxis(measure[:, :, :5], 2, 0)
+        error = np.abs(self._energy(measure) - self.energy - self._supplied(z))
+        now = np.stack([bars, joints, error, kinetic, elastic, elastic, gravity, gravity], axis=2)
+        now[~fine] = np.nan
+        now = np.concatenate([self.worst[None], now])
+        high, low = np.fmax.reduce(now, axis=0), np.fmin.reduce(now, axis=0)
+        minima = [4, 6]  # columns of `WORST`
+        high[:, minima] = low[:, minima]
+        self.worst = high
+
+    def _keep(self, rows: Indices, z: Array, measure: Array, lost: Any) -> None:
+        q, self.pending = self.q, int(rows[-1])
+        place = np.reshape(self.motions, (-1, 1)), rows
+        states = np.where(lost[:, :, None], np.nan, z[:, :, : self.sizes["nx"]])
+        q["saved"][place] = states.swapaxes(0, 1)
         if q["measured"] is not None:
-            told = np.hstack([self.measure[:, :5], self.supplied[:, None]])
-            q["measured"][self.motions, row] = np.where(lost, np.nan, told)
+            measured = np.concatenate([measure, self._supplied(z)[:, :, None]], axis=2)
+            measured[lost] = np.nan
+            q["measured"][place] = measured.swapaxes(0, 1)
 
     def _leave(self) -> None:
         q, motions = self.q, self.motions
         lost = (self.status != FINISHED) & (self.status < STOPPED)
-        q["last"][motions] = np.where(lost[:, None], np.nan, self.x)
+        q["last"][motions] = np.where(lost[:, None], np.nan, self._x(self.z))
         q["cost"][motions] = np.where(self.status != FINISHED, np.inf, self.cost)
         for name in ("status", "fault", "good"):
             q[name][motions] = getattr(self, name)
         if self.measures:
             q["worst"][motions] = self.worst
-        work = self.supplied - self.jumped
+        work = self._supplied(self.z) - self.jumped
         head = np.stack([self.energy, self.bars, work, self.jumped], axis=1)
         q["carry"][motions] = np.hstack([head, self.memory, self.w])
 
+    def _x(self, z: Array) -> Array:
+        """Select the states (n, nx)."""
+        return np.ascontiguousarray(z[:, : self.sizes["nx"]])
 
-def _fold(step: ca.Function) -> ca.Function:
-    """Build a Function of several steps with the same input."""
+    def _energy(self, measure: Array) -> Array:
+        """Compute the energy (…, n) [J] that the supplied energy changes."""
+        return np.asarray(measure[..., 2 : 5 if self.sizes["potential"] else 3].sum(axis=-1))
+
+    def _supplied(self, z: Array) -> Array:
+        """Compute the energy supplied (…, n) [J]."""
+        nx, jumped = self.sizes["nx"], np.broadcast_to(self.jumped, z.shape[:-1])
+        return jumped + z[..., nx] if self.sizes["work"] else jumped
+
+
+def _append_correction(functions: Mapping[str, ca.Function]) -> ca.Function:
+    """Build a step with its correction.
+
+    Function (z, w, h, numbers, flag) → z, effect (2). It corrects z if the flag is 1.
+    """
+    step, project = functions["step"], functions.get("project")
     given = [ca.MX.sym(step.name_in(k), step.sparsity_in(k)) for k in range(step.n_in())]
-    z = reduce(lambda z, _: step.call([z, *given[1:]])[0], range(_FOLDED), given[0])
-    return ca.Function("folded", given, [z])
-
-
-def _until_failure(steps: Iterator[tuple[int, int]]) -> Iterator[tuple[int, int]]:
-    """Yield the steps, and UNSOLVED if CasADi cannot evaluate one."""
-    try:
-        yield from steps
-    except RuntimeError:
-        yield UNSOLVED, 0
+    numbers, flag = ca.MX.sym("numbers"), ca.MX.sym("flag")
+    inputs = [*given[:3], numbers if len(given) == 3 else given[3], flag]
+    after, effect = step(*given), ca.MX.zeros(2)
+    if project is not None:
+        z, w = ca.MX.sym("z", after.shape[0]), given[1]
+        x = z[: project.size1_in(0)]
+        moved = project(x, w)
+        changed = [ca.vertcat(moved, z[x.shape[0] :]), functions["effect"](x, moved, w)]
+        correct = ca.Function("correct", [z, w], changed)
+        idle = ca.Function("idle", [z, w], [z, effect])
+        after, effect = ca.Function.if_else("choice", correct, idle)(flag, after, w)
+    return ca.Function("advance", inputs, [after, effect])

@@ -1,101 +1,130 @@
-"""Kernel of a run: backend, result arrays and threads."""
+"""Kernel of runs: result arrays, time slices, threads and the choice of the backend."""
 
 from __future__ import annotations
 
-import threading
+import contextlib
 import time
-from collections.abc import Callable, Hashable, Iterable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Any, NamedTuple, Protocol
 
-import casadi as ca
 import numpy as np
 
-from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.collocation import Collocation
-from tenscasadi.integrators.runge_kutta import EmbeddedRungeKutta
-from tenscasadi.integrators.scheme import Scheme, check_scheme
-from tenscasadi.integrators.stabilization import Correction
-from tenscasadi.integrators.sundials import Sundials
-from tenscasadi.simulation.engine.interpreted import Interpreted
-from tenscasadi.simulation.engine.native import Native
+from tenscasadi.simulation.engine.native import Compilation, NativeCode, compile_first
 from tenscasadi.simulation.engine.request import (
     CARRIED,
     FINISHED,
-    MEASURED,
     STOPPED,
     WORST,
     Intervals,
     Rolled,
-    RunPiece,
     count_runs,
 )
-from tenscasadi.simulation.engine.step_code import (
-    Account,
-    KernelFunctions,
-    Measured,
-    write_program,
-)
-from tenscasadi.simulation.engine.sundials_runs import SundialsRuns
-from tenscasadi.util.compile import (
-    Compiled,
-    CompileError,
-    CompileTimeout,
-    Single,
-    find_compiler,
-)
+from tenscasadi.simulation.engine.step_code import KernelFunctions
+from tenscasadi.util.processes import on_interrupt
 from tenscasadi.util.validate import LARGEST, Array
 
 BROKEN_BARS = 0.1  # relative length error of a diverged run
-SHORTEST = 1e-13  # × grid spacing: shorter trial steps make no progress
+SLICE = 0.05  # s between two looks at progress, deadline and Ctrl-C
+WORTH_COMPILING = 0.1  # s in CasADi's virtual machine after which the compiler is started
 
 
 class Backend(Protocol):
-    """Interface of objects that take the steps."""
+    """Interface of objects that take the steps.
+
+    `lanes` is the number of runs per instruction, 0 without machine code. Time slices are multiples
+    of `chunk` steps.
+    """
 
     lanes: int
+    chunk: int
 
-    def __call__(self, values: Mapping[str, Any]) -> None:
-        """Fill the result arrays of a request."""
-
-    def observe(self, states: Array, inputs: Array) -> Array:
-        """Compute the measures (T, M).
-
-        States are (T, nx), inputs (T, nw).
-        """
+    def __call__(self, values: Mapping[str, Any], first: int, last: int) -> None:
+        """Fill the result arrays of the runs from `first` to before `last`."""
 
 
 class Watch(NamedTuple):
-    """Progress callback and deadline of a run.
+    """Progress callback and deadline of runs.
 
-    `seen` receives the number of completed steps. The run stops when `time.monotonic` passes
+    `seen` receives the number of completed steps. Runs stop when `time.monotonic` passes
     `deadline`.
     """
 
-    seen: Callable[[int], object]
+    seen: Callable[[int], object] = lambda _: None
     deadline: float = np.inf
+
+
+NOBODY = Watch()
+
+
+class SchemeNumbers(NamedTuple):
+    """Numbers of a scheme that its code receives as input.
+
+    `values` are tolerances. `trials` is the largest number of trial steps in a grid step, 0 without
+    error control. Corrections follow each `correct_every`-th step.
+    """
+
+    values: Array
+    trials: int
+    correct_every: int
+
+
+class _Work(NamedTuple):
+    """Arrays of n runs, by the names of `engine.hpp`, and their intervals."""
+
+    values: dict[str, Any]
+    intervals: Intervals
+    n: int
+
+
+class _Threads(NamedTuple):
+    """Pool of threads, and their number."""
+
+    pool: ThreadPoolExecutor
+    size: int
+
+
+@contextlib.contextmanager
+def _start_threads(count: int, always: bool = False) -> Iterator[_Threads | None]:
+    """Start threads if there are several, or `always`."""
+    if count == 1 and not always:
+        yield None
+        return
+    with ThreadPoolExecutor(count) as pool:
+        yield _Threads(pool, count)
 
 
 class Kernel:
     """Integrator of one or many runs of a model.
 
-    `build_kernel` makes it. `lanes` is the number of runs that one instruction advances, 0 for
-    code that is not compiled. `note` gives the reason if it is not compiled or has one lane only.
+    `build_kernel` makes it. `lanes` is the number of runs that one instruction advances, 0 for code
+    that is not compiled. `note` gives the reason if code cannot be compiled, or has one lane only.
+    With `codes`, the compiler starts once it pays, and takes over when it has finished.
     """
 
     def __init__(
         self,
         program: KernelFunctions,
-        numbers: Array,
-        trials: int,
-        every: int,
+        numbers: SchemeNumbers,
         backend: Backend,
-        note: str,
+        note: str = "",
+        codes: list[NativeCode] | None = None,
     ) -> None:
-        self._program, self.backend, self.note = program, backend, note
-        self._numbers, self.trials = numbers, trials
-        self._every = every if "project" in program.functions else 0
-        self.lanes = backend.lanes
+        self._program, self._numbers = program, numbers
+        self.backend, self.note, self._codes = backend, note, codes or []
+        self._compilation: Compilation | None = None
+        self._interpreted = 0.0  # s
+        self._rates: dict[int, float] = {}  # steps of a run per second, by lanes
+
+    @property
+    def lanes(self) -> int:
+        """Number of runs per instruction."""
+        return self.backend.lanes
+
+    @property
+    def trials(self) -> int:
+        """Largest number of trial steps in a grid step."""
+        return self._numbers.trials
 
     def __call__(
         self,
@@ -109,17 +138,14 @@ class Kernel:
         """Integrate n runs over K equal intervals.
 
         An interval has `steps_per_interval` steps of `step` s. The states are (n or 1, nx). The
-        inputs w = [u; p] (n or 1, K, nw) are constant in each interval. With one thread, Ctrl-C
-        takes effect at the end. Raises TypeError, ValueError.
+        inputs w = [u; p] (n or 1, K, nw) are constant in each interval. Ctrl-C takes effect at the
+        end. Raises TypeError, ValueError.
         """
         count = inputs.shape[1] if np.ndim(inputs) == 3 else 0
         intervals = Intervals(
             np.arange(count), np.full(count, steps_per_interval), np.full(count, float(step))
         )
-        result = self.run(states, inputs, intervals, save_every or 0, threads=threads)
-        if threads > 1 and np.any(result.status == STOPPED):
-            raise KeyboardInterrupt
-        return result
+        return self.run(states, inputs, intervals, save_every or 0, threads=threads)
 
     def run(
         self,
@@ -127,41 +153,28 @@ class Kernel:
         inputs: Array,
         intervals: Intervals,
         save_every: int = 0,
-        **options: Any,
-    ) -> Rolled:
-        """Integrate n runs over `intervals`; see `march` for the rest."""
-        return self.march(
-            states, [RunPiece(intervals, inputs)], int(intervals.steps.sum()), save_every, **options
-        )
-
-    def march(
-        self,
-        states: Array,
-        pieces: Iterable[RunPiece],
-        steps: int,
-        save_every: int = 0,
         *,
         look_every: int = 0,
         longest: float = 0.0,
         parameters: Array | None = None,
         feedback: Mapping[str, Any] | None = None,
         threads: int = 1,
-        watch: Watch | None = None,
+        watch: Watch = NOBODY,
     ) -> Rolled:
-        """Integrate n runs over `steps` steps, piece by piece.
+        """Integrate n runs over time intervals.
 
         Parameters
         ----------
         states : ndarray, shape (n or 1, nx)
             Initial states.
-        pieces : iterable of RunPiece
-            Consecutive parts of the run.
-        steps : int
-            Total number of steps.
+        inputs : ndarray, shape (n or 1, ·, nw)
+            Rows of inputs, which the intervals select.
+        intervals : Intervals
+            Consecutive parts of the runs.
         save_every : int
             Steps between saved rows; 0 saves none.
         look_every : int
-            Steps between measurements; 0 measures only saved rows and the end.
+            Average number of steps between measurements; 0 measures only saved rows and the end.
         longest : float
             Longest step of a scheme with error control [s].
         parameters : ndarray, shape (n or 1, np), optional
@@ -171,63 +184,52 @@ class Kernel:
         threads : int
             Threads that share the runs.
         watch : Watch, optional
-            Progress and deadline. Other threads then do the work. After Ctrl-C or the deadline,
-            unfinished runs have the status STOPPED.
+            Progress and deadline. After Ctrl-C or the deadline, unfinished runs have the status
+            STOPPED.
 
         Returns
         -------
         Rolled
             Final states and saved rows.
         """
-        sizes = self._program.sizes
+        sizes, numbers = self._program.sizes, self._numbers
         states = _rows("states", states, (None, sizes["nx"]))
         known = 0 if parameters is None else sizes["nw"] - sizes["nu"]
-        held = (
+        p = (
             np.empty((1, 0))
             if parameters is None
             else _rows("parameters", parameters, (None, known))
         )
-        numbers = self._numbers.copy()
-        numbers[0] = longest if self.trials else numbers[0]
-        result: Rolled | None = None
-        begin = 0
-        try:
-            for intervals, given in pieces:
-                inputs = _rows("inputs", given, (None, None, sizes["nw"] - known))
-                n = count_runs(
-                    " and ", states=len(states), inputs=len(inputs), parameters=len(held)
-                )
-                if result is None:
-                    result = self._reserve(n, steps, save_every, longest)
-                at = states if begin == 0 else result.states.copy()
-                values = self._values(result, at, held, intervals, inputs, numbers)
-                values |= {"begin": begin, "total": steps, "save_every": save_every}
-                values |= {"look_every": look_every, **(feedback or {})}
-                self._roll(values, threads, watch)
-                begin += int(intervals.steps.sum())
-                if result.status.all():
-                    break
-        except KeyboardInterrupt:  # while pieces were generated
-            if result is None or watch is None:
-                raise
-            going = result.status == FINISHED
-            result.status[going], result.fault[going] = STOPPED, begin
-        if result is None:
-            raise ValueError("there is nothing to roll through: give one piece of a run or more")
+        inputs = _rows("inputs", inputs, (None, None, sizes["nw"] - known))
+        n = count_runs(" and ", states=len(states), inputs=len(inputs), parameters=len(p))
+        total = int(intervals.steps.sum())
+        result = self._reserve(n, total, save_every, longest)
+        values = {**self._values(result, states, inputs, p), **(feedback or {})}
+        scheme = numbers.values.copy()
+        scheme[0] = longest if numbers.trials else scheme[0]
+        values |= {"numbers": scheme, "counted": len(scheme), "save_every": save_every}
+        values |= {"look_every": look_every, "total": total}
+        work = _Work(values, intervals, n)
+        short = self.lanes and n * total < self.rate * SLICE and time.monotonic() < watch.deadline
+        if watch is NOBODY or (short and not numbers.trials):
+            with _start_threads(threads) as pool:
+                self.take(work, (0, n), (0, total), pool)
+            watch.seen(n * total)
+            return result
+        values["deadline"] = watch.deadline
+        # Steps with error control may take long, and are waited for in another thread.
+        with (
+            _start_threads(threads, always=numbers.trials > 0) as pool,
+            on_interrupt(lambda: _stop(values), then_raise=False),
+        ):
+            _March(self, work, pool, watch).go()
         return result
-
-    def observe(self, states: Array, inputs: Array) -> Array:
-        """Compute the measures (T, M).
-
-        States are (T, nx), inputs (T, nw).
-        """
-        return self.backend.observe(states, inputs)
 
     def _reserve(self, n: int, steps: int, save_every: int, longest: float) -> Rolled:
         sizes = self._program.sizes
         rows = 1 + -(-steps // save_every) if save_every else 0
         status, fault, good = np.zeros((3, n), dtype=np.int64)
-        measured = sizes["measures"] > 0
+        measures = sizes["measures"]
         carry = np.zeros((n, len(CARRIED) + sizes["nw"]))
         carry[:, CARRIED.index("step")] = longest
         return Rolled(
@@ -237,116 +239,194 @@ class Kernel:
             status=status,
             fault=fault,
             good=good,
-            measured=np.empty((n, rows, len(MEASURED))) if save_every and measured else None,
-            worst=np.empty((n, len(WORST))) if measured else None,
-            corrected=np.zeros((n, rows, 2)) if save_every and self._every else None,
+            measured=np.empty((n, rows, measures + 1)) if save_every and measures else None,
+            worst=np.empty((n, len(WORST))) if measures else None,
+            corrected=np.zeros((n, rows, 2)) if save_every and self._corrects else None,
             carry=carry,
         )
 
-    def _values(
-        self,
-        result: Rolled,
-        states: Array,
-        held: Array,
-        intervals: Intervals,
-        inputs: Array,
-        numbers: Array,
-    ) -> dict[str, Any]:
-        n, sizes = len(result.states), self._program.sizes
+    @property
+    def _corrects(self) -> bool:
+        return "project" in self._program.functions
+
+    def _values(self, result: Rolled, states: Array, inputs: Array, p: Array) -> dict[str, Any]:
+        sizes = self._program.sizes
         return {
-            "motions": n,
             "state_stride": sizes["nx"] if len(states) > 1 else 0,
             "input_stride": inputs.shape[1] * inputs.shape[2] if len(inputs) > 1 else 0,
-            "parameter_stride": held.shape[1] if len(held) > 1 else 0,
+            "parameter_stride": p.shape[1] if len(p) > 1 else 0,
             "width": inputs.shape[2],
-            "intervals": len(intervals.row),
-            "row": np.ascontiguousarray(intervals.row, dtype=np.int64),
-            "count": np.ascontiguousarray(intervals.steps, dtype=np.int64),
-            "length": np.ascontiguousarray(intervals.length, dtype=float),
             "states": states,
             "inputs": inputs,
-            "parameters": held,
-            "numbers": numbers,
-            "counted": len(numbers),
+            "parameters": p,
             "trials": self.trials,
-            "shortest": SHORTEST,
-            "correct_every": self._every,
+            "shortest": 1e-13,  # × grid step: shorter trial steps make no progress
+            "correct_every": self._numbers.correct_every if self._corrects else 0,
             "rows": 0 if result.saved is None else result.saved.shape[1],
             "broken": BROKEN_BARS,
             "beyond": 1e12,  # not physical in any unit
             "largest": LARGEST,
             "last": result.states,
             **{name: value for name, value in result._asdict().items() if name != "states"},
-            **dict(zip(("next", "done", "stop"), np.zeros((3, 1), dtype=np.int64), strict=True)),
+            "stop": np.zeros(1, dtype=np.int64),
         }
 
-    def _roll(self, values: Mapping[str, Any], threads: int, watch: Watch | None) -> None:
-        if threads == 1 and watch is None:
-            self.backend(values)
+    def take(
+        self,
+        work: _Work,
+        runs: tuple[int, int],
+        steps: tuple[int, int],
+        threads: _Threads | None,
+    ) -> None:
+        """Take steps of runs, each a range from a number to before another one."""
+        began, backend, (first, last) = time.perf_counter(), self.backend, runs
+        given = _select(work, steps)
+        if threads is None:
+            backend(given, first, last)
         else:
-            _share(lambda: self.backend(values), threads if self.lanes else 1, values, watch)
+            size, several = max(backend.lanes, 1), threads.size if backend.lanes else 1
+            share = -(-(last - first) // several)
+            share = -(-share // size) * size or 1
+            begins = range(first, last, share)
+            _wait(
+                [threads.pool.submit(backend, given, k, min(k + share, last)) for k in begins],
+                work.values,
+            )
+        seconds, count = time.perf_counter() - began, (last - first) * (steps[1] - steps[0])
+        if not work.values["status"][first:last].any():  # others may have ended at once
+            self._rates[backend.lanes] = count / max(seconds, 1e-9)
+        self._interpreted += 0.0 if backend.lanes else seconds
+
+    # --- compilation once it pays ---
+
+    def prepare(self, seconds: float) -> None:
+        """Start the compiler if this many seconds without it are worth it, or adopt its code."""
+        if self._compilation is None:
+            if self._codes and seconds > WORTH_COMPILING and Compilation.is_possible():
+                codes = self._codes
+                self._compilation = Compilation(lambda: compile_first(codes))
+        elif self._compilation.done:
+            native, self.note = self._compilation.found
+            self.backend, self._codes, self._compilation = native or self.backend, [], None
+
+    def expect(self, steps: int) -> float:
+        """Estimate the total wall time without machine code, with these steps to come [s]."""
+        rate = self._rates.get(0, np.inf)
+        return self._interpreted + steps / rate
+
+    @property
+    def rate(self) -> float:
+        """Steps per second of the backend, as last measured; a low guess before."""
+        return self._rates.get(self.lanes, self.backend.chunk * max(self.lanes, 1) / SLICE)
 
 
-def _share(
-    work: Callable[[], Any], threads: int, values: Mapping[str, Any], watch: Watch | None
-) -> None:
-    """Execute the work in `threads` threads and wait for them.
+class _March:
+    """Runs in blocks and time slices that take about `SLICE` s each."""
 
-    Ctrl-C and other exceptions stop the threads before their arrays are freed.
-    """
-    ended: list[BaseException | None] = []
-    wake = threading.Event()
+    def __init__(self, kernel: Kernel, work: _Work, threads: _Threads | None, watch: Watch) -> None:
+        self._kernel, self._work, self._threads, self._watch = kernel, work, threads, watch
+        self._total, self._done = work.values["total"], 0
 
-    def labor() -> None:
-        error = None
-        try:
-            work()
-        except BaseException as raised:  # noqa: BLE001  the waiting thread raises it again
-            error = raised
-        ended.append(error)
-        wake.set()
+    def go(self) -> None:
+        """Advance all runs, until they end or are stopped."""
+        first, n = 0, self._work.n
+        while first < n and not self._stopped:
+            together = int(self._kernel.rate * SLICE / max(self._total, 1))
+            least = max(self._kernel.lanes, 1) * (
+                1 if self._threads is None else self._threads.size
+            )
+            last = min(first + max(together, least), n)
+            self._advance(first, last)
+            first = last
+        if first < n:
+            self._finish(first, n, 0)
 
-    workers = [threading.Thread(target=labor, daemon=True) for _ in range(threads)]
+    @property
+    def _stopped(self) -> bool:
+        if time.monotonic() > self._watch.deadline:
+            _stop(self._work.values)
+        return bool(self._work.values["stop"][0])
+
+    def _advance(self, first: int, last: int) -> None:
+        begin, status = 0, self._work.values["status"][first:last]
+        while begin < self._total and not status.all():
+            if self._stopped:
+                self._finish(first, last, begin)
+                return
+            end = min(begin + self._choose_slice(last - first), self._total)
+            self._kernel.take(self._work, (first, last), (begin, end), self._threads)
+            self._done += (last - first) * (end - begin)
+            self._watch.seen(self._done)
+            begin = end
+
+    def _choose_slice(self, runs: int) -> int:
+        kernel, chunk = self._kernel, self._kernel.backend.chunk
+        kernel.prepare(kernel.expect(self._work.n * self._total - self._done))
+        return max(chunk, int(kernel.rate * SLICE / runs) // chunk * chunk)
+
+    def _finish(self, first: int, last: int, step: int) -> None:
+        """Save the states of runs that are stopped after so many steps."""
+        values = self._work.values
+        alive = np.flatnonzero(values["status"][first:last] == FINISHED) + first
+        own = self._work._replace(values={**values, "total": step})
+        self._kernel.backend(_select(own, (step, step)), first, last)
+        going = alive[values["status"][alive] == FINISHED]
+        values["status"][going], values["fault"][going] = STOPPED, step
+        if values["save_every"]:
+            row = -(-step // values["save_every"]) + 1
+            for rows in (values["saved"], values["measured"]):
+                if rows is not None:
+                    rows[alive, row:] = np.nan
+
+
+def _select(work: _Work, steps: tuple[int, int]) -> dict[str, Any]:
+    """Collect the arrays for a range of steps."""
+    values, whole = work.values, work.intervals
+    part = whole if steps[1] - steps[0] == whole.steps.sum() else whole.slice(*steps)
+    given = values | {
+        "begin": steps[0],
+        "intervals": len(part.row),
+        "row": np.ascontiguousarray(part.row, dtype=np.int64),
+        "count": np.ascontiguousarray(part.steps, dtype=np.int64),
+        "length": np.ascontiguousarray(part.length, dtype=float),
+    }
+    if steps[0]:  # the runs continue
+        given |= {"states": values["last"], "state_stride": values["last"].shape[1]}
+    if values.get("gains") is not None:
+        given |= _select_feedback(values, whole, steps)
+    return given
+
+
+def _wait(work: list[Future[None]], values: Mapping[str, Any]) -> None:
+    """Wait for threads; stop them at the deadline and before their arrays are freed."""
     try:
-        for worker in workers:
-            worker.start()
-        _wait(wake, lambda: len(ended) == threads, values, watch)
-    except BaseException as error:
-        values["stop"][0] = 1
-        interrupted = isinstance(error, KeyboardInterrupt)
-        _wait(
-            wake,
-            lambda: len(ended) == sum(worker.ident is not None for worker in workers),
-            values,
-            watch if interrupted else None,
-        )
-        if not interrupted:
-            raise
-    for raised in ended:
-        if raised is not None:
-            raise raised
+        while wait(work, timeout=SLICE).not_done:
+            if time.monotonic() > values.get("deadline", np.inf):
+                _stop(values)
+    except BaseException:
+        _stop(values)
+        raise
+    for future in work:
+        future.result()
 
 
-def _wait(
-    wake: threading.Event,
-    over: Callable[[], bool],
-    values: Mapping[str, Any],
-    watch: Watch | None,
-) -> None:
-    """Wait until `over` returns True; `wake` ends a pause early.
+def _stop(values: Mapping[str, Any]) -> None:
+    values["stop"][0] = 1
 
-    Threads are not joined. A join that Ctrl-C interrupts marks them as finished (CPython issue
-    89437).
+
+def _select_feedback(
+    values: Mapping[str, Any], intervals: Intervals, steps: tuple[int, int]
+) -> dict[str, Any]:
+    """Select the feedback updates of a range of steps.
+
+    A range that begins within an interval continues with the control of that interval.
     """
-    done = False
-    while not done:
-        wake.wait(0.05)  # s between two progress reports
-        wake.clear()
-        done = over()
-        if watch is not None:
-            watch.seen(int(values["begin"] * values["motions"] + values["done"][0]))
-            if time.monotonic() > watch.deadline:
-                values["stop"][0] = 1
+    ends = np.cumsum(intervals.steps)
+    begins = ends - intervals.steps
+    inside = (ends > steps[0]) & (begins < steps[1])
+    decides = values["decides"][inside].copy()
+    decides[:1] *= begins[inside][:1] >= steps[0]
+    return {"decides": decides, "decision": values["decision"][inside]}
 
 
 def _rows(field: str, value: Any, shape: tuple[int | None, ...]) -> Array:
@@ -358,137 +438,3 @@ def _rows(field: str, value: Any, shape: tuple[int | None, ...]) -> Array:
             )
         )
     return array
-
-
-def build_kernel(
-    model: Model,
-    scheme: Scheme,
-    correction: Correction | None = None,
-    stage: ca.Function | None = None,
-    final: ca.Function | None = None,
-    *,
-    measured: bool | Measured = False,
-    account: Account | None = None,
-    lanes: int | None = None,
-    compiled: Compiled = None,
-) -> Kernel:
-    """Build the kernel of a model.
-
-    The model caches it.
-
-    Parameters
-    ----------
-    model : Model
-        Model of all runs.
-    scheme : Scheme
-        Integration scheme.
-    correction : Projection or BarLengthCorrection, optional
-        Applied after every `correction.every`-th step.
-    stage, final : casadi.Function, optional
-        Stage cost, evaluated at the end of each interval and multiplied by its length, and
-        terminal cost: Functions (x, w) → (1) with w = [u; p]. Their w, and then the inputs, may
-        have further entries for the costs alone, such as the time.
-    measured : bool or {"nothing", "errors", "all"}
-        Measure errors of bars and joints, and energies; "all" adds force densities and tensions
-        to `Kernel.observe`.
-    account : Account, optional
-        Energies to integrate. Default: all of them if something is measured.
-    lanes : int, optional
-        Runs per instruction. Default: as many as the registers hold; 1 for schemes whose steps
-        differ between runs.
-    compiled : bool or Single, optional
-        True: machine code. False: CasADi. None: machine code if there is a compiler.
-
-    Returns
-    -------
-    Kernel
-        Integrator to call with states and inputs.
-
-    Raises
-    ------
-    TypeError, ValueError
-        An argument is wrong.
-    CompileError
-        `compiled` is True and compilation fails.
-    """
-    check_scheme(scheme)
-    told: Measured = (
-        ("errors" if measured else "nothing") if isinstance(measured, bool) else measured
-    )
-    if account is None:
-        account = Account(told != "nothing", told != "nothing" and model.nu > 0)
-    branches = scheme.adaptive or scheme.implicit or isinstance(compiled, Single)
-    width = 1 if branches else lanes
-    options = scheme, correction, stage, final, told, account, width, compiled
-    if not isinstance(scheme, Hashable):  # user-defined scheme
-        return _build(model, *options)
-    return model.keep(("kernel", *options, find_compiler()), lambda: _build(model, *options))
-
-
-def _build(
-    model: Model,
-    scheme: Any,
-    correction: Correction | None,
-    stage: ca.Function | None,
-    final: ca.Function | None,
-    measured: Measured,
-    account: Account,
-    lanes: int | None,
-    compiled: Compiled,
-) -> Kernel:
-    every = 1 if correction is None else correction.every
-    if isinstance(scheme, Sundials):
-        if compiled:
-            raise CompileError(
-                f"{type(scheme).__name__} is an integrator of SUNDIALS, which makes no C code: give compiled=None or another scheme"
-            )
-        backend = SundialsRuns(model, scheme, correction, account, measured)
-        return Kernel(backend.program, np.zeros(1), 0, every, backend, "")
-    if scheme.adaptive and every != 1:
-        raise ValueError(
-            f"correction.every is {every}: {type(scheme).__name__} with rtol corrects after each of its own steps, give every=1"
-        )
-    single = isinstance(compiled, Single)
-    if single:
-        check_single(scheme)
-    numbers, trials = np.zeros(1), 0
-    if isinstance(scheme, EmbeddedRungeKutta) and scheme.adaptive:
-        numbers, trials = np.array([0.0, *scheme.tolerances(model)]), scheme.max_attempts
-    elif isinstance(scheme, Collocation):
-        numbers, scheme = (
-            np.full(1, scheme.tolerance),
-            replace(scheme, tolerance=Collocation.tolerance),
-        )
-    program = write_program(model, scheme, correction, account, measured, (stage, final))
-    note = ""
-    for width in dict.fromkeys((lanes, 1)) if compiled is not False else ():
-        try:
-            native = Native(program, width, single)
-        except CompileError as error:
-            if compiled:
-                raise
-            note = f"{'not compiled' if width == 1 else 'not compiled in lanes'}: {_reason(error)}"
-            continue
-        return Kernel(program, numbers, trials, every, native, note)
-    return Kernel(program, numbers, trials, every, Interpreted(program), note)
-
-
-def check_single(scheme: Scheme) -> None:
-    """Raise ValueError for tolerances below single precision."""
-    least = 1e-6  # about ten times the rounding error of float, as 1e-15 of double
-    for name in ("rtol", "tolerance"):
-        asked = getattr(scheme, name, None)
-        if asked is not None and asked < least:
-            raise ValueError(
-                f"{type(scheme).__name__}.{name} is {asked:g}: give {least:g} or more in single precision, less is rounding"
-            )
-
-
-def _reason(error: CompileError) -> str:
-    """Extract the error line from a compiler's output."""
-    lines, found = str(error).splitlines(), find_compiler()
-    for line in lines:
-        if "error: " in line:
-            return line.split("error: ")[1]
-    ran = found is not None and not isinstance(error, CompileTimeout) and "failed with" in lines[0]
-    return f"{found[0]} failed" if found and ran else lines[0]

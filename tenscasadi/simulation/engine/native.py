@@ -1,17 +1,19 @@
 """Integration loop of `engine.hpp` as machine code.
 
-One library is the loop of all models, another one the Functions of the model.
+With one lane, a library is the loop of all models, another one the Functions of the model. With
+more lanes, both are one library.
 """
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping
+import threading
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
-from tenscasadi.simulation.engine.request import make_struct
+from tenscasadi.simulation.engine.request import pack_request
 from tenscasadi.simulation.engine.step_code import (
     CALLS,
     MODEL_SIZES,
@@ -21,8 +23,7 @@ from tenscasadi.simulation.engine.step_code import (
     write_lanes,
     write_model,
 )
-from tenscasadi.util.compile import compile_library
-from tenscasadi.util.validate import Array
+from tenscasadi.util.compile import CompileError, CompileTimeout, compile_library, find_compiler
 
 
 class ModelStruct(ctypes.Structure):
@@ -34,46 +35,106 @@ class ModelStruct(ctypes.Structure):
     ]
 
 
-class Native:
-    """Backend in machine code.
+class NativeCode:
+    """Source code of a backend, before compilation.
 
-    With one lane, a loop that all models share calls the library of the model, in single precision
-    if `single`. With more lanes, loop and model are one library. Raises CompileError.
+    `lanes` None fills the registers of the processor. `single` selects single precision.
     """
 
-    def __init__(self, program: KernelFunctions, lanes: int | None, single: bool = False) -> None:
-        self._measures = program.sizes["measures"]
+    def __init__(self, program: KernelFunctions, lanes: int | None, single: bool) -> None:
+        self._program = program
+        self._sources = (
+            [("model", write_model(program, single), ".c"), ("engine", write_engine(program, single), ".cpp")]
+            if lanes == 1
+            else [("motion", write_lanes(program, lanes), ".cpp")]
+        )  # fmt: skip
+
+    def load(self, build: bool = True) -> Native:
+        """Compile and load the code.
+
+        Without `build`, only a library in the cache is loaded. Raises CompileError.
+        """
+        libraries = [compile_library(*source, build=build) for source in self._sources]
+        return Native(self._program, libraries)
+
+
+class Native:
+    """Backend in machine code: the libraries of `NativeCode`."""
+
+    chunk = 1
+
+    def __init__(self, program: KernelFunctions, libraries: list[ctypes.CDLL]) -> None:
+        self._library = libraries[-1]
         self._model: ModelStruct | None = None
-        if lanes == 1:
-            self._code = compile_library("model", write_model(program, single), ".c")
-            self._library = compile_library("engine", write_engine(program, single))
+        if len(libraries) == 2:
+            self._code = libraries[0]  # holds the addresses
             calls = {name: _address(self._code, f"motion_{name}") for name in program.functions}
             self._model = ModelStruct(**program.sizes, **room_sizes(program), **calls)
-        else:
-            self._library = compile_library("motion", write_lanes(program, lanes))
-        self.lanes = int(self._library.motion_lanes())
         self._at = None if self._model is None else ctypes.byref(self._model)
+        self._library.motion_room.restype = ctypes.c_int64
+        self.lanes = int(self._library.motion_lanes())
 
-    def __call__(self, values: Mapping[str, Any]) -> None:
-        """Fill the result arrays of a request.
-
-        Raises MemoryError.
-        """
-        if self._library.motion_roll(self._at, ctypes.byref(make_struct(values))):
-            raise MemoryError("there is no memory for the motions on their way")
-
-    def observe(self, states: Array, inputs: Array) -> Array:
-        """Compute the measures (T, M); it needs one lane.
-
-        States are (T, nx), inputs (T, nw).
-        """
-        states, inputs = (np.ascontiguousarray(rows, dtype=float) for rows in (states, inputs))
-        found = np.empty((len(states), self._measures))
-        pointers = (ctypes.c_void_p(rows.ctypes.data) for rows in (states, inputs, found))
-        if self._library.motion_observe(self._at, ctypes.c_int64(len(states)), *pointers):
-            raise MemoryError("there is no memory to measure a motion")
-        return found
+    def __call__(self, values: Mapping[str, Any], first: int, last: int) -> None:
+        """Fill the result arrays of the runs from `first` to before `last`."""
+        counted = ctypes.c_int64(values["counted"])
+        room = np.zeros(self._library.motion_room(self._at, counted), dtype=np.uint8)
+        span = ctypes.c_int64(first), ctypes.c_int64(last)
+        memory = ctypes.c_void_p(room.ctypes.data)
+        self._library.motion_roll(self._at, pack_request(values), *span, memory)
 
 
 def _address(library: ctypes.CDLL, name: str) -> int | None:
     return ctypes.cast(getattr(library, name), ctypes.c_void_p).value
+
+
+class Compilation:
+    """Compilation in a thread of its own, one at a time.
+
+    `found` holds the backend, or the reason if compilation failed.
+    """
+
+    _running: threading.Thread | None = None
+
+    def __init__(self, compile_: Callable[[], tuple[Native | None, str]]) -> None:
+        self.found: tuple[Native | None, str] = None, "the compiler was stopped"
+        self._thread = threading.Thread(target=self._work, args=(compile_,), daemon=True)
+        Compilation._running = self._thread
+        self._thread.start()
+
+    def _work(self, compile_: Callable[[], tuple[Native | None, str]]) -> None:
+        self.found = compile_()
+
+    @property
+    def done(self) -> bool:
+        """Whether the compiler has ended."""
+        return not self._thread.is_alive()
+
+    @classmethod
+    def is_possible(cls) -> bool:
+        """Return whether no compiler is running."""
+        return cls._running is None or not cls._running.is_alive()
+
+
+def compile_first(codes: list[NativeCode], build: bool = True) -> tuple[Native | None, str]:
+    """Compile the first code that the compiler accepts.
+
+    Returns the backend, and the reason if a code failed.
+    """
+    note = ""
+    for code in codes:
+        try:
+            return code.load(build), note
+        except CompileError as error:
+            how = "not compiled in lanes" if code is not codes[-1] else "not compiled"
+            note = f"{how}: {_reason(error)}"
+    return None, note
+
+
+def _reason(error: CompileError) -> str:
+    """Extract the error line from a compiler's output."""
+    lines, found = str(error).splitlines(), find_compiler()
+    for line in lines:
+        if "error: " in line:
+            return line.split("error: ")[1]
+    ran = found is not None and not isinstance(error, CompileTimeout) and "failed with" in lines[0]
+    return f"{found[0]} failed" if found and ran else lines[0]

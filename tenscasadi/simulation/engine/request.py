@@ -5,7 +5,7 @@ Their names and order are those of the struct in `engine.hpp`.
 
 from __future__ import annotations
 
-import ctypes
+import struct
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -19,8 +19,7 @@ Integers = NDArray[np.int64]
 
 # Codes of `engine.hpp`. Up to BROKEN the run is lost; after the others it ends early.
 FINISHED, NOT_FINITE, BEYOND, BROKEN, STOPPED, UNSOLVED, STUCK, TIRED = range(8)
-MEASURED = ("bar_length_error", "joint_error", "kinetic", "elastic", "gravity", "supplied")
-KINETIC, SUPPLIED = (MEASURED.index(name) for name in ("kinetic", "supplied"))
+MEASURED = ("bar_length_error", "joint_error", "kinetic", "elastic", "gravity")
 WORST = (
     "bar_length_error",
     "joint_error",
@@ -33,45 +32,35 @@ WORST = (
 )
 CARRIED = ("energy", "bars", "work", "jumps", *Memory._fields)  # then the stacked input
 
-_NUMBERS = "motions", "state_stride", "input_stride", "parameter_stride", "width", "intervals"
-_INTERVALS = "row", "count", "length", "decides", "states", "inputs", "parameters"
-_FEEDBACK = "decision", "given", "reference", "gains", "lower", "upper"
-_EVERY = "correct_every", "save_every", "look_every", "rows", "begin", "total"
-_RESULTS = "last", "saved", "measured", "corrected", "worst", "cost", "carry"
-_SHARED = "status", "fault", "good", "next", "done", "stop"
+# Fields of the struct by kind: whole number, real number, pointer
+_FIELDS = (
+    ("q", "state_stride", "input_stride", "parameter_stride", "width", "intervals"),
+    ("P", "row", "count", "length", "decides", "states", "inputs", "parameters"),
+    ("P", "decision", "given", "reference", "gains", "lower", "upper"),
+    ("q", "referred"),
+    ("P", "numbers"),
+    ("q", "counted", "trials"),
+    ("d", "shortest"),
+    ("q", "correct_every", "save_every", "look_every", "rows", "begin", "total"),
+    ("d", "broken", "beyond", "largest"),
+    ("P", "last", "saved", "measured", "corrected", "worst", "cost", "carry"),
+    ("P", "status", "fault", "good", "stop"),
+)
+_NAMES = [name for _, *names in _FIELDS for name in names]
+_STRUCT = struct.Struct("".join(kind * len(names) for kind, *names in _FIELDS))
 
 
-def _fields(kind: Any, *names: str) -> list[tuple[str, Any]]:
-    return [(name, kind) for name in names]
+def pack_request(values: Mapping[str, Any]) -> bytes:
+    """Pack the struct from numbers and C-contiguous arrays, which must outlive it.
 
-
-class RequestStruct(ctypes.Structure):
-    """Struct with pointers into arrays that must outlive it."""
-
-    _fields_ = [
-        *_fields(ctypes.c_int64, *_NUMBERS),
-        *_fields(ctypes.c_void_p, *_INTERVALS, *_FEEDBACK),
-        *_fields(ctypes.c_int64, "referred"),
-        *_fields(ctypes.c_void_p, "numbers"),
-        *_fields(ctypes.c_int64, "counted", "trials"),
-        *_fields(ctypes.c_double, "shortest"),
-        *_fields(ctypes.c_int64, *_EVERY),
-        *_fields(ctypes.c_double, "broken", "beyond", "largest"),
-        *_fields(ctypes.c_void_p, *_RESULTS, *_SHARED),
-    ]
-
-
-def make_struct(values: Mapping[str, Any]) -> RequestStruct:
-    """Build the struct from numbers and C-contiguous arrays.
-
-    Missing values and None are 0.
+    Missing values and None are 0. Other names are ignored.
     """
-    return RequestStruct(
-        **{
-            name: value.ctypes.data if isinstance(value, np.ndarray) else value
-            for name, value in values.items()
-            if value is not None
-        }
+    given = [values.get(name) for name in _NAMES]
+    return _STRUCT.pack(
+        *(
+            value.__array_interface__["data"][0] if isinstance(value, np.ndarray) else value or 0
+            for value in given
+        )
     )
 
 
@@ -85,27 +74,12 @@ class Intervals(NamedTuple):
     steps: Integers
     length: Array
 
-
-class RunPiece(NamedTuple):
-    """Part of a run.
-
-    Its intervals select rows of the inputs (n or 1, K, ·).
-    """
-
-    intervals: Intervals
-    inputs: Array
-
-
-def gather_steps(held: Array, lengths: Array) -> RunPiece:
-    """Merge steps of equal length and input into intervals.
-
-    `held` (S, nw) are the inputs and `lengths` (S,) the lengths [s] of the steps.
-    """
-    changed = np.append(True, (held[1:] != held[:-1]).any(axis=1))
-    begins = np.flatnonzero(changed | np.append(True, lengths[1:] != lengths[:-1]))
-    row = np.cumsum(changed)[begins] - 1
-    steps = np.diff(np.append(begins, len(lengths)))
-    return RunPiece(Intervals(row, steps, lengths[begins]), held[changed][None])
+    def slice(self, first: int, last: int) -> Intervals:
+        """Select the steps from `first` to before `last`."""
+        ends = np.cumsum(self.steps)
+        inside = (ends > first) & (ends - self.steps < last) & (first < last)
+        steps = np.minimum(ends, last) - np.maximum(ends - self.steps, first)
+        return Intervals(self.row[inside], steps[inside], self.length[inside])
 
 
 class Rolled(NamedTuple):
@@ -125,8 +99,8 @@ class Rolled(NamedTuple):
         0, or the code of the failure.
     fault, good : ndarray, shape (n,)
         Step at which the failure was detected, and the last good one before.
-    measured, worst, carry : ndarray, shapes (n, T, 6), (n, 8), (n, ·)
-        Columns as in `MEASURED`, `WORST` and `CARRIED`.
+    measured, worst, carry : ndarray, shapes (n, T, M + 1), (n, 8), (n, ·)
+        Measures of the saved rows and the energy supplied [J]; columns as in `WORST` and `CARRIED`.
     corrected : ndarray, shape (n, T, 2) or None
         Movement of a node [m] and energy [J] by the first correction after each saved row.
     """
@@ -148,11 +122,10 @@ class Rolled(NamedTuple):
         work, jumps = (self.carry[:, CARRIED.index(name)] for name in ("work", "jumps"))
         return np.asarray(work + jumps)
 
-    @property
-    def memory(self) -> list[Memory]:
-        """State of the step-size control of each run."""
+    def memory(self, k: int) -> Memory:
+        """State of the step-size control of run k."""
         first = CARRIED.index(Memory._fields[0])
-        return [Memory(*row[first : len(CARRIED)].tolist()) for row in self.carry]
+        return Memory(*self.carry[k, first : len(CARRIED)].tolist())
 
 
 def count_runs(joiner: str = ", ", /, **rows: int) -> int:
@@ -162,6 +135,6 @@ def count_runs(joiner: str = ", ", /, **rows: int) -> int:
     """
     several = {name: count for name, count in rows.items() if count != 1}
     if len(set(several.values())) > 1:
-        told = joiner.join(f"{name} has {count} rows" for name, count in several.items())
-        raise ValueError(f"{told}: give as many of each, or one row that all motions share")
+        text = joiner.join(f"{name} has {count} rows" for name, count in several.items())
+        raise ValueError(f"{text}: give as many of each, or one row that all motions share")
     return next(iter(several.values()), 1)

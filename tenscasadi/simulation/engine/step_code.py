@@ -40,7 +40,7 @@ CALLS = (
     "stage",
     "final",
 )
-_OWN = ("nx", "nw", "nu", "work", "jumps", "measures", "modes", "errors", "stages")
+_OWN = ("nx", "nw", "nu", "work", "jumps", "measures", "potential", "modes", "errors", "stages")
 MODEL_SIZES = (*_OWN, "size_arg", "size_res", "size_iw", "size_w")
 
 # CasADi writes if_else as a sum of these. Operands are variables or loop entries.
@@ -116,6 +116,7 @@ def write_program(
         sizes["measures"] = functions["measure"].size1_out(0)
     sizes["nw"] = max(model.nw, *(cost.size1_in(1) for cost in costing.values()), 0)
     sizes |= {"work": int(power is not None), "jumps": int(account.jumps)}
+    sizes["potential"] = int(model.schedule is None)
     sizes["stages"] = 0 if tableau is None else len(tableau.b) + 1
     if sizes["nw"] > model.nw:
         functions = {name: _widen(f, model.nw, sizes["nw"]) for name, f in functions.items()}
@@ -129,6 +130,7 @@ def write_observer(model: Model, account: Account, measured: Measured) -> Kernel
     functions = _observing(model, account, measured)
     sizes = dict.fromkeys(_OWN, 0) | {"nx": model.nx, "nu": model.nu, "nw": model.nw}
     sizes |= {"work": int(account.power and model.power is not None), "jumps": int(account.jumps)}
+    sizes["potential"] = int(model.schedule is None)
     sizes["measures"] = functions["measure"].size1_out(0) if "measure" in functions else 0
     return KernelFunctions(functions, sizes, None)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import casadi as ca
@@ -13,8 +13,8 @@ from tenscasadi.integrators.events import build_switching
 from tenscasadi.integrators.stabilization import Correction, build_correction
 from tenscasadi.integrators.sundials import Sundials
 from tenscasadi.integrators.sundials_events import EventSteps
-from tenscasadi.simulation.engine.interpreted import Interpreted, Loop, Values
-from tenscasadi.simulation.engine.request import FINISHED, STOPPED, UNSOLVED
+from tenscasadi.simulation.engine.interpreted import Interpreted, Loop, Rows, Values
+from tenscasadi.simulation.engine.request import STOPPED, UNSOLVED
 from tenscasadi.simulation.engine.step_code import (
     Account,
     KernelFunctions,
@@ -50,10 +50,9 @@ class SundialsRuns(Interpreted):
             )
         self.program: KernelFunctions = write_observer(model, account, measured)
         super().__init__(self.program)
-        self.together = 1
         power = model.stacked(model.power) if account.power and model.power is not None else None
         self._every = 1 if correction is None else correction.every
-        self._most = self._every * max(1, 50 // self._every)
+        self.chunk = self._every * max(1, 50 // self._every)
         self._scheme, self._nx = scheme, model.nx
         self._project = None if correction is None else build_correction(model, correction)
         self._integrators: dict[tuple[int, float], ca.Function] = {}  # by number and length
@@ -73,40 +72,30 @@ class SundialsRuns(Interpreted):
         """Number of located events, and of the trials for them."""
         return (0, 0) if self._events is None else (self._events.events, self._events.trials)
 
-    def __call__(self, values: Values) -> None:
-        """Fill the result arrays of a request."""
+    def __call__(self, values: Values, first: int, last: int) -> None:
+        """Fill the result arrays of the runs from `first` to before `last`."""
         self._stop, self.failure = values, ""
         if self._events is not None and not values["begin"]:
             self._events.events = self._events.trials = 0
-        super().__call__(values)
+        super().__call__(values, first, last)
 
     def _pause(self) -> None:
         if self._stop["stop"][0]:
             raise Stopped
 
-    def steps(self, loop: Loop, interval: int) -> Iterator[tuple[int, int]]:
-        """Take the steps of an interval.
-
-        Yields a status code and the number of steps taken.
-        """
-        left, length = int(loop.q["count"][interval]), float(loop.q["length"][interval])
-        while left:
-            count = min(left, self._most - loop.step % self._most)
-            try:
-                rows = self._take(loop.z[0], loop.w[0], length, count)
-            except Stopped:
-                yield STOPPED, 0
-                return
-            except RuntimeError as error:
-                self.failure = str(error)
-                yield UNSOLVED, 0
-                return
-            corrected = np.arange(loop.step + 1, loop.step + count + 1) % self._every == 0
-            self._correct(rows, loop.w[0], corrected)
-            for row in rows:
-                loop.z = row[None].copy()
-                yield FINISHED, 1
-            left -= count
+    def take(self, loop: Loop, length: float, most: int) -> Rows:
+        """Take up to `most` steps of `length` s."""
+        count = min(most, self.chunk - loop.step % self.chunk)
+        try:
+            rows = self._take(loop.z[0], loop.w[0], length, count)
+        except Stopped:
+            return Rows(loop.z[None], None, STOPPED)
+        except RuntimeError as error:
+            self.failure = str(error)
+            return Rows(loop.z[None], None, UNSOLVED)
+        corrected = np.arange(loop.step + 1, loop.step + count + 1) % self._every == 0
+        self._correct(rows, loop.w[0], corrected)
+        return Rows(rows[:, None])
 
     def _take(self, z: Array, w: Array, length: float, count: int) -> Array:
         """Compute z after each of the next steps (count, nz)."""

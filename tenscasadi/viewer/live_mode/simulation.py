@@ -13,12 +13,12 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stability import lightest_mass
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import RestLength
-from tenscasadi.simulation.diagnosis import describe_doubts, explain_divergence
-from tenscasadi.simulation.engine.engine import FAULTS
-from tenscasadi.simulation.engine.kernel import build_kernel
+from tenscasadi.simulation.engine.build import build_kernel
 from tenscasadi.simulation.engine.request import FINISHED, Intervals, Rolled
 from tenscasadi.simulation.engine.step_code import Account
 from tenscasadi.simulation.trajectory import Trajectory, observe_states, record_trajectory
+from tenscasadi.simulation.verdict.endings import FAULTS, Samples, explain_loss
+from tenscasadi.simulation.verdict.judge import find_doubts, measure_trajectory
 from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import SMALLEST, Array, finite_array, instance, node_index
 from tenscasadi.viewer.live_mode.inputs import add_inputs
@@ -245,9 +245,8 @@ class LiveSimulation:
         found = FAULTS.get(int(rolled.status[0]), "a step could not be computed")
         states = np.stack([self.start_state, self.state])
         held = np.tile(np.concatenate([self.control, self.model.parameters.nominal]), (2, 1))
-        times = np.array([0.0, max(self.time, self.step)])
-        record = record_trajectory(self.model, times, states, held, step=self.step, message="")
-        return f"{found}; {explain_divergence(self.model, self.options.scheme, record, 1)}"
+        samples = Samples(np.array([0.0, self.time]), states, held)
+        return f"{found}; {explain_loss(self.model, self.options.scheme, self.step, samples)}"
 
     def _inputs(self) -> Array:
         p = self.model.parameters.nominal
@@ -342,9 +341,10 @@ class LiveSimulation:
             held,
             step=self.step,
             message="",
-            supplied=rows[:, nx] - rows[0, nx],
             seconds=self.seconds,
         )
+        energy = kept.energy - rows[:, nx]
+        kept = replace(kept, energy_error=energy - energy[0])
         if options.correction is not None:
             shift = np.full((2, len(rows)), np.nan)
             if not options.scheme.adaptive:
@@ -353,12 +353,9 @@ class LiveSimulation:
             kept = replace(kept, correction_shift=shift[0], correction_energy=shift[1])
         success, message = not self.fault, self.fault
         if success:
-            doubts, success = (
-                describe_doubts(model, options.scheme, kept, options.compiled)
-                if len(rows) > 1
-                else ("", True)
-            )
-            message = f"controlled interactively for {self.ticks * self.substeps} steps of {self.step:.3g} s{self.note}{doubts}"
+            doubts = find_doubts(measure_trajectory(model, kept))
+            success = not doubts.failed[0]
+            message = f"controlled interactively for {self.ticks * self.substeps} steps of {self.step:.3g} s{self.note}{doubts.text[0]}"
         attempts = self.ticks * self.substeps
         return replace(
             kept,

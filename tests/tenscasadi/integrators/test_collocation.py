@@ -202,7 +202,8 @@ def test_impacts_with_friction(structure: Structure, scheme: Collocation) -> Non
     )
     exact = simulate(model, 0.4, None, DormandPrince853(1e-8), start).nodes[-1]
     coarse, fine = (simulate(model, 0.4, step, scheme, start) for step in (0.01, 5e-4))
-    assert coarse.success, coarse.message
+    assert coarse.time[-1] == pytest.approx(0.4)
+    assert abs(coarse.nodes[-1] - exact).max() < 2 * coarse.error_estimate
     assert abs(fine.nodes[-1] - exact).max() < 2e-3
 
 
@@ -229,7 +230,9 @@ def test_one_compiled_loop_serves_all_tolerances(
     for degree in (2, 3):
         start = moving(model)
         runs = [
-            simulate(model, 0.1, 0.01, Collocation(degree, tolerance=tolerance), start)
+            simulate(
+                model, 0.1, 0.01, Collocation(degree, tolerance=tolerance), start, compiled=True
+            )
             for tolerance in (1e-3, 1e-6, 1e-10)
         ]
         assert len(list(tmp_path.glob("model-*"))) == degree - 1

@@ -147,10 +147,10 @@ def test_events_end_where_pieces_or_seconds_are_over() -> None:
     model = Model(Scene(**FALLING))
     few = simulate(model, 0.3, 0.1, Cvodes(1e-3, max_steps=7, locate_events=True))
     assert not few.success
-    assert "Cvodes gave up" in few.message
-    late = simulate(model, 30.0, 0.005, Cvodes(1e-11, locate_events=True), seconds=0.3)
+    assert "Cvodes failed" in few.message
+    late = simulate(model, 30.0, 0.005, Cvodes(1e-11, locate_events=True), time_limit=0.3)
     assert not late.success
-    assert "seconds = 0.3" in late.message
+    assert "time limit of 0.3 s" in late.message
 
 
 @pytest.mark.usefixtures("keyboard")

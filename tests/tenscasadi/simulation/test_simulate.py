@@ -266,14 +266,16 @@ def test_a_run_stops_when_its_seconds_are_over(scheme: Any, step: float) -> None
         scheme,
         compiled=False,
         save_every=1 if scheme.adaptive else 1000,
-        seconds=0.3,
+        time_limit=0.3,
     )
     assert time.perf_counter() - began < 20.0
     assert not run.success
     assert not run.interrupted
-    assert "seconds = 0.3 of wall time are over" in run.message
+    assert "the time limit of 0.3 s has expired: increase time_limit" in run.message
     assert np.isfinite(run.states).all()
     assert (run.time[-1] == 0.0) == (step == 1000.0)
-    assert simulate(model, 0.1, scheme=scheme, compiled=False, seconds=100.0).success
-    with pytest.raises(ValueError, match="seconds is 0"):
-        simulate(model, 0.1, seconds=0)
+    assert simulate(model, 0.1, scheme=scheme, compiled=False, time_limit=100.0).success
+    with pytest.raises(ValueError, match="time_limit is 0"):
+        simulate(model, 0.1, time_limit=0)
+    with pytest.warns(DeprecationWarning, match="time_limit"):
+        assert simulate(model, 0.1, compiled=False, seconds=100.0).success  # type: ignore[call-arg]

@@ -8,7 +8,7 @@ import pytest
 
 import tenscasadi as tc
 from tenscasadi.simulation.engine import native as module
-from tenscasadi.simulation.engine.kernel import build_kernel
+from tenscasadi.simulation.engine.build import build_kernel
 from tenscasadi.simulation.engine.request import BEYOND, NOT_FINITE
 from tenscasadi.util.compile import CompileError
 
@@ -134,7 +134,7 @@ def test_equal_to_simulate(name, lanes):
         )
 
 
-def refuse(*_):
+def refuse(*_, build):
     raise CompileError("no C++")
 
 

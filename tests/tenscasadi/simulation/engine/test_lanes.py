@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import tenscasadi as tc
-from tenscasadi.simulation.engine.kernel import build_kernel
+from tenscasadi.simulation.engine.build import build_kernel
 
 SPECIAL = [0.0, -0.0, 1.0, -1.0, 0.3, -2.5, 1e-300, 1e300, np.inf, -np.inf, np.nan]
 ONE = {

@@ -15,12 +15,8 @@ from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853
 from tenscasadi.integrators.sundials import Cvodes, Idas
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity, RestLength
-from tenscasadi.simulation.control_input import (
-    ControlProfile,
-    append_constants,
-    cut_steps,
-    sample_control,
-)
+from tenscasadi.simulation.inputs.controls import ControlProfile
+from tenscasadi.simulation.inputs.run_inputs import read_inputs
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.structure import shapes
 
@@ -69,22 +65,29 @@ def test_a_profile_is_what_its_intervals_are_one_after_the_other(model, scheme):
     assert np.abs(run.energy_error).max() < 1e-4 * np.ptp(run.energy)
 
 
-def test_intervals_are_cut_into_equal_steps_no_longer_than_asked():
-    values = np.arange(4.0)[:, None]
-    held = sample_control(ControlProfile(MESH, values), np.zeros(1), 0.3, 15)  # of at most 0.02 s
-    assert np.diff(held.ends) == pytest.approx([0.02] * 2 + [0.02] * 3 + [0.01] + [0.019] * 10)
-    assert held.window(0, 16).ravel().tolist() == [0] * 2 + [1] * 3 + [2] + [3] * 10
-    assert held.window(14, 4).ravel().tolist() == [3] * 4
-    assert held.lengths(14, 4) == pytest.approx(np.full(4, 0.019))
-    assert held.times(np.array([0, 2, 16])).tolist() == [0.0, 0.04, 0.3]
-    assert held.longest == pytest.approx(0.02)
-    assert sample_control(ControlProfile(MESH, values, steps=7), np.zeros(1), 0.3, 1).steps == 28
+def read(values, times, step, model, fewest=1):
+    profile = ControlProfile(times, values, fewest)
+    return read_inputs(model, times[-1], step, RungeKutta4(), None, profile, None, many=False)
 
 
-def test_linear_profiles_are_held_at_their_mean():
-    linear = sample_control(ControlProfile(MESH, MESH[:, None] ** 2, steps=2), np.zeros(1), 0.3, 1)
-    middle = (linear.ends[1:] + linear.ends[:-1]) / 2
-    assert linear.window(0, 8).ravel() == pytest.approx(np.interp(middle, MESH, MESH**2))
+def test_intervals_have_equal_steps_no_longer_than_the_step(model):
+    inputs = read(pulls(model, 4), MESH, 0.02, model)
+    grid = inputs.grid
+    assert grid.counts.tolist() == [2, 3, 1, 10]
+    assert grid.lengths == pytest.approx([0.02, 0.02, 0.01, 0.019])
+    assert grid.longest == pytest.approx(0.02)
+    assert grid.times(np.array([0, 2, 16])).tolist() == [0.0, 0.04, 0.3]
+    assert grid.rows[grid.locate(np.arange(18))].tolist() == [0] * 2 + [1] * 3 + [2] + [3] * 12
+    assert np.array_equal(inputs.stack(0, np.array([5])), pulls(model, 4)[[2]])
+    assert read(pulls(model, 4), MESH, 0.3, model, fewest=7).grid.steps == 28
+
+
+def test_linear_profiles_are_constant_at_their_mean(model):
+    values = np.outer(MESH**2, np.ones(model.nu))
+    inputs = read(values, MESH, 0.3, model, fewest=2)
+    middle = np.repeat(MESH[:-1], 2) + np.ravel(np.outer(np.diff(MESH), [0.25, 0.75]))
+    held = inputs.stack(0, np.arange(8))[:, 0]
+    assert held == pytest.approx(np.interp(middle, MESH, MESH**2))
 
 
 def test_an_equal_mesh_is_a_table(model):
@@ -168,26 +171,3 @@ def test_rest_lengths_must_be_greater_than_0() -> None:
             ValueError, match=named + ".* rest lengths .RestLength. must be greater than 0"
         ):
             simulate(model, 1.0, 0.01, control=control, compiled=False)
-
-
-def test_cut_steps_hold_the_control_of_their_step():
-    values = np.arange(4.0)[:, None]
-    equal = sample_control(values, np.zeros(1), 0.4, 4)
-    assert cut_steps(equal, np.array([-1.0, 0.0, 0.1, 0.3 + 1e-12, 0.4, 2.0])) is equal
-    cut = cut_steps(equal, np.array([0.15, 0.17, 0.35]))
-    assert cut.times(np.arange(8)) == pytest.approx([0, 0.1, 0.15, 0.17, 0.2, 0.3, 0.35, 0.4])
-    assert cut.window(0, 9).ravel().tolist() == [0, 1, 1, 1, 2, 3, 3, 3, 3]
-    assert cut.window(3, 2).ravel().tolist() == [1, 2]
-    assert cut.window(7, 2).ravel().tolist() == [3, 3]
-
-
-def test_constants_stand_behind_the_control_of_each_step():
-    inputs = append_constants(
-        sample_control(np.array([[1.0], [2.0]]), np.zeros(1), 1.0, 4), np.array([7.0, 8.0])
-    )
-    assert inputs.window(1, 4).tolist() == [
-        [1.0, 7.0, 8.0],
-        [2.0, 7.0, 8.0],
-        [2.0, 7.0, 8.0],
-        [2.0, 7.0, 8.0],
-    ]

@@ -22,7 +22,7 @@ from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.structure import Structure
 
-WORD = re.compile("put it off by some (.*) m: try .*step=(.*)")
+WORD = re.compile(r"position error about (.*) m\): try .*step=(.*)")
 
 
 def two_masses(stiffness: float = 2.1e4, damping: float = 100.0) -> Model:
@@ -66,7 +66,6 @@ def test_a_run_is_as_good_as_its_word_by_either_cure() -> None:
     run = simulate(model, 1.0, 0.005, compiled=False)
     told = WORD.search(run.message)
     assert told
-    assert run.success
     assert off(model, run) > 0.02
     for cured in (
         simulate(model, 1.0, float(told[2]) / 4, compiled=False),
@@ -83,7 +82,7 @@ def test_bounces_within_steps_are_told() -> None:
     )
     model = Model(Scene(structure, gravity=Gravity(), ground=Ground(1e4, 1.0, height=-0.2)))
     coarse, fine = (simulate(model, 2.0, step, compiled=False) for step in (0.01, 2e-4))
-    assert "slack or taut and contacts within its steps put it off by some" in coarse.message
+    assert "strings go slack or taut, or contacts change, within steps" in coarse.message
     assert off(model, coarse) > 0.01
     assert ";" not in fine.message
 
@@ -97,7 +96,7 @@ def test_smooth_motions_and_many_kept_steps_need_no_word() -> None:
             ";" not in simulate(two_masses(), 1.0, 2e-4, save_every=every, compiled=False).message
         )
         assert (
-            "put it off"
+            "position error"
             in simulate(
                 two_masses(),
                 1.0,
@@ -116,11 +115,8 @@ def test_steps_too_long_for_a_vibration_are_told_without_events() -> None:
     model = Model(Scene(structure, slack=Linear()))
     for share, told in ((0.4, True), (0.02, False)):
         run = simulate(model, 0.5, share * stable_step(model, safety=1.0), compiled=False)
-        assert run.success
-        assert (
-            "its steps, too long for the fastest that moves, put it off by some" in run.message
-            or "energy is off" in run.message
-        ) == told
+        assert run.success != told
+        assert ("is too large (position error about" in run.message) == told
         assert (off(model, run) > 1e-3) == told
 
 
@@ -190,11 +186,9 @@ def test_energy_that_is_kept_hides_no_error() -> None:
         rest_length=0.83,
     )
     model = Model(Scene(structure, gravity=Gravity((-4.0, -12.0, 6.0))))
-    for steps, told in ((120, True), (240, False)):
+    for steps, told in ((120, True), (480, False)):
         run = simulate(model, 1.3, 1.3 / steps, Collocation(2), compiled=False)
-        assert (
-            "its steps, too long for the fastest that moves, put it off by some" in run.message
-        ) == told
+        assert ("(position error about" in run.message) == told
         assert (off(model, run) > 0.01) == told
 
 
@@ -238,7 +232,7 @@ def test_functions_that_control_are_asked_once_for_each_step(save_every: int) ->
     run = simulate(model, 1.0, 1.0 / 300, control=control, save_every=save_every, compiled=False)
     told = WORD.search(run.message)
     assert told, run.message
-    assert 0.05 < float(told[1]) < 0.5
+    assert 0.05 < float(told[1]) < 1.0
 
 
 def test_the_estimate_is_about_the_error() -> None:

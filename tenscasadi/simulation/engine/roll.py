@@ -1,0 +1,177 @@
+"""Runs of a model through the engine."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from typing import Any, NamedTuple
+
+import numpy as np
+from tqdm import tqdm
+
+from tenscasadi.integrators.scheme import Scheme
+from tenscasadi.integrators.stabilization import Correction
+from tenscasadi.simulation.engine.build import build_kernel
+from tenscasadi.simulation.engine.kernel import Kernel, Watch
+from tenscasadi.simulation.engine.request import STOPPED, Rolled
+from tenscasadi.simulation.engine.step_code import Account, Measured
+from tenscasadi.simulation.inputs.run_inputs import RunInputs
+from tenscasadi.util.compile import Compiled
+from tenscasadi.util.validate import Array, Indices
+
+
+class Request(NamedTuple):
+    """Runs and their options.
+
+    Every `every`-th step is saved. `measured` selects the measures of saved rows, and `account` the
+    energies to integrate. The `deadline` is a time of `time.monotonic`, `time_limit` seconds after
+    the call.
+    """
+
+    inputs: RunInputs
+    scheme: Scheme
+    correction: Correction | None
+    every: int
+    account: Account
+    measured: Measured
+    compiled: Compiled = None
+    lanes: int | None = None
+    threads: int = 1
+    time_limit: float = np.inf
+    deadline: float = np.inf
+
+    @property
+    def balanced(self) -> bool:
+        """Whether the account includes all energies that the run exchanges."""
+        model, feedback = self.inputs.model, self.inputs.feedback
+        varies = self.inputs.controls.shape[1] > 1 or feedback is not None
+        return (self.account.power or model.power is None) and (self.account.jumps or not varies)
+
+
+class Runs(NamedTuple):
+    """Result of a request.
+
+    `kernel` has computed it within `seconds` of wall time. It was `late` if the deadline stopped it.
+    """
+
+    request: Request
+    rolled: Rolled
+    kernel: Kernel
+    seconds: float
+    late: bool
+
+    @property
+    def saved(self) -> Array:
+        """States of the saved rows (n, T, nx)."""
+        if self.rolled.saved is None:
+            raise RuntimeError("the kernel has saved no rows")
+        return self.rolled.saved
+
+    @property
+    def measured(self) -> Array:
+        """Measures of the saved rows and the energy supplied (n, T, M + 1)."""
+        if self.rolled.measured is None:
+            raise RuntimeError("the kernel has measured nothing")
+        return self.rolled.measured
+
+    @property
+    def stopped(self) -> bool:
+        """Whether Ctrl-C or the deadline stopped a run."""
+        return bool(np.any(self.rolled.status == STOPPED))
+
+    def last_step(self, k: int) -> int:
+        """Return the last good step of run k."""
+        rolled, total = self.rolled, self.request.inputs.grid.steps
+        status = rolled.status[k]
+        return int(total if not status else rolled.good[k] if status < STOPPED else rolled.fault[k])
+
+    def saved_steps(self, k: int) -> Indices:
+        """Find the steps of the good rows of run k."""
+        last, every = self.last_step(k), self.request.every
+        lost = 0 < self.rolled.status[k] < STOPPED
+        steps = np.arange(0, last + 1, every)
+        return steps if lost or steps[-1] == last else np.append(steps, last)
+
+    def times(self, steps: Any) -> Array:
+        """Compute times at the start of steps [s]."""
+        return self.request.inputs.grid.times(np.asarray(steps))
+
+
+def roll(request: Request, progress: bool = False) -> Runs:
+    """Compute the runs of a request.
+
+    Raises CompileError, ValueError.
+    """
+    inputs = request.inputs
+    kernel = make_kernel(request)
+    total = inputs.runs * inputs.grid.steps
+    controls = inputs.controls
+    feedback = None if inputs.feedback is None else _feedback_arrays(inputs)
+    intervals = inputs.grid.intervals
+    if feedback is not None:
+        intervals = intervals._replace(row=np.zeros_like(intervals.row))
+    with contextlib.ExitStack() as stack:
+        watch = Watch(deadline=request.deadline)
+        if progress:
+            bar = stack.enter_context(tqdm(total=total, unit=" steps", unit_scale=True))
+            watch = watch._replace(seen=lambda done: bar.update(done - bar.n))
+        began = time.perf_counter()
+        try:
+            rolled = kernel.run(
+                inputs.starts,
+                controls,
+                intervals,
+                request.every,
+                look_every=max(1, inputs.grid.steps // 100),
+                longest=inputs.grid.longest,
+                parameters=inputs.parameters,
+                feedback=feedback,
+                threads=request.threads,
+                watch=watch,
+            )
+        except MemoryError:
+            rows = f"save_every is {request.every}: {inputs.grid.steps / request.every:.2g} rows"
+            raise ValueError(
+                f"{rows} do not fit into memory, give a larger save_every or a larger step"
+            ) from None
+        seconds = time.perf_counter() - began
+    return Runs(request, rolled, kernel, seconds, time.monotonic() > request.deadline)
+
+
+def make_kernel(request: Request) -> Kernel:
+    """Build the kernel of a request.
+
+    Raises CompileError, ValueError.
+    """
+    return build_kernel(
+        request.inputs.model,
+        request.scheme,
+        request.correction,
+        measured=request.measured,
+        account=request.account,
+        lanes=request.lanes,
+        compiled=request.compiled,
+        lazily=True,
+    )
+
+
+def _feedback_arrays(inputs: RunInputs) -> dict[str, Any]:
+    """Collect the arrays of state feedback, by the names of `engine.hpp`.
+
+    After the plan, its last gain holds its last state.
+    """
+    plan, rows = inputs.feedback, inputs.grid.rows
+    if plan is None:
+        return {}
+    size, referred, last = len(plan.controls), 2 * inputs.model.nq, [len(plan.controls) - 1]
+    gains = np.concatenate([plan.gains, plan.gains[last]])[:, :, :referred]
+    return {
+        "decides": np.concatenate([[1], np.diff(rows) != 0]).astype(np.int64),
+        "decision": np.minimum(rows, size).astype(np.int64),
+        "given": np.concatenate([plan.controls, plan.controls[last]]),
+        "reference": np.ascontiguousarray(plan.states[:, :referred]),
+        "gains": np.ascontiguousarray(gains),
+        "lower": plan.lower,
+        "upper": plan.upper,
+        "referred": referred,
+    }

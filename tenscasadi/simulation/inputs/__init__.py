@@ -1,0 +1,1 @@
+"""Inputs of runs: starts, parameters, controls and time steps."""

@@ -1,0 +1,104 @@
+"""Test whether the steps of a run resolve its functions of time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import casadi as ca
+import numpy as np
+
+from tenscasadi.scene.time_functions import values_at
+from tenscasadi.simulation.inputs.grid import Changing, Grid
+from tenscasadi.util.validate import Array
+
+UNRESOLVED = "changes within steps"  # in messages on unresolved functions of time
+
+
+def describe_unresolved(
+    changing: Sequence[Changing], grid: Grid, first: float, step: float, order: int
+) -> str:
+    """Describe functions of time that the steps do not resolve.
+
+    Each function is sampled at eight points of each step, or of its parts if there are few steps.
+    Their quadrature is compared with one that has as many points as the stages of a scheme of this
+    order.
+
+    Parameters
+    ----------
+    changing : sequence of Changing
+        Time-varying parts of a model.
+    grid : Grid
+        Steps of the run.
+    first : float
+        Initial time of the clock [s].
+    step : float
+        Mean step of the scheme [s].
+    order : int
+        Order of the scheme.
+
+    Returns
+    -------
+    str
+        A clause for each function, after a semicolon.
+    """
+    text = ""
+    for part in changing:
+        function = part.changing()
+        if function is None:
+            continue
+        ends = _refine(first + grid.times(np.arange(grid.steps + 1)), step)
+        unseen, size = _compare_quadratures(function, ends, order)
+        if unseen.sum() > 0.01 * size:  # of the impulse over the run
+            time = ends[int(unseen.argmax())]
+            text += (
+                f"; {part.field} {UNRESOLVED} near t = {time:.6g} s more than their stages see: "
+                "declare breakpoints=(…) there, or try a smaller step"
+            )
+    return text
+
+
+def _refine(ends: Array, step: float) -> Array:
+    """Divide steps longer than `step` s."""
+    parts = np.maximum(1, np.ceil(np.diff(ends) / step - 1e-9)).astype(int)
+    owner = np.repeat(np.arange(len(parts)), parts)
+    share = (np.arange(len(owner)) - np.repeat(np.cumsum(parts) - parts, parts)) / parts[owner]
+    return np.append(ends[owner] + share * np.diff(ends)[owner], ends[-1])
+
+
+def _compare_quadratures(function: ca.Function, ends: Array, order: int) -> tuple[Array, float]:
+    """Compare coarse and fine quadratures over K steps.
+
+    Returns the differences (K,) and the integral of the function's absolute value.
+    """
+    points, weights = np.polynomial.legendre.leggauss(8)
+    divisions = -(-2048 // (len(ends) - 1))  # at least 2048 parts in all
+    fine = ((np.arange(divisions)[:, None] + (1 + points) / 2) / divisions).ravel()
+    fine_weights = np.tile(weights / 2 / divisions, divisions)
+    coarse, coarse_weights = _lobatto(max(2, (order + 3) // 2))
+    unseen, size = [], 0.0
+    block = max(1, 16384 // divisions)  # bounds the memory
+    for begin in range(0, len(ends) - 1, block):
+        starts = ends[begin : begin + block + 1]
+        lengths = np.diff(starts)[:, None]
+        sampled = [
+            values_at(function, (starts[:-1, None] + lengths * places).ravel()).reshape(
+                len(lengths), len(places), -1
+            )
+            for places in (fine, coarse)
+        ]
+        exact, seen = (
+            np.einsum("kpm,p->km", values, w)
+            for values, w in zip(sampled, (fine_weights, coarse_weights), strict=True)
+        )
+        unseen.append((abs(exact - seen) * lengths).max(axis=1, initial=0.0))
+        average = np.einsum("kpm,p->km", abs(sampled[0]), fine_weights)
+        size += float((average * lengths).sum(axis=0).max(initial=0.0))
+    return np.concatenate(unseen), size
+
+
+def _lobatto(count: int) -> tuple[Array, Array]:
+    """Compute points in [0, 1] and weights of Gauss-Lobatto quadrature."""
+    inner = np.polynomial.legendre.Legendre.basis(count - 1).deriv().roots()
+    places = np.concatenate([[-1.0], np.sort(inner.real), [1.0]])
+    at = np.polynomial.legendre.Legendre.basis(count - 1)(places)
+    return (1 + places) / 2, 1 / (count * (count - 1) * at**2)

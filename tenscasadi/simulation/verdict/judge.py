@@ -1,0 +1,215 @@
+"""Acceptance test of runs: how they ended, and whether they are trustworthy."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.events import build_switching
+from tenscasadi.integrators.scheme import extent
+from tenscasadi.scene.strings import ForceDensity
+from tenscasadi.simulation.engine.request import FINISHED, WORST
+from tenscasadi.simulation.engine.roll import Runs
+from tenscasadi.simulation.inputs.resolution import describe_unresolved
+from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.simulation.verdict.endings import (
+    describe_limit,
+    describe_steps,
+    explain_end,
+    find_stable_step,
+    sample_run,
+)
+from tenscasadi.simulation.verdict.starts import (
+    constraint_violation,
+    describe_violation,
+    start_violations,
+)
+from tenscasadi.simulation.verdict.step_error import StepErrors, estimate_errors
+from tenscasadi.simulation.verdict.thresholds import EPSILON, THRESHOLDS
+from tenscasadi.util.compile import Single
+from tenscasadi.util.validate import Array
+
+
+class Verdict(NamedTuple):
+    """Verdict of n runs.
+
+    `error` (n,) are the estimated errors of the node positions [m], NaN if unknown.
+    """
+
+    success: NDArray[np.bool_]
+    message: list[str]
+    error: Array
+
+
+def judge(runs: Runs, verify: bool) -> Verdict:
+    """Find whether runs are trustworthy, and explain it.
+
+    With `verify`, a repetition estimates the step-size error.
+    """
+    status, scheme = runs.rolled.status, runs.request.scheme
+    success = status == FINISHED
+    inputs, step = runs.request.inputs, describe_steps(runs, 0).step if len(status) else 0.0
+    unresolved = describe_unresolved(
+        inputs.model.over_time, inputs.grid, inputs.first, step, scheme.order
+    )
+    message = [
+        f"finished {describe_steps(runs, k).text}" if ended else explain_end(runs, k)
+        for k, ended in enumerate(success.tolist())
+    ]
+    doubts = find_doubts(_measure_runs(runs))
+    success &= ~doubts.failed
+    for k in np.flatnonzero(status == FINISHED).tolist():
+        message[k] += doubts.text[k]
+    error = np.full(len(status), np.nan)
+    finished = np.flatnonzero(status == FINISHED)
+    if verify and len(finished):
+        found = estimate_errors(runs, finished, THRESHOLDS["position"].reported)
+        error = found.error
+        doubts = _check_errors(runs, found)
+        success &= ~doubts.failed
+        message = [text + more for text, more in zip(message, doubts.text, strict=True)]
+    for k in np.flatnonzero(status == FINISHED).tolist():
+        message[k] += unresolved
+    if unresolved and not scheme.adaptive:  # error control may have resolved it
+        success[:] = False
+    return Verdict(success, message, error)
+
+
+class Measures(NamedTuple):
+    """Relative errors of n runs, and the energies that they are made of.
+
+    Attributes
+    ----------
+    start, bars : ndarray, shape (n,)
+        Constraint violation of the start, and largest error of bar lengths, see `THRESHOLDS`.
+    energy_error, moved : ndarray, shape (n,)
+        Largest energy error, 0 if it is rounding or unknown, and energy exchanged [J].
+    """
+
+    start: Array
+    bars: Array
+    energy_error: Array
+    moved: Array
+
+
+class Doubts(NamedTuple):
+    """Reasons not to trust n runs, each after a semicolon, and whether they fail for it."""
+
+    text: list[str]
+    failed: NDArray[np.bool_]
+
+
+def find_doubts(measures: Measures) -> Doubts:
+    """Compare measures of runs with the thresholds."""
+    start, bars, error, moved = measures
+    work = start > THRESHOLDS["start"].reported  # by constraints that are violated
+    lost = np.where(work, 0.0, error / np.maximum(moved, 1e-300))
+    shares = {"start": start, "bars": bars, "energy": lost}
+    text, failed = [""] * len(start), np.zeros(len(start), dtype=bool)
+    for name, share in shares.items():
+        failed |= share > THRESHOLDS[name].failed
+        for k in np.flatnonzero(share > THRESHOLDS[name].reported).tolist():
+            text[k] += f"; {_describe_doubt(name, float(share[k]), error[k], moved[k])}"
+    return Doubts(text, failed)
+
+
+def _describe_doubt(name: str, share: float, error: float, moved: float) -> str:
+    if name == "start":
+        return f"the start is {describe_violation(share)}"
+    if name == "bars":
+        return f"bars are off by up to {share:.2g} of their length (correction=Projection() holds them)"
+    return (
+        f"energy is off by {error:.2g} J where {moved:.2g} J move: try a smaller step or tolerance"
+    )
+
+
+def measure_trajectory(model: Model, trajectory: Trajectory) -> Measures:
+    """Measure a recorded trajectory."""
+    parts = trajectory.energy_parts
+    moved = parts[:, 0].max() + np.ptp(parts[:, 1:], axis=0).sum()
+    error = np.nan_to_num(np.abs(trajectory.energy_error)).max()
+    known = error > _rounding_energy(model, np.abs(parts).sum(axis=1).max(), trajectory.time[-1])
+    values = (
+        constraint_violation(model, trajectory.states[0]),
+        trajectory.bar_length_error.max(),
+        error * known,
+        moved,
+    )
+    return Measures(*(np.array([value]) for value in values))
+
+
+def _measure_runs(runs: Runs) -> Measures:
+    request, n, worst = runs.request, len(runs.rolled.status), runs.rolled.worst
+    inputs = request.inputs
+    if worst is None:
+        raise RuntimeError("the kernel has measured nothing")
+    largest = dict(zip(WORST, worst.T, strict=True))
+    violation = start_violations(inputs.model, inputs.starts)
+    ranges = [largest[f"{name}_high"] - largest[f"{name}_low"] for name in ("elastic", "gravity")]
+    size = largest["kinetic"] + np.abs(runs.measured[:, :, -1]).max(axis=1, initial=0.0)
+    size = size + sum(
+        abs(largest[name]) for name in ("elastic_high", "gravity_low", "gravity_high")
+    )
+    if isinstance(inputs.model.scene.control, ForceDensity):  # its strings store no energy
+        u = inputs.controls if inputs.feedback is None else inputs.feedback.controls[None]
+        size = size + np.abs(u).max(axis=1).sum(axis=1) * extent(inputs.model) ** 2
+    single = isinstance(request.compiled, Single)
+    rounding = _rounding_energy(inputs.model, size, inputs.grid.t_end, single)
+    error = np.where(largest["energy_error"] > rounding, largest["energy_error"], 0.0)
+    return Measures(
+        np.broadcast_to(violation, n),
+        largest["bar_length_error"],
+        error if request.balanced else np.zeros(n),
+        largest["kinetic"] + sum(ranges),
+    )
+
+
+def _rounding_energy(model: Model, size: Any, t_end: float, single: bool = False) -> Any:
+    """Compute an energy error that rounding explains [J].
+
+    `size` is the magnitude of the energies [J]. The motion across the extent of the structure has
+    another one.
+    """
+    s = model.structure
+    mass = float(s.bar_mass.sum() + s.node_mass.sum() + s.string_mass.sum())
+    crossing = mass * (extent(model) / (t_end or np.inf)) ** 2
+    return (1e-5 if single else 1e-9) * size + EPSILON * crossing
+
+
+def _check_errors(runs: Runs, found: StepErrors) -> Doubts:
+    """Judge the step-size errors, and name the cause and the cure of the largest."""
+    least = 1e-9 * extent(runs.request.inputs.model)
+    share = np.where(found.error > least, found.error / np.maximum(found.motion, 1e-300), 0.0)
+    reported, failed = THRESHOLDS["position"]
+    text = [""] * len(share)
+    if (share > reported).any():
+        cause, cure = _explain_error(runs, int(np.nanargmax(share)), found)
+        for k in np.flatnonzero(share > reported).tolist():
+            text[k] = f"; {cause} (position error about {found.error[k]:.1g} m): {cure}"
+    return Doubts(text, share > failed)
+
+
+def _explain_error(runs: Runs, k: int, found: StepErrors) -> tuple[str, str]:
+    """Name the cause of a step-size error, and a step or tolerance without it."""
+    scheme, model = runs.request.scheme, runs.request.inputs.model
+    excess = found.error[k] / (0.5 * THRESHOLDS["position"].reported * found.motion[k])
+    excess = min(excess, 1e3)
+    if scheme.adaptive:
+        rtol = getattr(scheme, "rtol", 0.0)
+        cure = f"try {type(scheme).__name__}(rtol={max(rtol / excess / 10, 1e-14):.1g})"
+        return f"the tolerance rtol={rtol:g} is too large", cure
+    step = describe_steps(runs, k).step
+    finer = step * float(excess ** (-1 / np.log2(found.factor[k])))
+    limit, when = find_stable_step(model, scheme, sample_run(runs, k))
+    if step > limit:
+        return describe_limit(scheme, step, limit, when), f"try step={0.9 * limit:.2g}"
+    if found.factor[k] > 2 or build_switching(model) is None:
+        return f"the step {step:g} s is too large", f"try step={finer:.2g}"
+    events = "strings go slack or taut" + (", or contacts change," if model.scene.grounds else "")
+    return (
+        f"{events} within steps of {step:g} s",
+        f"try DormandPrince853(rtol=1e-6), which ends its steps there, or step={finer:.2g}",
+    )

@@ -1,0 +1,176 @@
+"""Step-size error of runs, estimated by repeating them.
+
+Runs with fixed steps h are repeated with 2 h and 4 h. If those differ too much, they are repeated
+with h/2. Schemes with error control repeat with another tolerance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.scheme import extent
+from tenscasadi.simulation.engine.request import FINISHED
+from tenscasadi.simulation.engine.roll import Request, Runs, roll
+from tenscasadi.util.compile import Single
+from tenscasadi.util.validate import Array, Indices
+
+CLEAR = 0.3  # × reported error: larger differences need finer steps to be judged
+
+
+class StepErrors(NamedTuple):
+    """Estimated errors of n runs.
+
+    Attributes
+    ----------
+    error : ndarray, shape (n,)
+        Largest error of the node positions [m]; NaN if unknown, inf without any agreement.
+    motion : ndarray, shape (n,)
+        Largest movement of a coordinate [m].
+    factor : ndarray, shape (n,)
+        Factor by which half the step reduces the error, from 2 to 2^order.
+    """
+
+    error: Array
+    motion: Array
+    factor: Array
+
+
+def estimate_errors(runs: Runs, which: Indices, reported: float) -> StepErrors:
+    """Estimate the step-size errors of finished runs.
+
+    An error is reported if it exceeds this share of the motion. The repetitions differ in their
+    steps alone.
+    """
+    again = _Repetition(runs, which)
+    least = np.maximum(reported * again.motion, again.rounding)
+    estimate = _from_tolerances if runs.request.scheme.adaptive else _from_steps
+    found = np.full((3, len(runs.rolled.status)), np.nan)
+    found[:, which] = *estimate(again, least), again.motion
+    return StepErrors(found[0], found[2], found[1])
+
+
+def _from_steps(again: _Repetition, least: Array) -> tuple[Array, Array]:
+    """Estimate errors and factors (m,) from runs with other steps.
+
+    With an error e ∝ step^q, the distances to 4 h, 2 h and h/2 are (4^q − 1) e, (2^q − 1) e and
+    (1 − 2^−q) e.
+    """
+    double = again.compare_steps(2.0)
+    factor = _clip_factor(_ratio(again.compare_steps(4.0), double) - 1, again.order)
+    largest = _largest(double)
+    error = largest / (factor - 1)
+    unclear = np.flatnonzero(~(largest <= CLEAR * least))
+    if len(unclear):
+        half = again.select(unclear).compare_steps(0.5)
+        own = _clip_factor(_ratio(double[unclear], half), again.order)
+        error[unclear], factor[unclear] = _largest(half) * own / (own - 1), own
+    return error, factor
+
+
+def _from_tolerances(again: _Repetition, least: Array) -> tuple[Array, Array]:
+    """Estimate errors (m,) from runs with other tolerances."""
+    looser = 10.0
+    largest = _largest(again.compare_tolerance(looser))
+    error = largest / (looser - 1)
+    unclear = np.flatnonzero(~(largest <= CLEAR * least))
+    if len(unclear):
+        error[unclear] = _largest(again.select(unclear).compare_tolerance(0.01))
+    return error, np.full(len(error), 2.0)
+
+
+def _largest(distances: Array) -> Array:
+    """Find the largest distance (m,) of rows (m, T); NaN without common rows."""
+    return np.asarray(np.fmax.reduce(distances, axis=1, initial=np.nan))
+
+
+def _ratio(longer: Array, shorter: Array) -> Array:
+    """Find the smallest ratio of distances (m, T) of a run (m,), NaN if unknown.
+
+    Steps across events agree only by chance: the smallest ratio then is small.
+    """
+    used = np.isfinite(longer) & (longer >= 0.1 * _largest(longer)[:, None])
+    with np.errstate(all="ignore"):
+        return np.asarray(
+            np.fmin.reduce(np.where(used, longer / shorter, np.nan), axis=1, initial=np.nan)
+        )
+
+
+def _clip_factor(factor: Array, order: int) -> Array:
+    """Limit error factors (m,) of half the step to those of orders from 1 to `order`."""
+    return np.clip(np.nan_to_num(factor, nan=2.0), 2.0, 2.0**order)
+
+
+def _largest_movement(model: Model, changes: Array) -> Array:
+    """Find the largest distance by which a node moves (m, T) [m].
+
+    The changes (m, T, nq) are those of positions in the state.
+    """
+    squares = np.zeros((model.nq + 1, *changes.shape[:2]))  # the last one for prescribed ones
+    squares[:-1] = np.moveaxis(changes * changes, 2, 0)
+    x, y, z = (squares[column] for column in model.entries.T)
+    return np.asarray(np.sqrt(np.max(x + y + z, axis=0, initial=0.0)))
+
+
+class _Repetition:
+    def __init__(self, runs: Runs, which: Indices) -> None:
+        self._runs, self._which, self._stopped = runs, which, False
+        request, model = runs.request, runs.request.inputs.model
+        self.order = request.scheme.order
+        steps = np.append(
+            np.arange(0, request.inputs.grid.steps, request.every), request.inputs.grid.steps
+        )
+        self._times, self._places = runs.times(steps), runs.saved[which][:, :, : model.nq]
+        self.motion = np.ptp(self._places, axis=1).max(axis=1, initial=0.0)
+        digits = 1e-5 if isinstance(request.compiled, Single) else 1e-9
+        self.rounding = digits * extent(model)
+
+    def select(self, places: Indices) -> _Repetition:
+        """Select runs by their places among those of this repetition."""
+        chosen = _Repetition(self._runs, self._which[places])
+        chosen._stopped = self._stopped
+        return chosen
+
+    def compare_steps(self, factor: float) -> Array:
+        """Compute the distances (m, T) to runs with steps of another length [m].
+
+        They are NaN at rows without a common time, and inf if a run has diverged.
+        """
+        request = self._runs.request
+        grid, every = request.inputs.grid, request.every
+        other = grid.scale_steps(factor)
+        if factor > 1 and other.step < 0.75 * factor * grid.step:
+            return np.full(self._places.shape[:2], np.nan)  # breakpoints and controls set the steps
+        every = every // int(factor) if factor > 1 and every % int(factor) == 0 else every
+        return self._compare(
+            request._replace(inputs=request.inputs._replace(grid=other), every=every)
+        )
+
+    def compare_tolerance(self, factor: float) -> Array:
+        """Compute the distances (m, T) to runs with another tolerance [m]."""
+        scheme: Any = self._runs.request.scheme
+        rtol = float(np.clip(factor * scheme.rtol, 1e-15, 0.5))
+        atol = None if scheme.atol is None else factor * scheme.atol
+        return self._compare(
+            self._runs.request._replace(scheme=replace(scheme, rtol=rtol, atol=atol))
+        )
+
+    def _compare(self, request: Request) -> Array:
+        inputs = request.inputs.select(self._which)
+        if self._stopped:
+            return np.full(self._places.shape[:2], np.nan)
+        other = roll(request._replace(inputs=inputs))
+        self._stopped = other.stopped
+        steps = np.append(np.arange(0, inputs.grid.steps, request.every), inputs.grid.steps)
+        times, model = other.times(steps), inputs.model
+        place = np.clip(np.searchsorted(times, self._times), 1, len(times) - 1)
+        place = place - (self._times - times[place - 1] < times[place] - self._times)
+        common = abs(times[place] - self._times) <= 1e-6 * inputs.grid.longest
+        changes = other.saved[:, place[common], : model.nq] - self._places[:, common]
+        distances = np.full(self._places.shape[:2], np.nan)
+        distances[:, common] = _largest_movement(model, changes)
+        distances[other.rolled.status != FINISHED] = np.nan if self._stopped else np.inf
+        return distances

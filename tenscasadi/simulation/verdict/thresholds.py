@@ -1,0 +1,26 @@
+"""Thresholds of the acceptance test."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Threshold(NamedTuple):
+    """Relative errors that the message reports, and with which a run fails."""
+
+    reported: float
+    failed: float
+
+
+# Errors of node positions are relative to the motion, of bars to their length, of the energy to the
+# energy exchanged, of the start to lengths and speeds.
+THRESHOLDS = {
+    "position": Threshold(0.01, 0.1),
+    "bars": Threshold(0.01, np.inf),
+    "energy": Threshold(0.05, 0.5),
+    "start": Threshold(1e-6, 0.2),
+}
+# rounding error of differences of state entries, relative to the largest entry
+EPSILON = 64 * float(np.finfo(float).eps)
