@@ -203,7 +203,9 @@ def _solver(model: Model) -> ca.Function:
         W = M - g * _symmetric(C) - g**2 * _symmetric(K)
         kept = model.constraints(x)
         G = ca.jacobian(ca.vertcat(kept.bars, kept.joints), x)[:, :nq]
-        # Bars and joints are springs 1e5 times as stiff as the stiffest entry: exact to 1e-5.
+        # Bars and joints are springs 1e5 times as stiff as the stiffest entry: exact to 1e-5. Rows
+        # of unit length keep the matrix definite if the sweeps diverge.
+        G = G / ca.repmat(ca.fmax(ca.sqrt(ca.sum2(G * G)), 1e-300), 1, nq)
         rigid = 1e5 * ca.mmax(ca.diag(W)) * ca.mtimes(G.T, G)
         return W + rigid, ca.mtimes(M + rigid, r)
 
