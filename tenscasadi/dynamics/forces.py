@@ -55,6 +55,14 @@ class ForceElement:
         """Compute the potential energy [J]."""
         return ca.DM(0)
 
+    def power(self, at: NodeMotion, stored: bool) -> Any:
+        """Compute the power of the forces [W], without changes of `energy` if that is `stored`."""
+        power = ca.sum2(ca.sum1(self.forces(at) * at.V))
+        if not stored:
+            return power
+        n: Any = type(at.N).sym("n", at.N.shape)
+        return power + ca.substitute(ca.jtimes(self.energy(n), n, at.V), n, at.N)
+
     def switches(self, at: NodeMotion) -> Any:
         """Compute lengths (1×k) [m] that are positive where the mode is 1."""
         return ca.DM(1, 0)
@@ -196,6 +204,13 @@ class StringForces(ForceElement):
         """Compute −S γ̂ C_s (3×n) [N] (Eq. 56)."""
         gamma, S = self.force_density(at.N, at.V)
         return weighted_product(S, gamma, -self.mech.C_s)
+
+    def power(self, at: NodeMotion, stored: bool) -> Any:
+        """Compute −γ sᵀṡ of all strings [W], of damping alone if their energy is `stored`."""
+        gamma, S = self.force_density(at.N, at.V)
+        if stored and not isinstance(self.scene.control, ForceDensity):
+            gamma = gamma - self.law_density(ca.sum1(S * S))
+        return -ca.sum2(gamma * ca.sum1(S * ca.mtimes(at.V, sparse(self.mech.C_s.T))))
 
     def energy(self, N: Any) -> Any:
         """Compute the elastic energy [J]; force densities that are commanded store none."""

@@ -196,19 +196,13 @@ class Model(Value, Observations, kind="Model"):
             return None
         x, u = self.symbols(not self.mechanism.large)
         N, V, time = self.unpack(x)
-        mech = self.weighted(u, inverse=False)
-        if self._supports is None:
-            push = forces.total(self.scene, mech, N, V, self.add_schedule(u, time), time)
-        else:  # total force including support reactions, which also do work
-            push = ca.mtimes(forward_dynamics(self, N, V, u, time)[0], sparse(mech.M))
-        slope = ca.DM(0)
-        if self.schedule is None:
-            n: Any = type(N).sym("n", N.shape)
-            total = sum(forces.potential_energy(self.scene, mech, n, u))
-            slope = ca.substitute(ca.jtimes(total, n, V), n, N)
-        return self._function(
-            "power", x, u, [ca.densify(ca.sum2(ca.sum1(push * V)) + slope)], ["power"]
-        )
+        mech, w = self.weighted(u, inverse=False), self.add_schedule(u, time)
+        elements, at = forces.build_elements(self.scene, mech, w), forces.NodeMotion(N, V, time)
+        power: Any = sum((e.power(at, self.schedule is None) for e in elements), start=ca.DM(0))
+        if self._supports is not None:  # their reactions do work, too
+            total = ca.mtimes(forward_dynamics(self, N, V, u, time)[0], sparse(mech.M))
+            power += ca.sum2(ca.sum1((total - forces.sum_forces(elements, mech, at)) * V))
+        return self._function("power", x, u, [ca.densify(power)], ["power"])
 
     @cached_property
     def multiplier_function(self) -> ca.Function:
