@@ -18,7 +18,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.events import build_switching
 from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853
 from tenscasadi.integrators.scheme import Scheme, extent
-from tenscasadi.integrators.stability import stable_step
+from tenscasadi.integrators.stability import find_limit
 from tenscasadi.simulation.inputs.controls import ControlInput
 from tenscasadi.simulation.inputs.resolution import UNRESOLVED
 from tenscasadi.simulation.inputs.run_inputs import read_inputs
@@ -330,7 +330,7 @@ def _step_counts(
     They grow from the stability limit at the start to the number that `work` allows.
     """
     limits = [
-        stable_step(model, state, None, scheme, parameters=parameters)
+        0.9 * find_limit(model, scheme, state, parameters=parameters)
         for scheme in (DormandPrince853(), DormandPrince54())
     ]
     longest = min(limits[0], _FINER * limits[1])

@@ -23,7 +23,7 @@ from tenscasadi.integrators.events import build_switching
 from tenscasadi.integrators.rattle import Rattle
 from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853, RungeKutta4
 from tenscasadi.integrators.scheme import Scheme, extent
-from tenscasadi.integrators.stability import stable_step
+from tenscasadi.integrators.stability import find_limit
 from tenscasadi.integrators.stabilization import Correction, Projection
 from tenscasadi.integrators.sundials import Cvodes, Idas
 from tenscasadi.scene.scene import Scene
@@ -198,7 +198,7 @@ def recommend(
         failed = f"tolerance is {tolerance:g} m: none of {names} meets it up to t_end = {t_end:g} s; give a larger tolerance or other schemes"
         raise NoScheme("; ".join(dict.fromkeys([failed, *told])))
     scheme, duration, expected = best.case.scheme, best.time_loop(), best.error + reference.error
-    limit = stable_step(model, start, None, scheme, safety=1.0, parameters=p)
+    limit = find_limit(model, scheme, start, parameters=p)
     if best.step > limit and not scheme.adaptive:
         told.append(
             f"the step is above the stability limit {limit:.2g} s: positions serve, fast vibrations of strings are not resolved"
@@ -454,8 +454,5 @@ def _count_coarsest(case: Case, state: Array | None = None) -> int:
     if case.scheme.implicit:
         return 8
     states = [case.state] if state is None else [case.state, state]
-    limit = min(
-        stable_step(case.model, x, None, case.scheme, safety=1.0, parameters=case.parameters)
-        for x in states
-    )
+    limit = min(find_limit(case.model, case.scheme, x, parameters=case.parameters) for x in states)
     return max(1, int(np.ceil(case.t_end / limit))) if np.isfinite(limit) and limit > 0 else 1

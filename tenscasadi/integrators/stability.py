@@ -44,9 +44,9 @@ def stable_step(
 ) -> float:
     """Compute the largest stable step of a scheme.
 
-    The motion is linearized at a state. With a larger step, vibrations grow until the run fails; a
-    much smaller one only affects accuracy. Strings that go taut and bars that spin faster later on
-    change the limit.
+    The motion is linearized at a state; nodes may touch the ground in any state. With a larger
+    step, vibrations grow until the run fails; a much smaller one only affects accuracy. Strings
+    that go taut and bars that spin faster later on change the limit.
 
     Parameters
     ----------
@@ -81,7 +81,9 @@ def stable_step(
     Notes
     -----
     At the limit, |R(step · λ)| = 1 for an eigenvalue λ of ∂ode/∂x. Above 400 states, Arnoldi's
-    method finds the largest eigenvalues to about 1 %.
+    method finds the largest eigenvalues to about 1 %. On a ground of stiffness k and damping c, the
+    lightest node of mass m adds λ = i √(k/m), −c/m, and the rate at which friction of a third of the
+    weight stops it.
 
     Examples
     --------
@@ -91,7 +93,9 @@ def stable_step(
     0.2828
     """
     check_scheme(scheme)
-    limit = positive_number("safety", safety) * find_limit(model, scheme, x, u, parameters)
+    safety = positive_number("safety", safety)
+    limit = find_limit(model, scheme, x, u, parameters)
+    limit = safety * min(limit, step_limit(scheme, _contact_rates(model, parameters)))
     if np.isnan(limit):
         warnings.warn(
             "stable_step is NaN: the equations have no finite derivative at x, as where a bar has no length",
@@ -104,7 +108,10 @@ def stable_step(
 def find_limit(
     model: Model, scheme: Scheme, x: Any = None, u: Any = None, parameters: Any = None
 ) -> float:
-    """Compute the largest stable step at a state, as `stable_step` without warnings."""
+    """Compute the largest stable step at a state.
+
+    In contrast to `stable_step`, it does not warn, and considers only nodes in contact.
+    """
     return step_limit(scheme, _rates(model, x, u, parameters))
 
 
@@ -113,30 +120,44 @@ def contact_rate(model: Model, parameters: Any = None) -> float:
 
     The lightest node bounces or is damped at this rate. 0 without a ground.
     """
-    grounds, m, _ = _contact(model, parameters)
-    return max(
-        (max(float(np.sqrt(g.stiffness / m)), float(g.damping) / m) for g in grounds), default=0.0
-    )
+    return float(np.abs(_bounce_rates(model, parameters)).max(initial=0.0))
 
 
 def contact_step(model: Model, parameters: Any = None) -> float:
     """Compute a step that resolves ground contact [s].
 
-    It resolves bouncing, damping and, up to a tenth of the step for these, the stop of a slipping
-    node by friction of a third of the weight. Infinite without a ground.
+    It resolves bouncing and damping. Up to a tenth of that step, it also resolves the stop of a
+    slipping node by friction of a third of the weight. Infinite without a ground.
     """
     rate = contact_rate(model, parameters)
     if not rate:
         return float("inf")
-    grounds, m, weight = _contact(model, parameters)
-    stop = max(
-        float(one.friction) * weight / 3 / (m * float(one.slip_speed))
-        if one.friction is not None
-        else 0.0
-        for one in grounds
-    )
     bounce = 0.1 / rate  # a tenth of a radian
-    return float(min(bounce, max(0.25 / max(stop, 1e-300), bounce / 10)))
+    stop = 0.25 / max(_friction_rate(model, parameters), 1e-300)
+    return float(min(bounce, max(stop, bounce / 10)))
+
+
+def _bounce_rates(model: Model, parameters: Any) -> Complex:
+    """Compute the eigenvalues of the lightest node on each ground, without friction."""
+    grounds, m, _ = _contact(model, parameters)
+    rates = [(1j * np.sqrt(float(g.stiffness) / m), -float(g.damping) / m) for g in grounds]
+    return np.array(rates, dtype=complex).ravel()
+
+
+def _friction_rate(model: Model, parameters: Any) -> float:
+    """Compute the rate at which friction of a third of the weight stops the lightest node [1/s]."""
+    grounds, m, weight = _contact(model, parameters)
+    rates = [float(g.friction) / float(g.slip_speed) for g in grounds if g.friction is not None]
+    return max(rates, default=0.0) * weight / 3 / m if rates else 0.0
+
+
+def _contact_rates(model: Model, parameters: Any) -> Complex:
+    """Compute the eigenvalues of the lightest node in contact.
+
+    Friction counts up to the rate at which `contact_step` is stable.
+    """
+    friction = min(_friction_rate(model, parameters), 2.5 / contact_step(model, parameters))
+    return np.append(_bounce_rates(model, parameters), -friction)
 
 
 def lightest_mass(model: Model, parameters: Any = None) -> float:

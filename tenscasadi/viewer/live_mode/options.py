@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,7 +9,7 @@ import numpy as np
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme, check_scheme
-from tenscasadi.integrators.stability import contact_rate, stable_step
+from tenscasadi.integrators.stability import contact_rate, find_limit
 from tenscasadi.integrators.stabilization import Correction, Projection
 from tenscasadi.util.compile import Compiled
 from tenscasadi.util.validate import Array, positive_number
@@ -64,9 +63,9 @@ def count_substeps(options: LiveOptions, model: Model, state: Array, control: Ar
 
 def _choose_step(model: Model, scheme: Scheme, state: Array, control: Array) -> float:
     """Choose the largest step that resolves strings and contacts [s]."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # NaN if the start has no derivative
-        stable = 0.5 * stable_step(model, state, control, scheme, safety=1.0)
+    stable = 0.5 * find_limit(
+        model, scheme, state, control
+    )  # NaN without a derivative at the start
     rate = contact_rate(model)  # rad/s
     limits = [1e-3, stable, 0.1 / rate if rate else np.inf]
     return float(np.nanmin([limit for limit in limits if limit > 0]))

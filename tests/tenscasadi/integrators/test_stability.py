@@ -140,3 +140,20 @@ def test_steps_in_contact_follow_the_lightest_node() -> None:
     ]
     assert contact_step(rough[0]) == pytest.approx(0.25 / (0.5 * 2.5 * 9.81 / 3 / (0.5 * 0.1)))
     assert contact_step(rough[1]) == pytest.approx(0.1 * contact_step(soft))
+
+
+@pytest.mark.parametrize(
+    ("contact", "limit"),
+    [
+        ({}, 2 * np.sqrt(2) / 20.0),
+        ({"damping": 30.0}, 2.785 / 60.0),
+        ({"friction": 0.5, "slip_speed": 0.1}, 2.785 / (0.5 * 9.81 / 3 / 0.1)),
+    ],
+)
+def test_stable_step_includes_contact_that_is_to_come(
+    contact: dict[str, float], limit: float
+) -> None:
+    mass = Structure([[0, 0, 1.0]], node_mass=0.5)
+    ground = Ground(stiffness=200.0, **contact)
+    model = Model(Scene(mass, gravity=Gravity(), ground=ground))
+    assert stable_step(model, safety=1.0) == pytest.approx(min(limit, 0.1414), rel=1e-3)
