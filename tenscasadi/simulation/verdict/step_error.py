@@ -19,6 +19,7 @@ from tenscasadi.util.compile import Single
 from tenscasadi.util.validate import Array, Indices
 
 CLEAR = 0.3  # × reported error: larger differences need finer steps to be judged
+COMPARED = 64  # rows at least, if there are as many
 
 
 class StepErrors(NamedTuple):
@@ -119,11 +120,14 @@ class _Repetition:
     def __init__(self, runs: Runs, which: Indices) -> None:
         self._runs, self._which, self._stopped = runs, which, False
         request, model = runs.request, runs.request.inputs.model
-        self.order = request.scheme.order
-        steps = np.append(
-            np.arange(0, request.inputs.grid.steps, request.every), request.inputs.grid.steps
-        )
-        self._times, self._places = runs.times(steps), runs.saved[which][:, :, : model.nq]
+        self.order, self._every = request.scheme.order, request.every
+        grid = request.inputs.grid
+        if not (grid.counts % 4).any():  # steps of 4 h end at every fourth one
+            self._every *= 4 * (grid.steps // (4 * COMPARED * request.every)) or 1
+        steps = np.append(np.arange(0, grid.steps, self._every), grid.steps)
+        rows = -(-steps // request.every)
+        self._times = runs.times(steps)
+        self._places = runs.saved[which[:, None], rows, : model.nq]
         self.motion = np.ptp(self._places, axis=1).max(axis=1, initial=0.0)
         digits = 1e-5 if isinstance(request.compiled, Single) else 1e-9
         self.rounding = digits * extent(model)
@@ -140,11 +144,11 @@ class _Repetition:
         They are NaN at rows without a common time, and inf if a run has diverged.
         """
         request = self._runs.request
-        grid, every = request.inputs.grid, request.every
+        grid, every = request.inputs.grid, self._every
         other = grid.scale_steps(factor)
         if factor > 1 and other.step < 0.75 * factor * grid.step:
             return np.full(self._places.shape[:2], np.nan)  # breakpoints and controls set the steps
-        every = every // int(factor) if factor > 1 and every % int(factor) == 0 else every
+        every = int(every / factor) if every % factor == 0 else every
         return self._compare(
             request._replace(inputs=request.inputs._replace(grid=other), every=every)
         )
@@ -154,9 +158,8 @@ class _Repetition:
         scheme: Any = self._runs.request.scheme
         rtol = float(np.clip(factor * scheme.rtol, 1e-15, 0.5))
         atol = None if scheme.atol is None else factor * scheme.atol
-        return self._compare(
-            self._runs.request._replace(scheme=replace(scheme, rtol=rtol, atol=atol))
-        )
+        other = replace(scheme, rtol=rtol, atol=atol)
+        return self._compare(self._runs.request._replace(scheme=other, every=self._every))
 
     def _compare(self, request: Request) -> Array:
         inputs = request.inputs.select(self._which)
