@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,10 +24,12 @@ from tenscasadi.simulation.trajectory import (
     record_trajectory,
 )
 from tenscasadi.simulation.verdict.endings import describe_steps
-from tenscasadi.simulation.verdict.judge import judge
+from tenscasadi.simulation.verdict.judge import Verdict, judge
 from tenscasadi.util.compile import Compiled, Single
 from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import instance, positive_number, whole_number
+
+MAX_REFINEMENT = 8  # × default steps: a limit of the time, as errors of a chaotic motion remain
 
 
 @rename_keywords(seconds="time_limit")
@@ -59,7 +62,9 @@ def simulate(  # noqa: PLR0913  the options of a run
         Largest step [s]. The run takes the fewest equal steps that end exactly at `t_end`. They are
         cut at the times of tables, at the `breakpoints` of functions of time, and where conditions
         in these switch. Schemes with error control subdivide each step as needed. Default: 1 ms, or
-        a hundredth of `t_end` for schemes with error control.
+        less where stability or contact needs it; a hundredth of `t_end` for schemes with error
+        control. If `verify` finds an error of more than 1 % of the motion, default steps are
+        refined once, up to eightfold.
     scheme : Scheme, optional
         Integration scheme, such as `RungeKutta4` (default), `Rattle`, `DormandPrince853` or
         `Cvodes`.
@@ -159,7 +164,19 @@ def simulate(  # noqa: PLR0913  the options of a run
         time_limit=limit,
         deadline=time.monotonic() + limit,
     )
-    return record_run(model, roll(request, progress), verify)
+    runs = roll(request, progress)
+    verdict = judge(runs, verify)
+    if step is None and not scheme.adaptive and verdict.finer[0] > 1:
+        parts = min(int(np.ceil(verdict.finer[0])), MAX_REFINEMENT)
+        runs = roll(_divide_steps(request, parts), progress)
+        verdict = judge(runs, verify)
+    return record_run(model, runs, verdict)
+
+
+def _divide_steps(request: Request, parts: int) -> Request:
+    """Divide the steps of a request into equal parts; the saved rows keep their times."""
+    grid = replace(request.inputs.grid, counts=request.inputs.grid.counts * parts)
+    return request._replace(inputs=request.inputs._replace(grid=grid), every=request.every * parts)
 
 
 def check_options(model: Any, scheme: Any, correction: Any, compiled: Any, **flags: Any) -> None:
@@ -173,7 +190,7 @@ def check_options(model: Any, scheme: Any, correction: Any, compiled: Any, **fla
         instance(name, value, bool, "True or False")
 
 
-def record_run(model: Model, runs: Runs, verify: bool) -> Trajectory:
+def record_run(model: Model, runs: Runs, verdict: Verdict) -> Trajectory:
     """Convert a run to a trajectory with its verdict."""
     request, rolled, steps = runs.request, runs.rolled, runs.saved_steps(0)
     inputs, scheme, count = request.inputs, request.scheme, len(steps)
@@ -191,7 +208,7 @@ def record_run(model: Model, runs: Runs, verify: bool) -> Trajectory:
     corrected = np.zeros((count, 2)) if rolled.corrected is None else rolled.corrected[0, :count]
     if request.correction is not None and scheme.adaptive:
         corrected = np.full((count, 2), np.nan)
-    verdict, taken = judge(runs, verify), describe_steps(runs, 0)
+    taken = describe_steps(runs, 0)
     single = "; in single precision" if isinstance(request.compiled, Single) else ""
     note = runs.kernel.note and f"; {runs.kernel.note}"
     return record_trajectory(

@@ -36,12 +36,14 @@ from tenscasadi.util.validate import Array
 class Verdict(NamedTuple):
     """Verdict of n runs.
 
-    `error` (n,) are the estimated errors of the node positions [m], NaN if unknown.
+    `error` (n,) are the estimated errors of the node positions [m], NaN if unknown. Steps have to
+    be `finer` (n,) times for small errors, once if they are small or unknown.
     """
 
     success: NDArray[np.bool_]
     message: list[str]
     error: Array
+    finer: Array
 
 
 def judge(runs: Runs, verify: bool) -> Verdict:
@@ -63,19 +65,19 @@ def judge(runs: Runs, verify: bool) -> Verdict:
     success &= ~doubts.failed
     for k in np.flatnonzero(status == FINISHED).tolist():
         message[k] += doubts.text[k]
-    error = np.full(len(status), np.nan)
+    error, finer = np.full(len(status), np.nan), np.ones(len(status))
     finished = np.flatnonzero(status == FINISHED)
     if verify and len(finished):
         found = estimate_errors(runs, finished, THRESHOLDS["position"].reported)
         error = found.error
-        doubts = _check_errors(runs, found)
+        doubts, finer = _check_errors(runs, found)
         success &= ~doubts.failed
         message = [text + more for text, more in zip(message, doubts.text, strict=True)]
     for k in np.flatnonzero(status == FINISHED).tolist():
         message[k] += unresolved
     if unresolved and not scheme.adaptive:  # error control may have resolved it
         success[:] = False
-    return Verdict(success, message, error)
+    return Verdict(success, message, error, finer)
 
 
 class Measures(NamedTuple):
@@ -179,37 +181,43 @@ def _rounding_energy(model: Model, size: Any, t_end: float, single: bool = False
     return (1e-5 if single else 1e-9) * size + EPSILON * crossing
 
 
-def _check_errors(runs: Runs, found: StepErrors) -> Doubts:
-    """Judge the step-size errors, and name the cause and the cure of the largest."""
+def _check_errors(runs: Runs, found: StepErrors) -> tuple[Doubts, Array]:
+    """Judge the step-size errors, and name the cause and the cure of the largest.
+
+    Returns how many times finer steps have to be (n,), too.
+    """
     least = 1e-9 * extent(runs.request.inputs.model)
     share = np.where(found.error > least, found.error / np.maximum(found.motion, 1e-300), 0.0)
     reported, failed = THRESHOLDS["position"]
+    large = share > reported
+    finer = np.where(large, found.refinement(0.5 * reported), 1.0)
     text = [""] * len(share)
-    if (share > reported).any():
-        cause, cure = _explain_error(runs, int(np.nanargmax(share)), found)
-        for k in np.flatnonzero(share > reported).tolist():
+    if large.any():
+        worst = int(np.nanargmax(share))
+        cause, cure = _explain_error(runs, worst, found.factor[worst], finer[worst])
+        for k in np.flatnonzero(large).tolist():
             text[k] = f"; {cause} (position error about {found.error[k]:.1g} m): {cure}"
-    return Doubts(text, share > failed)
+    return Doubts(text, share > failed), finer
 
 
-def _explain_error(runs: Runs, k: int, found: StepErrors) -> tuple[str, str]:
-    """Name the cause of a step-size error, and a step or tolerance without it."""
+def _explain_error(runs: Runs, k: int, factor: float, finer: float) -> tuple[str, str]:
+    """Name the cause of a step-size error, and a step or tolerance without it.
+
+    Half the step reduces the error by the `factor`, and a step that is `finer` times is sufficient.
+    """
     scheme, model = runs.request.scheme, runs.request.inputs.model
-    excess = found.error[k] / (0.5 * THRESHOLDS["position"].reported * found.motion[k])
-    excess = min(excess, 1e3)
     if scheme.adaptive:
         rtol = getattr(scheme, "rtol", 0.0)
-        cure = f"try {type(scheme).__name__}(rtol={max(rtol / excess / 10, 1e-14):.1g})"
+        cure = f"try {type(scheme).__name__}(rtol={max(rtol / finer / 10, 1e-14):.1g})"
         return f"the tolerance rtol={rtol:g} is too large", cure
     step = describe_steps(runs, k).step
-    finer = step * float(excess ** (-1 / np.log2(found.factor[k])))
     limit, when = find_stable_step(model, scheme, sample_run(runs, k))
     if step > limit:
         return describe_limit(scheme, step, limit, when), f"try step={0.9 * limit:.2g}"
-    if found.factor[k] > 2 or build_switching(model) is None:
-        return f"the step {step:g} s is too large", f"try step={finer:.2g}"
+    if factor > 2 or build_switching(model) is None:
+        return f"the step {step:g} s is too large", f"try step={step / finer:.2g}"
     events = "strings go slack or taut" + (", or contacts change," if model.scene.grounds else "")
     return (
         f"{events} within steps of {step:g} s",
-        f"try DormandPrince853(rtol=1e-6), which ends its steps there, or step={finer:.2g}",
+        f"try DormandPrince853(rtol=1e-6), which ends its steps there, or step={step / finer:.2g}",
     )

@@ -19,7 +19,7 @@ from tenscasadi.util.compile import Single
 from tenscasadi.util.validate import Array, Indices
 
 CLEAR = 0.3  # × reported error: larger differences need finer steps to be judged
-COMPARED = 64  # rows at least, if there are as many
+COMPARED = 64  # rows at least, if there are as many; all 1001 of a prism take 0.4 of 3.3 ms
 
 
 class StepErrors(NamedTuple):
@@ -38,6 +38,14 @@ class StepErrors(NamedTuple):
     error: Array
     motion: Array
     factor: Array
+
+    def refinement(self, share: float) -> Array:
+        """Compute how many times finer steps have to be for an error of a share of the motion.
+
+        They are (n,) from 1 to 1000, for schemes with error control those of the tolerance.
+        """
+        excess = self.error / (share * np.maximum(self.motion, 1e-300))
+        return np.asarray(np.clip(excess, 1.0, 1e3) ** (1 / np.log2(self.factor)))
 
 
 def estimate_errors(runs: Runs, which: Indices, reported: float) -> StepErrors:

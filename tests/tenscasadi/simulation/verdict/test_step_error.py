@@ -76,6 +76,16 @@ def test_a_run_is_as_good_as_its_word_by_either_cure() -> None:
         assert still is None or float(still[1]) < float(told[1]) / 3
 
 
+def test_default_steps_are_refined_until_events_are_accurate() -> None:
+    coarse = simulate(two_masses(), 1.0, 1e-3, compiled=False)
+    default = simulate(two_masses(), 1.0, compiled=False)
+    assert WORD.search(coarse.message)
+    assert ";" not in default.message
+    assert default.step < 1e-3
+    assert off(two_masses(), default) < off(two_masses(), coarse) / 4
+    np.testing.assert_allclose(default.time, coarse.time, atol=1e-12)
+
+
 def test_bounces_within_steps_are_told() -> None:
     structure = Structure(
         [(0, 0, 0), (0, 0, 1)], strings=[(0, 1)], node_mass=1.0, rest_length=0.5, stiffness=100.0
