@@ -6,7 +6,7 @@ each string a tendon that pulls beyond its rest length; contacts and constraints
 Two things differ and do not change the motion: its bars have an inertia about their own axis, about
 which they do not turn, and quaternions in place of ends.
 SciPy integrates the right-hand side as one writes it in NumPy. All are measured against the same
-certified reference, in whole runs: nothing is extrapolated. Three columns of seconds: the stepping
+reference solution, in whole runs: nothing is extrapolated. Three columns of seconds: the stepping
 alone; the whole call from a prepared model to the end of the run; and once, before the first run,
 the set-up: for tenscasadi building the equations, generating C and compiling it with an empty
 cache, for MuJoCo reading its XML.
@@ -36,7 +36,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import tenscasadi as tc
-from tenscasadi.analysis.certify import distance
+from tenscasadi.analysis.reference_solution import distance
 from tenscasadi.plots.diagrams import work_precision
 
 T_END = 1.0
@@ -118,7 +118,7 @@ def measure(shape: str, s: tc.Structure, mujoco: Any, quick: bool) -> Result:
     model = tc.Model(tc.Scene(s))
     velocities = np.cross(TURNING, s.nodes)
     start = model.state(s.nodes, velocities)
-    reference = tc.certify(model, T_END, start)
+    reference = tc.reference_solution(model, T_END, start)
     repeats = 1 if quick else 5
     counts = np.unique(
         np.geomspace(100 if quick else 40, 4000, 4 if quick else 16).astype(int)

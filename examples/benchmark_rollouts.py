@@ -86,7 +86,7 @@ def throw(model: tc.Model, n: int) -> np.ndarray:
     rng = np.random.default_rng(0)
     nodes = model.structure.nodes
     rough = np.array([model.state(nodes, rng.normal(0.0, 0.1, nodes.shape)) for _ in range(n)])
-    return np.ascontiguousarray(tc.projection(model).map(n)(rough.T).full().T)
+    return np.ascontiguousarray(tc.build_projection(model).map(n)(rough.T).full().T)
 
 
 def roll(model: tc.Model, starts: np.ndarray, **options: Any) -> Callable[[], Any]:

@@ -78,7 +78,7 @@ def tower(seconds: float) -> tc.Trajectory:
     model = tc.Model(tc.Scene(structure))
     height = structure.nodes[:, 2] / structure.nodes[:, 2].max()
     sway = np.column_stack([4.0 * height**2, np.zeros((len(height), 2))])
-    start = tc.projection(model)(model.state(structure.nodes, sway)).full().ravel()
+    start = tc.build_projection(model)(model.state(structure.nodes, sway)).full().ravel()
     return tc.simulate(model, seconds, 1e-3, state=start, correction=tc.Projection(), save_every=10)
 
 

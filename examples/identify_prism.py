@@ -63,7 +63,7 @@ def main(quick: bool = False) -> Found:
     kick = np.zeros((6, 3))
     kick[3:] = 0.8, -0.3, 0.2
     nominal, true = model.parameters.nominal, model.parameters.values(TRUE)
-    start = tc.projection(model)(model.state(structure.nodes, kick), nominal).full().ravel()
+    start = tc.build_projection(model)(model.state(structure.nodes, kick), nominal).full().ravel()
 
     def watched(values: np.ndarray) -> np.ndarray:
         """Nodes (n, T, 18) in motions with these parameters (n, np)."""

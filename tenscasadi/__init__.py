@@ -15,7 +15,7 @@ from tenscasadi.dynamics.state_space import Constraints
 from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.rattle import Rattle
 from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853, RungeKutta4
-from tenscasadi.integrators.stabilization import BarLengthCorrection, Projection, projection
+from tenscasadi.integrators.stabilization import BarLengthCorrection, Projection, build_projection
 from tenscasadi.integrators.sundials import Cvodes, Idas
 from tenscasadi.io.scene_files import load_scene, save_scene
 from tenscasadi.scene.control_function import ControlFunction
@@ -44,12 +44,16 @@ from tenscasadi.util.renamed import find_attribute
 from tenscasadi.util.version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from tenscasadi.analysis.certify import NoReference, Reference, certify
     from tenscasadi.analysis.mode_motion import mode_motion
     from tenscasadi.analysis.modes import Linearization, Modes, linearize, modes
-    from tenscasadi.analysis.recommend import NoScheme, Recommendation, recommend
+    from tenscasadi.analysis.recommend import NoSchemeError, Recommendation, recommend
+    from tenscasadi.analysis.reference_solution import (
+        NoReferenceError,
+        ReferenceSolution,
+        reference_solution,
+    )
     from tenscasadi.analysis.tradeoff import tradeoff
-    from tenscasadi.analysis.tradeoff_table import Row, Tradeoff
+    from tenscasadi.analysis.tradeoff_table import Tradeoff, TradeoffRow
     from tenscasadi.exchange.matlab.save import save_mat
     from tenscasadi.exchange.matlab.structures import load_mat
     from tenscasadi.exchange.matlab.trajectories import load_mat_trajectory
@@ -71,12 +75,16 @@ if TYPE_CHECKING:
 __getattr__ = find_attribute(
     __name__,
     {
-        "tenscasadi.analysis.certify": ("NoReference", "Reference", "certify"),
+        "tenscasadi.analysis.reference_solution": (
+            "NoReferenceError",
+            "ReferenceSolution",
+            "reference_solution",
+        ),
         "tenscasadi.analysis.mode_motion": ("mode_motion",),
         "tenscasadi.analysis.modes": ("Linearization", "Modes", "linearize", "modes"),
-        "tenscasadi.analysis.recommend": ("NoScheme", "Recommendation", "recommend"),
+        "tenscasadi.analysis.recommend": ("NoSchemeError", "Recommendation", "recommend"),
         "tenscasadi.analysis.tradeoff": ("tradeoff",),
-        "tenscasadi.analysis.tradeoff_table": ("Row", "Tradeoff"),
+        "tenscasadi.analysis.tradeoff_table": ("TradeoffRow", "Tradeoff"),
         "tenscasadi.exchange.matlab.save": ("save_mat",),
         "tenscasadi.exchange.matlab.structures": ("load_mat",),
         "tenscasadi.exchange.matlab.trajectories": ("load_mat_trajectory",),
@@ -94,7 +102,14 @@ __getattr__ = find_attribute(
         "tenscasadi.sweeps.sweep": ("sweep",),
         "tenscasadi.sweeps.sweep_table": ("Sweep",),
     },
-    renamed={},
+    renamed={
+        "certify": "reference_solution",
+        "Reference": "ReferenceSolution",
+        "NoReference": "NoReferenceError",
+        "NoScheme": "NoSchemeError",
+        "Row": "TradeoffRow",
+        "projection": "build_projection",
+    },
 )
 
 
@@ -156,7 +171,7 @@ __all__ = [
     "Cvodes",
     "Idas",
     "Projection",
-    "projection",
+    "build_projection",
     "BarLengthCorrection",
     "Single",
     "stable_step",
@@ -188,11 +203,11 @@ __all__ = [
     # speed against accuracy
     "tradeoff",
     "Tradeoff",
-    "Row",
-    "certify",
-    "Reference",
-    "NoReference",
+    "TradeoffRow",
+    "reference_solution",
+    "ReferenceSolution",
+    "NoReferenceError",
     "recommend",
     "Recommendation",
-    "NoScheme",
+    "NoSchemeError",
 ]

@@ -30,8 +30,8 @@ OWN = (
     ValueError,
     tc.CompileError,
     tc.EquilibriumError,
-    tc.NoReference,
-    tc.NoScheme,
+    tc.NoReferenceError,
+    tc.NoSchemeError,
     ocp.InfeasibleGoalError,
 )
 NUMBER_OF_CALLS = int(os.environ.get("TENSCASADI_FUZZ", "20000"))  # of the slow run

@@ -13,7 +13,7 @@ import numpy as np
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
-from tenscasadi.integrators.stabilization import projection
+from tenscasadi.integrators.stabilization import build_projection
 from tenscasadi.scene.strings import ForceDensity
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
 from tenscasadi.simulation.verdict.starts import off_constraints
@@ -172,7 +172,7 @@ def run(
         period * np.arange(max(1, np.ceil(ratio - 1e-9))), t_end
     )  # of the decisions' times
     chain = RungeKutta4().step(plant.ode).mapaccum(n)
-    project = projection(plant, 2)
+    project = build_projection(plant, 2)
     x = _start(plant, state)
     states, controls, seconds = [x[None]], [], []
     for now, after in pairwise(ends):
@@ -243,7 +243,7 @@ def _start(plant: Model, state: Any) -> Array:
     x = plant.initial_state if state is None else finite_array("state", state, (plant.nx,))
     if off := off_constraints(plant, x, ROUNDED):
         raise ValueError(f"state is {off}")
-    return np.asarray(projection(plant, 10)(x).full()).ravel()
+    return np.asarray(build_projection(plant, 10)(x).full()).ravel()
 
 
 def _seen(believed: Model, plant: Model, x: Array, now: float) -> Array:

@@ -11,7 +11,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.stabilization import projection
+from tenscasadi.integrators.stabilization import build_projection
 from tenscasadi.scene.parameters import Parameters
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import (
@@ -230,7 +230,7 @@ def draw_starts(
     starts[:, model.nq : 2 * model.nq] += spread[1] * changes[:, model.nq :]
     given = [starts.T, parameters.T] if model.np else [starts.T]
     kept = np.repeat(spread, model.nq) > 0
-    return np.asarray(projection(model, 10).map(count)(*given).full()).T, changes[:, kept]
+    return np.asarray(build_projection(model, 10).map(count)(*given).full()).T, changes[:, kept]
 
 
 def share_variance(draws: Mapping[str, Array], misses: Array) -> dict[str, float]:

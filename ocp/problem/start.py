@@ -14,7 +14,7 @@ from ocp.problem.goals.periodic import Periodic
 from ocp.problem.goals.waypoints import Waypoint
 from ocp.problem.phase import read_items
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.stabilization import projection
+from tenscasadi.integrators.stabilization import build_projection
 from tenscasadi.io.structure_section import OfStructure
 from tenscasadi.schema.field_types import STATE
 from tenscasadi.schema.value import Value
@@ -104,4 +104,4 @@ def _read_state(model: Model, field: str, given: ArrayLike | None) -> Array:
         raise ValueError(
             f"{field} stretches bar {i} by {stretch[i]:g} m/s: give velocities that keep the bars' lengths"
         )
-    return read_only(np.asarray(projection(model, 10)(state).full()).ravel())  # type: ignore[no-any-return]
+    return read_only(np.asarray(build_projection(model, 10)(state).full()).ravel())  # type: ignore[no-any-return]

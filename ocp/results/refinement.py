@@ -16,7 +16,7 @@ from ocp.solvers.ipopt import Ipopt
 from ocp.transcription.mesh import profile_at
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
-from tenscasadi.integrators.stabilization import projection
+from tenscasadi.integrators.stabilization import build_projection
 from tenscasadi.util.validate import Array
 
 DEFECT_STEPS = 10  # steps for one interval of the plan, to tell its defect
@@ -149,7 +149,7 @@ def defects(model: Model, time: Array, states: Array, force_density: Array) -> A
         gamma = profile_at(force_density, time, time[:-1] + (k + 0.5) / DEFECT_STEPS * lengths)
         now = advance(now, gamma.T, lengths[None] / DEFECT_STEPS)
     if model.mechanism.constrained:
-        now = projection(model, 3).map(count)(now)
+        now = build_projection(model, 3).map(count)(now)
     gap = np.asarray(now.full()).T - states[1:]
     places, speeds, _ = model.split(np.abs(gap))
     return np.asarray(np.maximum(places.max(axis=1), speeds.max(axis=1) * float(time[-1])))

@@ -15,7 +15,7 @@ from ocp.transcription.variables import Variables, interval_names, state_names
 from tenscasadi.dynamics import forces
 from tenscasadi.dynamics.constraint_forces import nodal_forces
 from tenscasadi.dynamics.equation_of_motion import forward_dynamics
-from tenscasadi.integrators.stabilization import projection
+from tenscasadi.integrators.stabilization import build_projection
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.validate import Array, Indices
 
@@ -336,7 +336,7 @@ class DiscreteEquations:
                 x, float(v.target.start[-1]) + ca.mtimes(duration, gathered(entries, v.time))
             )
         if self.bars and v.count > 1 and not self.contact.stands:
-            inner = projection(self.model, 1).map(v.count - 1)(x[:, 1:-1])
+            inner = build_projection(self.model, 1).map(v.count - 1)(x[:, 1:-1])
             x = ca.horzcat(x[:, 0], inner, x[:, -1])
         return x
 

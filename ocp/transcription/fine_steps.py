@@ -15,7 +15,7 @@ from ocp.transcription.interval_step import ramped_step, shooting_step
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import DormandPrince853
-from tenscasadi.integrators.stabilization import projection
+from tenscasadi.integrators.stabilization import build_projection
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.validate import Array
 
@@ -111,7 +111,7 @@ def measure_jumps(program: Program, model: Model, fractions: Array) -> Measure:
     velocity with which fine steps arrive.
     """
     fine, mech, nq = FineSteps(program, model, fractions), model.mechanism, model.nq
-    project = projection(model, 1).map(len(fractions)) if mech.constrained else None
+    project = build_projection(model, 1).map(len(fractions)) if mech.constrained else None
     momentum = _momentum(model)
     ends, middle = (_rows_of(program, name) for name in ("ends", "middle"))
 

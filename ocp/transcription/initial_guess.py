@@ -16,7 +16,7 @@ from ocp.transcription.inverse_dynamics import inverse_dynamics
 from ocp.transcription.mesh import Profile, node_values, profile_at
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stability import fastest_rate
-from tenscasadi.integrators.stabilization import projection
+from tenscasadi.integrators.stabilization import build_projection
 from tenscasadi.schema.field_types import PATH, TABLE
 from tenscasadi.schema.value import Value
 from tenscasadi.util.read_only import ReadOnlyArrays
@@ -434,4 +434,4 @@ def _projected(model: Model, states: Array, iterations: int) -> Array:
     """Return states (P, nx) on bars and joints."""
     if not model.mechanism.constrained:
         return states
-    return np.asarray(projection(model, iterations).map(len(states))(states.T).full()).T
+    return np.asarray(build_projection(model, iterations).map(len(states))(states.T).full()).T

@@ -8,7 +8,7 @@ import casadi as ca
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import Scheme
-from tenscasadi.integrators.stabilization import projection
+from tenscasadi.integrators.stabilization import build_projection
 
 
 def shooting_step(model: Model, scheme: Scheme, substeps: int) -> ca.Function:
@@ -19,7 +19,7 @@ def shooting_step(model: Model, scheme: Scheme, substeps: int) -> ca.Function:
     for _ in range(substeps):
         end = advance(end, u, h / substeps)
     if model.mechanism.constrained:
-        end = projection(model, 1)(end)
+        end = build_projection(model, 1)(end)
     return ca.Function("interval", [x, u, h], [end], ["x", "u", "h"], ["x_next"])
 
 
@@ -39,5 +39,5 @@ def ramped_step(model: Model, scheme: Scheme, substeps: int) -> ca.Function:
         end = advance(end, (v - u) / h, h / substeps)
     end = end[: model.nx]
     if model.mechanism.constrained:
-        end = projection(model, 1)(end)
+        end = build_projection(model, 1)(end)
     return ca.Function("interval", [x, u, v, h], [end], ["x", "u", "v", "h"], ["x_next"])

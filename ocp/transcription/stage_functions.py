@@ -22,7 +22,7 @@ from tenscasadi.dynamics.constraint_forces import (
 )
 from tenscasadi.dynamics.equation_of_motion import lifted_dynamics
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.stabilization import projection
+from tenscasadi.integrators.stabilization import build_projection
 from tenscasadi.util.casadi_tools import ArrayFunction, sparse
 from tenscasadi.util.linear_algebra import semidefinite_inverse
 from tenscasadi.util.validate import Array
@@ -182,7 +182,7 @@ def end_curve(model: Model, places: Places, count: int) -> Curve | Chain:
             count,
             places,
             inputs,
-            projection(model, 1)(end) if model.mechanism.constrained else end,
+            build_projection(model, 1)(end) if model.mechanism.constrained else end,
             *none,
         )
     own = Places(model.nq, places.clock, 0, False)
@@ -195,7 +195,7 @@ def end_curve(model: Model, places: Places, count: int) -> Curve | Chain:
 
 
 def _projected(model: Model, x: Any, positions: bool) -> tuple[Any, Any, Any, Any]:
-    """Return f, s, S and b of a `Curve`: the state with positions, or velocities, moved by one step of `projection`."""
+    """Return f, s, S and b of a `Curve`: the state with positions, or velocities, moved by one step of `build_projection`."""
     mech, s = model.mechanism, ca.SX.sym("s", model.mechanism.system_size)
     N, V, time = model.unpack(x)
     D, Dd, _ = model.targets(time)

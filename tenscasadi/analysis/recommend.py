@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from tenscasadi.analysis.certify import certify, distance, end_nodes
+from tenscasadi.analysis.reference_solution import distance, end_nodes, reference_solution
 from tenscasadi.analysis.tradeoff import LONGEST, Case, check_ways
 from tenscasadi.analysis.tradeoff_table import abbreviate
 from tenscasadi.dynamics.instruction_count import compare_coordinates
@@ -30,6 +30,7 @@ from tenscasadi.scene.scene import Scene
 from tenscasadi.simulation.inputs.controls import ControlInput
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.compile import Compiled, CompileError, Single
+from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import Array, finite_array, instance, positive_number
 
 _CLOSE = 1.15  # factor between the step found and the largest sufficient one
@@ -44,7 +45,7 @@ SCHEMES: tuple[Scheme, ...] = (
 )
 
 
-class NoScheme(ValueError):
+class NoSchemeError(ValueError):
     """Raised where no scheme that was tried meets the tolerance."""
 
 
@@ -93,8 +94,9 @@ class Recommendation:
         return {"scheme": self.scheme, "step": self.step, "correction": self.correction}
 
 
+@rename_keywords(what="model", seconds="time_limit")
 def recommend(
-    what: Scene | Model,
+    model: Scene | Model,
     t_end: float,
     tolerance: float,
     state: Any = None,
@@ -102,21 +104,21 @@ def recommend(
     schemes: Sequence[Scheme] = SCHEMES,
     corrections: Sequence[Correction | None] = (None, Projection()),
     compiled: Compiled = None,
-    seconds: float = 60.0,
+    time_limit: float = 60.0,
     parameters: Any = None,
 ) -> Recommendation:
     """Find the cheapest options for a position error.
 
     The options are the scheme, step and correction; the error is that of the final nodes.
 
-    `certify` solves the motion once to a tenth of the tolerance. A search then finds the largest
-    sufficient step or `rtol` of each scheme, and drops a scheme that costs more than the best so
-    far. That takes about twenty runs of the recommended kind. If strings go slack or nodes meet the
-    ground, schemes with error control come first, since they locate these events.
+    `reference_solution` solves the motion once to a tenth of the tolerance. A search then finds the
+    largest sufficient step or `rtol` of each scheme, and drops a scheme that costs more than the
+    best so far. That takes about twenty runs of the recommended kind. If strings go slack or nodes
+    meet the ground, schemes with error control come first, since they locate these events.
 
     Parameters
     ----------
-    what : Scene or Model
+    model : Scene or Model
         Scene or model to simulate.
     t_end : float
         Duration of the motion, s.
@@ -133,8 +135,8 @@ def recommend(
         Each None, `Projection()` or `BarLengthCorrection()`.
     compiled : bool or Single, optional
         How to run, as for `simulate`.
-    seconds : float
-        Time limit of the search [s], and of the reference before it. Runs that would exceed it are
+    time_limit : float
+        Wall-clock limit of the search [s], and of the reference before it. Runs that would exceed it are
         not started. The result is then the best so far, and `message` names the schemes without a
         run.
     parameters : array_like, shape (np,), or mapping, optional
@@ -147,10 +149,10 @@ def recommend(
 
     Raises
     ------
-    NoReference
+    NoReferenceError
         If no solution of that accuracy exists: chaos, instability.
-    NoScheme
-        If no scheme meets the tolerance, or none was found to within `seconds`.
+    NoSchemeError
+        If no scheme meets the tolerance, or none was found within `time_limit`.
     TypeError, ValueError
         If an argument has a wrong type, shape or value.
 
@@ -169,16 +171,22 @@ def recommend(
     >>> advice.error <= 1e-4
     True
     """
-    instance("what", what, (Scene, Model), "a tenscasadi.Scene or Model")
-    model = what if isinstance(what, Model) else Model(what)
+    instance("model", model, (Scene, Model), "a tenscasadi.Scene or Model")
+    model = model if isinstance(model, Model) else Model(model)
     t_end, tolerance = positive_number("t_end", t_end), positive_number("tolerance", tolerance)
     check_ways(schemes, corrections)
-    seconds = positive_number("seconds", seconds)
-    enough, double = 0.1 * tolerance, None if isinstance(compiled, Single) else compiled
+    time_limit = positive_number("time_limit", time_limit)
+    double = None if isinstance(compiled, Single) else compiled
     start = None if state is None else finite_array("state", state, (model.nx,))
     p = model.parameters.values(parameters)
-    limits = {"accuracy": enough, "enough": enough, "work": 1e10 / 60 * seconds, "seconds": seconds}
-    reference = certify(model, t_end, start, control, compiled=double, parameters=p, **limits)
+    limits = {
+        **dict.fromkeys(("max_difference", "target_difference"), 0.1 * tolerance),
+        "max_instructions": 1e10 / 60 * time_limit,
+        "time_limit": time_limit,
+    }
+    reference = reference_solution(
+        model, t_end, start, control, compiled=double, parameters=p, **limits
+    )
 
     ways = [
         Case(model, scheme, correction, t_end, start, control, compiled, p)
@@ -189,14 +197,14 @@ def recommend(
         _AccuracyTarget(
             reference.nodes,
             0.7 * tolerance - reference.error,
-            time.perf_counter() + seconds,
-            seconds,
+            time.perf_counter() + time_limit,
+            time_limit,
         ),
     )
     names = ", ".join(map(abbreviate, schemes))
     if best is None:
         failed = f"tolerance is {tolerance:g} m: none of {names} meets it up to t_end = {t_end:g} s; give a larger tolerance or other schemes"
-        raise NoScheme("; ".join(dict.fromkeys([failed, *told])))
+        raise NoSchemeError("; ".join(dict.fromkeys([failed, *told])))
     scheme, duration, expected = best.case.scheme, best.time_loop(), best.error + reference.error
     limit = find_limit(model, scheme, start, parameters=p)
     if best.step > limit and not scheme.adaptive:
@@ -219,13 +227,13 @@ class _AccuracyTarget:
     """Position error to reach, and the deadline.
 
     The nodes (n, 3) are to be within `wanted` m. The search ends at the time `deadline` of the
-    clock [s], `seconds` after its start.
+    clock [s], `time_limit` after its start.
     """
 
     nodes: Array
     wanted: float
     deadline: float
-    seconds: float
+    time_limit: float
 
     def check_time(self, expected: float, best: _Choice | None) -> None:
         """Raise _OutOfTime if a run would end after the deadline."""
@@ -287,7 +295,7 @@ def _find_cheapest(ways: Sequence[Case], goal: _AccuracyTarget) -> tuple[_Choice
         best = found if found is not None and found.cost < most else best
     if late:
         told.append(
-            f"seconds = {goal.seconds:g} were too few for {', '.join(dict.fromkeys(late))}: give more, and they are searched to the end"
+            f"the time limit of {goal.time_limit:g} s expired before {', '.join(dict.fromkeys(late))} were tested: increase time_limit"
         )
     return best, told
 

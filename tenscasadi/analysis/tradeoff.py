@@ -15,8 +15,13 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from tenscasadi.analysis.certify import Reference, certify, distance, end_nodes
-from tenscasadi.analysis.tradeoff_table import Row, Tradeoff
+from tenscasadi.analysis.reference_solution import (
+    ReferenceSolution,
+    distance,
+    end_nodes,
+    reference_solution,
+)
+from tenscasadi.analysis.tradeoff_table import Tradeoff, TradeoffRow
 from tenscasadi.dynamics.instruction_count import count_instructions
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import Scheme, check_scheme
@@ -48,7 +53,7 @@ def tradeoff(
     t_end: float,
     schemes: Sequence[Scheme],
     steps: Sequence[float],
-    reference: Reference | str | None = None,
+    reference: ReferenceSolution | str | None = None,
     state: State = None,
     control: ControlInput = None,
     corrections: Sequence[Correction | None] = (None,),
@@ -77,8 +82,8 @@ def tradeoff(
     steps : sequence of float
         Largest steps, s. A scheme that controls its error takes its own, up to a twentieth of
         `t_end`, and is run once.
-    reference : Reference or str, optional
-        End that position errors are measured against, or the name of the model that `certify`
+    reference : ReferenceSolution or str, optional
+        End that position errors are measured against, or the name of the model that `reference_solution`
         solves for it; None: the first model.
     state : array_like (nx,) or callable, optional
         Start, or a function that gives it for a model; None: each model's initial state.
@@ -102,8 +107,8 @@ def tradeoff(
 
     Raises
     ------
-    NoReference
-        If no reference can be certified.
+    NoReferenceError
+        If the two solutions of the reference disagree.
     TypeError, ValueError
         If an argument has a wrong type, shape or value.
 
@@ -111,7 +116,7 @@ def tradeoff(
     --------
     >>> import tenscasadi as tc
     >>> model = tc.Model(tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity()))
-    >>> reference = tc.certify(model, t_end=0.2, enough=1e-8, compiled=False)
+    >>> reference = tc.reference_solution(model, t_end=0.2, target_difference=1e-8, compiled=False)
     >>> table = tc.tradeoff(model, 0.2, [tc.RungeKutta4()], [0.02, 0.01], reference, compiled=[False], repeats=1)
     >>> coarse, fine = table.rows
     >>> coarse.position > fine.position
@@ -134,8 +139,8 @@ def tradeoff(
         },
         reverse=True,
     )
-    rows: list[Row] = []
-    known: Reference | None = None
+    rows: list[TradeoffRow] = []
+    known: ReferenceSolution | None = None
     end = "interrupted from the keyboard before the reference was found"
     plans = list(product(named.items(), schemes, corrections, ways))
     total = sum(1 if scheme.adaptive else len(lengths) for _, scheme, _, _ in plans)
@@ -279,13 +284,13 @@ def start_of(model: Model, state: State) -> Array | None:
 
 
 def _measure_rows(
-    case: Case, name: str, lengths: Sequence[float], reference: Reference, repeats: int
-) -> Iterable[Row]:
+    case: Case, name: str, lengths: Sequence[float], reference: ReferenceSolution, repeats: int
+) -> Iterable[TradeoffRow]:
     """Yield a row for each step.
 
     The time of a step and the set-up are measured once.
     """
-    empty = Row(
+    empty = TradeoffRow(
         case.scheme,
         np.nan,
         case.correction,
@@ -334,13 +339,13 @@ def _measure_rows(
 def _find_reference(
     named: dict[str, Model],
     t_end: float,
-    reference: Reference | str | None,
+    reference: ReferenceSolution | str | None,
     state: State,
     control: ControlInput,
     compiled: bool | None,
     parameters: Any,
-) -> Reference:
-    if isinstance(reference, Reference):
+) -> ReferenceSolution:
+    if isinstance(reference, ReferenceSolution):
         nodes = len(next(iter(named.values())).scene.structure.nodes)
         if len(reference.nodes) != nodes:
             raise ValueError(
@@ -353,10 +358,10 @@ def _find_reference(
         return reference
     if reference is not None and not (isinstance(reference, str) and reference in named):
         raise ValueError(
-            f"reference is {format_value(reference)}: give a tenscasadi.Reference or the name of a model, {', '.join(map(repr, named))}"
+            f"reference is {format_value(reference)}: give a tenscasadi.ReferenceSolution or the name of a model, {', '.join(map(repr, named))}"
         )
     model = named[next(iter(named)) if reference is None else reference]
-    return certify(
+    return reference_solution(
         model, t_end, start_of(model, state), control, compiled=compiled, parameters=parameters
     )
 

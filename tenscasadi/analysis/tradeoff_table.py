@@ -22,7 +22,7 @@ Cost = Literal["seconds", "work"]
 
 
 @dataclass(frozen=True)
-class Row:
+class TradeoffRow:
     """Cost and errors of one run of a trade-off study.
 
     Attributes
@@ -64,7 +64,7 @@ class Row:
     Examples
     --------
     >>> import tenscasadi as tc
-    >>> row = tc.Row(tc.RungeKutta4(), 0.01, tc.Projection(), "", True, False, instructions=1000, steps=100)
+    >>> row = tc.TradeoffRow(tc.RungeKutta4(), 0.01, tc.Projection(), "", True, False, instructions=1000, steps=100)
     >>> row.name, row.work
     ('RungeKutta4, Projection', 100000.0)
     """
@@ -87,7 +87,7 @@ class Row:
     message: str = ""
 
     def __post_init__(self) -> None:
-        check_scheme(self.scheme, "Row.scheme")
+        check_scheme(self.scheme, "TradeoffRow.scheme")
         _check_kinds(self)
 
     @property
@@ -127,7 +127,7 @@ class Tradeoff:
 
     Attributes
     ----------
-    rows : tuple of Row
+    rows : tuple of TradeoffRow
         The runs.
     t_end : float
         Duration of each, s.
@@ -144,14 +144,14 @@ class Tradeoff:
     --------
     >>> import tenscasadi as tc
     >>> ways = {"step": 0.01, "correction": None, "fidelity": "", "compiled": True, "single": False, "success": True}
-    >>> cheap = tc.Row(tc.RungeKutta4(), **ways, seconds=0.1, position=1e-4)
-    >>> exact = tc.Row(tc.DormandPrince853(), **ways, seconds=0.3, position=1e-9)
+    >>> cheap = tc.TradeoffRow(tc.RungeKutta4(), **ways, seconds=0.1, position=1e-4)
+    >>> exact = tc.TradeoffRow(tc.DormandPrince853(), **ways, seconds=0.3, position=1e-9)
     >>> table = tc.Tradeoff((cheap, exact), t_end=1.0, reference_error=1e-12, reference_message="known")
     >>> table.cheapest(1e-6).name
     'DormandPrince853'
     """
 
-    rows: tuple[Row, ...]
+    rows: tuple[TradeoffRow, ...]
     t_end: float
     reference_error: float
     reference_message: str
@@ -159,11 +159,11 @@ class Tradeoff:
     message: str = ""
 
     def __post_init__(self) -> None:
-        for k, row in enumerate(as_tuple("Tradeoff.rows", self.rows, "(Row(...),)")):
-            instance(f"Tradeoff.rows[{k}]", row, Row, "a tenscasadi.Row")
+        for k, row in enumerate(as_tuple("Tradeoff.rows", self.rows, "(TradeoffRow(...),)")):
+            instance(f"Tradeoff.rows[{k}]", row, TradeoffRow, "a tenscasadi.TradeoffRow")
         _check_kinds(self)
 
-    def pareto(self, cost: Cost = "seconds") -> tuple[Row, ...]:
+    def pareto(self, cost: Cost = "seconds") -> tuple[TradeoffRow, ...]:
         """Select the rows on the Pareto front.
 
         No other row is better in both cost and position error.
@@ -177,7 +177,7 @@ class Tradeoff:
 
         Returns
         -------
-        tuple of Row
+        tuple of TradeoffRow
             From the cheapest to the most accurate.
 
         Raises
@@ -185,13 +185,13 @@ class Tradeoff:
         ValueError
             If there is no such cost.
         """
-        front: list[Row] = []
+        front: list[TradeoffRow] = []
         for row in self._sort_by(cost):
             if not front or row.position < front[-1].position > self.reference_error:
                 front.append(row)
         return tuple(front)
 
-    def cheapest(self, tolerance: float, cost: Cost = "seconds") -> Row:
+    def cheapest(self, tolerance: float, cost: Cost = "seconds") -> TradeoffRow:
         """Find the cheapest row within a position error.
 
         The error of the reference is included.
@@ -205,7 +205,7 @@ class Tradeoff:
 
         Returns
         -------
-        Row
+        TradeoffRow
             The cheapest.
 
         Raises
@@ -323,7 +323,8 @@ class Tradeoff:
             If it cannot be written.
         """
         columns = {
-            field.name: [getattr(row, field.name) for row in self.rows] for field in fields(Row)
+            field.name: [getattr(row, field.name) for row in self.rows]
+            for field in fields(TradeoffRow)
         }
         for name in ("scheme", "correction"):
             columns[name] = list(map(repr, columns[name]))
@@ -361,10 +362,10 @@ class Tradeoff:
         """
         return archive.load(path, _FORMAT, "trade-off", _from_arrays)
 
-    def _successful(self) -> list[Row]:
+    def _successful(self) -> list[TradeoffRow]:
         return [row for row in self.rows if row.success]
 
-    def _sort_by(self, cost: Cost) -> list[Row]:
+    def _sort_by(self, cost: Cost) -> list[TradeoffRow]:
         """Sort the successful rows of known cost, cheapest first.
 
         Of rows of equal cost the more accurate comes first.
@@ -393,7 +394,7 @@ def abbreviate(value: Any, without: str = "") -> str:
     return type(value).__name__ + (f"({changed})" if changed else "")
 
 
-def _check_kinds(value: Row | Tradeoff) -> None:
+def _check_kinds(value: TradeoffRow | Tradeoff) -> None:
     """Check the types of the fields.
 
     Raises TypeError or ValueError with the name of the first wrong field.
@@ -417,9 +418,9 @@ _WORDS: dict[Any, tuple[Any, str]] = {
 
 def _from_arrays(content: archive.Fields) -> Tradeoff:
     columns: dict[str, Any] = {
-        field.name: content.array(f"row_{field.name}", "fibU", 1) for field in fields(Row)
+        field.name: content.array(f"row_{field.name}", "fibU", 1) for field in fields(TradeoffRow)
     }
-    for field in fields(Row):
+    for field in fields(TradeoffRow):
         if columns[field.name].size:  # NumPy takes an empty list for numbers
             content.array(f"row_{field.name}", _kinds(field))
     known = {field.name: field for field in fields(Tradeoff) if field.name != "rows"}
@@ -436,7 +437,8 @@ def _from_arrays(content: archive.Fields) -> Tradeoff:
     lists = [values if isinstance(values, list) else values.tolist() for values in columns.values()]
     return Tradeoff(
         tuple(
-            Row(**dict(zip(columns, values, strict=True))) for values in zip(*lists, strict=True)
+            TradeoffRow(**dict(zip(columns, values, strict=True)))
+            for values in zip(*lists, strict=True)
         ),
         **own,
     )

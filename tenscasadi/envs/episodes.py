@@ -10,7 +10,7 @@ import numpy as np
 
 from tenscasadi.envs.task import Task, Transition, read_spread
 from tenscasadi.integrators.runge_kutta import RungeKutta4
-from tenscasadi.integrators.stabilization import projection
+from tenscasadi.integrators.stabilization import build_projection
 from tenscasadi.simulation.engine.build import build_kernel
 from tenscasadi.simulation.engine.kernel import BROKEN_BARS
 from tenscasadi.util.casadi_tools import ArrayFunction
@@ -53,7 +53,7 @@ class Episodes:
             task.correction, every=min(task.correction.every, task.steps)
         )  # the count restarts in each period
         self._kernel = build_kernel(model, RungeKutta4(), correction)
-        self._project = ArrayFunction(projection(model, 10))
+        self._project = ArrayFunction(build_projection(model, 10))
         self._spread = task.spread
         self._width: int | None = None
         self.nodes, self.velocities = self._places(self.states)

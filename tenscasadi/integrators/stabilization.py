@@ -102,7 +102,7 @@ class Projection(Correction, kind="Projection"):
         whole_number("Projection.iterations", self.iterations, 1)
 
     def _build(self, model: Model) -> ca.Function:
-        return projection(model, self.iterations)
+        return build_projection(model, self.iterations)
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,7 @@ def check_correction(correction: Any, field: str = "correction") -> None:
         )
 
 
-def projection(model: Model, iterations: int = 3) -> ca.Function:
+def build_projection(model: Model, iterations: int = 3) -> ca.Function:
     """Build the projection of a state onto bars and joints.
 
     It makes a consistent start for `simulate`.
@@ -198,7 +198,7 @@ def projection(model: Model, iterations: int = 3) -> ca.Function:
     --------
     >>> import tenscasadi as tc
     >>> model = tc.Model(tc.Scene(tc.shapes.prism()))
-    >>> start = tc.projection(model)(model.state(1.1 * model.structure.nodes))
+    >>> start = tc.build_projection(model)(model.state(1.1 * model.structure.nodes))
     >>> model.bar_length_error(start.full().ravel()) < 1e-14
     True
     """

@@ -14,8 +14,8 @@ from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import NamedScheme, Scheme, check_scheme
 from tenscasadi.integrators.stabilization import (
     Correction,
+    build_projection,
     check_correction,
-    projection,
 )
 from tenscasadi.scene.parameters import QUANTITIES
 from tenscasadi.scene.scene import Scene
@@ -170,7 +170,9 @@ class Simulation:
                 nodes, None if self.velocities is None else self._interpolate_rows(self.velocities)
             )
         if self.project:
-            state = projection(self.model)(state, *([p] if self.model.np else [])).full().ravel()
+            state = (
+                build_projection(self.model)(state, *([p] if self.model.np else [])).full().ravel()
+            )
         return np.array(state)
 
     def check(self) -> None:

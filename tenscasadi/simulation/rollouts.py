@@ -116,7 +116,7 @@ def rollouts(  # noqa: PLR0913  the options of a batch
     >>> import tenscasadi as tc
     >>> model = tc.Model(tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity()))
     >>> starts = np.tile(model.initial_state, (100, 1))
-    >>> pushed = tc.projection(model).map(100)(starts.T + np.random.default_rng(0).normal(0, 0.1, starts.T.shape)).full().T
+    >>> pushed = tc.build_projection(model).map(100)(starts.T + np.random.default_rng(0).normal(0, 0.1, starts.T.shape)).full().T
     >>> many = tc.rollouts(model, t_end=1.0, step=5e-3, states=pushed, correction=tc.Projection())
     >>> bool(many.success.all()), many.final.shape, bool(many.energy_error.max() < 1e-5)
     (True, (100, 6), True)

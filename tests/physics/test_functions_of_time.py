@@ -165,8 +165,15 @@ def check(kind: str, features: list[Feature], certified: bool) -> None:
         )
     if certified:
         try:
-            found = tc.certify(model, END, accuracy=1e-5, enough=1e-8, compiled=False, work=1e8)
-        except tc.NoReference:
+            found = tc.reference_solution(
+                model,
+                END,
+                max_difference=1e-5,
+                target_difference=1e-8,
+                compiled=False,
+                max_instructions=1e8,
+            )
+        except tc.NoReferenceError:
             return
         assert abs(found.nodes - wanted).max() < 5 * found.error + 2e-7, found.message
 

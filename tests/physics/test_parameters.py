@@ -213,8 +213,8 @@ def test_modes_of_large_structures_follow_the_parameters():
 def test_studies_follow_the_parameters():
     given, p, built = pair(tc.shapes.double_pendulum(), ("bar_mass", "gravity"), ground=None)
     options = {"t_end": 0.2, "enough": 1e-8, "compiled": False}
-    reference = tc.certify(given, parameters=p, **options)
-    assert np.allclose(reference.nodes, tc.certify(built, **options).nodes, atol=1e-7)
+    reference = tc.reference_solution(given, parameters=p, **options)
+    assert np.allclose(reference.nodes, tc.reference_solution(built, **options).nodes, atol=1e-7)
     row, *_ = tc.tradeoff(
         given, 0.2, [tc.RungeKutta4()], [0.01], reference, compiled=[False], repeats=1, parameters=p
     ).rows
@@ -265,7 +265,7 @@ def test_long_chains(bars, coordinates):
         given.ode(x, [], p).full(), expected, rtol=0, atol=1e-11 * abs(expected).max()
     )
     np.testing.assert_allclose(
-        tc.projection(given)(x, p).full(), tc.projection(built)(x).full(), atol=1e-12
+        tc.build_projection(given)(x, p).full(), tc.build_projection(built)(x).full(), atol=1e-12
     )
 
 

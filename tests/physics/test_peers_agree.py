@@ -27,7 +27,7 @@ def motion(prism):
     """Start and certified end."""
     model = tc.Model(tc.Scene(prism))
     start = model.state(prism.nodes, np.cross([1.0, 2.0, 3.0], prism.nodes))
-    return start, tc.certify(model, 1.0, start).nodes
+    return start, tc.reference_solution(model, 1.0, start).nodes
 
 
 def test_without_mujoco_it_says_so(peers, monkeypatch, tmp_path, capsys):

@@ -65,7 +65,7 @@ def check_steps(data: st.DataObject) -> None:
     velocities = speed * np.sin(7.0 * np.arange(structure.nodes.size)).reshape(-1, 3)
     velocities[sorted(structure.pinned)] = 0.0
     start = np.asarray(
-        tc.projection(model)(model.state(structure.nodes, velocities)).full()
+        tc.build_projection(model)(model.state(structure.nodes, velocities)).full()
     ).ravel()
     taut = tc.Model(tc.Scene(structure.replace(rest_length=0.5 * structure.rest_length)))
     limit, steps = (

@@ -88,7 +88,7 @@ def row() -> dict[str, Any]:
 @cache
 def table() -> tc.Tradeoff:
     return tc.Tradeoff(
-        (tc.Row(**row()),), t_end=1.0, reference_error=1e-9, reference_message="known"
+        (tc.TradeoffRow(**row()),), t_end=1.0, reference_error=1e-9, reference_message="known"
     )
 
 
@@ -175,7 +175,7 @@ def dynamics_calls() -> dict[str, Call]:
         "Model.constraints": (m.constraints, {"x": x}),
         "linearize": (tc.linearize, {"model": m, "x": x, "u": u}),
         "modes": (tc.modes, pair),
-        "projection": (tc.projection, {"model": m, "iterations": 2}),
+        "build_projection": (tc.build_projection, {"model": m, "iterations": 2}),
         "stable_step": (tc.stable_step, pair | {"scheme": tc.RungeKutta4(), "safety": 0.9}),
         "simulate": (tc.simulate, run),
         "simulate, moved support": (tc.simulate, {**run, "model": timed(), "state": timed().initial_state, "control": None}),
@@ -204,9 +204,9 @@ def dynamics_calls() -> dict[str, Call]:
         "Model.bar_length_error": (m.bar_length_error, {"x": x}),
         "Model.joint_error": (m.joint_error, {"x": x}),
         "mode_motion": (tc.mode_motion, {"model": m, "modes": tc.modes(m), "index": 0, "amplitude": 0.1, "rows": 4}),
-        "Reference": (tc.Reference, {"nodes": NODES, "error": 1e-12, "t_end": 1.0, "message": "known"}),
-        "Row": (lambda **k: [getattr(tc.Row(**k), name) for name in ("name", "curve", "work")], row()),
-        "Tradeoff": (lambda **k: [tc.Tradeoff(**k).summary(), tc.Tradeoff(**k).pareto()], {"rows": (tc.Row(**row()),), "t_end": 1.0, "reference_error": 1e-9, "reference_message": "known", "complete": True, "message": ""}),
+        "ReferenceSolution": (tc.ReferenceSolution, {"nodes": NODES, "error": 1e-12, "t_end": 1.0, "message": "known"}),
+        "TradeoffRow": (lambda **k: [getattr(tc.TradeoffRow(**k), name) for name in ("name", "curve", "work")], row()),
+        "Tradeoff": (lambda **k: [tc.Tradeoff(**k).summary(), tc.Tradeoff(**k).pareto()], {"rows": (tc.TradeoffRow(**row()),), "t_end": 1.0, "reference_error": 1e-9, "reference_message": "known", "complete": True, "message": ""}),
         "Tradeoff.pareto": (table().pareto, {"cost": "work"}),
         "Tradeoff.cheapest": (table().cheapest, {"tolerance": 1.0, "cost": "seconds"}),
         "Tradeoff.save": (table().save, {"path": "table.npz"}),

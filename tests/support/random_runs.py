@@ -157,7 +157,7 @@ def draw_case(seed: int) -> Case:
     velocities = speed * rng.normal(size=structure.nodes.shape)
     velocities[sorted(structure.pinned)] = 0.0
     state = model.state(structure.nodes, velocities)
-    state = np.asarray(tc.projection(model)(state).full()).ravel()
+    state = np.asarray(tc.build_projection(model)(state).full()).ravel()
     return Case(f"{seed}: {name}", model, state, control, log_uniform(rng, -0.7, 0.3))
 
 

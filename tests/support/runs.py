@@ -8,7 +8,7 @@ import numpy as np
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
-from tenscasadi.integrators.stabilization import Projection, projection
+from tenscasadi.integrators.stabilization import Projection, build_projection
 from tenscasadi.scene.scene import Scene
 from tenscasadi.structure import shapes
 
@@ -22,7 +22,7 @@ def moving(model: Model, speed: float = 0.1) -> np.ndarray:
     """The model's start with random velocities that no bar resists."""
     shape = model.structure.nodes.shape
     velocities = speed * np.random.default_rng(3).normal(size=shape) * ~model.structure.fixed
-    return projection(model)(model.state(model.structure.nodes, velocities)).full().ravel()
+    return build_projection(model)(model.state(model.structure.nodes, velocities)).full().ravel()
 
 
 def by_hand(

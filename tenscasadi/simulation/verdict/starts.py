@@ -59,7 +59,7 @@ def describe_violation(violation: float) -> str:
     """Describe a relative constraint violation and the cure."""
     return (
         f"off the lengths of its bars or its joints, or about to leave them, relatively by {violation:.2g}: "
-        "start from tenscasadi.projection(model)(state)"
+        "start from tenscasadi.build_projection(model)(state)"
     )
 
 

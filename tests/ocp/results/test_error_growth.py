@@ -63,7 +63,7 @@ def test_growth_is_that_of_replays_that_start_otherwise(arm):
     basis, _ = np.linalg.qr(scale[:, None] * tangents(model, start))
 
     def end(change):
-        x = np.asarray(tc.projection(model, 5)(start + change / scale).full()).ravel()
+        x = np.asarray(tc.build_projection(model, 5)(start + change / scale).full()).ravel()
         return tc.simulate(
             model, T, T / 400, tc.DormandPrince853(), x, arm.force_density, compiled=False
         ).states[-1]

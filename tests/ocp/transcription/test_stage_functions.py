@@ -30,7 +30,7 @@ def test_values_are_those_of_the_model(kind):
     assert stage_curve(model, np.eye(model.nu), places, count).at(inputs).value == pytest.approx(
         h**2 * rate[:, nq:], rel=1e-10, abs=1e-12
     )
-    projected = np.array([tc.projection(model, 1)(state).full().ravel() for state in x])
+    projected = np.array([tc.build_projection(model, 1)(state).full().ravel() for state in x])
     assert end_curve(model, places, count).at(inputs).value == pytest.approx(
         projected, rel=1e-10, abs=1e-12
     )

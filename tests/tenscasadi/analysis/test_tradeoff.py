@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import tenscasadi as tc
-from tenscasadi.analysis.certify import distance
+from tenscasadi.analysis.reference_solution import distance
 from tenscasadi.dynamics.instruction_count import count_instructions
 from tenscasadi.util.compile import find_compiler
 
@@ -199,7 +199,7 @@ def test_costs_have_two_names(table):
 
 def test_the_reference_knows_its_error():
     model = spinning()
-    reference = tc.certify(model, 0.5, start(model))
+    reference = tc.reference_solution(model, 0.5, start(model))
     assert reference.error < 1e-11
     fine = tc.simulate(model, 0.5, 1e-4, tc.RungeKutta4(), start(model))
     assert distance(fine.nodes[-1], reference.nodes) < 1e-10
@@ -208,8 +208,8 @@ def test_the_reference_knows_its_error():
 
 def test_chaos_has_no_reference():
     model = tc.Model(tc.Scene(tc.shapes.double_pendulum(angles=(2.5, 3.0)), gravity=tc.Gravity()))
-    with pytest.raises(tc.NoReference, match=r"end .* m apart.*smaller t_end"):
-        tc.certify(model, 60.0, work=1e8)
+    with pytest.raises(tc.NoReferenceError, match=r"end .* m apart.*smaller t_end"):
+        tc.reference_solution(model, 60.0, max_instructions=1e8)
 
 
 def test_two_that_diverge_are_no_reference():
@@ -219,13 +219,13 @@ def test_two_that_diverge_are_no_reference():
     fast = model.state(
         model.structure.nodes, 1e4 * np.cross((1.0, 2.0, 3.0), model.structure.nodes)
     )
-    with pytest.raises(tc.NoReference, match="the solutions diverge, the last: diverged"):
-        tc.certify(model, 0.1, fast, work=1e6)
+    with pytest.raises(tc.NoReferenceError, match="the solutions diverge, the last: diverged"):
+        tc.reference_solution(model, 0.1, fast, max_instructions=1e6)
 
 
 def test_a_given_reference_is_used():
     model = spinning()
-    elsewhere = tc.Reference(model.structure.nodes + 1.0, 0.25, 0.1)
+    elsewhere = tc.ReferenceSolution(model.structure.nodes + 1.0, 0.25, 0.1)
     table = tc.tradeoff(
         model, 0.1, [tc.RungeKutta4()], [0.01], elsewhere, compiled=(False,), repeats=1
     )
@@ -340,7 +340,7 @@ def test_ctrl_c_keeps_the_rows_so_far(monkeypatch, tmp_path):
 
 
 def test_ctrl_c_inside_the_loop_counts_too(monkeypatch):
-    module = importlib.import_module("tenscasadi.analysis.certify")
+    module = importlib.import_module("tenscasadi.analysis.reference_solution")
 
     def ended(*args, **options):
         return replace(original(*args, **options), success=False, interrupted=True)
@@ -504,8 +504,8 @@ def test_summary_has_a_line_for_each_row(table):
         ({"corrections": tc.Projection()}, "corrections"),
         ({"corrections": ["yes"]}, "corrections"),
         ({"reference": "finest"}, "reference"),
-        ({"reference": tc.Reference(np.zeros((2, 3)), 0.0, 0.1)}, "2 nodes"),
-        ({"reference": tc.Reference(np.zeros((6, 3)), 0.0, 0.2)}, "t_end"),
+        ({"reference": tc.ReferenceSolution(np.zeros((2, 3)), 0.0, 0.1)}, "2 nodes"),
+        ({"reference": tc.ReferenceSolution(np.zeros((6, 3)), 0.0, 0.2)}, "t_end"),
         ({"repeats": 0}, "repeats"),
         ({"compiled": True}, "compiled"),
         ({"compiled": np.array(True)}, "compiled is"),
@@ -550,7 +550,7 @@ ROW = {
 )
 def test_rows_are_checked(field, value):
     with pytest.raises((TypeError, ValueError), match=rf"^Row\.{field} is"):
-        tc.Row(**{**ROW, field: value})
+        tc.TradeoffRow(**{**ROW, field: value})
 
 
 @pytest.mark.parametrize(
@@ -586,5 +586,5 @@ def test_models_of_other_structures_are_refused():
     ],
 )
 def test_references_are_checked(arguments, named):
-    with pytest.raises(ValueError, match=f"Reference.{named}"):
-        tc.Reference(*arguments)
+    with pytest.raises(ValueError, match=f"ReferenceSolution.{named}"):
+        tc.ReferenceSolution(*arguments)

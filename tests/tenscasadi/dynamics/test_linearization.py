@@ -75,7 +75,7 @@ def states_near_the_start(model, rng, count=3):
     near = model.initial_state + 0.01 * rng.normal(size=(count, model.nx))
     masses = model.mechanism.masses
     inputs = [] if masses is None else [np.tile(model.parameters.nominal[:, None], count)]
-    return tc.projection(model).map(count)(near.T, *inputs).full().T
+    return tc.build_projection(model).map(count)(near.T, *inputs).full().T
 
 
 @pytest.mark.parametrize("name", MODELS)

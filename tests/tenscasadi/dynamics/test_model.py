@@ -162,9 +162,9 @@ def test_power_is_the_rate_of_change_of_energy(coordinates: mechanism.Coordinate
     )
     model = Model(scene, coordinates)
     x = model.state(structure.nodes, rng.normal(size=(6, 3)))
-    from tenscasadi.integrators.stabilization import projection
+    from tenscasadi.integrators.stabilization import build_projection
 
-    x = projection(model)(x).full().ravel()
+    x = build_projection(model)(x).full().ravel()
     rate = model.ode(x, []).full().ravel()
     h = 1e-6
     slope = (model.energy(x + h * rate).total - model.energy(x - h * rate).total) / (2 * h)

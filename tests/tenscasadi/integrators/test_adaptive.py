@@ -14,7 +14,7 @@ from references import solve_certified
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators import adaptive
 from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853, EmbeddedRungeKutta
-from tenscasadi.integrators.stabilization import BarLengthCorrection, Projection, projection
+from tenscasadi.integrators.stabilization import BarLengthCorrection, Projection, build_projection
 from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.loads import Gravity, NodalForce
 from tenscasadi.scene.scene import Scene
@@ -256,7 +256,7 @@ def test_loads_that_depend_on_time() -> None:
 def test_corrections_follow_each_step() -> None:
     model = Model(Scene(shapes.prism(stiffness=1000.0, prestress=30.0)))
     start = (
-        projection(model)(
+        build_projection(model)(
             model.state(model.structure.nodes, np.random.default_rng(3).normal(size=(6, 3)))
         )
         .full()

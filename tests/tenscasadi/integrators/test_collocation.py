@@ -16,7 +16,7 @@ from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.runge_kutta import DormandPrince853, RungeKutta4
 from tenscasadi.integrators.scheme import stability_limit
 from tenscasadi.integrators.stability import stable_step
-from tenscasadi.integrators.stabilization import projection
+from tenscasadi.integrators.stabilization import build_projection
 from tenscasadi.integrators.sundials import Cvodes, Idas
 from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.loads import Gravity
@@ -131,7 +131,7 @@ def moving(model: Model, speed: float = 0.3) -> Any:
         * np.random.default_rng(0).normal(size=model.structure.nodes.shape)
         * ~model.structure.fixed
     )
-    return projection(model)(model.state(model.structure.nodes, velocities)).full().ravel()
+    return build_projection(model)(model.state(model.structure.nodes, velocities)).full().ravel()
 
 
 @pytest.mark.parametrize("coordinates", ["reduced", "full"])
@@ -197,7 +197,7 @@ def test_impacts_with_friction(structure: Structure, scheme: Collocation) -> Non
         )
     )
     arms = structure.nodes - structure.nodes.mean(axis=0)
-    start = projection(model)(
+    start = build_projection(model)(
         model.state(structure.nodes, (1.0, 0.5, -1.0) + np.cross((0, 2.0, 1.0), arms))
     )
     exact = simulate(model, 0.4, None, DormandPrince853(1e-8), start).nodes[-1]

@@ -14,7 +14,7 @@ from tenscasadi.integrators.rattle import Rattle
 from tenscasadi.integrators.runge_kutta import DormandPrince853
 from tenscasadi.integrators.scheme import stability_limit
 from tenscasadi.integrators.stability import stable_step
-from tenscasadi.integrators.stabilization import Projection, projection
+from tenscasadi.integrators.stabilization import Projection, build_projection
 from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.loads import Gravity
 from tenscasadi.scene.scene import Scene
@@ -35,7 +35,7 @@ def moving(model: Model, speed: float = 0.1) -> np.ndarray:
         * np.random.default_rng(3).normal(size=model.structure.nodes.shape)
         * ~model.structure.fixed
     )
-    return projection(model)(model.state(model.structure.nodes, velocities)).full().ravel()
+    return build_projection(model)(model.state(model.structure.nodes, velocities)).full().ravel()
 
 
 @BOTH

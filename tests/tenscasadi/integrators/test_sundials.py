@@ -13,7 +13,7 @@ from tenscasadi.dynamics.constraint_forces import RedundantConstraints
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.runge_kutta import DormandPrince853
-from tenscasadi.integrators.stabilization import Projection, projection
+from tenscasadi.integrators.stabilization import Projection, build_projection
 from tenscasadi.integrators.sundials import Cvodes, Idas, Sundials
 from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.loads import Gravity, NodalForce
@@ -98,7 +98,7 @@ def test_corrections_do_not_restart_the_integrator_at_order_one(scheme: Sundials
         Scene(shapes.prism(stiffness=1000.0, prestress=30.0, damping=5.0), gravity=Gravity())
     )
     velocities = np.random.default_rng(0).normal(size=model.structure.nodes.shape)
-    start = projection(model)(model.state(model.structure.nodes, velocities)).full().ravel()
+    start = build_projection(model)(model.state(model.structure.nodes, velocities)).full().ravel()
     exact = simulate(model, 0.5, None, DormandPrince853(1e-12), start, compiled=False)
     plain, *corrected = (
         simulate(model, 0.5, 1e-3, scheme, start, correction=c)

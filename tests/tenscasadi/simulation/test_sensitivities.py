@@ -54,7 +54,7 @@ def moving(model):
     state = model.state(
         nodes, np.where(model.structure.fixed, 0.0, np.cross((0.3, 1.0, 0.5), nodes))
     )
-    return tc.projection(model)(state).full().ravel()
+    return tc.build_projection(model)(state).full().ravel()
 
 
 LINE = tc.Structure(

@@ -77,3 +77,19 @@ assert lazy_module("scipy.sparse.linalg") is linalg
 def test_missing_module_is_reported_at_once():
     with pytest.raises(ModuleNotFoundError, match="no_such_module"):
         lazy_module("no_such_module")
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("certify", "reference_solution"),
+        ("Reference", "ReferenceSolution"),
+        ("NoReference", "NoReferenceError"),
+        ("NoScheme", "NoSchemeError"),
+        ("Row", "TradeoffRow"),
+        ("projection", "build_projection"),
+    ],
+)
+def test_old_public_name_warns_and_gives_the_new_one(old, new):
+    with pytest.warns(DeprecationWarning, match=f"tenscasadi.{old} is deprecated: use tenscasadi"):
+        assert getattr(tenscasadi, old) is getattr(tenscasadi, new)

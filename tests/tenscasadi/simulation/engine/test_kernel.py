@@ -77,7 +77,7 @@ def starts(model, n):
     rng = np.random.default_rng(0)
     nodes = model.structure.nodes
     free = np.where(model.structure.fixed, 0.0, 1.0)
-    project = tc.projection(model)
+    project = tc.build_projection(model)
     given = [model.state(nodes, free * rng.normal(0, 0.3, nodes.shape)) for _ in range(n)]
     return np.array([np.asarray(project(x).full()).ravel() for x in given])
 

@@ -138,7 +138,7 @@ def test_terrain_is_looked_up_in_each_lane(lanes):
     given = np.tile(model.initial_state, (11, 1)) + rng.normal(
         0, 0.3, (11, model.nx)
     )  # some beyond the grid
-    states = tc.projection(model).map(11)(given.T).full().T
+    states = tc.build_projection(model).map(11)(given.T).full().T
     kernel = build_kernel(model, tc.RungeKutta4(), lanes=lanes)
     assert kernel.lanes > 1
     expected = [tc.simulate(model, 0.05, 1e-3, state=x, compiled=False).states[-1] for x in states]

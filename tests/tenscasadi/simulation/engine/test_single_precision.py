@@ -64,7 +64,7 @@ def test_controls_and_long_loops() -> None:
 def test_rounding_at_rest_is_no_lost_energy() -> None:
     model = tc.Model(tc.Scene(tc.shapes.prism(prestress=20.0)))
     run = tc.simulate(
-        model, 0.1, state=tc.projection(model)(model.initial_state), compiled=tc.Single()
+        model, 0.1, state=tc.build_projection(model)(model.initial_state), compiled=tc.Single()
     )
     assert abs(run.energy_error).max() > 1e-6
     assert run.message == "finished 100 steps of 0.001 s; in single precision"

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 
-from tenscasadi.analysis.certify import certify
 from tenscasadi.analysis.recommend import recommend
+from tenscasadi.analysis.reference_solution import reference_solution
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.rattle import Rattle
@@ -88,7 +88,7 @@ def test_no_scheme_misses_a_pulse(pulse: NodalForce, scheme: Any) -> None:
 
 @pytest.mark.parametrize("pulse", [TABLE, SWITCH, BUMP], ids=["table", "switch", "breaks"])
 def test_certified_ends_know_of_pulses(pulse: NodalForce) -> None:
-    found = certify(Model(Scene(SPRING, forces=pulse)), 1.0, compiled=False)
+    found = reference_solution(Model(Scene(SPRING, forces=pulse)), 1.0, compiled=False)
     assert found.error < 1e-7
     assert found.nodes[1, 0] == pytest.approx(after(1.0), abs=1e-8)
 
@@ -151,8 +151,12 @@ def test_pulses_stand_next_to_pulses_and_on_large_forces(background: float, impu
 
 def test_certificates_of_declared_pulses_hold() -> None:
     pulse = replace(smooth(1e-6), breakpoints=0.5 + 1e-6 * np.arange(-7, 8))
-    found = certify(
-        Model(Scene(SPRING, forces=pulse)), 1.0, accuracy=1e-6, enough=1e-9, compiled=False
+    found = reference_solution(
+        Model(Scene(SPRING, forces=pulse)),
+        1.0,
+        max_difference=1e-6,
+        target_difference=1e-9,
+        compiled=False,
     )
     assert abs(found.nodes[1, 0] - after(1.0)) <= max(2 * found.error, 1e-11) < 1e-6
 
@@ -169,7 +173,7 @@ def test_small_pulses_on_a_large_force_are_certified() -> None:
             breakpoints=0.5 + 1e-4 * np.arange(-7, 8),
         )
         ends.append(
-            certify(
+            reference_solution(
                 Model(Scene(SPRING.replace(node_mass=1000.0), forces=force)), 1.0, compiled=False
             )
         )

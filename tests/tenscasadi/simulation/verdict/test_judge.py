@@ -14,7 +14,7 @@ from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.rattle import Rattle
 from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853, RungeKutta4
 from tenscasadi.integrators.stability import stable_step
-from tenscasadi.integrators.stabilization import Projection, projection
+from tenscasadi.integrators.stabilization import Projection, build_projection
 from tenscasadi.integrators.sundials import Cvodes
 from tenscasadi.scene.loads import Gravity
 from tenscasadi.scene.scene import Scene
@@ -69,11 +69,11 @@ def test_divergence_below_the_limit_names_other_causes() -> None:
     assert "try step=" in run.message or "Projection()" in run.message
     stretching = model.state(model.structure.nodes, [[0, 0, 0], [1.0, 0, -1.0]])
     run = simulate(model, 10.0, 0.001, state=stretching, compiled=False)
-    assert "start from tenscasadi.projection(model)(state)" in run.message
+    assert "start from tenscasadi.build_projection(model)(state)" in run.message
     assert (
         "projection"
         not in simulate(
-            model, 0.1, 0.001, state=projection(model)(stretching), compiled=False
+            model, 0.1, 0.001, state=build_projection(model)(stretching), compiled=False
         ).message
     )
     run = simulate(model, 10.0, 0.5, Collocation(2), state=spinning, compiled=False)
@@ -88,7 +88,7 @@ def test_divergence_below_the_limit_names_other_causes() -> None:
 def test_a_step_above_the_stability_limit_is_told_before_the_run_breaks_down() -> None:
     model = Model(Scene(shapes.prism(stiffness=1e6, prestress=50.0)))
     limit = stable_step(model, safety=1.0)
-    shaken = projection(model)(
+    shaken = build_projection(model)(
         model.state(model.structure.nodes, 1e-3 * np.sin(np.arange(18)).reshape(6, 3))
     )
     run = simulate(model, 0.2, 1.1 * limit, state=shaken, compiled=False)

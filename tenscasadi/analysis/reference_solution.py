@@ -24,6 +24,7 @@ from tenscasadi.simulation.inputs.resolution import UNRESOLVED
 from tenscasadi.simulation.inputs.run_inputs import read_inputs
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import Array, finite_array, instance, positive_number
 
 _FINER = 4  # refinement factor between pairs of solutions
@@ -33,7 +34,7 @@ _GRID = 50  # grid steps of a run with error control
 _ROUNDING = 1e-10  # × extent: smaller differences stop decreasing because of rounding
 
 
-class NoReference(ValueError):
+class NoReferenceError(ValueError):
     """Error for a reference whose two solutions disagree.
 
     The motion is chaotic, unstable or too stiff for errors to be measured.
@@ -41,7 +42,7 @@ class NoReference(ValueError):
 
 
 @dataclass(frozen=True, eq=False)
-class Reference:
+class ReferenceSolution:
     """Final node positions with an error estimate.
 
     Attributes
@@ -54,12 +55,12 @@ class Reference:
     t_end : float
         Time of the end, s.
     message : str
-        Which two solutions were compared.
+        Description of the two solutions.
 
     Examples
     --------
     >>> import tenscasadi as tc
-    >>> tc.Reference(nodes=[(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)], error=1e-12, t_end=1.0).nodes.shape
+    >>> tc.ReferenceSolution(nodes=[(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)], error=1e-12, t_end=1.0).nodes.shape
     (2, 3)
     """
 
@@ -69,29 +70,39 @@ class Reference:
     message: str = ""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "nodes", finite_array("Reference.nodes", self.nodes, (None, 3)))
-        object.__setattr__(self, "error", positive_number("Reference.error", self.error, zero=True))
-        object.__setattr__(self, "t_end", positive_number("Reference.t_end", self.t_end))
+        object.__setattr__(
+            self, "nodes", finite_array("ReferenceSolution.nodes", self.nodes, (None, 3))
+        )
+        object.__setattr__(
+            self, "error", positive_number("ReferenceSolution.error", self.error, zero=True)
+        )
+        object.__setattr__(self, "t_end", positive_number("ReferenceSolution.t_end", self.t_end))
 
 
-def certify(
+@rename_keywords(
+    accuracy="max_difference",
+    enough="target_difference",
+    work="max_instructions",
+    seconds="time_limit",
+)
+def reference_solution(
     model: Model,
     t_end: float,
     state: Any = None,
     control: ControlInput = None,
-    accuracy: float | None = None,
-    enough: float | None = None,
+    max_difference: float | None = None,
+    target_difference: float | None = None,
     compiled: bool | None = None,
-    work: float = 1e10,
+    max_instructions: float = 1e10,
     parameters: Any = None,
-    seconds: float | None = None,
-) -> Reference:
+    time_limit: float | None = None,
+) -> ReferenceSolution:
     """Compute a reference solution with an error estimate.
 
     `DormandPrince853` and `DormandPrince54` refine their steps until their final nodes agree within
-    `enough`. Refinement also ends if finer steps do not reduce the difference, or if the next
-    solution would cost more than `work`. In scenes with slack strings or contacts, both schemes
-    control their error and locate these events. Steps end at the breakpoints of functions of time.
+    `target_difference`. Refinement also ends if finer steps do not reduce the difference, or if the
+    next solution would cost more than `max_instructions`. In scenes with slack strings or contacts,
+    both schemes control their error and locate these events. Steps end at the breakpoints of functions of time.
     A solution that does not resolve such a function is no reference. The error includes the effect
     of clock rounding on these functions.
 
@@ -105,31 +116,31 @@ def certify(
         Start; None: the model's initial state.
     control : array_like or callable, optional
         Control input, as for `simulate`.
-    accuracy : float, optional
+    max_difference : float, optional
         Largest distance of the two solutions that is accepted, m; None: 1e-7 of the structure's
         size.
-    enough : float, optional
+    target_difference : float, optional
         Distance of the two solutions at which refinement ends, m; None: 1e-12 of the structure's
         size.
     compiled : bool, optional
         Whether to run as machine code, as for `simulate`.
-    work : float
+    max_instructions : float
         Instructions that a solution may take; without machine code a tenth of them.
     parameters : array_like, shape (np,), or mapping, optional
         Values of the model's parameters, see `ParameterLayout.values`; nominal if None.
-    seconds : float, optional
+    time_limit : float, optional
         Wall time that the solutions may take together, s; the best pair by then counts. None: no
         limit.
 
     Returns
     -------
-    Reference
+    ReferenceSolution
         Nodes at the end, m, and their error.
 
     Raises
     ------
-    NoReference
-        If the two solutions end further apart than `accuracy`.
+    NoReferenceError
+        If the two solutions end further apart than `max_difference`.
     TypeError, ValueError
         If an argument has a wrong type, shape or value.
 
@@ -137,7 +148,7 @@ def certify(
     --------
     >>> import tenscasadi as tc
     >>> model = tc.Model(tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity()))
-    >>> reference = tc.certify(model, t_end=0.5, enough=1e-8, compiled=False)
+    >>> reference = tc.reference_solution(model, t_end=0.5, target_difference=1e-8, compiled=False)
     >>> reference.error < 1e-8
     True
     """
@@ -145,14 +156,24 @@ def certify(
     t_end = positive_number("t_end", t_end)
     state = None if state is None else finite_array("state", state, (model.nx,))
     size = extent(model)
-    accuracy = 1e-7 * size if accuracy is None else positive_number("accuracy", accuracy)
+    max_difference = (
+        1e-7 * size if max_difference is None else positive_number("max_difference", max_difference)
+    )
     # The rounding error of a run is about 1e-12 of the extent.
-    enough = min(1e-12 * size, accuracy) if enough is None else positive_number("enough", enough)
+    target_difference = (
+        min(1e-12 * size, max_difference)
+        if target_difference is None
+        else positive_number("target_difference", target_difference)
+    )
     # Compiled code is about ten times as fast.
-    work = positive_number("work", work) / (1 if compiled is not False else 10.0)
+    max_instructions = positive_number("max_instructions", max_instructions) / (
+        1 if compiled is not False else 10.0
+    )
     parameters = model.parameters.values(parameters)
     deadline = (
-        np.inf if seconds is None else time.perf_counter() + positive_number("seconds", seconds)
+        np.inf
+        if time_limit is None
+        else time.perf_counter() + positive_number("time_limit", time_limit)
     )
     pairs = _Pairs(
         model,
@@ -160,39 +181,39 @@ def certify(
         deadline,
         {"state": state, "control": control, "compiled": compiled, "parameters": parameters},
     )
-    enough = max(enough, 2 * pairs.rounding)
-    for count in _step_counts(model, t_end, state, work, parameters):
+    target_difference = max(target_difference, 2 * pairs.rounding)
+    for count in _step_counts(model, t_end, state, max_instructions, parameters):
         before = pairs.apart
         pairs.try_steps(count)
         if (
             pairs.late
-            or pairs.error <= enough
-            or (pairs.apart >= before and pairs.error <= max(accuracy, _ROUNDING * size))
+            or pairs.error <= target_difference
+            or (pairs.apart >= before and pairs.error <= max(max_difference, _ROUNDING * size))
         ):
             break  # finer steps only increase the rounding
         if pairs.apart > before / _FINER**3 and build_switching(model) is not None:
             break
     if (
         not pairs.late
-        and pairs.error > enough
+        and pairs.error > target_difference
         and pairs.apart > _ROUNDING * size
         and (build_switching(model) is not None or model.scene.over_time)
     ):
         for rtol in _TOLERANCES:
             pairs.try_tolerance(rtol)
-            if pairs.late or pairs.error <= enough:
+            if pairs.late or pairs.error <= target_difference:
                 break
-    if pairs.best is not None and pairs.error <= accuracy:
+    if pairs.best is not None and pairs.error <= max_difference:
         return pairs.best
     why = (
-        f"{pairs.best.message}, wanted {accuracy:.2g} m"
+        f"{pairs.best.message}, wanted {max_difference:.2g} m"
         if pairs.best is not None
         else f"the solutions diverge, the last: {pairs.fault}"
     )
-    why += f"; seconds = {seconds:g} were too few" if pairs.late else ""
-    raise NoReference(
+    why += f"; the time limit of {time_limit:g} s expired" if pairs.late else ""
+    raise NoReferenceError(
         f"no reference up to t_end = {t_end:g} s: {why}; give a smaller t_end (chaotic and unstable motions lose all digits), "
-        "a larger accuracy or more work, or remove slack and impact events by Smooth(width)"
+        "a larger max_difference or max_instructions, or remove slack and impact events by Smooth(width)"
     )
 
 
@@ -207,7 +228,7 @@ class _Pairs:
     ) -> None:
         self._model, self._t_end, self._deadline = model, t_end, deadline
         self._options = {**options, "energy_balance": False}
-        self.best: Reference | None = None
+        self.best: ReferenceSolution | None = None
         self.apart, self.fault = np.inf, "not tried"
         self.rounding = self._round_clock()
 
@@ -314,7 +335,7 @@ class _Pairs:
                 if self.rounding > 0.1 * self.apart
                 else ""
             )
-            self.best = Reference(
+            self.best = ReferenceSolution(
                 ends[0],
                 error,
                 self._t_end,
