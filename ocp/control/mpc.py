@@ -151,7 +151,7 @@ class Mpc:
             "a": ca.Sparsity.dense(rows, unknowns + self._slack),
         }
         self._solver = ArrayFunction(ca.conic("qp", "daqp", shapes, {"error_on_fail": False}))
-        self._last: _Decision
+        self._last: _MpcDecision
         self.reset()
 
     def __repr__(self) -> str:
@@ -183,12 +183,12 @@ class Mpc:
         gamma = self._decided(
             self._array_steps, self._improved, np.array([time]), state, *self._last[1:]
         )
-        self._last = _Decision(time, gamma, state)
+        self._last = _MpcDecision(time, gamma, state)
         return np.array(gamma[0])
 
     def reset(self) -> None:
         """Forget the last decision, for another run."""
-        self._last = _Decision(
+        self._last = _MpcDecision(
             0.0, np.full((self.intervals, self.model.nu), np.nan), np.full(self.model.nx, np.nan)
         )
 
@@ -354,7 +354,7 @@ class Mpc:
         )
 
 
-class _Decision(NamedTuple):
+class _MpcDecision(NamedTuple):
     """When, what: γ (intervals, α), and at which state (nx,); NaN where there was none."""
 
     time: float

@@ -86,7 +86,7 @@ class Elimination:
         return b
 
 
-class _Block(NamedTuple):
+class _DefectBlock(NamedTuple):
     level: int
     rows: Indices
     columns: Indices
@@ -106,7 +106,7 @@ def _find_blocks(rows: Indices, columns: Indices, size: int) -> tuple[Indices, I
 
 def _join_small(
     rows: Indices, columns: Indices, of_row: Indices, of_column: Indices
-) -> list[_Block]:
+) -> list[_DefectBlock]:
     """Order the blocks by levels, each after those that it needs, and join small ones of a level."""
     least = 16  # rows; smaller matrices cost more in calls than in arithmetic
     widths = np.bincount(of_row)
@@ -124,7 +124,7 @@ def _join_small(
         cuts = np.flatnonzero(np.diff(np.cumsum(widths[small]) // (2 * least))) + 1
         found += [(own, part) for part in np.split(small, cuts) if len(part)]
     return [
-        _Block(
+        _DefectBlock(
             own,
             *(
                 np.sort(np.concatenate([which[ends[k] : ends[k + 1]] for k in part]))

@@ -11,7 +11,7 @@ import numpy as np
 
 from tenscasadi.analysis.tradeoff import tradeoff
 from tenscasadi.cli.loading import load_ocp, load_plots
-from tenscasadi.cli.report import FAILED, INTERRUPTED, Report, find_scalars
+from tenscasadi.cli.report import FAILED, INTERRUPTED, CommandReport, find_scalars
 from tenscasadi.cli.source import find_source
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.rattle import Rattle
@@ -40,7 +40,7 @@ def find_fields() -> Any:
 
 def simulate_scene(
     source: Annotated[str, SCENE],
-    report: Report,
+    report: CommandReport,
     changes: Sequence[Change],
     gravity: float | None = None,
     projection: int | None = None,
@@ -56,7 +56,7 @@ def simulate_scene(
     ----------
     source : str
         Template or scene file (.toml, .json).
-    report : Report
+    report : CommandReport
         Text and files.
     changes : sequence of Change
         Changes of the scene file.
@@ -112,7 +112,7 @@ def simulate_scene(
 
 def compare_schemes(
     source: Annotated[str, SCENE],
-    report: Report,
+    report: CommandReport,
     changes: Sequence[Change],
     t_end: float | None = None,
     steps: list[float] = [0.02, 0.01, 0.005, 0.002, 0.001],  # noqa: B006  only read
@@ -131,7 +131,7 @@ def compare_schemes(
     ----------
     source : str
         Template or scene file (.toml, .json).
-    report : Report
+    report : CommandReport
         Text and files.
     changes : sequence of Change
         Changes of the scene file.
@@ -186,7 +186,9 @@ def compare_schemes(
     return report.finish(code, rows=rows)
 
 
-def describe(source: Annotated[str, SCENE], report: Report, changes: Sequence[Change]) -> int:
+def describe(
+    source: Annotated[str, SCENE], report: CommandReport, changes: Sequence[Change]
+) -> int:
     """Describe a scene: members, masses, equilibrium, equations, stable step; check its file.
 
     Files are written only if --output is given.
@@ -195,7 +197,7 @@ def describe(source: Annotated[str, SCENE], report: Report, changes: Sequence[Ch
     ----------
     source : str
         Template or scene file (.toml, .json).
-    report : Report
+    report : CommandReport
         Text and files.
     changes : sequence of Change
         Changes of the scene file.

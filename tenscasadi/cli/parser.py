@@ -11,7 +11,7 @@ from types import NoneType
 from typing import Any, Literal, NamedTuple, NoReturn, get_args, get_origin, get_type_hints
 
 from tenscasadi.cli import commands, exchange, plan, texts, view
-from tenscasadi.cli.report import BAD_INPUT, Report
+from tenscasadi.cli.report import BAD_INPUT, CommandReport
 from tenscasadi.cli.source import TEMPLATES, read_title
 from tenscasadi.io.document import Change
 from tenscasadi.schema.definitions import OneOf, parameter_texts
@@ -52,7 +52,7 @@ class _Parser(argparse.ArgumentParser):
         self.exit(BAD_INPUT, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
 
-class Option(NamedTuple):
+class CommandOption(NamedTuple):
     """An argument of the command line: its type, its default, and its help."""
 
     type: Any
@@ -78,7 +78,9 @@ def parse(argv: Sequence[str]) -> Callable[[], int]:
             *_build_changes("numbers", zip(words[::2], [*words[1::2], ""], strict=False)),
             *(Change(f"--set {key}={value}", key, value) for key, _, value in sets),
         ]
-        own["report"] = Report(**{name: own for name, own in given.items() if name in _REPORT})
+        own["report"] = CommandReport(
+            **{name: own for name, own in given.items() if name in _REPORT}
+        )
     if "parser" in parameters:
         own["parser"] = command_parser()
     return partial(command.run, **own)
@@ -114,7 +116,7 @@ def command_parser(only: str | None = None) -> argparse.ArgumentParser:
         )
         known = command.find_fields() if only in (None, name) else {}
         fields = {
-            field: Option(_read_type(own.type), None, own.text)
+            field: CommandOption(_read_type(own.type), None, own.text)
             for field, own in known.items()
             if isinstance(own.type, (Numbers, Flag, Word, OneOf)) and field not in options
         }
@@ -129,23 +131,23 @@ def _read_type(kind: Any) -> Any:
 
 
 @cache
-def _find_options(function: Callable[..., Any]) -> dict[str, Option]:
+def _find_options(function: Callable[..., Any]) -> dict[str, CommandOption]:
     """Find the parameters of a function; a report stands for its own."""
     texts = parameter_texts(function)
     hints = get_type_hints(function, include_extras=True)
-    found: dict[str, Option] = {}
+    found: dict[str, CommandOption] = {}
     for name, parameter in inspect.signature(function).parameters.items():
         if name == "report":
             found |= _REPORT
         elif name not in ("changes", "parser"):
-            found[name] = Option(hints[name], parameter.default, texts[name])
+            found[name] = CommandOption(hints[name], parameter.default, texts[name])
     return found
 
 
-_REPORT = _find_options(Report)
+_REPORT = _find_options(CommandReport)
 
 
-def _add_option(parser: argparse.ArgumentParser, name: str, option: Option) -> None:
+def _add_option(parser: argparse.ArgumentParser, name: str, option: CommandOption) -> None:
     hint, settings = option.type, dict[str, Any]()
     if hasattr(hint, "__metadata__"):
         settings, hint = dict(hint.__metadata__[0]), get_args(hint)[0]

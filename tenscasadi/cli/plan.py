@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from tenscasadi.cli.commands import SCENE
 from tenscasadi.cli.loading import load_ocp, load_plots
-from tenscasadi.cli.report import FAILED, Report, find_scalars
+from tenscasadi.cli.report import FAILED, CommandReport, find_scalars
 from tenscasadi.cli.source import find_source
 from tenscasadi.io.document import Change
 from tenscasadi.util.compile import find_compiler
@@ -20,7 +20,7 @@ def find_fields() -> Any:
 
 def plan_motion(
     source: Annotated[str, SCENE],
-    report: Report,
+    report: CommandReport,
     changes: Sequence[Change],
     intervals: int | None = None,
 ) -> int:
@@ -34,7 +34,7 @@ def plan_motion(
     ----------
     source : str
         Template or scene file (.toml, .json).
-    report : Report
+    report : CommandReport
         Text and files.
     changes : sequence of Change
         Changes of the scene file.

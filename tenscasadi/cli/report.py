@@ -22,7 +22,7 @@ Writers = Mapping[str, Callable[[Path], object]]  # by the end of the file's nam
 
 
 @dataclass
-class Report:
+class CommandReport:
     """Report of a command.
 
     Parameters

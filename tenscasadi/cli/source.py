@@ -20,7 +20,7 @@ TEMPLATES = {path.stem: path for path in sorted(FOLDER.glob("*.toml"))}
 
 
 @dataclass(frozen=True)
-class Source:
+class SceneSource:
     """A scene file of the package or of a user.
 
     Attributes
@@ -72,10 +72,10 @@ def read_title(template: str) -> str:
         return file.readline().strip("# .\n")
 
 
-def find_source(name: str, changes: Sequence[Change] = ()) -> Source:
+def find_source(name: str, changes: Sequence[Change] = ()) -> SceneSource:
     """Find a template or a scene file. Raises ValueError, FileNotFoundError."""
     if name in TEMPLATES:
-        return Source(name, TEMPLATES[name], changes)
+        return SceneSource(name, TEMPLATES[name], changes)
     if not name.endswith(ENDINGS):
         known = ", ".join(TEMPLATES)
         cure = f"give one of {known}, or a scene file, whose name ends in .toml or .json"
@@ -84,7 +84,7 @@ def find_source(name: str, changes: Sequence[Change] = ()) -> Source:
     if not path.exists():
         cure = f"`tenscasadi new prism > {path.name}` writes one to start from"
         raise FileNotFoundError(f"there is no file {name}: {cure}")
-    return Source(name, path, changes)
+    return SceneSource(name, path, changes)
 
 
 def describe_change(option: str, key: str, value: Any) -> Change:

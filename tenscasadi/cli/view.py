@@ -11,7 +11,7 @@ from tenscasadi.cli.exchange import FILE
 from tenscasadi.cli.loading import load_viewer
 from tenscasadi.cli.report import check_file
 from tenscasadi.cli.results import load_result
-from tenscasadi.cli.source import Source, find_source
+from tenscasadi.cli.source import SceneSource, find_source
 from tenscasadi.integrators.stabilization import Projection
 
 _PAGE = {**FILE, "metavar": "OUT"}
@@ -89,7 +89,7 @@ def show(
     return 0
 
 
-def _simulate_live(source: Source, **options: Any) -> None:
+def _simulate_live(source: SceneSource, **options: Any) -> None:
     viewer, simulation = load_viewer(), source.simulation()
     correction = simulation.correction or Projection()
     control = simulation.control

@@ -16,7 +16,7 @@ from tenscasadi.util.validate import Array, Indices
 FORCES = {"load": "loads", "contact": "contact forces", "reaction": "reactions"}
 
 
-class Shape(NamedTuple):
+class DrawnShape(NamedTuple):
     """Copies of one form.
 
     Attributes
@@ -76,7 +76,7 @@ class MotionShapes:
         frame: Frame,
         scale: ColorScale | None = None,
         kinds: Iterable[str] = ("load", "contact"),
-    ) -> list[Shape]:
+    ) -> list[DrawnShape]:
         """Build bars, strings, nodes and supports, and arrows of kinds of forces.
 
         Strings are colored by the quantity of the scale; slack strings are thin.
@@ -93,14 +93,16 @@ class MotionShapes:
         supports = _fill(STYLE.support if tint is None else tint, len(motion.pinned))
         pins = np.full(len(motion.pinned), 2.2 * radius)
         return [
-            Shape("member", nodes[motion.bars], np.full(len(motion.bars), radius), bars),
-            Shape("member", nodes[motion.strings], STYLE.string_radius * radius * taut, colors),
-            Shape("ball", nodes, self._node_radius, self._node_colors),
-            Shape("cone", nodes[motion.pinned], pins, supports),
+            DrawnShape("member", nodes[motion.bars], np.full(len(motion.bars), radius), bars),
+            DrawnShape(
+                "member", nodes[motion.strings], STYLE.string_radius * radius * taut, colors
+            ),
+            DrawnShape("ball", nodes, self._node_radius, self._node_colors),
+            DrawnShape("cone", nodes[motion.pinned], pins, supports),
             *self._build_arrows(frame, kinds),
         ]
 
-    def _build_arrows(self, frame: Frame, kinds: Iterable[str]) -> list[Shape]:
+    def _build_arrows(self, frame: Frame, kinds: Iterable[str]) -> list[DrawnShape]:
         """Build the arrows of forces on nodes, one shape for each of the motion's kinds.
 
         Kinds that are not wanted have no arrows.
@@ -117,7 +119,7 @@ class MotionShapes:
             tails = frame.nodes[shown]
             ends = np.stack([tails, tails + factors * vectors[shown]], axis=1)
             colors = _fill(getattr(STYLE, forces.name), len(shown))
-            found.append(Shape("arrow", ends, np.full(len(shown), 0.5 * self.radius), colors))
+            found.append(DrawnShape("arrow", ends, np.full(len(shown), 0.5 * self.radius), colors))
         return found
 
     def force_scale(self, forces: NodeForces) -> float:

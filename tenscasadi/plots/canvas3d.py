@@ -21,7 +21,7 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from tenscasadi.drawing.color_scale import ColorScale
 from tenscasadi.drawing.meshes import build_ball
 from tenscasadi.drawing.scenery import cut_ground, cut_lines, find_box_edges, find_view
-from tenscasadi.drawing.shapes import Shape
+from tenscasadi.drawing.shapes import DrawnShape
 from tenscasadi.drawing.style import STYLE, Rgb, interpolate_colors
 from tenscasadi.drawing.view_content import ViewContent
 from tenscasadi.util.validate import Array
@@ -55,7 +55,7 @@ class Canvas3D:
         center, self._half = self._set_limits(*find_view(content, margin=0.0))
         self._add_surroundings(content, center - self._half, center + self._half)
 
-    def draw(self, shapes: Iterable[Shape]) -> None:
+    def draw(self, shapes: Iterable[DrawnShape]) -> None:
         """Replace the drawn shapes."""
         for artist in self._drawn:
             artist.remove()
@@ -124,7 +124,7 @@ class Canvas3D:
                 *place, name, fontsize=9, ha="center", va="center", zorder=6, path_effects=halo
             )
 
-    def _draw_lines(self, shapes: list[Shape]) -> None:
+    def _draw_lines(self, shapes: list[DrawnShape]) -> None:
         """Draw members, and balls as very short members with round ends."""
         if not shapes:
             return

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.scene.over_time import OverTime, takes_breaks
-from tenscasadi.schema.containers import ListOf, MapOf, NodalForces
+from tenscasadi.schema.containers import ListOf, MapOf, NodeForceTable
 from tenscasadi.schema.field_types import TIMES, Index, Members, varying
 from tenscasadi.util.casadi_tools import is_expression
 from tenscasadi.util.read_only import ReadOnlyArrays
@@ -229,7 +229,7 @@ class NodalForce(OverTime, ReadOnlyArrays, kind="NodalForce"):
     """
 
     _quantity: ClassVar[str] = "values"
-    values: Annotated[Any, NodalForces()]
+    values: Annotated[Any, NodeForceTable()]
     times: Annotated[Any, TIMES] = None
     breakpoints: Annotated[Any, TIMES] = ()
     bars: Annotated[Mapping[int, int] | None, MapOf("node", Index("bar"))] = None

@@ -200,7 +200,7 @@ EMPTY = ParameterLayout((), (), np.zeros(0), {}, {}, {})
 _ELASTIC = "bar_stiffness", "bar_rest_length"
 
 
-class _Block(NamedTuple):
+class _ParameterBlock(NamedTuple):
     """Entries of p for one quantity.
 
     The value of items[j] is weights[j] times the entry with this number; other items are constant.
@@ -243,7 +243,7 @@ def build_layout(scene: Any, parameters: Parameters) -> ParameterLayout:
     )
 
 
-def _build_block(scene: Any, parameters: Parameters, name: str) -> _Block:
+def _build_block(scene: Any, parameters: Parameters, name: str) -> _ParameterBlock:
     values, labels = _read_items(scene, parameters, name)
     members, keys = _find_members(parameters, name, labels)
     scaled = name in parameters.scale
@@ -267,7 +267,7 @@ def _build_block(scene: Any, parameters: Parameters, name: str) -> _Block:
     constant[items] = 0.0
     if name in _ELASTIC:  # rigid bars have none
         constant[~scene.structure.elastic] = 0.0
-    return _Block(
+    return _ParameterBlock(
         [f"{name}{' scale' if scaled else ''}{key}" for key in keys],
         np.array([1.0 if scaled else values[group[0]] for group in members]),
         constant,

@@ -159,7 +159,7 @@ def for_items(which: ItemKind, type: FieldType, other: FieldType) -> Either:
 
 
 @dataclass(frozen=True)
-class NodalForces(FieldType):
+class NodeForceTable(FieldType):
     """Forces on all nodes, or a table from some nodes to theirs; also over time."""
 
     def read(self, item: Item) -> Any:

@@ -197,7 +197,7 @@ def _restore_part(kind: type[Stored], name: str, content: Fields) -> Stored:
         raise ValueError(str(error).replace("field '", f"field '{name}.", 1)) from error
 
 
-class _Fields(NamedTuple):
+class _FieldTypes(NamedTuple):
     """Types of the fields of a class; dimensions, as letters, and kinds of those of arrays."""
 
     hints: dict[str, Any]
@@ -205,8 +205,8 @@ class _Fields(NamedTuple):
 
 
 @cache
-def _find_fields(cls: Hashable) -> _Fields:
-    found, known = _Fields({}, {}), get_type_hints(cls, include_extras=True)
+def _find_fields(cls: Hashable) -> _FieldTypes:
+    found, known = _FieldTypes({}, {}), get_type_hints(cls, include_extras=True)
     for name, given in ((field.name, known[field.name]) for field in fields(cls)):  # type: ignore[arg-type]
         own = [part for part in get_args(given) if part is not NoneType]
         optional = NoneType in get_args(given) and get_origin(given) is not Annotated

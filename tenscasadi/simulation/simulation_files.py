@@ -23,7 +23,7 @@ _ROWS = for_items("node", VECTOR, POINTS)
 
 
 @dataclass(frozen=True)
-class Start:
+class StartSection:
     """Initial positions and velocities.
 
     Parameters
@@ -92,7 +92,7 @@ def _fill_rows(given: Any, others: Array) -> Array | None:
 
 
 SIMULATION = definition(Simulation)
-START = definition(Start, "start")
+START = definition(StartSection, "start")
 
 
 def load_simulation(path: str | os.PathLike[str]) -> Simulation:

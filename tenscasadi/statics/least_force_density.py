@@ -20,7 +20,7 @@ from scipy.sparse.linalg import splu
 from tenscasadi.util.validate import Array
 
 
-class _Program(NamedTuple):
+class _LeastForceProgram(NamedTuple):
     """Minimize ½ weight |γ|² + ½ Σ weights t² + ½ slack |y|² with A γ + B t + slack y = w, γ ≥ low.
 
     Units are scaled. t are variables without bounds: compression-capable strings and bars.
@@ -35,7 +35,7 @@ class _Program(NamedTuple):
     slack: float
 
 
-class _Iterate(NamedTuple):
+class _LeastForceIterate(NamedTuple):
     """Slacks γ − low, variables t, and multipliers of equilibrium and of bounds."""
 
     above: Array
@@ -81,7 +81,7 @@ def least_force_density(
     stack = sp.hstack if sp.issparse(A) else np.hstack
     others = stack([A[:, outside] / length, B])
     weights = np.repeat([1.0, 0.0], [len(outside), B.shape[1]])
-    program = _Program(
+    program = _LeastForceProgram(
         A[:, inside] / length, others, w / (unit * length), least[inside] / unit, 1.0, weights, 0.0
     )
     point, converged = _interior_point(program)
@@ -97,11 +97,13 @@ def least_force_density(
     return gamma if converged else None, unbalanced
 
 
-def _interior_point(program: _Program) -> tuple[_Iterate, bool]:
+def _interior_point(program: _LeastForceProgram) -> tuple[_LeastForceIterate, bool]:
     """Solve a program; also return whether the method has converged."""
     A, B, w, low, weight, weights, slack = program
     count = max(len(low), 1)
-    point = _Iterate(np.ones(len(low)), np.zeros(B.shape[1]), np.zeros(len(w)), np.ones(len(low)))
+    point = _LeastForceIterate(
+        np.ones(len(low)), np.zeros(B.shape[1]), np.zeros(len(w)), np.ones(len(low))
+    )
     for _ in range(80):
         above, free, y, z = point
         gamma, gap = low + above, float(above @ z) / count
@@ -125,22 +127,22 @@ def _interior_point(program: _Program) -> tuple[_Iterate, bool]:
         center = (float(ahead) / count / gap) ** 3 * gap if gap > 0 else 0.0
         change = step(center - predicted.above * predicted.z)
         length = min(1.0, 0.995 * min(_reach(above, change.above), _reach(z, change.z)))
-        point = _Iterate(*(x + length * dx for x, dx in zip(point, change, strict=True)))
+        point = _LeastForceIterate(*(x + length * dx for x, dx in zip(point, change, strict=True)))
     return point, False
 
 
 def _newton(
-    program: _Program, point: _Iterate, residuals: tuple[Array, ...]
-) -> Callable[[Array], _Iterate]:
+    program: _LeastForceProgram, point: _LeastForceIterate, residuals: tuple[Array, ...]
+) -> Callable[[Array], _LeastForceIterate]:
     """Build Newton's step as a function of the products (γ − low) z that it aims at."""
     above, z = point.above, point.z
     dual, other, primal = residuals
     solve = _factorize(program, program.weight + z / above)
 
-    def step(target: Array) -> _Iterate:
+    def step(target: Array) -> _LeastForceIterate:
         aim = target / above - z
         change, free, dy = solve(aim - dual, -other, primal)
-        return _Iterate(change, free, dy, aim - z / above * change)
+        return _LeastForceIterate(change, free, dy, aim - z / above * change)
 
     return step
 
@@ -166,7 +168,7 @@ def _reach(values: Array, change: Array) -> float:
 
 
 def _factorize(
-    program: _Program, D: Array
+    program: _LeastForceProgram, D: Array
 ) -> Callable[[Array, Array, Array], tuple[Array, Array, Array]]:
     """Build the solver of D x − Aᵀ y = f, weights t − Bᵀ y = g, A x + B t + slack y = h.
 
@@ -190,7 +192,7 @@ def _factorize(
     return solve
 
 
-def _polish(program: _Program, point: _Iterate) -> tuple[Array, Array]:
+def _polish(program: _LeastForceProgram, point: _LeastForceIterate) -> tuple[Array, Array]:
     """Refine γ − low and t to rounding, with the active bounds as equations.
 
     The iterate is kept if the solution does not confirm which bounds are active.

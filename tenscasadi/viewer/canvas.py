@@ -25,7 +25,7 @@ from tenscasadi.drawing.scenery import (
     find_view,
     grid_spacing,
 )
-from tenscasadi.drawing.shapes import MotionShapes, Shape, choose_tint
+from tenscasadi.drawing.shapes import DrawnShape, MotionShapes, choose_tint
 from tenscasadi.drawing.style import STYLE, Bytes, Rgb
 from tenscasadi.drawing.view_content import Frame, ViewContent
 from tenscasadi.util.validate import Array
@@ -94,7 +94,7 @@ class Layer:
         for forces, shape in zip(self.shapes.motion.forces, shapes[len(PARTS) :], strict=True):
             self._draw_arrows(forces.name, shape)
 
-    def _draw_part(self, part: str, shape: Shape) -> None:
+    def _draw_part(self, part: str, shape: DrawnShape) -> None:
         place = stretch_cylinders if shape.form == "member" else place_balls
         poses = place(shape.points, shape.radius).round(self.grain)
         colors = linearize_colors(shape.colors)
@@ -112,7 +112,7 @@ class Layer:
         if not np.array_equal(batch.batched_colors, colors):
             batch.batched_colors = colors
 
-    def _draw_arrows(self, kind: str, shape: Shape) -> None:
+    def _draw_arrows(self, kind: str, shape: DrawnShape) -> None:
         arrows, is_shown = self.arrows[kind], bool(len(shape.points))
         if arrows.visible != is_shown:
             arrows.visible = is_shown

@@ -26,7 +26,7 @@ IMPEDANCE = 1e-4
 _STANDING = 3  # number of nodes that support a standing body
 
 
-class Weights(NamedTuple):
+class ContactWeights(NamedTuple):
     """Scales of contact parameters.
 
     Attributes
@@ -41,7 +41,7 @@ class Weights(NamedTuple):
     standing: float
 
 
-def contact_weights(scene: Scene, tree: BodyTree) -> Weights:
+def contact_weights(scene: Scene, tree: BodyTree) -> ContactWeights:
     """Compute the contact scales of a scene.
 
     A is 0 at fixed nodes.
@@ -62,7 +62,7 @@ def contact_weights(scene: Scene, tree: BodyTree) -> Weights:
         else float(np.linalg.norm(scene.gravity.acceleration)) or 9.81
     )
     moving = np.flatnonzero(inverse)
-    return Weights(
+    return ContactWeights(
         inverse, (s.bar_mass.sum() + s.node_mass.sum()) * down / max(min(_STANDING, len(moving)), 1)
     )
 

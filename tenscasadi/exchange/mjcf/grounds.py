@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tenscasadi.exchange.mjcf.bodies import Bodies
-from tenscasadi.exchange.mjcf.contact import Weights, ground_numbers
+from tenscasadi.exchange.mjcf.contact import ContactWeights, ground_numbers
 from tenscasadi.exchange.mjcf.elements import Element
 from tenscasadi.exchange.mjcf.geoms import Geom
 from tenscasadi.exchange.mjcf.words import Defaults, check, children
@@ -43,7 +43,7 @@ def read_grounds(
     bodies: Bodies,
     defaults: Defaults,
     node_at: Callable[[int, Array], int | None],
-    weigh: Callable[[], Weights],
+    weigh: Callable[[], ContactWeights],
 ) -> list[Ground]:
     """Read the grounds of a file. Raises SceneFileError.
 
@@ -135,7 +135,7 @@ def _find_touches(
     return [Touch(node, geom.rod.radius, law) for node in nodes if node is not None]
 
 
-def _build_grounds(plane: Geom, touches: list[Touch], weights: Weights) -> list[Ground]:
+def _build_grounds(plane: Geom, touches: list[Touch], weights: ContactWeights) -> list[Ground]:
     """Build the grounds of a plane, one for each law."""
     normal = plane.frame.turn[:, 2]
     height = float(normal @ plane.frame.place)

@@ -9,7 +9,7 @@ import numpy as np
 
 from tenscasadi.exchange.mjcf.bodies import Bodies, Site
 from tenscasadi.exchange.mjcf.body_tree import build_tree
-from tenscasadi.exchange.mjcf.contact import Weights, contact_weights
+from tenscasadi.exchange.mjcf.contact import ContactWeights, contact_weights
 from tenscasadi.exchange.mjcf.elements import Element, read_elements
 from tenscasadi.exchange.mjcf.frames import Units
 from tenscasadi.exchange.mjcf.grounds import read_grounds
@@ -308,7 +308,7 @@ class _SceneBuilder:
             return bare
         balls = any(piece.anchor is not None for _, piece in self.bodies.moving())
 
-        def weigh() -> Weights:
+        def weigh() -> ContactWeights:
             return contact_weights(bare, build_tree(structure, balls))
 
         def node_at(piece: int, point: Array) -> int | None:

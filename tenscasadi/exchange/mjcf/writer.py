@@ -16,7 +16,7 @@ from tenscasadi.exchange.mjcf.body_tree import (
     find_held_directions,
 )
 from tenscasadi.exchange.mjcf.contact import (
-    Weights,
+    ContactWeights,
     contact_numbers,
     contact_weights,
     list_touching,
@@ -47,7 +47,9 @@ class MjcfWriter:
         )
         self.drawn, self.sphere = 0.005 * size, 1e-3 * size  # radii of bars and contact spheres
         self.weights = (
-            contact_weights(scene, tree) if self.grounds else Weights(np.zeros(len(s.nodes)), 0.0)
+            contact_weights(scene, tree)
+            if self.grounds
+            else ContactWeights(np.zeros(len(s.nodes)), 0.0)
         )
         self.touched = sorted(
             {

@@ -349,12 +349,12 @@ def test_a_tolerance_beyond_rounding_has_no_reference():
 @pytest.mark.parametrize(
     ("change", "named"),
     [
-        ({"what": 3}, "what"),
+        ({"model": 3}, "model"),
         ({"t_end": 0}, "t_end"),
         ({"tolerance": -1}, "tolerance"),
         ({"schemes": [tc.RungeKutta4]}, "scheme"),
         ({"schemes": []}, "schemes"),
-        ({"seconds": 0}, "seconds"),
+        ({"time_limit": 0}, "time_limit"),
         ({"corrections": []}, "corrections"),
         ({"corrections": ["yes"]}, "corrections"),
         ({"state": np.zeros(2)}, "state"),
@@ -362,7 +362,7 @@ def test_a_tolerance_beyond_rounding_has_no_reference():
 )
 def test_wrong_input_is_named(change, named):
     arguments = {
-        "what": tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity()),
+        "model": tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity()),
         "t_end": 0.1,
         "tolerance": 1e-3,
         "compiled": False,

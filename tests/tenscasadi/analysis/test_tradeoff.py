@@ -549,7 +549,7 @@ ROW = {
     ],
 )
 def test_rows_are_checked(field, value):
-    with pytest.raises((TypeError, ValueError), match=rf"^Row\.{field} is"):
+    with pytest.raises((TypeError, ValueError), match=rf"^TradeoffRow\.{field} is"):
         tc.TradeoffRow(**{**ROW, field: value})
 
 

@@ -107,7 +107,7 @@ def test_what_is_not_to_be_trusted_is_spoken_of() -> None:
         run = simulate(model, 0.01, state=off, compiled=False, **options)
         assert run.success
         assert re.search(
-            r"the start is off .* by 0\.\d+: start from tenscasadi\.projection\(model\)\(state\)$",
+            r"the start is off .* by 0\.\d+: start from tenscasadi\.build_projection\(model\)\(state\)$",
             run.message,
         )
         assert (
