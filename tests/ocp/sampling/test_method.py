@@ -81,7 +81,7 @@ def test_the_same_seed_finds_the_same_on_any_number_of_threads():
 
 
 def test_without_a_compiler_motions_go_one_by_one(monkeypatch):
-    def none(*_):
+    def none(*_, build):
         raise CompileError("no compiler")
 
     monkeypatch.setattr(kernels, "compile_library", none)
