@@ -136,7 +136,7 @@ def recommend(
     compiled : bool or Single, optional
         How to run, as for `simulate`.
     time_limit : float
-        Wall-clock limit of the search [s], and of the reference before it. Runs that would exceed it are
+        Wall-clock limit [s], of which the reference may take half. Runs that would exceed it are
         not started. The result is then the best so far, and `message` names the schemes without a
         run.
     parameters : array_like, shape (np,), or mapping, optional
@@ -179,10 +179,11 @@ def recommend(
     double = None if isinstance(compiled, Single) else compiled
     start = None if state is None else finite_array("state", state, (model.nx,))
     p = model.parameters.values(parameters)
+    deadline = time.perf_counter() + time_limit
     limits = {
         **dict.fromkeys(("max_difference", "target_difference"), 0.1 * tolerance),
         "max_instructions": 1e10 / 60 * time_limit,
-        "time_limit": time_limit,
+        "time_limit": time_limit / 2,  # the search gets half of the time at least
     }
     reference = reference_solution(
         model, t_end, start, control, compiled=double, parameters=p, **limits
@@ -197,7 +198,7 @@ def recommend(
         _AccuracyTarget(
             reference.nodes,
             0.7 * tolerance - reference.error,
-            time.perf_counter() + time_limit,
+            deadline,
             time_limit,
         ),
     )

@@ -284,8 +284,8 @@ def test_the_search_ends_in_time():
     model, start = bouncing_mass()
     began = time.perf_counter()
     with pytest.raises(
-        (tc.NoSchemeError, tc.NoReferenceError), match="the time limit of 1 s expired"
-    ):  # on a slow machine for the reference already
+        (tc.NoSchemeError, tc.NoReferenceError), match=r"the time limit of (1|0\.5) s expired"
+    ):  # the reference may take half of it
         tc.recommend(
             model, 3.0, 1e-9, start, schemes=[tc.RungeKutta4()], compiled=False, time_limit=1.0
         )
