@@ -32,6 +32,7 @@ _OTHERS = (
     "N P D ms node_mass pinned_X pinned_Y pinned_Z"
     " pinned_nodes Pinned_nodes Ib roller_nodes roller_normals format"
 )
+_INPUT = "data"  # struct that MOTES and TsgFEM read
 _VARIABLES = {*_BARS, *_STRINGS, *_OF_BARS, *_OF_STRINGS, *_OTHERS.split(), *tsgfem.VARIABLES}
 _STRING_NODE_MASS = 0.1  # kg, the default of MOTES
 _MOST = 125_000_000  # entries of a connectivity matrix: 1 GB
@@ -71,11 +72,12 @@ def load_mat(
     path : str or PathLike
         File of MATLAB's versions 5, 6 or 7 (``save('x.mat', '-v7')``).
     name : str, optional
-        The struct to read if the file contains several.
+        The struct to read if the file contains several. Default: ``data``, the input of MOTES and
+        TsgFEM, with a warning if the others differ.
     strict : bool
         Whether properties without a counterpart, such as sliding cables, and several different
-        structures are errors. Otherwise a warning lists the properties and all variables that were
-        left out, and the first structure is read.
+        structures without ``data`` are errors. Otherwise a warning lists the properties and all
+        variables that were left out, and the first structure is read.
     **options : array_like
         Keywords of `Structure` that replace values of the file, such as ``damping``.
 
@@ -161,15 +163,18 @@ def _choose(source: Source, variables: Variables, name: str | None) -> str | Non
             held = ", ".join(variables) or "nothing"
             raise ValueError(f"it holds no structure, {needed}: it holds {held}")
         return None
-    first, *others = structs
+    chosen = _INPUT if _INPUT in structs else structs[0]
     if any(
-        not _is_same(variables[first].get(key), variables[other].get(key))
-        for other in others
+        not _is_same(variables[chosen].get(key), variables[other].get(key))
+        for other in structs
         for key in ("N", "C", *_BARS, *_STRINGS)
     ):
-        message = f"it holds the structures {listed}: say which by name={first!r}"
-        source.leave_out(ValueError(message))
-    return first
+        found = f"it holds the structures {listed}"
+        if chosen == _INPUT:
+            source.note(f"{found}, of which {_INPUT!r} is read")
+        else:
+            source.leave_out(ValueError(f"{found}: say which by name={chosen!r}"))
+    return chosen
 
 
 def _describes(variables: Variables) -> bool:

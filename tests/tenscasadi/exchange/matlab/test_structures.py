@@ -222,13 +222,20 @@ def test_sliding_cables_become_strings_with_a_warning(tmp_path):
     assert read.stiffness == pytest.approx(apart.stiffness, rel=1e-12)
 
 
+def test_data_is_read_of_several_structures(tmp_path):
+    savemat(tmp_path / "x.mat", {"a_out": {**CROSS, "N": 2 * N}, "data": CROSS})
+    with pytest.warns(tc.InexactImportWarning, match="structures a_out, data, of which 'data' is"):
+        assert tc.load_mat(tmp_path / "x.mat").nodes[0, 0] == 1.0
+    assert tc.load_mat(tmp_path / "x.mat", "a_out").nodes[0, 0] == 2.0
+
+
 def test_lenient_import_reads_the_first_of_several_structures(tmp_path):
-    savemat(tmp_path / "x.mat", {"data": {**CROSS, "mgyro": 1.0}, "out": {**CROSS, "N": 2 * N}})
+    savemat(tmp_path / "x.mat", {"first": {**CROSS, "mgyro": 1.0}, "out": {**CROSS, "N": 2 * N}})
     with pytest.warns(tc.InexactImportWarning) as caught:
         read = tc.load_mat(tmp_path / "x.mat", strict=False)
     assert read.nodes[0, 0] == 1.0
     assert [change.partition(":")[0] for change in caught[0].message.changes] == [
-        "it holds the structures data, out",
+        "it holds the structures first, out",
         "the variables mgyro, out are not read",
         "mgyro is not 0",
     ]
