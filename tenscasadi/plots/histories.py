@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Protocol
 
+import casadi as ca
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
@@ -19,6 +20,7 @@ from tenscasadi.plots.panels import (
     make_panels,
     save_figure,
 )
+from tenscasadi.scene.binding import fix
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import (
     Array,
@@ -30,7 +32,7 @@ from tenscasadi.util.validate import (
     per_item,
 )
 
-_EXAMPLE = "a tenscasadi.Trajectory, such as plan.trajectory or plan.replay()"
+EXAMPLE = "a tenscasadi.Trajectory, such as plan.trajectory or plan.replay()"
 
 
 class ForceHistory(Protocol):
@@ -55,19 +57,22 @@ class ForceHistory(Protocol):
 
 def node_histories(
     trajectory: Trajectory,
-    nodes: Sequence[int] | None = None,
+    nodes: Sequence[int | str] | None = None,
     *,
     title: str = "",
     path: FilePath | None = None,
 ) -> Figure:
     """Draw the coordinates of nodes over time.
 
+    Times with contact to a ground are shaded.
+
     Parameters
     ----------
     trajectory : Trajectory
         The motion.
-    nodes : sequence of int, optional
-        Nodes to draw. Default: those that move, at most the 12 that move furthest.
+    nodes : sequence of int or str, optional
+        Nodes to draw, by index or name. Default: those that move, at most the 12 that move
+        furthest.
     title : str
         Title of the figure.
     path : path-like, optional
@@ -92,26 +97,68 @@ def node_histories(
     >>> [axes.get_ylabel() for axes in plots.node_histories(motion).axes]
     ['x (m)', 'y (m)', 'z (m)']
     """
-    instance("trajectory", trajectory, Trajectory, _EXAMPLE)
-    count = trajectory.nodes.shape[1]
-    chosen = (
-        _find_moving_nodes(trajectory)
-        if nodes is None
-        else [node_index("nodes", node, count) for node in as_tuple("nodes", nodes, "[0, 3]")]
-    )
-    names = _list_names(trajectory, "node", count)
-    names = tuple(names[node] for node in chosen)
-    paths = trajectory.nodes[:, chosen]
+    instance("trajectory", trajectory, Trajectory, EXAMPLE)
+    chosen, names = choose_nodes(trajectory, nodes)
+    paths, contacts = trajectory.nodes[:, chosen], find_contact_intervals(trajectory)
     charts = [
-        Chart(axis, "m", trajectory.time, paths[..., k], names) for k, axis in enumerate("xyz")
+        Chart(axis, "m", trajectory.time, paths[..., k], names, shaded=contacts)
+        for k, axis in enumerate("xyz")
     ]
     return save_figure(draw_charts(charts, title), path)
+
+
+def tensions(
+    trajectory: Trajectory,
+    *,
+    strings: Sequence[int | str] | None = None,
+    title: str = "",
+    path: FilePath | None = None,
+) -> Figure:
+    """Draw the tensions of strings over time.
+
+    Strings of equal tension share a color and a label. Times with contact to a ground are shaded.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        The motion.
+    strings : sequence of int or str, optional
+        Strings to draw, by index or name. Default: all.
+    title : str
+        Title of the figure.
+    path : path-like, optional
+        File to save the figure to, whose suffix (.png, .pdf, .svg ...) selects the format.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        The figure.
+
+    Raises
+    ------
+    TypeError, ValueError
+        An argument has a wrong type or value.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> from tenscasadi import plots
+    >>> motion = tc.simulate(tc.Model(tc.Scene(tc.shapes.prism(prestress=50.0))), t_end=0.1, step=0.01, compiled=False)
+    >>> plots.tensions(motion, strings=["top[0]"]).axes[0].get_ylabel()
+    'tension (N)'
+    """
+    instance("trajectory", trajectory, Trajectory, EXAMPLE)
+    chosen, names = _choose(trajectory, "string", strings, trajectory.tension.shape[1])
+    contacts = find_contact_intervals(trajectory)
+    values = trajectory.tension[:, chosen]
+    chart = Chart("tension", "N", trajectory.time, values, names, shaded=contacts)
+    return save_figure(draw_charts([chart], title), path)
 
 
 def force_densities(
     history: ForceHistory,
     *,
-    strings: Sequence[int] | None = None,
+    strings: Sequence[int | str] | None = None,
     lower: ArrayLike | None = None,
     upper: ArrayLike | None = None,
     title: str = "",
@@ -125,8 +172,8 @@ def force_densities(
     ----------
     history : ForceHistory
         A trajectory or a plan.
-    strings : sequence of int, optional
-        Strings to draw. Default: all.
+    strings : sequence of int or str, optional
+        Strings to draw, by index or name. Default: all.
     lower, upper : array_like, shape () or (α,), optional
         Limits [N/m], drawn as a band unless they are far off.
     title : str
@@ -164,22 +211,13 @@ def force_densities(
         raise ValueError(
             f"history.force_density has {rows} rows: give one for each of the {len(time)} times, or for each of the intervals between"
         )
-    chosen = (
-        list(range(count))
-        if strings is None
-        else [
-            node_index("strings", string, count, "string")
-            for string in as_tuple("strings", strings, "[0, 3]")
-        ]
-    )
+    chosen, names = _choose(history, "string", strings, count)
     limits: dict[str, Any] = {}
     for field, limit in (("lower", lower), ("upper", upper)):
         if limit is not None:
             per_item(field, _drop_infinity(limit), count)
             all_limits = np.broadcast_to(np.asarray(limit, dtype=float), (count,))
             limits[field] = all_limits[chosen]
-    names = _list_names(history, "string", count)
-    names = tuple(names[string] for string in chosen)
     chart = Chart("force density", "N/m", time, values[:, chosen], names, **limits)
     return save_figure(draw_charts([chart], title), path)
 
@@ -218,7 +256,7 @@ def errors(trajectory: Trajectory, *, title: str = "", path: FilePath | None = N
     >>> plots.errors(motion).axes[0].get_yscale()
     'log'
     """
-    instance("trajectory", trajectory, Trajectory, _EXAMPLE)
+    instance("trajectory", trajectory, Trajectory, EXAMPLE)
     curves = {"energy (J)": np.abs(trajectory.energy_error)}
     if len(trajectory.bars):
         curves["bar length, relative"] = trajectory.bar_length_error
@@ -238,10 +276,41 @@ def errors(trajectory: Trajectory, *, title: str = "", path: FilePath | None = N
     return save_figure(figure, path)
 
 
-def _list_names(history: Any, kind: str, count: int) -> tuple[str, ...]:
-    """List the names of the items of a trajectory's or plan's structure."""
-    scene = getattr(history, "scene", None)
-    return list_names(None if scene is None else scene.modelled, kind, count)
+def find_contact_intervals(trajectory: Trajectory) -> tuple[tuple[float, float], ...]:
+    """Find the intervals of time [s] in which nodes are below a ground."""
+    if trajectory.scene is None:
+        return ()
+    nodes, time = trajectory.nodes, trajectory.time
+    touching = np.zeros(len(time), dtype=bool)
+    for ground in fix(trajectory.scene, trajectory.parameters).grounds:
+        some = nodes if ground.nodes is None else nodes[:, list(ground.nodes)]
+        depth = np.asarray(ca.DM(ground.depth(ca.DM(some.reshape(-1, 3).T))))
+        touching |= (depth.reshape(len(time), -1) > 0).any(axis=1)
+    edges = np.flatnonzero(np.diff(touching, prepend=False, append=False))
+    ends = np.minimum(edges[1::2], len(time) - 1)
+    return tuple((float(time[a]), float(time[b])) for a, b in zip(edges[::2], ends, strict=True))
+
+
+def choose_nodes(
+    trajectory: Trajectory, nodes: Sequence[int | str] | None
+) -> tuple[list[int], tuple[str, ...]]:
+    """Select nodes by index or name, by default those that move, with their names."""
+    given = _find_moving_nodes(trajectory) if nodes is None else nodes
+    return _choose(trajectory, "node", given, trajectory.nodes.shape[1])
+
+
+def _choose(
+    history: Any, kind: str, items: Sequence[int | str] | None, count: int
+) -> tuple[list[int], tuple[str, ...]]:
+    """Select items of a kind, by default all, with their names."""
+    scene, field = getattr(history, "scene", None), f"{kind}s"
+    names = list_names(None if scene is None else scene.modelled, kind, count)
+    given = range(count) if items is None else as_tuple(field, items, "[0, 3]")
+    chosen = [
+        names.index(item) if item in names else node_index(field, item, count, kind)
+        for item in given
+    ]
+    return chosen, tuple(names[k] for k in chosen)
 
 
 def _describe_smallness(values: Array, bottom: float) -> str:
