@@ -52,6 +52,7 @@ OPEN_TO_OCP = {*_MODEL, "statics", "drawing"}
 ONWARD = {
     ("tenscasadi.util.viewable", "tenscasadi.viewer.view"),
     ("tenscasadi.statics.load_path", "tenscasadi.plots.load_paths"),
+    ("tenscasadi.util.viewable", "tenscasadi.plots.figures"),
 }
 # documented paths that only lead into a room
 ENTRANCES = {"tenscasadi.__main__", "tenscasadi.animation"}

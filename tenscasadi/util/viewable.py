@@ -1,7 +1,10 @@
-"""Method `view` of values that the viewer shows."""
+"""Display of values in the viewer and in notebooks."""
 
 from __future__ import annotations
 
+from base64 import b64encode
+from html import escape
+from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -37,3 +40,13 @@ class Viewable:
         from tenscasadi.viewer.view import view  # requires viser, and knows all viewable values
 
         return view(self, **options)
+
+    def _repr_html_(self) -> str:
+        """Draw a small picture with a caption for a notebook."""
+        from tenscasadi.plots.figures import structure  # matplotlib is slow to import
+
+        file = BytesIO()
+        structure(self, title=" ").savefig(file, format="png", dpi=60)
+        source = f"data:image/png;base64,{b64encode(file.getvalue()).decode()}"
+        caption = escape(repr(self))
+        return f'<figure><img src="{source}" alt=""><figcaption>{caption}</figcaption></figure>'
