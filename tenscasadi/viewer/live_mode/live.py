@@ -103,6 +103,16 @@ class Live:
 
         self._runner.do(change)
 
+    def run(self, running: bool = True) -> None:
+        """Start or pause the time, as the button of the page does.
+
+        Parameters
+        ----------
+        running : bool
+            Whether the time runs.
+        """
+        self._runner.call(lambda: self.panel.run(running))
+
     def trajectory(self) -> Trajectory:
         """Return the recorded trajectory since the start or the last reset.
 
@@ -216,7 +226,8 @@ def live(  # noqa: PLR0913  the options of a run, and of a page
 ) -> Live:
     """Simulate in real time in a browser.
 
-    Sliders control the strings, and the mouse pulls nodes. Buttons pause, reset and save.
+    It is paused at the start. Sliders control the strings, and the mouse pulls nodes. Buttons start,
+    pause, reset and save.
 
     Parameters
     ----------
@@ -275,6 +286,7 @@ def live(  # noqa: PLR0913  the options of a run, and of a page
     >>> from tenscasadi.viewer import LiveOptions, live
     >>> scene = tc.Scene(tc.shapes.prism(prestress=50.0), gravity=tc.Gravity((0, 0, -1.0)))
     >>> with live(scene, options=LiveOptions(compiled=False), browser=False, wait=False) as motion:
+    ...     motion.run()  # as the button Start does
     ...     run = motion.trajectory()
     >>> run.nodes.shape[1:]
     (6, 3)

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     import viser
 
 _POSITIONS = 400  # of a slider
+_HINT = "Start runs the time. Drag a node, bar or string to pull it."
 
 
 class LivePanel:
@@ -60,13 +61,13 @@ class LivePanel:
         self.canvas.followed = not _is_supported(simulation.model.scene)
         self.canvas.scale = None
         self.controls = ViewControls(server, self.canvas, do)
-        self.running, self._said = True, ""
+        self.running, self._said = False, _HINT
         self._inputs: list[tuple[Slider, Any]] = []
         radius = 0.6 * self.canvas.content.bar_radius
         self._arrow = add_arrows(server.scene, "/shown/pull", STYLE.load, radius)
         gui = server.gui
         self._status = gui.add_html("")
-        self._play = gui.add_button("Pause")
+        self._play = gui.add_button("Start")
         self._play.on_click(lambda _: do(lambda: self.run(not self.running)))
         hint = "back to the initial state and control"
         gui.add_button("Reset", hint=hint).on_click(lambda _: do(self.reset))
@@ -97,7 +98,7 @@ class LivePanel:
 
     def run(self, running: bool) -> None:
         """Continue or pause."""
-        self.running = running
+        self.running, self._said = running, ""
         self._play.label = "Pause" if running else "Continue"
         self.pace.rest()
 

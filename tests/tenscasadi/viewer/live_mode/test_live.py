@@ -23,7 +23,9 @@ KNOWN = "Unable to preventDefault inside passive event listener invocation."
 
 
 def quiet(scene=PRISM, **options):
-    return live(scene, **{"options": VIRTUAL, "browser": False, "wait": False, **options})
+    motion = live(scene, **{"options": VIRTUAL, "browser": False, "wait": False, **options})
+    motion.run()
+    return motion
 
 
 @pytest.fixture
@@ -181,6 +183,19 @@ def test_a_page_that_is_closed_lets_go(open_page):
 
 
 # --- without a browser ---
+
+
+def test_the_time_waits_for_a_start():
+    with live(PRISM, options=VIRTUAL, browser=False, wait=False) as motion:
+        wait_for(lambda: "Start runs the time" in motion.panel._status.content, "a hint")
+        assert motion.panel._play.label == "Start"
+        time.sleep(0.1)
+        assert motion.simulation.time == 0
+        motion.run()
+        wait_for(lambda: motion.simulation.time > 0, "the time runs")
+        wait_for(lambda: "Start" not in motion.panel._status.content, "the hint goes")
+        motion.run(False)
+        assert motion.panel._play.label == "Continue"
 
 
 def test_messages_that_no_page_of_ours_sends_do_nothing(tmp_path):
