@@ -368,9 +368,9 @@ def _place_camera(server: viser.ViserServer, content: ViewContent, more: float) 
     broadside = [(1.0, -0.3, 0.2), (0.3, -1.0, 0.2), (0.2, -0.5, 1.0)]
     flat = extent.min() < 0.05 * extent.max()
     direction = broadside[int(np.argmin(extent))] if flat else (0.45, -1.0, 0.35)
-    distance = 0.62 * size / np.tan(_FIELD_OF_VIEW / 2)
+    distance = 0.7 * size / np.tan(_FIELD_OF_VIEW / 2)  # fits the upright page of a phone, too
     aside = np.cross(direction, (0.0, 0.0, 1.0))  # the panel is at the right
-    middle = (low + high) / 2 - 0.13 * size * aside / np.linalg.norm(aside)
+    middle = (low + high) / 2 - 0.05 * size * aside / np.linalg.norm(aside)
     camera = server.initial_camera
     camera.fov = float(_FIELD_OF_VIEW)
     camera.look_at = middle
