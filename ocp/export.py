@@ -89,9 +89,7 @@ def export_program(
         comment.append(
             f"{type(transcription).__name__}.accuracy is {transcription.accuracy:g} m, and no part of it: this is what is solved first."
         )
-    written = _generate(
-        target, "program", [*values, *program.parts.unrolled().derivatives.values()], comment
-    )
+    written = _generate(target, "program", [*values, *program.parts.derivatives.values()], comment)
     unknowns = zip(
         program.w_names,
         program.w_scale,

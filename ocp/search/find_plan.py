@@ -23,7 +23,7 @@ from ocp.search.task import Method, Task, prepare
 from ocp.solvers.base import Outcome
 from ocp.solvers.monitor import Monitor
 from ocp.solvers.relaxation import TOO_SLOW
-from ocp.transcription.base import ReducedOnly, Transcription
+from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import InitialGuess
 from ocp.transcription.mesh import PiecewiseConstant
 from tenscasadi.integrators.runge_kutta import RungeKutta4
@@ -64,7 +64,7 @@ def find_plan(
         else complete(transcription, solver, guess, problem)
     )
     reduced = None
-    if not problem.phases and (given is None or isinstance(given.transcription, ReducedOnly)):
+    if not problem.phases:
         reduced = reduce_coordinates(problem, guess)
     if reduced is not None:
         problem, guess = reduced.problem, reduced.guess(guess)

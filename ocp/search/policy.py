@@ -101,11 +101,10 @@ def attempts(task: Task, guess: InitialGuess | None) -> Iterator[Attempt]:
     accuracy = min(EXACT * task.tolerance, MISSED * Scales.of(problem).length)
     variational = Variational(count, accuracy=accuracy)
     after = FAILED if near else FIRST
-    if not variational.refusal(model):
-        for solver in _programs(problem):
-            yield Attempt(variational, solver, start, "the fastest that converges", after)
-            yield Attempt(variational, solver, start, "mesh too coarse", INEXACT)
-            after = FAILED
+    for solver in _programs(problem):
+        yield Attempt(variational, solver, start, "the fastest that converges", after)
+        yield Attempt(variational, solver, start, "mesh too coarse", INEXACT)
+        after = FAILED
     shooting = MultipleShooting(count)
     yield Attempt(shooting, Ipopt(), start, "other rows of the motion", after)
     yield Attempt(shooting, Ipopt(), start, "mesh too coarse", INEXACT)

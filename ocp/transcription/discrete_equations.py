@@ -1,20 +1,20 @@
-"""Leapfrog by a discrete principle of least action, with the forces of bars and ground as unknowns."""
+"""Discrete Euler-Lagrange equations with the forces of constraints and ground as unknowns."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from ocp.transcription.base import bar_names, bar_rows, scalar_code
+from ocp.transcription.base import scalar_code
 from ocp.transcription.contact_set import ContactSet, reaction_names
+from ocp.transcription.equations import build_constraints, constraint_names, evaluate_multipliers
 from ocp.transcription.sparse_nlp import Block, gathered, split_symbol, symbol_kind
 from ocp.transcription.variables import Variables, interval_names, state_names
 from tenscasadi.dynamics import forces
-from tenscasadi.dynamics.constraint_forces import nodal_forces
-from tenscasadi.dynamics.equation_of_motion import forward_dynamics
 from tenscasadi.integrators.stabilization import build_projection
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.validate import Array, Indices
@@ -25,17 +25,18 @@ EARLY, LATE = 1 / 3, 2 / 3
 
 
 class DiscreteEquations:
-    """The equations from node to node of the mesh.
+    """Equations from mesh point to mesh point.
 
-    pushes (K + 1, β + 3s): entries of the force densities of bars and of the reactions on nodes
-    that stand.
+    Attributes
+    ----------
+    pushes : ndarray of int, shape (K + 1, c + 3s)
+        Entries of the forces of c constraints, and of the reactions on s nodes that stand.
     """
 
     def __init__(self, v: Variables, used: Array, contact: ContactSet) -> None:
-        self.v, self.model, self.mech, self.contact = v, v.model, v.model.mechanism, contact
-        self.nq, self.bars = v.model.nq, v.model.mechanism.bars
-        self.pushed = self.bars + len(contact.held)
-        self.moved = [] if v.model.scene.supports is None else v.model.scene.supports.nodes
+        self.v, self.model, self.contact, self.nq = v, v.model, contact, v.model.nq
+        self.names, self.kept = state_names(v.model), constraint_names(v.model)
+        self.constraints = build_constraints(v.model)
         self._back = v.entries.constants(-v.fractions[:, None])
         self._row_scale = v.scales.mass * v.scales.length / v.count
         # velocities within, and the clock, are unknowns only where something depends on them
@@ -43,285 +44,204 @@ class DiscreteEquations:
         self.with_velocities, self.with_clock = (
             bool(used[asked].any()) for asked in (inner, clock)
         )
-        for asked, kept in ((inner, self.with_velocities), (clock, self.with_clock)):
-            if not kept:
+        for asked, needed in ((inner, self.with_velocities), (clock, self.with_clock)):
+            if not needed:
                 v.entries.leave_out(asked)
-        lam = self._guessed()
-        forces = v.unknowns_at_nodes(bar_names(self.bars, "force density"), lam, v.strength)
-        self.pushes = np.hstack([forces, contact.reactions])
+        controls = v.guess.force_density
+        controls = controls if v.profile.linear else np.vstack([controls, controls[-1:]])
+        first = evaluate_multipliers(v.model, v.guess.states, controls)
+        self.pushes = np.hstack([self._add_forces("force", first), contact.reactions])
         if self.with_velocities:
-            # where γ jumps, bars and ground push otherwise before a node than after it: `pushes`
-            # are the means of both
-            before = "force density before the end"
+            # where γ jumps, constraints and ground push otherwise before a mesh point than after
+            # it: `pushes` are the means of both
+            names = reaction_names("reaction before the end", contact.stands)
             ground = np.zeros((v.count - 1, len(contact.held)))
-            self.pushes_before = np.hstack(
-                [
-                    v.unknowns_at_nodes(bar_names(self.bars, before), lam[1:-1], v.strength, 1),
-                    v.unknowns_at_nodes(
-                        reaction_names("reaction before the end", contact.stands),
-                        ground,
-                        contact.force,
-                        1,
-                    ),
-                ]
-            )
+            ground_before = v.unknowns_at_nodes(names, ground, contact.force, 1)
+            before = self._add_forces("force before the end", first[1:-1], 1)
+            self.pushes_before = np.hstack([before, ground_before])
 
-    def _guessed(self) -> Array:
-        """λ (K + 1, β) of the guess."""
-        if not self.bars:
-            return np.zeros((self.v.count + 1, 0))
-        guess = self.v.guess
-        gamma = (
-            guess.force_density
-            if self.v.profile.linear
-            else np.concatenate([guess.force_density, guess.force_density[-1:]])
-        )
-        x, u = (
-            symbol_kind(self.model.ode).sym(name, size)
-            for name, size in (("x", self.model.nx), ("u", self.model.nu))
-        )
-        N, V, time = self.model.unpack(x)
-        _, lam, _ = forward_dynamics(self.model, N, V, u, time)
-        values = (
-            ca.Function("forces", [x, u], [ca.densify(lam.T)])
-            .map(len(gamma))(guess.states.T, gamma.T)
-            .full()
-            .T
-        )
-        return np.asarray(np.nan_to_num(values, posinf=0.0, neginf=0.0))
+    def _add_forces(self, what: str, first: Array, node: int = 0) -> Indices:
+        """Add forces (n, c) of the constraints at mesh points from `node` on."""
+        names, v = [f"{name} {what}" for name in self.kept], self.v
+        return v.unknowns_at_nodes(names, first, v.strength * v.scales.length, node)
 
     def blocks(self) -> list[Block]:
         """Return all rows of the motion."""
         v, nq = self.v, self.nq
-        q, own, T = v.states[:, :nq], v.interval_controls, v.duration
-        m = own.shape[1]
-        names = state_names(self.model)[:nq]
-        kind = symbol_kind(self.model.ode)
-
-        # First and last: v is given, at the end backwards in time. T² and shares instead of h:
-        # polynomial also where the duration is free.
-        z, (q0, rate, q1, c, lam, duration, share, passed) = split_symbol(
-            kind, nq, nq, nq, m, self.pushed, 1, 1, 1
-        )
-        force = self._force(q0, rate, v.gamma(c, EARLY), lam, duration * passed)
-        (p0, speed), (p1, _) = (self._carried(duration * time) for time in (passed, passed + share))
-        row = (
-            self._momentum(
-                (q1 - q0) / share - duration * rate, (p1 - p0) / share - duration * speed
-            )
-            - duration**2 * share / 2 * force
-        )
-        first = np.concatenate(
-            [q[0], v.states[0, nq : 2 * nq], q[1], own[0], self.pushes[0], T, v.share[0], v.time[0]]
-        )
-        rows = tuple(
-            f"dynamics of interval {k}, {name}{at}"
-            for k, at in ((0, ""), (v.count - 1, " at its end"))
-            for name in names
-        )
-        last = self._backwards(v.states[-1:, nq : 2 * nq], self.pushes[-1:], slice(-1, None))
-        self._leaving = self._block("ends", z, row, np.vstack([first, last]), rows)
+        self._leaving = self._momentum_at_ends()
         result = [self._leaving]
-
         if v.count > 1:
-            z, (q0, q1, q2, c, d, lam, duration, before, after, passed) = split_symbol(
-                kind, nq, nq, nq, m, m, self.pushed, 1, 1, 1, 1
-            )
-            both = before + after
-            gamma = (before * v.gamma(c, LATE) + after * v.gamma(d, EARLY)) / both
-            force = self._force(q1, (q2 - q0) / (duration * both), gamma, lam, duration * passed)
-            p0, p1, p2 = (
-                self._carried(duration * time)[0]
-                for time in (passed - before, passed, passed + after)
-            )
-            row = self._momentum(
-                (q2 - q1) / after - (q1 - q0) / before, (p2 - p1) / after - (p1 - p0) / before
-            )
-            row -= duration**2 * both / 2 * force
-            index = np.hstack(
-                [
-                    q[:-2],
-                    q[1:-1],
-                    q[2:],
-                    own[:-1],
-                    own[1:],
-                    self.pushes[1:-1],
-                    v.repeated(T, v.count - 1),
-                    v.share[:-1],
-                    v.share[1:],
-                    v.time[1:-1],
-                ]
-            )
-            rows = tuple(
-                f"dynamics of interval {k}, {name}" for k in range(1, v.count) for name in names
-            )
-            result.append(self._block("middle", z, row, index, rows))
-
-        if self.bars:
-            result += self._lengths()
+            result.append(self._momentum_within())
+        if self.kept:
+            result += [self._lengths(), self._rates(slice(v.count, None))]
         if self.contact.lands:
             result += self._impact()
         if self.with_velocities:
-            result += self._inner_velocities()
-        if self.with_clock:
-            result.append(self._clock())
-        return result
+            inner = v.states[1:-1, nq : 2 * nq]
+            index = self._backwards(inner, self.pushes_before, slice(-1))
+            names = interval_names(v.count - 1, self.names[nq : 2 * nq])
+            result.append(replace(self._leaving, index=index, names=names))
+            result += [self._rates(slice(1, -1))] if self.kept else []
+        return [*result, self._clock()] if self.with_clock else result
 
-    def _lengths(self) -> list[Block]:
+    def _momentum_at_ends(self) -> Block:
+        """Build the discrete momenta of the first and of the last velocity.
+
+        At the end they are those of a motion backwards in time. T² and shares instead of h:
+        polynomial also where the duration is free.
+        """
         v, nq = self.v, self.nq
-        q, speeds, when = (
-            ca.SX.sym("q", nq),
-            ca.SX.sym("v", nq),
-            ca.SX.sym("when", 2 if self.moved else 0),
+        columns = [v.states[:1, :nq], v.states[:1, nq : 2 * nq], v.states[1:2, :nq]]
+        columns += [v.interval_controls[:1], self.pushes[:1], v.duration[None]]
+        columns += [v.share[:1], v.time[:1]]
+        z, (q0, speed, q1, c, push, T, share, passed) = self._symbols(columns)
+        before, after = (
+            self._state(q0, speed, T * passed),
+            self._state(q1, q1, T * (passed + share)),
         )
-        time = when[0] * when[1] if self.moved else 0
-        lengths, rates = bar_rows(self.model, self._state(q, speeds, time), v.scales)
-        at_nodes = ca.Function(
-            "lengths", [ca.vertcat(q, when)], [ca.substitute(lengths, speeds, ca.SX.zeros(nq))]
+        change = (self._nodes(after) - self._nodes(before)) / share
+        velocity = self.model.unpack(before)[1]
+        row = self._momentum(change - T * velocity)
+        row -= T**2 * share / 2 * self._force(before, v.gamma(c, EARLY), push)
+        last = self._backwards(v.states[-1:, nq : 2 * nq], self.pushes[-1:], slice(-1, None))
+        names = interval_names(1, self.names[:nq])
+        at_end = [f"dynamics of interval {v.count - 1}, {name} at its end" for name in self.names]
+        return self._block(
+            "ends", z, row, np.vstack([np.hstack(columns), last]), (*names, *at_end[:nq])
         )
-        names = interval_names(v.count, bar_names(self.bars, "length"))
-        last = tuple(
-            f"dynamics of interval {v.count - 1}, {name}" for name in bar_names(self.bars, "rate")
-        )
-        self._rates = Block(
-            ca.Function("rates", [ca.vertcat(q, speeds, when)], [rates]),
-            self._when(v.states[-1:, : 2 * nq], slice(-1, None)),
-            last,
-        )
-        return [Block(at_nodes, self._when(v.states[1:, :nq], slice(1, None)), names), self._rates]
 
-    def _when(self, entries: Indices, nodes: slice) -> Indices:
-        """Entries at nodes of the mesh, with those of their times where supports are moved."""
+    def _momentum_within(self) -> Block:
+        """Build the discrete Euler-Lagrange equations of the mesh points within."""
+        v, nq = self.v, self.nq
+        q, own = v.states[:, :nq], v.interval_controls
+        columns = [q[:-2], q[1:-1], q[2:], own[:-1], own[1:], self.pushes[1:-1]]
+        columns += [v.repeated(v.duration, v.count - 1), v.share[:-1], v.share[1:], v.time[1:-1]]
+        z, (q0, q1, q2, c, d, push, T, before, after, passed) = self._symbols(columns)
+        both, times = before + after, (passed - before, passed, passed + after)
+        rate = (q2 - q0) / (T * both)
+        states = [
+            self._state(at, rate, T * time) for at, time in zip((q0, q1, q2), times, strict=True)
+        ]
+        n0, n1, n2 = map(self._nodes, states)
+        gamma = (before * v.gamma(c, LATE) + after * v.gamma(d, EARLY)) / both
+        row = self._momentum((n2 - n1) / after - (n1 - n0) / before)
+        row -= T**2 * both / 2 * self._force(states[1], gamma, push)
+        names = [
+            f"dynamics of interval {k}, {name}"
+            for k in range(1, v.count)
+            for name in self.names[:nq]
+        ]
+        return self._block("middle", z, row, np.hstack(columns), names)
+
+    def _lengths(self) -> Block:
+        """Build the constraints at all mesh points but the first."""
+        v, nq = self.v, self.nq
+        z, (q, *when) = self._symbols(columns := self._when(v.states[1:, :nq], slice(1, None)))
+        x = self._state(q, type(q).zeros(nq), ca.mtimes(*when) if when else 0)
+        value = self.constraints(x, 0)[0] / v.scales.length
+        names = interval_names(v.count, self.kept)
+        function = scalar_code(ca.Function("lengths", [z], [value]))
+        return Block(function, np.hstack(columns), names, scale=v.scales.length)
+
+    def _rates(self, points: slice) -> Block:
+        """Build the rates of the constraints at some mesh points."""
+        v, scale = self.v, self.v.scales.length / self.v.scales.time
+        columns = self._when(v.states[points, : 2 * self.nq], points)
+        z, (moving, *when) = self._symbols(columns)
+        x = self._state(moving, type(moving)(0, 1), ca.mtimes(*when) if when else 0)
+        function = scalar_code(ca.Function("rates", [z], [self.constraints(x, 0)[1] / scale]))
+        names = [
+            f"dynamics of interval {k - 1}, {name} rate"
+            for k in range(v.count + 1)[points]
+            for name in self.kept
+        ]
+        return Block(function, np.hstack(columns), tuple(names), scale=scale)
+
+    def _when(self, entries: Indices, points: slice) -> list[Indices]:
+        """Return entries at mesh points, with those of their times if supports move."""
         v = self.v
-        return (
-            np.hstack([entries, v.repeated(v.duration, len(entries)), v.time[nodes]])
-            if self.moved
-            else entries
-        )
+        if v.model.scene.supports is None:
+            return [entries]
+        return [entries, v.repeated(v.duration, len(entries)), v.time[points]]
 
-    def _block(self, name: str, z: Any, row: Any, index: Indices, names: tuple[str, ...]) -> Block:
+    def _symbols(self, columns: Sequence[Indices]) -> tuple[Any, tuple[Any, ...]]:
+        sizes = [column.shape[1] for column in columns]
+        return split_symbol(symbol_kind(self.model.ode), *sizes)
+
+    def _block(self, name: str, z: Any, row: Any, index: Indices, names: Sequence[str]) -> Block:
         function = scalar_code(ca.Function(name, [z], [row / self._row_scale]))
-        return Block(function, index, names, scale=self._row_scale)
+        return Block(function, index, tuple(names), scale=self._row_scale)
 
     def _state(self, q: Any, v: Any, time: Any) -> Any:
-        clock = [time + float(self.v.target.start[-1])] if self.model.scene.has_clock else []
+        clock = [time + float(self.v.target.start[-1])] if self.model.has_clock else []
         return ca.vertcat(q, v, *clock)
 
-    def _force(self, q: Any, v: Any, gamma: Any, pushes: Any, time: Any) -> Any:
-        """F + B λ̂ C_b on the free coordinates, and the reactions of the ground."""
-        N, V, clock = self.model.unpack(self._state(q, v, time))
-        total = forces.total(self.model.scene, self.mech, N, V, gamma, clock)
-        return self._coordinates(total) + self._pushed(N, pushes)
-
-    def _pushed(self, N: Any, pushes: Any) -> Any:
-        """B λ̂ C_b on the free coordinates, and the reactions of the ground."""
-        standing = sparse(np.eye(self.nq)[:, self.contact.held])
-        result = ca.mtimes(standing, pushes[self.bars :, :])
-        if self.bars:
-            bars = nodal_forces(self.mech, self.mech.bar_vectors(N), pushes[: self.bars].T)
-            result = result + self._coordinates(bars)
-        return result
+    def _nodes(self, x: Any) -> Any:
+        return self.model.unpack(x)[0]
 
     def _coordinates(self, columns: Any) -> Any:
         """Select the free coordinates of columns (3, n)."""
         return self.model.split(self.model.pack(columns, columns, 0))[0]
 
-    def _carried(self, time: Any) -> tuple[Any, Any]:
-        """Places and velocities (3×m) of the supports that are moved, at a time since the start."""
-        supports = self.model.scene.supports
-        if supports is None:
-            return ca.DM(3, 0), ca.DM(3, 0)
-        places, speeds, _ = supports.rates()(time + float(self.v.target.start[-1]))
-        return places, speeds
+    def _momentum(self, velocities: Any) -> Any:
+        """Return the momenta along the free coordinates of all nodes, moving supports included."""
+        return self._coordinates(ca.mtimes(velocities, sparse(self.model.mechanism.M)))
 
-    def _momentum(self, change: Any, carried: Any) -> Any:
-        """M times a change of the free coordinates, and of the supports that are moved, along the free coordinates."""
-        _, V, _ = self.model.unpack(self._state(change, change, 0))
-        if self.moved:
-            V[:, self.moved] = carried
-        return self._coordinates(ca.mtimes(V, sparse(self.mech.M)))
+    def _force(self, x: Any, gamma: Any, pushes: Any) -> Any:
+        """Return the forces on the free coordinates, with those of constraints and ground."""
+        N, V, clock = self.model.unpack(x)
+        total = forces.total(self.model.scene, self.model.mechanism, N, V, gamma, clock)
+        return self._coordinates(total) + self._push(x, pushes)
 
-    def _per_mass(self) -> ca.Function:
-        """M⁻¹ times what pushes the free coordinates."""
-        pushed = ca.SX.sym("pushed", self.nq)
-        _, V, _ = self.model.unpack(self._state(pushed, pushed, 0))
-        return ca.Function("per_mass", [pushed], [self._coordinates(self.mech.with_inverse(V))])
+    def _push(self, x: Any, pushes: Any) -> Any:
+        """Return the forces of constraints and ground on the free coordinates."""
+        count, standing = len(self.kept), sparse(np.eye(self.nq)[:, self.contact.held])
+        return self.constraints(x, pushes[:count, :])[2] + ca.mtimes(standing, pushes[count:, :])
 
-    def _backwards(self, velocities: Indices, lam: Indices, intervals: slice) -> Indices:
-        """Entries of the momenta (of velocities) at the ends of intervals, seen backwards in time; lam: of bars before these ends."""
-        v = self.v
-        before, after = (
-            v.states[part, : self.nq][intervals] for part in (slice(-1), slice(1, None))
-        )
+    def _backwards(self, velocities: Indices, pushes: Indices, intervals: slice) -> Indices:
+        """Return entries of the momenta (of velocities) at the ends of intervals, backwards in time.
+
+        pushes: forces before these ends.
+        """
+        v, q = self.v, self.v.states[:, : self.nq]
         own = v.interval_controls[intervals]
         controls = own.reshape(len(own), -1, v.controls.shape[1])[:, ::-1].reshape(own.shape)
-        duration = v.repeated(v.duration, len(own))
-        return np.hstack(
-            [
-                after,
-                velocities,
-                before,
-                controls,
-                lam,
-                duration,
-                self._back[intervals],
-                v.time[1:][intervals],
-            ]
-        )
+        columns = [q[1:][intervals], velocities, q[:-1][intervals], controls, pushes]
+        columns += [v.repeated(v.duration, len(own)), self._back[intervals], v.time[1:][intervals]]
+        return np.hstack(columns)
 
     def _impact(self) -> list[Block]:
-        """Rows of an impact without rebound on the nodes that stand from now on.
+        """Build the rows of an impact without rebound on the nodes that stand from now on.
 
-        M (v⁺ − v⁻) are impulses Jᵀ of bars and ground, J v⁺ = 0 with J the gradients of the bars'
-        lengths and of the held coordinates: v⁺ = v⁻ − M⁻¹Jᵀ (J M⁻¹Jᵀ)⁻¹ J v⁻, the projection that
-        takes the least energy away.
+        M (v⁺ − v⁻) are impulses Jᵀ of constraints and ground, J v⁺ = 0 with J the gradients of the
+        constraints and of the held coordinates: v⁺ = v⁻ − M⁻¹Jᵀ (J M⁻¹Jᵀ)⁻¹ J v⁻, the projection
+        that takes the least energy away.
         """
         v, nq = self.v, self.nq
-        bar = v.entries.unknowns(
-            bar_names(self.bars, "impulse density"),
-            np.zeros(self.bars),
-            v.scales.mass / v.scales.time,
-        )
-        z, (q, was, now, impulses) = split_symbol(ca.SX, nq, nq, nq, self.pushed)
-        N, _, _ = self.model.unpack(self._state(q, q, 0))
-        row = self._momentum(now - was, self._carried(0)[1]) - self._pushed(N, impulses)
         scale = v.scales.mass * v.scales.length / v.scales.time
-        start = v.states[0, : 2 * nq]
-        index = [start[:nq], self.contact.arriving, start[nq:], bar, self.contact.impulses]
-        names = tuple(f"impact, {name}" for name in state_names(self.model)[:nq])
-        blocks = [Block(ca.Function("impact", [z], [row / scale]), np.hstack(index)[None], names)]
-        if self.bars:
-            rates = tuple(f"impact, {name}" for name in bar_names(self.bars, "rate"))
-            blocks.append(replace(self._rates, index=start[None], names=rates))
-        return blocks
-
-    def _inner_velocities(self) -> list[Block]:
-        """Rows of the velocities within."""
-        v, nq = self.v, self.nq
-        index = self._backwards(v.states[1:-1, nq : 2 * nq], self.pushes_before, slice(-1))
-        blocks = [
-            replace(
-                self._leaving,
-                index=index,
-                names=interval_names(v.count - 1, state_names(self.model)[nq : 2 * nq]),
-            )
-        ]
-        if self.bars:
-            rates = interval_names(v.count - 1, bar_names(self.bars, "rate"))
-            blocks.append(
-                replace(
-                    self._rates,
-                    index=self._when(v.states[1:-1, : 2 * nq], slice(1, -1)),
-                    names=rates,
-                )
-            )
+        names = [f"{name} impulse" for name in self.kept]
+        impulses = v.entries.unknowns(names, np.zeros(len(names)), scale)
+        pushes = np.append(impulses, self.contact.impulses)
+        q, after = np.split(v.states[:1, : 2 * nq], [nq], axis=1)
+        columns = [q, self.contact.arriving[None], after, pushes[None]]
+        z, (at, was, now, push) = self._symbols(columns)
+        change = self.model.unpack(self._state(at, now - was, 0))[1]
+        row = (self._momentum(change) - self._push(self._state(at, at, 0), push)) / scale
+        function = scalar_code(ca.Function("impact", [z], [row]))
+        rows = tuple(f"impact, {name}" for name in self.names[:nq])
+        blocks = [Block(function, np.hstack(columns), rows, scale=scale)]
+        if self.kept:
+            rates = tuple(f"impact, {name} rate" for name in self.kept)
+            blocks.append(replace(self._rates(slice(1)), names=rates))
         return blocks
 
     def _clock(self) -> Block:
-        v, z = self.v, ca.SX.sym("z", 3)
-        row = (z[0] - float(v.target.start[-1]) - z[1] * z[2]) / v.scales.time
-        index = np.hstack([v.states[1:, -1:], v.repeated(v.duration), v.time[1:]])
-        return Block(ca.Function("clock", [z], [row]), index, interval_names(v.count, ("clock",)))
+        v = self.v
+        columns = [v.states[1:, -1:], v.repeated(v.duration), v.time[1:]]
+        z, (clock, T, passed) = self._symbols(columns)
+        row = (clock - float(v.target.start[-1]) - T * passed) / v.scales.time
+        names = interval_names(v.count, ("clock",))
+        return Block(ca.Function("clock", [z], [row]), np.hstack(columns), names)
 
     def all_states(self, entries: Any) -> Any:
         """Return the states (nx, K + 1) from the column of all entries."""
@@ -329,19 +249,21 @@ class DiscreteEquations:
         q, rates = (gathered(entries, v.states[:, part]) for part in (slice(nq), slice(nq, 2 * nq)))
         duration = gathered(entries, v.duration[:, None])
         if v.count > 1 and not self.with_velocities:
-            rates = ca.horzcat(rates[:, 0], self._momenta(entries, q, duration), rates[:, -1])
+            rates = ca.horzcat(rates[:, 0], self._inner_rates(entries, q, duration), rates[:, -1])
         x = ca.vertcat(q, rates)
-        if self.model.scene.has_clock:
-            x = ca.vertcat(
-                x, float(v.target.start[-1]) + ca.mtimes(duration, gathered(entries, v.time))
-            )
-        if self.bars and v.count > 1 and not self.contact.stands:
+        if self.model.has_clock:
+            clock = float(v.target.start[-1]) + ca.mtimes(duration, gathered(entries, v.time))
+            x = ca.vertcat(x, clock)
+        if self.kept and v.count > 1 and not self.contact.stands:
             inner = build_projection(self.model, 1).map(v.count - 1)(x[:, 1:-1])
             x = ca.horzcat(x[:, 0], inner, x[:, -1])
         return x
 
-    def _momenta(self, entries: Any, q: Any, duration: Any) -> Any:
-        """Velocities (nq, K - 1) of the discrete momenta within; central differences where nodes stand, which these keep at rest."""
+    def _inner_rates(self, entries: Any, q: Any, duration: Any) -> Any:
+        """Return the velocities (nq, K − 1) of the discrete momenta within.
+
+        They are central differences where nodes stand, which these keep at rest.
+        """
         v = self.v
         spacing = ca.diag(1 / (v.fractions[1:] + v.fractions[:-1]))
         central = ca.mtimes(q[:, 2:] - q[:, :-2], spacing) / duration
@@ -352,4 +274,8 @@ class DiscreteEquations:
         z = gathered(entries, self._backwards(nowhere, self.pushes[1:-1], slice(-1)))
         z = ca.vertcat(z[: self.nq, :], central, z[2 * self.nq :, :])
         left = self._leaving.function.map(v.count - 1)(z)
-        return central + self._per_mass().map(v.count - 1)(left) * (self._row_scale / duration)
+        pushed = ca.SX.sym("pushed", self.nq)
+        V = self.model.unpack(self._state(pushed, pushed, 0))[1]
+        per_mass = self._coordinates(self.model.mechanism.with_inverse(V))
+        divide = ca.Function("per_mass", [pushed], [per_mass]).map(v.count - 1)
+        return central + divide(left) * (self._row_scale / duration)

@@ -11,7 +11,6 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from ocp.transcription.interval_step import ramped_step, shooting_step
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import DormandPrince853
@@ -51,14 +50,13 @@ class FineSteps:
     def __init__(self, program: Program, model: Model, fractions: Array) -> None:
         self.program, self.model, self.fractions = program, model, fractions
         self.linear = program.unpack.size2_out(1) > len(fractions)
-        scheme = DormandPrince853()
-        step = (ramped_step if self.linear else shooting_step)(model, scheme, 1)
+        step = _build_step(model)
         self._each, self._chain = step.map(len(fractions)), step.mapaccum(len(fractions))
 
     def planned(self, w: Array) -> tuple[Array, tuple[Array, ...], float]:
         """Return states (K + 1, nx), the arguments of steps after the state, and the duration."""
         states, gamma, T = (np.asarray(one.full()) for one in self.program.unpack(w))
-        held = (gamma[:, :-1], gamma[:, 1:]) if self.linear else (gamma,)
+        held = (gamma[:, :-1], gamma[:, 1:]) if self.linear else (gamma, gamma)
         duration = float(T.squeeze())
         return states.T, (*held, duration * self.fractions[None]), duration
 
@@ -73,6 +71,24 @@ class FineSteps:
         fine = np.column_stack([states[0], later]).T
         places, speeds, _ = self.model.split(np.abs(fine - states) * self.program.known)
         return fine, float(max(places.max(initial=0.0), duration * speeds.max(initial=0.0)))
+
+
+def _build_step(model: Model) -> ca.Function:
+    """Build the fine step (x, u, v, h) → x_next under a control that runs linearly from u to v.
+
+    A projection onto bars and joints follows it.
+    """
+    x, u, v, h = (
+        ca.MX.sym(name, size)
+        for name, size in (("x", model.nx), ("u", model.nu), ("v", model.nu), ("h", 1))
+    )
+    z, rate = ca.MX.sym("z", model.nx + model.nu), ca.MX.sym("rate", model.nu)
+    rates = ca.vertcat(model.ode(z[: model.nx], z[model.nx :]), rate)
+    advance = DormandPrince853().step(ca.Function("ramped", [z, rate], [rates]))
+    end = advance(ca.vertcat(x, u), (v - u) / h, h)[: model.nx]
+    if model.mechanism.constrained:
+        end = build_projection(model, 1)(end)
+    return ca.Function("interval", [x, u, v, h], [end])
 
 
 def measure_ends(program: Program, model: Model, fractions: Array) -> Measure:

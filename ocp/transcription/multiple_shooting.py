@@ -1,37 +1,27 @@
-"""Multiple shooting: the states between intervals are unknowns, each interval is integrated by an explicit scheme."""
+"""Multiple shooting by the steps of a scheme."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from typing import Annotated
 
-import casadi as ca
 import numpy as np
 
-from ocp.transcription.assemble import Defects
-from ocp.transcription.base import Transcription, unrolled
-from ocp.transcription.interval_step import ramped_step, shooting_step
-from ocp.transcription.sparse_nlp import Block, Derivatives, split_symbol
-from ocp.transcription.step_derivatives import StepDerivatives
-from ocp.transcription.variables import Variables, interval_names, state_names
+from ocp.transcription.runge_kutta import RungeKuttaTranscription
 from tenscasadi.integrators.collocation import Collocation
-from tenscasadi.integrators.runge_kutta import ExplicitRungeKutta, RungeKutta4
+from tenscasadi.integrators.runge_kutta import ExplicitRungeKutta, RungeKutta4, select_stages
 from tenscasadi.integrators.scheme import NamedScheme, Scheme, check_scheme
 from tenscasadi.schema.definitions import OneOf
-from tenscasadi.util.casadi_tools import ArrayCallback
-from tenscasadi.util.validate import Array, whole_number
-
-MOST_SUBSTEPS = 10_000  # in an interval
-_UNIFORM = ca.Function("ode", [ca.SX.sym("x"), ca.SX.sym("u")], [ca.SX.ones(1)])  # x' = 1
+from tenscasadi.util.validate import Array, format_value, whole_number
 
 
 @dataclass(frozen=True)
-class MultipleShooting(Transcription, kind="MultipleShooting"):
-    """Multiple shooting: an explicit scheme integrates each interval, and constraints close the gaps between intervals.
+class MultipleShooting(RungeKuttaTranscription, kind="MultipleShooting"):
+    """Multiple shooting: a scheme integrates each interval, and defects join the intervals.
 
-    The states at the nodes of the mesh are unknowns too. The steps of an interval are followed by a
-    projection onto bars and joints: without it these drift, and imposed as constraints they would
-    repeat the dynamics.
+    Besides the states at the mesh points, the stages of all steps are unknowns ("lifted" [2]_).
+    Solutions are those of the scheme, and derivatives are small and exact. For high accuracy,
+    `Collocation` has fewer unknowns.
 
     Parameters
     ----------
@@ -42,20 +32,26 @@ class MultipleShooting(Transcription, kind="MultipleShooting"):
     substeps : int
         Number of its steps in each interval.
     control : PiecewiseConstant or PiecewiseLinear
-        How force densities run over the intervals.
+        Profile of the controls over the intervals.
     accuracy : float, optional
-        How near the motion shall be to that of fine steps, m (speeds: m per duration): `solve` then
-        solves again, with `Ipopt`, until it is. By default the motion is as the intervals make it.
+        Largest distance from the motion of fine steps [m] (speeds: m per duration). `solve`
+        corrects the plan until it is met. By default it corrects nothing.
 
     Raises
     ------
     TypeError, ValueError
-        If a value is not of its kind, or the scheme steps whole models only.
+        If a value has another type or is out of bounds, or the scheme has no stages.
+
+    Notes
+    -----
+    At the end of each interval, two multipliers for each bar keep its length and rate. Without them
+    bars drift, and imposed as constraints they would repeat the dynamics.
 
     References
     ----------
-    H. G. Bock, K. J. Plitt, A multiple shooting algorithm for direct solution of optimal control
-    problems, IFAC Proceedings 17, 1984.
+    .. [1] H. G. Bock, K. J. Plitt, A multiple shooting algorithm for direct solution of optimal
+       control problems, IFAC Proceedings 17, 1984.
+    .. [2] J. Albersmeyer, M. Diehl, SIAM Journal on Optimization 20, 2010, 1655-1684.
 
     Examples
     --------
@@ -74,110 +70,40 @@ class MultipleShooting(Transcription, kind="MultipleShooting"):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        whole_number("MultipleShooting.substeps", self.substeps, 1, MOST_SUBSTEPS)
-        check_scheme(self.scheme)
-        try:
-            self.scheme.step(_UNIFORM)
-        except TypeError:
-            name = type(self.scheme).__name__
-            text = f"MultipleShooting.scheme is {name}(), which steps whole models, not the equations with force densities of an interval"
+        whole_number("MultipleShooting.substeps", self.substeps, 1, 10_000)
+        check_scheme(self.scheme, "MultipleShooting.scheme")
+        if not isinstance(self.scheme, ExplicitRungeKutta | Collocation):
             raise ValueError(
-                f"{text}: give RungeKutta4(), DormandPrince54(), DormandPrince853() or Collocation()"
-            ) from None
+                f"MultipleShooting.scheme is {format_value(self.scheme)}: give RungeKutta4(), "
+                "DormandPrince54(), DormandPrince853() or Collocation()"
+            )
+
+    @property
+    def steps(self) -> int:
+        """Number of steps in each interval."""
+        return self.substeps
+
+    @property
+    def coefficients(self) -> tuple[Array, Array]:
+        """Coefficients A (s, s) and b (s,) of the scheme."""
+        if isinstance(self.scheme, Collocation):
+            return self.scheme.coefficients
+        tableau = self.scheme.tableau  # type: ignore[attr-defined]
+        kept, s = sorted(select_stages(tableau)), len(tableau.b)
+        A = np.array([[*row, *[0.0] * (s - len(row))] for row in tableau.a]).reshape(s, s)
+        return A[np.ix_(kept, kept)], np.array(tableau.b)[kept]
 
     def longest_step(self, duration: float) -> float:
-        """Return the longest step of a motion.
+        """Compute the longest step of a motion.
 
         Parameters
         ----------
         duration : float
-            Of the motion, s.
+            Duration of the motion [s].
 
         Returns
         -------
         float
-            Seconds.
+            Longest step [s].
         """
         return super().longest_step(duration) / self.substeps
-
-    def defects(self, variables: Variables, used: Array) -> Defects:
-        """Return the blocks of rows that vanish on a motion: the gaps between intervals.
-
-        Parameters
-        ----------
-        variables : Variables
-            States at the nodes of the mesh, force densities and duration; further unknowns are
-            added to them.
-        used : ndarray of bool
-            Which of their entries bounds, costs and goals depend on.
-
-        Returns
-        -------
-        Defects
-            The blocks, and how states follow from unknowns where not all are.
-        """
-        v, model = variables, variables.model
-        z, (x, c, after, duration, share) = split_symbol(
-            ca.MX, model.nx, v.interval_controls.shape[1], model.nx, 1, 1
-        )
-        if self.control.linear:
-            end = ramped_step(model, self.scheme, self.substeps)(
-                x, v.gamma(c, 0.0), v.gamma(c, 1.0), duration * share
-            )
-        else:
-            end = shooting_step(model, self.scheme, self.substeps)(
-                x, v.gamma(c, 0.0), duration * share
-            )
-        gap = unrolled(model, ca.Function("gap", [z], [(after - end) / ca.DM(v.scales.state)]))
-        index = np.hstack(
-            [v.states[:-1], v.interval_controls, v.states[1:], v.repeated(v.duration), v.share]
-        )
-        names = interval_names(v.count, state_names(model))
-        derivatives = None
-        if isinstance(self.scheme, ExplicitRungeKutta | Collocation) and not model.mechanism.large:
-            derivatives = self._derivatives(v, self.scheme)
-        return Defects(
-            [
-                Block(
-                    gap,
-                    index,
-                    names,
-                    scale=v.scales.state,
-                    closes=v.states[1:],
-                    derivatives=derivatives,
-                )
-            ]
-        )
-
-    def _derivatives(self, v: Variables, scheme: ExplicitRungeKutta | Collocation) -> Derivatives:
-        """Return those of the gaps, from the stages of their steps."""
-        nx, m, count = v.model.nx, v.interval_controls.shape[1], v.count
-        inner = StepDerivatives(
-            v.model, v.group_matrix, scheme, self.substeps, self.control.linear, v.free_time, count
-        )
-        ends = np.cumsum([nx, m, nx, 1])
-        varied = np.concatenate([np.arange(nx + m), np.arange(ends[2], ends[2] + v.free_time)])
-        scale = v.scales.state
-
-        def jacobian(z: Array) -> Array:
-            x, c, _, duration, share = np.split(z, ends, axis=1)
-            rows = np.empty(
-                (count, inner.size + 1, nx)
-            )  # of what the interval starts from, and what is behind it
-            inner.jacobian(x, c, duration, share, rows[:, :-1])
-            rows[:, :-1] *= -1 / scale
-            rows[:, -1] = 1 / scale
-            return rows
-
-        def hessian(z: Array, weights: Array) -> Array:
-            x, c, _, duration, share = np.split(z, ends, axis=1)
-            return inner.hessian(x, c, duration, share, weights / -scale)
-
-        shape = (nx + m + nx + 2, count)
-        return Derivatives(
-            ArrayCallback("gap_jacobian", jacobian, [shape], (nx * (inner.size + 1), count)),
-            np.tile(np.arange(nx), inner.size + 1),
-            np.concatenate([np.repeat(varied, nx), np.arange(ends[1], ends[2])]),
-            ArrayCallback("gap_hessian", hessian, [shape, (nx, count)], (inner.size**2, count)),
-            varied,
-        )

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from tenscasadi.util.validate import Array, Indices
 
 Kind = Literal[
-    "start", "defect", "path", "rate", "waypoint", "end", "periodic", "cost"
+    "start", "stage", "defect", "path", "rate", "waypoint", "end", "periodic", "cost"
 ]  # what rows are of
 
 
@@ -60,21 +60,6 @@ class Unknowns:
         return replace(self, names=tuple(self.names[k] for k in order), **columns)
 
 
-class Derivatives(NamedTuple):
-    """Derivatives of a block's function that are not those of its expression, of all its instances at once.
-
-    jacobian: Function z (nz, count) → values (n, count), which stand at `rows` and `columns` (n,)
-    of the Jacobian of each instance. hessian: (z, weights (m, count)) → values (s·s, count) of the
-    symmetric matrix of the entries `varied` (s,) of z.
-    """
-
-    jacobian: ca.Function
-    rows: Indices
-    columns: Indices
-    hessian: ca.Function
-    varied: Indices
-
-
 @dataclass(frozen=True, eq=False)
 class Block:
     """Rows lower ≤ function(z_k) ≤ upper of `count` instances k; z_k are the entries `index[k]` of unknowns and constants.
@@ -84,7 +69,6 @@ class Block:
     limited. closes: None, or for each row of an instance the unknown x⁺ of which it is x⁺ − F(…),
     in the same scale. combination: None, or a dense matrix (m, rows of function) with which the
     function's rows are multiplied. kind: what the rows are of, by which others find them.
-    derivatives: None, or what takes the place of CasADi's.
     """
 
     function: ca.Function
@@ -96,7 +80,6 @@ class Block:
     closes: Indices | None = None
     combination: Array | None = None
     kind: Kind = "defect"
-    derivatives: Derivatives | None = None
 
     @property
     def count(self) -> int:
@@ -178,15 +161,6 @@ class Separable:
             for function in (self.gradient(), self.jacobian(), self.hessian())
         }
 
-    def unrolled(self) -> Separable:
-        """Return the same with all derivatives as expressions, of which C can be generated."""
-        return Separable(
-            self.unknowns,
-            [replace(block, derivatives=None) for block in self.rows],
-            self.costs,
-            self._weight,
-        )
-
     def gradient(self) -> ca.Function:
         """Return the Function nlp_grad_f: (w, p) → f and its gradient."""
         matrix = _SparseMatrix(self.unknowns)
@@ -200,8 +174,8 @@ class Separable:
     def jacobian(self) -> ca.Function:
         """Return the Function nlp_jac_g: (w, p) → g and its sparse Jacobian."""
         J = self._row_derivatives.assembled(self.g.shape[0], self.unknowns.count)
-        return self._keeping(
-            ca.Function("nlp_jac_g", [self.w, self._p], [self.g, J], ["x", "p"], ["g", "jac_g_x"])
+        return ca.Function(
+            "nlp_jac_g", [self.w, self._p], [self.g, J], ["x", "p"], ["g", "jac_g_x"]
         )
 
     @property
@@ -226,17 +200,9 @@ class Separable:
             matrix.add_hessian(block, z, ca.repmat(lam_f * self._weight, 1, block.count))
         H = matrix.assembled(self.unknowns.count, self.unknowns.count)
         inputs = [self.w, self._p, lam_f, lam_g]
-        return self._keeping(
-            ca.Function(
-                "nlp_hess_l", inputs, [H], ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
-            )
+        return ca.Function(
+            "nlp_hess_l", inputs, [H], ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
         )
-
-    def _keeping(self, function: Any) -> ca.Function:
-        """Return the Function with what it calls back in Python, which CasADi does not keep."""
-        function.called = [block.derivatives for block in self.rows]
-        kept: ca.Function = function
-        return kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -407,9 +373,6 @@ class _SparseMatrix:
 
     def _derivative(self, block: Block, z: Any) -> tuple[Any, Indices, Indices, NDArray[np.bool_]]:
         """Return the non-zeros (n, count) of the Jacobian at z: their rows, entries of z, and which vary."""
-        if (given := block.derivatives) is not None:
-            varying = np.ones(len(given.rows), dtype=bool)
-            return given.jacobian(z), given.rows, given.columns, varying
         s: Any = symbol_kind(block.function).sym("z", block.function.size1_in(0))
         varied, places = self._varied(block, s)
         J = ca.jacobian(block.function(s), varied)
@@ -426,12 +389,6 @@ class _SparseMatrix:
 
     def _second(self, block: Block) -> tuple[Callable[[Any, Any, Indices], Any], Indices, Indices]:
         """Return what makes the chosen non-zeros (n, count) of the Hessian, from z and multipliers; and the entries of z of each non-zero."""
-        if (given := block.derivatives) is not None:
-            size, chosen_values = (
-                len(given.varied),
-                lambda z, weights, chosen: given.hessian(z, weights)[chosen.tolist(), :],
-            )
-            return chosen_values, np.tile(given.varied, size), np.repeat(given.varied, size)
         s: Any = symbol_kind(block.function).sym("z", block.function.size1_in(0))
         weight = type(s).sym("weight", block.function.size1_out(0))
         varied, places = self._varied(block, s)

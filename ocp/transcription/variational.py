@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ocp.transcription.assemble import Defects
-from ocp.transcription.base import ReducedOnly
+from ocp.transcription.base import Transcription
 from ocp.transcription.contact_set import ContactSet, no_contact
 from ocp.transcription.discrete_equations import DiscreteEquations
 from ocp.transcription.fine_steps import Measure, measure_jumps
@@ -16,7 +16,7 @@ from tenscasadi.util.validate import Array
 
 
 @dataclass(frozen=True)
-class Variational(ReducedOnly, kind="Variational"):
+class Variational(Transcription, kind="Variational"):
     """A discrete principle of least action (leapfrog): order 2, momenta and bars kept exactly; the fastest of the transcriptions.
 
     Neither accelerations nor inverse matrices appear: all rows are polynomials of low degree with

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import reduce
 from operator import matmul
 from pathlib import Path
@@ -237,59 +237,6 @@ class ArrayFunction:
     def stats(self) -> dict[str, Any]:
         """Return the statistics of a solver's last call."""
         return dict(self._buffer.stats())
-
-
-class ArrayCallback(ca.Callback):
-    """CasADi Function that NumPy evaluates.
-
-    `evaluate` has an array (columns, rows) for each input, and returns one for the output. Shapes
-    are (rows, columns). Keep this object as long as expressions use it.
-    """
-
-    def __init__(
-        self,
-        name: str,
-        evaluate: Callable[..., Array],
-        inputs: list[tuple[int, int]],
-        output: tuple[int, int],
-    ) -> None:
-        super().__init__()
-        self._evaluate, self._inputs, self._output = evaluate, inputs, output
-        self.construct(name, {})
-
-    def get_n_in(self) -> int:
-        """Return the number of inputs."""
-        return len(self._inputs)
-
-    def get_n_out(self) -> int:
-        """Return the number of outputs, 1."""
-        return 1
-
-    def get_sparsity_in(self, k: int) -> ca.Sparsity:
-        """Return the sparsity of an input."""
-        return ca.Sparsity.dense(*self._inputs[k])
-
-    def get_sparsity_out(self, _: int) -> ca.Sparsity:
-        """Return the sparsity of the output."""
-        return ca.Sparsity.dense(*self._output)
-
-    def has_eval_buffer(self) -> bool:
-        """Return whether numbers are read and written in place."""
-        return True
-
-    def eval_buffer(self, arguments: Sequence[Any], results: Sequence[Any]) -> int:
-        """Evaluate in CasADi's memory, without warnings of values that are not finite."""
-        arrays = [
-            np.frombuffer(value).reshape(columns, rows)
-            for value, (rows, columns) in zip(arguments, self._inputs, strict=True)
-        ]
-        result = np.frombuffer(results[0])
-        try:
-            with np.errstate(all="ignore"):
-                result[:] = np.ravel(self._evaluate(*arrays))
-        except np.linalg.LinAlgError:  # a matrix is singular
-            result[:] = np.nan
-        return 0
 
 
 def generated(generator: ca.CodeGenerator, name: str) -> dict[str, str]:

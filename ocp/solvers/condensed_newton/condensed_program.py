@@ -81,7 +81,7 @@ class CondensedProgram:
 
     def _set_elimination(self, row: Indices, column: Indices, n: int) -> None:
         program = self.program
-        places = [np.arange(one.start, one.stop) for one in program.rows("defect")]
+        places = [np.arange(one.start, one.stop) for one in program.rows("stage", "defect")]
         defects = np.concatenate([np.zeros(0, dtype=np.intp), *places])
         determined = np.setdiff1d(np.arange(n), self.u)
         if (

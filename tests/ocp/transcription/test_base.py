@@ -12,7 +12,7 @@ from planning import folding, integrated, program, raising, shaken
 import ocp
 import tenscasadi as tc
 from ocp.transcription.assemble import Defects
-from ocp.transcription.base import Transcription, unrolled
+from ocp.transcription.base import Transcription, scalar_code
 from ocp.transcription.sparse_nlp import Block, split_symbol
 from ocp.transcription.variables import interval_names, state_names
 
@@ -105,13 +105,27 @@ def test_supports_may_be_moved(transcription, free):
 
 
 @pytest.mark.parametrize(
-    "make", [ocp.ImplicitMidpoint, ocp.Variational, ocp.Collocation], ids=lambda kind: kind.__name__
+    "make",
+    [ocp.ImplicitMidpoint, ocp.Variational, ocp.Collocation, ocp.MultipleShooting],
+    ids=lambda kind: kind.__name__,
 )
-def test_programs_in_full_coordinates_are_refused_by_name(make):
-    model = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()), "full")
-    goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths)]
-    with pytest.raises(ValueError, match=f"{make.__name__} keeps bars, not joints"):
-        program(ocp.Problem(model, goals=goals), make(10))
+def test_programs_in_full_coordinates_keep_joints(make):
+    reduced, full = (
+        tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()), coordinates)
+        for coordinates in ("reduced", "full")
+    )
+    goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()]
+    objectives = []
+    for model in (reduced, full):
+        asked = ocp.Problem(model, goals=goals, costs=[ocp.Effort()])
+        built = program(asked, make(8))
+        solution = ocp.Ipopt(max_iterations=50).solve(built)
+        assert solution.success
+        cost = ca.Function("f", [built.problem["x"]], [built.problem["f"]])(solution.w)
+        objectives.append(float(cost) * built.objective)
+        states = built.unpack(solution.w)[0].full().T
+        assert max(np.abs(model.joint_error(x)).max() for x in states) < 1e-7
+    assert objectives[1] == pytest.approx(objectives[0], rel=1e-6)
 
 
 @dataclass(frozen=True)
@@ -124,12 +138,8 @@ class Trapezoidal(Transcription):
             ca.MX, model.nx, v.interval_controls.shape[1], model.nx, 1, 1
         )
         slope = (model.ode(x, v.gamma(c, 0.0)) + model.ode(after, v.gamma(c, 1.0))) / 2
-        gap = unrolled(
-            model,
-            ca.Function(
-                "gap", [z], [(after - x - duration * share * slope) / ca.DM(v.scales.state)]
-            ),
-        )
+        row = (after - x - duration * share * slope) / ca.DM(v.scales.state)
+        gap = scalar_code(ca.Function("gap", [z], [row]))
         index = np.hstack(
             [v.states[:-1], v.interval_controls, v.states[1:], v.repeated(v.duration), v.share]
         )

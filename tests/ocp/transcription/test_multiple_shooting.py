@@ -2,51 +2,49 @@
 
 from __future__ import annotations
 
-import casadi as ca
 import numpy as np
 import pytest
+from planning import raising
 
 import ocp
 import tenscasadi as tc
-from ocp.problem.scaling import Scales
-from ocp.targets.find_target import find_target
-from ocp.transcription.initial_guess import make_guess
-
-PRISM = tc.shapes.prism()
-MODEL = tc.Model(tc.Scene(PRISM, control=tc.ForceDensity(), gravity=tc.Gravity()))
-LENGTHS = ocp.StringLengths({0: 0.8, 6: 1.0})
 
 
-def growing(shooting=ocp.MultipleShooting(4), **changes):
-    problem = ocp.Problem(**{"model": MODEL, "duration": 0.4, "goals": [LENGTHS], **changes})
-    scales = Scales.of(problem)
-    target = find_target(problem, scales)
-    guess = make_guess(problem, target, shooting.intervals)
-    return shooting.program(problem, target, scales, guess), guess, target
-
-
-def test_gaps_close_on_a_simulated_motion():
-    """Rows of the dynamics vanish on what simulate computes with the same scheme, steps and projection."""
-    shooting = ocp.MultipleShooting(4, substeps=5)
-    built, _, target = growing(shooting)
-    controls = np.random.default_rng(2).uniform(0, 20, size=(4, 9))
+@pytest.mark.parametrize("control", [ocp.PiecewiseConstant(), ocp.PiecewiseLinear()])
+@pytest.mark.parametrize("scheme", [tc.RungeKutta4(), tc.DormandPrince54(), tc.Collocation(2)])
+def test_plan_is_the_motion_of_the_scheme(scheme, control):
+    """A simulation by the same scheme, steps and projection agrees with the plan."""
+    shooting = ocp.MultipleShooting(6, scheme, substeps=2, control=control)
+    plan = ocp.solve(raising(), shooting, ocp.Ipopt(tolerance=1e-10), tolerance=0.1)
+    assert plan.success, plan.message
+    if control.linear:  # which simulations hold in each step
+        finer = ocp.MultipleShooting(6, scheme, substeps=4, control=control)
+        other = ocp.solve(raising(), finer, ocp.Ipopt(tolerance=1e-10), tolerance=0.1)
+        assert other.trajectory.states == pytest.approx(plan.trajectory.states, abs=1e-3)
+        return
     run = tc.simulate(
-        MODEL,
-        0.4,
-        0.02,
-        state=target.start,
-        control=controls,
-        correction=tc.Projection(every=5),
-        save_every=5,
+        plan.model,
+        1.0,
+        1 / 12,
+        scheme,
+        state=plan.trajectory.states[0],
+        control=plan.force_density,
+        correction=tc.Projection(every=2),
+        save_every=2,
         compiled=False,
     )
-    unscaled = built.unpack(np.ones_like(built.first))
-    scales = np.concatenate([unscaled[1].full(), unscaled[0].full()[:, 1:]]).T
-    w = (np.concatenate([controls, run.states[1:]], axis=1) / scales).ravel()
-    states, forces, _ = (value.full().T for value in built.unpack(w))
-    assert states == pytest.approx(run.states, abs=1e-12)
-    assert forces == pytest.approx(controls, rel=1e-12)
-    g = ca.Function("g", [built.problem["x"]], [built.problem["g"]])(w).full().ravel()
-    rows = [name.startswith("dynamics") for name in built.names]
-    assert sum(rows) == 4 * 36
-    assert np.abs(g[rows]).max() < 1e-10
+    # projections at one or the other end of a drift differ by its square
+    assert np.abs(run.states - plan.trajectory.states).max() < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "words"),
+    [
+        ({"scheme": tc.Rattle()}, ValueError, r"MultipleShooting\.scheme is Rattle"),
+        ({"scheme": tc.RungeKutta4}, TypeError, r"MultipleShooting\.scheme"),
+        ({"substeps": 0}, ValueError, r"MultipleShooting\.substeps is 0"),
+    ],
+)
+def test_wrong_values_are_rejected(changes, error, words):
+    with pytest.raises(error, match=words):
+        ocp.MultipleShooting(4, **changes)

@@ -75,8 +75,9 @@ def test_rows_are_found_by_kind():
     built = program(
         raising(goals=goals, bounds=[ocp.TensionLimits(upper=12.0)]), ocp.MultipleShooting(4)
     )
+    motion = [*built.rows("stage"), *built.rows("defect")]
+    assert all(name.startswith("dynamics of") for rows in motion for name in built.names[rows])
     beginnings = {
-        "defect": "dynamics of",
         "path": "tension of",
         "waypoint": "goal of waypoint 0,",
         "end": "goal, ",
@@ -85,7 +86,8 @@ def test_rows_are_found_by_kind():
         found = [name for rows in built.rows(kind) for name in built.names[rows]]
         assert found
         assert found == [name for name in built.names if name.startswith(beginning)]
-    assert sum(rows.stop - rows.start for rows in built.rows(*beginnings)) == len(built.names)
+    kinds = ("stage", "defect", *beginnings)
+    assert sum(rows.stop - rows.start for rows in built.rows(*kinds)) == len(built.names)
     assert not built.rows("start", "periodic")
 
 

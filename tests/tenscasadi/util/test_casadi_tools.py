@@ -8,7 +8,6 @@ import pytest
 import scipy.sparse as sp
 
 from tenscasadi.util.casadi_tools import (
-    ArrayCallback,
     ArrayFunction,
     block_inverse,
     call_as_sx,
@@ -99,15 +98,3 @@ def test_blocks_of_several_sizes_lie_among_each_other():
     assert block_inverse(sp.csr_array(M), np.isin(np.arange(17), free)).toarray() == pytest.approx(
         expected, abs=1e-13
     )
-
-
-def test_numpy_evaluates_a_function():
-    """Columns come as rows of arrays; what is not finite comes without a warning."""
-    divided = ArrayCallback("divided", lambda x, y: x[:, :1] / y, [(2, 3), (1, 3)], (1, 3))
-    x, y = ca.MX.sym("x", 2, 3), ca.MX.sym("y", 1, 3)
-    function = ca.Function("f", [x, y], [2 * divided(x, y)])
-    assert function(ca.DM([[1, 2, 3], [4, 5, 6]]), ca.DM([[1, 2, 0]])).full() == pytest.approx(
-        np.array([[2.0, 2.0, np.inf]])
-    )
-    singular = ArrayCallback("singular", lambda x: np.linalg.inv(x), [(2, 2)], (2, 2))
-    assert np.isnan(singular(ca.DM.zeros(2, 2)).full()).all()

@@ -1,0 +1,73 @@
+"""Equations of motion with the multipliers of bars and joints as unknowns."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from ocp.transcription.sparse_nlp import symbol_kind
+from tenscasadi.dynamics.equation_of_motion import applied_forces, forward_dynamics
+from tenscasadi.dynamics.model import Model
+from tenscasadi.util.casadi_tools import sparse
+from tenscasadi.util.validate import Array
+
+
+def constraint_names(model: Model) -> tuple[str, ...]:
+    """Name the constraints of bars and joints."""
+    joints = len(model.constraints(model.initial_state).joints)
+    bars = [f"bar {k} length" for k in range(model.mechanism.bars)]
+    return (*bars, *(f"joint constraint {k}" for k in range(joints)))
+
+
+def build_constraints(model: Model) -> ca.Function:
+    """Build the Function (x, μ) → constraints [m], their rates [m/s], and their forces Jᵀμ [N].
+
+    The constraints are those of bars and joints. Jᵀμ (nq) acts on the free coordinates.
+    """
+    kind = symbol_kind(model.ode)
+    x = kind.sym("x", model.nx)
+    kept = model.constraints(x)
+    values = ca.densify(ca.vertcat(kind(0, 1), kept.bars, kept.joints))
+    rates = ca.densify(ca.vertcat(kind(0, 1), kept.bar_rates, kept.joint_rates))
+    mu = kind.sym("mu", rates.shape[0])
+    forces = model.split(ca.jtimes(rates, x, mu, True))[1]
+    return ca.Function("constraints", [x, mu], [values, rates, forces])
+
+
+def build_residuals(model: Model) -> ca.Function:
+    """Build the Function (x, u, a, μ) → M a − F − Jᵀμ (nq) [N], J a + c [m/s²].
+
+    They vanish where a are the accelerations of the free coordinates, and μ the multipliers of the
+    constraints, whose second derivatives are the second output.
+    """
+    constraints, kind = build_constraints(model), symbol_kind(model.ode)
+    x, u, a = (
+        kind.sym(name, size) for name, size in (("x", model.nx), ("u", model.nu), ("a", model.nq))
+    )
+    mu = kind.sym("mu", constraints.size1_in(1))
+    _, rates, push = constraints(x, mu)
+    N, V, time = model.unpack(x)
+    F, _ = applied_forces(model, N, V, u, time)
+    forces = model.split(model.pack(F, F, 0))[0] + push
+    _, v, clock = model.split(x)
+    bends = ca.jtimes(rates, x, ca.vertcat(v, a, kind.ones(*clock.shape)))
+    M = sparse(model.mechanism.free_mass)
+    return ca.Function("residuals", [x, u, a, mu], [ca.mtimes(M, a) - forces, bends])
+
+
+def evaluate_multipliers(model: Model, states: Array, controls: Array) -> Array:
+    """Compute the multipliers (n, c) [N] of states (n, nx) under controls (n, nu).
+
+    Where there are none, as at a bar without a length, they are zero.
+    """
+    kind, mech = symbol_kind(model.ode), model.mechanism
+    x, u = kind.sym("x", model.nx), kind.sym("u", model.nu)
+    N, V, time = model.unpack(x)
+    _, lam, Omega = forward_dynamics(model, N, V, u, time)
+    held = np.flatnonzero(mech.active.ravel(order="F")).tolist()
+    joints = ca.vec(ca.densify(Omega))
+    if mech.frames is not None:
+        joints = ca.mtimes(mech.held_directions.T, joints)
+    mu = ca.densify(ca.vertcat(lam.T * ca.DM(mech.lengths), joints[held]))
+    found = ca.Function("multipliers", [x, u], [mu]).map(len(states))(states.T, controls.T)
+    return np.nan_to_num(np.asarray(found.full()).T, posinf=0.0, neginf=0.0)

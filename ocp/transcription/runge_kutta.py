@@ -1,0 +1,220 @@
+"""Runge-Kutta methods whose stages are unknowns of the program."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ocp.transcription.assemble import Defects
+from ocp.transcription.base import Transcription, scalar_code
+from ocp.transcription.equations import (
+    build_constraints,
+    build_residuals,
+    constraint_names,
+    evaluate_multipliers,
+)
+from ocp.transcription.mesh import held_values
+from ocp.transcription.sparse_nlp import Block, Kind, split_symbol, symbol_kind
+from ocp.transcription.variables import Variables, state_names
+from tenscasadi.util.casadi_tools import sparse
+from tenscasadi.util.validate import Array, Indices
+
+_Rows = tuple[Any, float, Sequence[str]]  # expressions, their scale and names
+
+
+class RungeKuttaTranscription(Transcription):
+    """Transcriptions by a Runge-Kutta method with lifted stages.
+
+    Accelerations and multipliers of each stage are unknowns. They satisfy the equations of motion,
+    in which no matrix is inverted. At the ends of intervals, two multipliers for each bar keep its
+    length and rate, in the sense of Gear, Leimkuhler and Gupta (J. Comput. Appl. Math. 1985,
+    12-13, 77). They vanish with the interval, and the order stays.
+    """
+
+    @property
+    def coefficients(self) -> tuple[Array, Array]:
+        """Coefficients A (s, s) and b (s,) of the method."""
+        raise NotImplementedError
+
+    @property
+    def steps(self) -> int:
+        """Number of steps in each interval."""
+        return 1
+
+    def defects(self, variables: Variables, used: Array) -> Defects:
+        """Build the equations of the stages and of the ends of steps.
+
+        Parameters
+        ----------
+        variables : Variables
+            States at the mesh points, controls and duration; further unknowns are added to them.
+        used : ndarray of bool
+            Which of their entries bounds, costs and goals depend on.
+
+        Returns
+        -------
+        Defects
+            The blocks.
+        """
+        steps = _Steps(variables, *self.coefficients, self.steps)
+        blocks = [steps.build_stage(j) for j in range(len(steps.b))]
+        if self.steps > 1:
+            blocks.append(steps.build_ends(closing=False))
+        return Defects([*blocks, steps.build_ends(closing=True)])
+
+
+class _Steps:
+    """Steps of a Runge-Kutta method with s stages, `substeps` in each interval.
+
+    Attributes
+    ----------
+    interval, step : ndarray of int, shape (S,)
+        Interval of each step, and its number there.
+    states : ndarray of int, shape (S + 1, nx)
+        Entries of the states at the ends of steps.
+    accelerations, multipliers : ndarray of int, shape (S, s, nq) and (S, s, c)
+        Entries of the stages.
+    """
+
+    def __init__(self, v: Variables, A: Array, b: Array, substeps: int) -> None:
+        self.v, self.model, self.A, self.b, self.substeps = v, v.model, A, b, substeps
+        self.interval, self.step = np.indices((v.count, substeps), dtype=np.intp).reshape(2, -1)
+        self.constraints = constraint_names(v.model)
+        self.states = self._add_states()
+        nq, scales = v.model.nq, v.scales
+        self.acceleration = scales.length / scales.time**2
+        self.coordinates = state_names(v.model)[:nq]
+        rates = np.diff(v.guess.states[:, nq : 2 * nq], axis=0) / v.guess.duration
+        self.accelerations = self._add_stages(
+            "acceleration", self.coordinates, rates / v.fractions[:, None], self.acceleration
+        )
+        middle = (v.guess.states[1:] + v.guess.states[:-1]) / 2
+        forces = evaluate_multipliers(v.model, middle, held_values(v.guess.force_density, v.count))
+        force = scales.mass * self.acceleration
+        self.multipliers = self._add_stages("force", self.constraints, forces, force)
+
+    def _add_states(self) -> Indices:
+        """Add the states within intervals, at first on the line between the ends."""
+        v, within = self.v, np.arange(1, self.substeps)
+        share = (within / self.substeps)[:, None]
+        first = (1 - share) * v.guess.states[:-1, None] + share * v.guess.states[1:, None]
+        at = [f"interval {k}, step {i}" for k in range(v.count) for i in within]
+        inner = v.entries.unknowns(
+            [f"{name}, {place}" for place in at for name in state_names(v.model)],
+            first,
+            v.scales.state,
+            interval=np.arange(v.count)[:, None, None],
+        )
+        rows = np.concatenate([v.states[:-1, None], inner], axis=1)
+        return np.vstack([rows.reshape(-1, v.model.nx), v.states[-1:]])
+
+    def _add_stages(self, what: str, names: Sequence[str], first: Array, scale: float) -> Indices:
+        """Add unknowns of all stages, from values (K, n) of the intervals."""
+        stages = range(len(self.b))
+        at = [f"{place}, stage {j}" for place in self._places(slice(None)) for j in stages]
+        return self.v.entries.unknowns(
+            [f"{name} {what}, {place}" for place in at for name in names],
+            np.repeat(first[self.interval, None], len(self.b), axis=1),
+            scale,
+            interval=self.interval[:, None, None],
+        )
+
+    def _add_moves(self, what: str, scale: float) -> Indices:
+        """Add the multipliers (K, c) that move the ends of intervals onto constraints."""
+        count = self.v.count
+        return self.v.entries.unknowns(
+            [f"{name} {what}, interval {k}" for k in range(count) for name in self.constraints],
+            np.zeros((count, len(self.constraints))),
+            scale,
+            interval=np.arange(count)[:, None],
+        )
+
+    def _places(self, steps: Any) -> list[str]:
+        pairs = zip(self.interval[steps], self.step[steps], strict=True)
+        return [f"interval {k}" + f", step {i}" * (self.substeps > 1) for k, i in pairs]
+
+    def _lengths(self) -> list[Indices]:
+        """Return entries (S, 1): the duration, and the share of it that a step takes."""
+        share = self.v.fractions[self.interval, None] / self.substeps
+        return [self.v.repeated(self.v.duration, len(share)), self.v.entries.constants(share)]
+
+    def _symbols(self, columns: Sequence[Indices]) -> tuple[Any, tuple[Any, ...]]:
+        sizes = [column.shape[1] for column in columns]
+        return split_symbol(symbol_kind(self.model.ode), *sizes)
+
+    def _block(
+        self, kind: Kind, z: Any, columns: Sequence[Indices], steps: Any, rows: Sequence[_Rows]
+    ) -> Block:
+        scale = np.concatenate([np.full(len(names), size) for _, size, names in rows])
+        value = ca.vertcat(*(row for row, _, _ in rows)) / ca.DM(scale)
+        names = [name for _, _, own in rows for name in own]
+        return Block(
+            scalar_code(ca.Function(kind, [z], [value])),
+            np.hstack(columns),
+            tuple(f"dynamics of {at}, {name}" for at in self._places(steps) for name in names),
+            scale=scale,
+            kind=kind,
+        )
+
+    def build_stage(self, j: int) -> Block:
+        """Build M a = F + Jᵀμ and J a + c = 0 at the state of a stage."""
+        model, v, a, early = self.model, self.v, self.A[j], (self.A @ self.A)[j]
+        seen = [k for k in range(len(a)) if k == j or a[k] or early[k]]
+        begin = v.entries.constants(self.step[:, None] / self.substeps)
+        columns = [self.states[:-1], v.interval_controls[self.interval], begin, *self._lengths()]
+        columns += [self.multipliers[:, j], *(self.accelerations[:, k] for k in seen)]
+        z, (x, controls, before, T, share, mu, *rates) = self._symbols(columns)
+        weights = [(early[k], a[k]) for k in seen]
+        place = float(a.sum())
+        state = self._advance(x, T * share, place, weights, rates)
+        control = v.gamma(controls, before + place / self.substeps)
+        forces, bends = build_residuals(model)(state, control, rates[seen.index(j)], mu)
+        rows = [
+            (forces, v.scales.mass * self.acceleration, self.coordinates),
+            (bends, self.acceleration, self.constraints),
+        ]
+        stage = [(row, size, [f"{name}, stage {j}" for name in own]) for row, size, own in rows]
+        return self._block("stage", z, columns, slice(None), stage)
+
+    def build_ends(self, closing: bool) -> Block:
+        """Build the ends of steps: within intervals, or those of intervals, on the constraints."""
+        model, v, nq, names = self.model, self.v, self.model.nq, state_names(self.model)
+        steps = np.flatnonzero((self.step == self.substeps - 1) == closing)
+        columns = [self.states[:-1], self.states[1:], *self._lengths()]
+        columns += list(np.moveaxis(self.accelerations, 1, 0))
+        columns = [column[steps] for column in columns]
+        size, time, length = v.scales.mass * v.scales.length, v.scales.time, v.scales.length
+        if closing:
+            columns += [self._add_moves("shift", size), self._add_moves("impulse", size / time)]
+        z, (x, after, T, share, *rates) = self._symbols(columns)
+        rates, moves = rates[: len(self.b)], rates[len(self.b) :]
+        weights = list(zip(self.b @ self.A, self.b, strict=True))
+        gap = model.split(after - self._advance(x, T * share, 1.0, weights, rates))
+        M = sparse(model.mechanism.free_mass)
+        momenta = [ca.mtimes(M, part) for part in gap[:2]]
+        rows: list[_Rows] = []
+        if closing:
+            found = [build_constraints(model)(after, push) for push in moves]
+            momenta = [own - push for own, (*_, push) in zip(momenta, found, strict=True)]
+            places, speeds, _ = found[0]
+            rates_of = [f"{name} rate" for name in self.constraints]
+            rows = [(places, length, self.constraints), (speeds, length / time, rates_of)]
+        ends: list[_Rows] = [
+            (momenta[0], size, names[:nq]),
+            (momenta[1], size / time, names[nq : 2 * nq]),
+            (gap[2], time, names[2 * nq :]),
+        ]
+        return self._block("defect" if closing else "stage", z, columns, steps, [*ends, *rows])
+
+    def _advance(
+        self, x: Any, h: Any, place: float, weights: Sequence[tuple[float, float]], rates: Any
+    ) -> Any:
+        """Return the state at a share of a step, under weighted accelerations."""
+        q, speed, clock = self.model.split(x)
+        q, clock = q + place * h * speed, clock + place * h
+        for (early, weight), rate in zip(weights, rates, strict=True):
+            q, speed = q + h**2 * early * rate, speed + h * weight * rate
+        return ca.vertcat(q, speed, clock)
