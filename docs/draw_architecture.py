@@ -40,7 +40,7 @@ PLANNING = {
     "problem": (1, BOTTOM, "goals, bounds,\ncosts"),
     "targets": (2, BOTTOM, "start and end\nthat say\nsomething new"),
     "transcription": (3, BOTTOM, "sparse nonlinear\nprogram"),
-    "solvers": (4, BOTTOM, "IPOPT, Fatrop,\ncondensed Newton"),
+    "solvers": (4, BOTTOM, "IPOPT,\ncondensed Newton"),
     "results": (5, BOTTOM, "replay, verdict,\nreport"),
     "search": (6, BOTTOM, "policy,\nattempts"),
     "plan": (7, BOTTOM, "refinement,\nrobustness"),

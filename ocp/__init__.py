@@ -43,7 +43,6 @@ from ocp.sampling.solver import Sampling
 from ocp.sampling.spline_noise import SplineNoise
 from ocp.solve import solve
 from ocp.solvers.condensed_newton import CondensedNewton
-from ocp.solvers.fatrop import Fatrop
 from ocp.solvers.ipopt import Ipopt
 from ocp.solvers.monitor import Progress
 from ocp.solvers.multipliers import Duals
@@ -99,7 +98,6 @@ __all__ = [
     "PiecewiseLinear",
     "Ipopt",
     "CondensedNewton",
-    "Fatrop",
     "Sampling",
     "Progress",
     "solve",

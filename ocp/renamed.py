@@ -4,4 +4,6 @@ from __future__ import annotations
 
 from tenscasadi.util.renamed import find_attribute
 
-__getattr__ = find_attribute("ocp", {}, {"UnreachableGoal": "InfeasibleGoalError"})
+__getattr__ = find_attribute(
+    "ocp", {}, {"UnreachableGoal": "InfeasibleGoalError", "Fatrop": "Ipopt"}
+)

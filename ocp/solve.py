@@ -12,7 +12,6 @@ from ocp.search.find_plan import find_plan
 from ocp.search.multistart import find_best_plan
 from ocp.search.task import MOST_STARTS, Method
 from ocp.solvers.condensed_newton import CondensedNewton
-from ocp.solvers.fatrop import Fatrop
 from ocp.solvers.ipopt import Ipopt
 from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import InitialGuess
@@ -41,7 +40,7 @@ def solve(
     transcription : MultipleShooting, Collocation, ImplicitMidpoint or Variational, optional
         How the motion becomes a program. Default, with a solver: `MultipleShooting()`,
         `Variational()` for `CondensedNewton`; without, what suits the problem (see Notes).
-    solver : Ipopt, CondensedNewton, Fatrop or Sampling, optional
+    solver : Ipopt, CondensedNewton or Sampling, optional
         What solves the program, or samples motions instead. Default, with a transcription:
         `Ipopt()`; without, what suits the problem.
     guess : InverseDynamics, Equilibrium, Arrays or Plan, optional
@@ -123,8 +122,8 @@ def solve(
         instance(
             "solver",
             solver,
-            (Ipopt, Fatrop, CondensedNewton, Sampling),
-            "an ocp.Ipopt, ocp.CondensedNewton, ocp.Fatrop or ocp.Sampling",
+            (Ipopt, CondensedNewton, Sampling),
+            "an ocp.Ipopt, ocp.CondensedNewton or ocp.Sampling",
         )
     flag("tracked", tracked)
     count = whole_number("starts", starts, 1, MOST_STARTS)

@@ -44,6 +44,9 @@ def test_scene_files_come_back(path, tmp_path):
         tc.save_scene(tc.load_simulation(path), again)
     else:
         tc.save_scene(tc.load_scene(path), again)
+    solver = data.get("plan", {}).get("solver")
+    if solver is not None and solver["kind"] == "Fatrop":  # removed since
+        solver["kind"] = "Ipopt"
     if "numbers" not in data:  # no names nor formulas, which are not written
         assert tomllib.loads(again.read_text(encoding="utf-8")) == data
 
@@ -84,7 +87,8 @@ def test_solved_problems_load(path, tmp_path):
     told = json.loads(loaded_text(path))
     assert len(loaded.problem.bounds) == 12, loaded.unknown
     for name in ("transcription", "solver"):
-        assert type(getattr(loaded, name)).__name__ == told[name]["class"]
+        wanted = told[name]["class"].replace("Fatrop", "Ipopt")  # removed since
+        assert type(getattr(loaded, name)).__name__ == wanted
 
 
 def loaded_text(path: Path) -> str:

@@ -34,7 +34,6 @@ PATIENT = 50  # iterations after which limits of rates that hold are to blame, n
 RUNAWAY = 1e2  # in scaled unknowns: what nothing holds grows beyond
 
 _ROOM = "give a longer duration, wider limits, or a nearer goal"
-_FATROP = "Fatrop gave up, as it does on some problems that IPOPT solves: try ocp.Ipopt()"
 _CAUSES = {
     "iterations": "stopped at the iteration limit: raise max_iterations of the solver",
     "undetermined": "the equations of motion do not determine the states here: give solver=ocp.Ipopt()",
@@ -45,8 +44,6 @@ _CAUSES = {
     "Invalid_Number_Detected": "something became infinite on the way: give more intervals or substeps",
     "Diverging_Iterates": f"the motion grew without bound: {_ROOM}",
     "Not_Enough_Degrees_Of_Freedom": "there are more constraints than unknowns: give more intervals, or leave constraints out",
-    "Fatrop_Failed": _FATROP,
-    "Fatrop_Error": _FATROP,
 }
 _STOPS = {
     "Maximum_WallTime_Exceeded": "stopped at the time limit: raise Ipopt(seconds=...)",
@@ -155,7 +152,7 @@ def explain_failure(
         )
         cause = f"{_slow(beyond)}; with limits of rates {times:.3g} times as wide this mesh has a way, which is this plan"
         cause += f", but {too_long}" if too_long else ""
-    cause = cause or too_long or _runaway(program, solution)
+    cause = cause or _runaway(program, solution) or too_long
     if not cause:
         cause = _CAUSES.get(solution.status, _STEPS)
         if held and solution.status == "Maximum_Iterations_Exceeded":

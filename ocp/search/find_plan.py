@@ -26,6 +26,7 @@ from ocp.solvers.relaxation import TOO_SLOW
 from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import InitialGuess
 from ocp.transcription.mesh import PiecewiseConstant
+from ocp.transcription.multiple_shooting import MultipleShooting
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
 from tenscasadi.util.processes import one_blas_thread
@@ -64,7 +65,8 @@ def find_plan(
         else complete(transcription, solver, guess, problem)
     )
     reduced = None
-    if not problem.phases:
+    shoots = given is not None and isinstance(given.transcription, MultipleShooting)
+    if not problem.phases and not shoots:
         reduced = reduce_coordinates(problem, guess)
     if reduced is not None:
         problem, guess = reduced.problem, reduced.guess(guess)

@@ -32,11 +32,8 @@ from ocp.solvers.condensed_newton.method import REMARKS
 from ocp.solvers.correction import (
     TOO_COARSE,
     Corrected,
-    Correcting,
-    check_correctable,
     solve_corrected,
 )
-from ocp.solvers.fatrop import Fatrop
 from ocp.solvers.ipopt import Ipopt
 from ocp.solvers.monitor import Monitor
 from ocp.solvers.multipliers import Duals, named_duals, warm_started
@@ -129,11 +126,6 @@ def solve_program(
     duals: multipliers to start from, where they are known.
     """
     problem = _smooth(problem)
-    check_correctable(type(transcription).__name__, transcription.accuracy, solver)
-    if isinstance(solver, Fatrop) and transcription.control.changes is not None:
-        raise ValueError(
-            f"PiecewiseConstant.changes is {transcription.control.changes}, and Fatrop finds no plan of few changes: give ocp.Ipopt()"
-        )
     _check(problem, transcription, target)
     task = _Task(problem, transcription, target, scales, _reach(problem, transcription), solver)
     disturbed = guess.disturbed(problem)
@@ -201,7 +193,7 @@ def _solved(task: _Task, imposed: Target, program: Program, monitor: Monitor | N
     """Solve the program; where limits of rates leave no way, find how much wider they have to be."""
     problem, transcription, solver = task.problem, task.transcription, task.solver
     accuracy = transcription.accuracy
-    if accuracy is not None and isinstance(solver, Correcting):
+    if accuracy is not None:
         measure = transcription.measure_residual(program, problem.model)
         solution, states, gap = solve_corrected(program, solver, measure, accuracy, monitor)
     else:

@@ -44,18 +44,9 @@ class Corrected(NamedTuple):
     error: float
 
 
-def check_correctable(name: str, accuracy: float | None, solver: Solver) -> None:
-    """Raise ValueError where an accuracy is given, and the solver does not correct solutions."""
-    if accuracy is not None and not isinstance(solver, Correcting):
-        raise ValueError(
-            f"{name}.accuracy is {accuracy:g}, and solver is {type(solver).__name__}, which cannot "
-            "start again from its own solution: give ocp.Ipopt(), or accuracy=None and more intervals"
-        )
-
-
 def solve_corrected(
     program: Program,
-    solver: Correcting,
+    solver: Solver,
     measure: Measure,
     accuracy: float,
     monitor: Monitor | None = None,
@@ -84,7 +75,10 @@ def solve_corrected(
         if met or late or done == most or not rest.size < left * last:
             break
         last, program = rest.size, program.shifted(rest.shift, solution.w, solution.multipliers)
-        correct = correct or solver.prepare_correction(program)
+        if correct is None:
+            correct = solver.solve
+            if isinstance(solver, Correcting):
+                correct = solver.prepare_correction(program)
         solution = correct(program, monitor)
         iterations += solution.iterations
         if not solution.success:

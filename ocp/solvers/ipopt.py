@@ -47,7 +47,7 @@ Watcher = Callable[[Progress], Any]
 
 
 @dataclass(frozen=True)
-class Ipopt(NamedSolver, kind="Ipopt"):
+class Ipopt(NamedSolver, kind="Ipopt", earlier="Fatrop"):
     """The interior-point solver IPOPT, with exact derivatives.
 
     However it is stopped, also from the keyboard, the result is the best iterate. Where nodes touch

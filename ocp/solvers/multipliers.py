@@ -32,9 +32,8 @@ class Duals(Stored):
         of the program.
     values : ndarray, shape (m,)
         Multipliers λ of J + Σ λ c, with c what is limited: J per unit of what is limited (N/m, N,
-        m, m/s), of goals per m or m/s, as far as bars and momenta let them give. Of the motion per
-        unit of the state (costates) with `MultipleShooting`, with other transcriptions in the scale
-        of their rows.
+        m, m/s), of goals per m or m/s, as far as bars and momenta let them give. Of the motion in
+        the scale of its rows.
     point : ndarray, shape (n,)
         The unknowns at the optimum.
 

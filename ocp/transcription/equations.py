@@ -70,4 +70,4 @@ def evaluate_multipliers(model: Model, states: Array, controls: Array) -> Array:
         joints = ca.mtimes(mech.held_directions.T, joints)
     mu = ca.densify(ca.vertcat(lam.T * ca.DM(mech.lengths), joints[held]))
     found = ca.Function("multipliers", [x, u], [mu]).map(len(states))(states.T, controls.T)
-    return np.nan_to_num(np.asarray(found.full()).T, posinf=0.0, neginf=0.0)
+    return np.asarray(np.nan_to_num(found.full().T, posinf=0.0, neginf=0.0))

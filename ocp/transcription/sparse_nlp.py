@@ -9,7 +9,7 @@ calls: building and evaluating cost what the non-zeros cost. `Separable.jacobian
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -29,7 +29,7 @@ class Unknowns:
     """The n unknowns of a program in their order, and constants: together the entries y to which blocks refer by index, unknowns first.
 
     first, lower, upper: where to start, and limits, in physical units. scale: what the solver's w
-    is multiplied by to be physical (see `invertible`). interval: the interval of the plan to which
+    is multiplied by to be physical. interval: the interval of the plan to which
     each belongs; infinite for what belongs to all.
     """
 
@@ -50,15 +50,6 @@ class Unknowns:
         """Return y from the scaled w."""
         return ca.vertcat(ca.DM(self.scale) * w, ca.DM(self.constants))
 
-    def selected(self, order: Indices) -> Unknowns:
-        """Return these unknowns in this order, with all constants."""
-        columns = {
-            field.name: getattr(self, field.name)[order]
-            for field in fields(self)
-            if field.name not in ("names", "constants")
-        }
-        return replace(self, names=tuple(self.names[k] for k in order), **columns)
-
 
 @dataclass(frozen=True, eq=False)
 class Block:
@@ -66,8 +57,7 @@ class Block:
 
     function: z (nz) → rows (m); index (count, nz); lower, upper, scale (count, m) or broadcast to
     it; names: count·m, instance by instance. scale: what one stands for, in the unit of what is
-    limited. closes: None, or for each row of an instance the unknown x⁺ of which it is x⁺ − F(…),
-    in the same scale. combination: None, or a dense matrix (m, rows of function) with which the
+    limited. combination: None, or a dense matrix (m, rows of function) with which the
     function's rows are multiplied. kind: what the rows are of, by which others find them.
     """
 
@@ -77,7 +67,6 @@ class Block:
     lower: Any = 0.0
     upper: Any = 0.0
     scale: Any = 1.0
-    closes: Indices | None = None
     combination: Array | None = None
     kind: Kind = "defect"
 
@@ -112,11 +101,7 @@ class Block:
 
     def relabelled(self, label: Indices) -> Block:
         """Return the block with label[k] in place of each index k."""
-        return replace(
-            self,
-            index=label[self.index],
-            closes=None if self.closes is None else label[self.closes],
-        )
+        return replace(self, index=label[self.index])
 
 
 class Separable:
@@ -300,14 +285,6 @@ def split_symbol(kind: Any, *sizes: int) -> tuple[Any, tuple[Any, ...]]:
     """Return a symbol of a kind, ca.SX or ca.MX, and its pieces of these sizes."""
     z = kind.sym("z", sum(sizes))
     return z, tuple(ca.vertsplit(z, np.cumsum((0, *sizes)).tolist()))
-
-
-def invertible(scale: Any) -> Array:
-    """Return the next numbers s with s · (1/s) = 1 without rounding: Fatrop wants x⁺ − F(…) to have a coefficient of exactly one."""
-    result = np.array(scale, dtype=float)
-    while np.any(rounded := result * (1 / result) != 1):
-        result = np.where(rounded, np.nextafter(result, np.inf), result)
-    return result
 
 
 class _SparseMatrix:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -16,7 +15,7 @@ from ocp.problem.scaling import Scales, control_scale, typical_cost
 from ocp.targets.target import Target
 from ocp.transcription.initial_guess import Guess, on_mesh
 from ocp.transcription.mesh import Profile, group_matrix, spans
-from ocp.transcription.sparse_nlp import Block, Unknowns, invertible
+from ocp.transcription.sparse_nlp import Block, Unknowns
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.validate import Array, Indices
@@ -107,7 +106,7 @@ class Entries:
         )
         names = tuple(self._names[k] for k in order)
         return Unknowns(
-            names, first, invertible(scale), lower, upper, interval, table["first"][~unknown]
+            names, first, scale, lower, upper, interval, table["first"][~unknown]
         ), place
 
     def values(self, w: Array) -> Array:
@@ -144,7 +143,7 @@ class Variables:
             fractions,
             profile,
         )
-        self.scales = replace(scales, state=invertible(scales.state))
+        self.scales = scales
         self.model, self.count = problem.model, len(fractions)
         self.strength = _strength(
             scales,

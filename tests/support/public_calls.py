@@ -275,7 +275,6 @@ def planning_calls() -> dict[str, Call]:
         "PiecewiseLinear": (ocp.PiecewiseLinear, {"groups": ((0, 1), (2, 3))}),
         "Ipopt": (ocp.Ipopt, {"max_iterations": 5, "tolerance": 1e-6, "verbose": False, "options": {"mu_init": 0.1}, "seconds": 1.0, "watch": None, "warm": False, "restart": True}),
         "CondensedNewton": (ocp.CondensedNewton, {"max_iterations": 5, "tolerance": 1e-6, "verbose": False}),
-        "Fatrop": (ocp.Fatrop, {"max_iterations": 5, "tolerance": 1e-6, "verbose": False, "options": {"mu_init": 0.1}}),
         "Sampling": (
             ocp.Sampling,
             {"groups": [(0, 1), (2, 3)], "knots": 4, "samples": 8, "seed": 1, "rounds": 2, "iterations": 1, "attempts": 1, "threads": 1}

@@ -73,7 +73,7 @@ def test_members_are_public(family: type[Any]) -> None:
 
 
 def test_solvers_and_guesses_are_members() -> None:
-    assert set(NamedSolver.members) == {"Ipopt", "CondensedNewton", "Fatrop", "Sampling"}
+    assert set(NamedSolver.members) == {"Ipopt", "CondensedNewton", "Sampling"}
     assert set(NamedGuess.members) == {"InverseDynamics", "Equilibrium", "Arrays"}
 
 

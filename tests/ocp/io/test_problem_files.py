@@ -214,7 +214,7 @@ WAYS = [
         "transcription": ocp.Collocation(
             [1.0, 2.0, 1.0], control=ocp.PiecewiseConstant(changes=1), degree=3
         ),
-        "solver": ocp.Fatrop(tolerance=1e-6),
+        "solver": ocp.Ipopt(tolerance=1e-6),
     },
     {
         "solver": ocp.CondensedNewton(max_iterations=9),

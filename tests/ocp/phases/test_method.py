@@ -228,7 +228,7 @@ def test_other_ways_to_solve_are_refused_by_name():
     problem = jumping(push())
     for given, named in (
         ({"transcription": ocp.MultipleShooting(5)}, "phases take ocp.Variational"),
-        ({"solver": ocp.Fatrop()}, "solver is Fatrop"),
+        ({"solver": ocp.CondensedNewton()}, "solver is CondensedNewton"),
         ({"guess": ocp.Equilibrium()}, "guess is"),
     ):
         with pytest.raises((TypeError, ValueError), match=named):

@@ -70,7 +70,6 @@ SOLVERS = [
     ocp.Ipopt(
         50, seconds=2.0, options={"mu_strategy": "adaptive", "acceptable_tol": np.float64(1e-6)}
     ),
-    ocp.Fatrop(tolerance=1e-7),
     ocp.CondensedNewton(50),
 ]
 

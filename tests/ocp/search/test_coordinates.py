@@ -229,8 +229,7 @@ def test_what_has_no_twin():
     problem = in_full_coordinates(reach(0.4))
     assert reduce_coordinates(problem, None) is not None
     assert reduce_coordinates(bounded(problem, costs=[Own()]), None) is None
-    with pytest.raises(ValueError, match="Variational keeps bars, not joints"):
-        ocp.solve(bounded(problem, costs=[Own()]), ocp.Variational(10))
+    assert ocp.solve(bounded(problem, costs=[Own()]), ocp.Variational(10), tolerance=0.1).success
     with pytest.warns(tc.RedundantConstraints):
         model = tc.Model(
             tc.Scene(tc.shapes.d_bar(pinned=[0, 1]), control=tc.ForceDensity()), coordinates="full"

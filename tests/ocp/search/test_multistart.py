@@ -71,7 +71,6 @@ VALUES = [
     ocp.Variational(8, accuracy=1e-3),
     ocp.MultipleShooting(5),
     ocp.Ipopt(),
-    ocp.Fatrop(),
 ]
 
 

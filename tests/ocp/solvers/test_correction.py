@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from planning import leaning_arm, prism
+from planning import leaning_arm, prism, program
 
 import ocp
 import tenscasadi as tc
+from ocp.solvers.correction import solve_corrected
 
 
 def rising(duration: float | tuple[float, float] = 1.0, *more: object) -> ocp.Problem:
@@ -119,12 +120,22 @@ def test_more_than_corrections_can_do_is_said():
     assert "give more intervals" in plan.message
 
 
-def test_a_solver_that_cannot_start_again_is_refused():
-    words = r"ImplicitMidpoint\.accuracy is 1e-08, and solver is Fatrop, .*: give ocp\.Ipopt\(\), or accuracy=None and more intervals"
-    with pytest.raises(ValueError, match=words):
-        ocp.solve(
-            rising(), ocp.ImplicitMidpoint(20, accuracy=1e-8), ocp.Fatrop(options={"mu_init": 0.1})
-        )
+class Restarted:
+    """A solver of one's own, which only solves whole programs."""
+
+    tolerance = 1e-8
+
+    def solve(self, program, monitor=None):
+        return ocp.Ipopt().solve(program, monitor)
+
+
+def test_solvers_that_cannot_start_again_are_corrected_too():
+    transcription, model = ocp.ImplicitMidpoint(20), rising().model
+    built = program(rising(), transcription)
+    measure = transcription.measure_residual(built, model)
+    found = solve_corrected(built, Restarted(), measure, 1e-8)
+    assert found.solution.success
+    assert found.error < 1e-8
 
 
 @pytest.mark.parametrize("bad", [0.0, -1.0, np.nan, "exact"])

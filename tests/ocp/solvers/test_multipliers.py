@@ -97,17 +97,6 @@ def test_waypoints_have_multipliers_too():
     assert plans[1].objective - plans[0].objective == pytest.approx(predicted, rel=2e-2)
 
 
-def test_fatrop_has_the_multipliers_of_ipopt():
-    one, other = (
-        ocp.solve(problem(), ocp.MultipleShooting(10), solver).duals
-        for solver in (ocp.Ipopt(), ocp.Fatrop())
-    )
-    assert one.names == other.names
-    assert np.abs(one.values).max() > 1.0
-    assert other.values == pytest.approx(one.values, abs=1e-3 * np.abs(one.values).max())
-    assert other.point == pytest.approx(one.point, abs=1e-3)
-
-
 WARM = {
     "shooting": ocp.MultipleShooting(10),
     "variational": ocp.Variational(12),
