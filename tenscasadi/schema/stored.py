@@ -233,7 +233,7 @@ def _check_arrays(content: Mapping[str, Any], cls: type) -> None:
         if content.get(name) is None:
             continue
         value = _as_array(name, content[name])
-        if value.dtype.kind != kind:
+        if value.size and value.dtype.kind != kind:  # without entries there is no kind
             raise ValueError(f"field {name!r} holds values of type {value.dtype}")
         if letters is not None and (
             value.ndim != len(letters)
