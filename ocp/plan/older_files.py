@@ -56,7 +56,10 @@ def upgrade(content: Fields, trajectory: Trajectory) -> dict[str, Any]:
 
 
 def _read_solved(text: str) -> dict[str, Any]:
-    """Convert the text of problem, transcription and solver to tables; none if there is no JSON."""
+    """Convert the text of problem, transcription and solver to tables.
+
+    It is {} if the text is no JSON.
+    """
     try:
         parts = json.loads(text)
         return {name: tree for name, own in parts.items() if (tree := _convert(own)) is not None}
@@ -65,7 +68,7 @@ def _read_solved(text: str) -> dict[str, Any]:
 
 
 def _convert(tree: Any) -> Any:
-    """Convert a value to numbers, text, lists and tables, as scene files have them."""
+    """Convert a value to the data of scene files."""
     if not isinstance(tree, dict):
         return tree
     (form, content), *_ = tree.items()
@@ -81,7 +84,10 @@ def _convert(tree: Any) -> Any:
 
 
 def read_structure(content: Fields) -> Structure:
-    """Restore a structure. Raises ValueError, TypeError."""
+    """Restore a structure.
+
+    Raises ValueError, TypeError.
+    """
     told = content.within("structure.")
     given = {name: told[name] for name in PARAMETERS if name in told and name != "rollers"}
     axes = np.array(list("xyz"))

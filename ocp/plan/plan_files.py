@@ -26,7 +26,7 @@ _METHOD = ("transcription", "solver")
 
 
 def write_parts(plan: PlanResult) -> str:
-    """Format structure, model, problem, transcription and solver as the text of a scene file.
+    """Format the parts of a plan as a scene file.
 
     Reasons take the place of parts that files cannot hold.
     """
@@ -65,7 +65,10 @@ def _drop_functions(value: Any) -> Any:
 
 
 def read_parts(document: Document) -> dict[str, Any]:
-    """Read the fields of a plan that `write_parts` wrote, see `read_solution`."""
+    """Read the parts that `write_parts` wrote.
+
+    See `read_solution`.
+    """
     left_out = {name: item.text() for name, item in document.root.child("left_out").table().items()}
     item = document.section("plan")
     if item is None:
@@ -76,7 +79,7 @@ def read_parts(document: Document) -> dict[str, Any]:
 
 
 def read_solution(scene: Scene, item: Item, left_out: Mapping[str, str]) -> dict[str, Any]:
-    """Read the model, the problem, and its method of solution from [plan].
+    """Read model, problem, transcription and solver from [plan].
 
     Parts that cannot be read are None, and `unknown` gives the reason. Raises SceneFileError.
     """
@@ -104,7 +107,10 @@ def read_solution(scene: Scene, item: Item, left_out: Mapping[str, str]) -> dict
 
 
 def find_differences(one: Any, other: Any, name: str) -> Iterator[str]:
-    """Yield the names of fields in which two values differ by more than rounding."""
+    """Yield the names of fields in which two values differ.
+
+    Rounding errors are no differences.
+    """
     if isinstance(one, Value) and type(one) is type(other):
         fields, others = one.to_fields(), other.to_fields()
         for field in {**fields, **others}:

@@ -189,7 +189,9 @@ def compare_schemes(
 def describe(
     source: Annotated[str, SCENE], report: CommandReport, changes: Sequence[Change]
 ) -> int:
-    """Describe a scene: members, masses, equilibrium, equations, stable step; check its file.
+    """Check a scene file and describe its model.
+
+    The description has members, masses, equilibrium, equations and the stable step.
 
     Files are written only if --output is given.
 
@@ -257,7 +259,7 @@ def _describe_members(structure: Structure) -> list[str]:
 
 
 def _find_equilibrium(structure: Structure) -> tuple[Any, str]:
-    """Compute the force densities (α,) of the equilibrium without loads, and describe them."""
+    """Compute and describe the force densities (α,) without loads."""
     if not len(structure.strings):
         return np.zeros(0), "equilibrium   no strings"
     try:

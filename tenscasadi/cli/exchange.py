@@ -1,4 +1,4 @@
-"""Commands that export to and import from other programs, by the endings of files."""
+"""Commands that exchange files with other programs."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ _FOREIGN: dict[str, Callable[..., Scene]] = {
 
 
 def export_file(source: Annotated[str, FILE], out: Annotated[Path, FILE]) -> int:
-    """Export a scene, a trajectory or a plan to other programs.
+    """Export a scene, trajectory or plan to other programs.
 
     Scenes: .xml (MuJoCo), .mat (MATLAB: MOTES), .toml or .json (a scene file without formulas).
     Trajectories and plans (.npz): .csv, .mat (MATLAB), .pvd (ParaView).

@@ -1,4 +1,4 @@
-"""Packages that only some commands need, loaded by the commands that need them."""
+"""Packages that are loaded by the commands that need them."""
 
 from __future__ import annotations
 

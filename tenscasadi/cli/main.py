@@ -1,4 +1,4 @@
-"""The command line: how it runs a command, and what it does with mistakes."""
+"""Entry point of the command line, and its error handling."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit code. 0: done. 1: a run diverged, no plan was found or no run is as accurate as wanted;
-        what there is was written. 2: bad input, told in one line on standard error. 130:
-        interrupted from the keyboard.
+        Exit code. 0: success. 1: a run diverged, no plan was found, or no run is accurate enough;
+        results so far are written. 2: invalid input, with a line on standard error. 130: interrupted
+        from the keyboard.
 
     Raises
     ------
@@ -36,7 +36,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     Examples
     --------
-    A shape that does not exist is told on standard error:
+    An unknown shape is an error:
 
     >>> from tenscasadi.cli import main
     >>> main(["info", "cube"])
@@ -67,7 +67,7 @@ def _tell(text: str) -> None:
     line = " ".join(text.split())
     print(
         f"tenscasadi: {''.join(c if c.isprintable() else '?' for c in line)}", file=sys.stderr
-    )  # what files say may not steer a terminal
+    )  # control characters in files must not reach the terminal
 
 
 def _warn(
@@ -78,5 +78,5 @@ def _warn(
     file: TextIO | None = None,
     line: str | None = None,
 ) -> None:
-    """Tell a warning in one line, without the line of code that it comes from."""
+    """Print a warning in one line, without its source line."""
     _tell(f"warning: {message}")

@@ -1,4 +1,7 @@
-"""Parser of the command line, from the signatures and docstrings of the commands."""
+"""Command line parser.
+
+It follows from the signatures and docstrings of the commands.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,7 @@ from tenscasadi.util.version import __version__
 
 
 class Command(NamedTuple):
-    """A command: its function, and a section of scene files whose fields are options, too."""
+    """Command and the scene file section whose fields are options."""
 
     run: Callable[..., int]
     section: str = ""
@@ -53,7 +56,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 class CommandOption(NamedTuple):
-    """An argument of the command line: its type, its default, and its help."""
+    """Argument of the command line."""
 
     type: Any
     default: Any
@@ -61,7 +64,10 @@ class CommandOption(NamedTuple):
 
 
 def parse(argv: Sequence[str]) -> Callable[[], int]:
-    """Return the command that arguments ask for, ready to run. Raises SystemExit."""
+    """Return the command that arguments ask for, ready to run.
+
+    Raises SystemExit.
+    """
     parser = command_parser(argv[0] if argv else "")
     namespace, rest = parser.parse_known_args(argv)
     given = vars(namespace)
@@ -94,7 +100,10 @@ def _build_changes(section: str, options: Any) -> Iterator[Change]:
 
 
 def command_parser(only: str | None = None) -> argparse.ArgumentParser:
-    """Build the parser; `only` limits the fields of sections to one command."""
+    """Build the parser.
+
+    Only the command `only` gets the fields of its section; by default all do.
+    """
     parser = _Parser(
         prog="tenscasadi", description=_DESCRIPTION, epilog=_EPILOG, allow_abbrev=False
     )
@@ -132,7 +141,10 @@ def _read_type(kind: Any) -> Any:
 
 @cache
 def _find_options(function: Callable[..., Any]) -> dict[str, CommandOption]:
-    """Find the parameters of a function; a report stands for its own."""
+    """Find the options of a command.
+
+    A parameter `report` stands for the fields of `CommandReport`.
+    """
     texts = parameter_texts(function)
     hints = get_type_hints(function, include_extras=True)
     found: dict[str, CommandOption] = {}

@@ -24,7 +24,7 @@ def plan_motion(
     changes: Sequence[Change],
     intervals: int | None = None,
 ) -> int:
-    """Plan force densities as the [plan] of a scene file asks.
+    """Solve the optimal control problem [plan] of a scene file.
 
     Numbers of the file are options: `tenscasadi plan prism --to-height 1.2 --upper 200`. The plan is
     verified by a simulation in finer steps, whose distance from the goal is printed. Limits near the

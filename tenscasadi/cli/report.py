@@ -51,7 +51,7 @@ class CommandReport:
             check_folder("output", self.output)
 
     def say(self, *lines: str) -> None:
-        """Print lines of text, unless the report is quiet or JSON."""
+        """Print text unless the report is quiet or JSON."""
         if not self.quiet and not self.json:
             print(*lines, sep="\n")
 
@@ -68,7 +68,10 @@ class CommandReport:
         self.content["files"] = names
 
     def finish(self, code: int, **content: Any) -> int:
-        """Print the JSON object, if it is wanted, and return the exit code."""
+        """Print the JSON object with --json.
+
+        Returns the exit code.
+        """
         self.content |= {"success": code == 0, **content}
         if self.json:
             print(json.dumps(_plain(self.content), ensure_ascii=False))
@@ -82,7 +85,7 @@ def find_scalars(result: Stored) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """Convert to values of JSON; numbers that are not finite become null."""
+    """Convert a value to JSON; non-finite numbers become null."""
     if isinstance(value, Mapping):
         return {str(name): _plain(own) for name, own in value.items()}
     if isinstance(value, (list, tuple, np.ndarray)):
@@ -102,7 +105,10 @@ def check_folder(name: str, folder: Path) -> None:
 
 
 def check_file(name: str, path: Path) -> None:
-    """Raise OSError unless a file of that name can be written; its folder must exist."""
+    """Raise OSError unless a file can be written.
+
+    Its folder must exist.
+    """
     if path.is_dir():
         raise OSError(f"{name} is {path}: that is a folder, give a file")
     if not path.parent.is_dir():

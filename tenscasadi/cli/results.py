@@ -11,7 +11,10 @@ from tenscasadi.util.archive import stored_format
 
 
 def load_result(path: str) -> Any:
-    """Return the trajectory, rollouts or plan that a .npz file holds. Raises ValueError, OSError."""
+    """Load a trajectory, rollouts or a plan.
+
+    Raises ValueError, OSError.
+    """
     kind = " ".join(stored_format(path).split()[:2])
     if kind == "tenscasadi plan":
         return load_ocp().Plan.load(path)

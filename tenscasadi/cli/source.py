@@ -1,4 +1,4 @@
-"""Scenes by the name of a template or of a scene file, with changes from the command line."""
+"""Templates and scene files with changes from the command line."""
 
 from __future__ import annotations
 
@@ -48,11 +48,17 @@ class SceneSource:
         return self.path.stem
 
     def scene(self) -> Scene:
-        """Read the scene. Raises SceneFileError, OSError."""
+        """Read the scene.
+
+        Raises SceneFileError, OSError.
+        """
         return read_scene(self.document)
 
     def simulation(self) -> Simulation:
-        """Read the simulation. Raises SceneFileError, OSError."""
+        """Read the simulation.
+
+        Raises SceneFileError, OSError.
+        """
         return read_simulation(self.document, self.scene())
 
     @property
@@ -73,7 +79,10 @@ def read_title(template: str) -> str:
 
 
 def find_source(name: str, changes: Sequence[Change] = ()) -> SceneSource:
-    """Find a template or a scene file. Raises ValueError, FileNotFoundError."""
+    """Find a template or a scene file.
+
+    Raises ValueError, FileNotFoundError.
+    """
     if name in TEMPLATES:
         return SceneSource(name, TEMPLATES[name], changes)
     if not name.endswith(ENDINGS):

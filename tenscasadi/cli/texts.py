@@ -1,4 +1,4 @@
-"""Commands that print text: scene files, the JSON Schema, scripts of shells."""
+"""Commands that print scene files, schema and shell scripts."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def print_schema() -> int:
 
 
 def print_completion(shell: Literal["bash", "zsh"], parser: argparse.ArgumentParser) -> int:
-    """Print the script by which a shell completes commands, options and files.
+    """Print a completion script for a shell.
 
     To turn it on in this shell: eval "$(tenscasadi completion bash)". For good: the same line in
     ~/.bashrc (zsh: after compinit in ~/.zshrc).

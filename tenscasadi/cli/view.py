@@ -1,4 +1,4 @@
-"""Command that shows scenes, motions and plans in a browser, or as a page."""
+"""Command that shows scenes and results in a browser."""
 
 from __future__ import annotations
 
@@ -30,7 +30,9 @@ def show(
     follow: bool = False,
     side_by_side: bool = False,
 ) -> int:
-    """Show scenes, motions and plans in a browser, or write them as a page.
+    """Show scenes, motions and plans in a browser.
+
+    With --html it writes a page instead.
 
     Several motions are superimposed, the first one opaque. Ctrl-C ends the viewer.
 

@@ -97,10 +97,10 @@ class TensegrityEnv(gymnasium.Env[Any, Any]):
         info : dict
             Whether it ``diverged``.
         """
-        now, lost = self._episodes.step(_clipped("action", action, (self.task.model.nu,))[None])
+        now, lost = self._episodes.step(_clip_action("action", action, (self.task.model.nu,))[None])
         reward, over = (
             float(self._episodes.rewards(now, lost)[0]),
-            bool(self._episodes.ended(now, lost)[0]),
+            bool(self._episodes.find_ended(now, lost)[0]),
         )
         late = bool(self._episodes.decided[0] >= self.task.decisions)
         return self._episodes.observe()[0], reward, over, late, {"diverged": bool(lost[0])}
@@ -173,7 +173,7 @@ class TensegrityVectorEnv(VectorEnv[Any, Any, Any]):
         info : dict
             Which episodes ``diverged``.
         """
-        begun = self._asked(options)
+        begun = self._read_reset_mask(options)
         super().reset(seed=seed)
         self._episodes.reset(np.flatnonzero(begun), self.np_random)
         self._over = self._over & ~begun
@@ -199,19 +199,22 @@ class TensegrityVectorEnv(VectorEnv[Any, Any, Any]):
             Which of them ``diverged``.
         """
         now, lost = self._episodes.step(
-            _clipped("actions", actions, (self.num_envs, self.task.model.nu))
+            _clip_action("actions", actions, (self.num_envs, self.task.model.nu))
         )
         begun = self._over
         rewards = np.where(begun, 0.0, self._episodes.rewards(now, lost))
-        over = self._episodes.ended(now, lost) & ~begun
+        over = self._episodes.find_ended(now, lost) & ~begun
         late = (self._episodes.decided >= self.task.decisions) & ~begun
         if begun.any():
             self._episodes.reset(np.flatnonzero(begun), self.np_random)
         self._over = over | late
         return self._episodes.observe(), rewards, over, late, {"diverged": lost & ~begun}
 
-    def _asked(self, options: dict[str, Any] | None) -> Any:
-        """Read the mask (n,) of episodes to start. Raises ValueError."""
+    def _read_reset_mask(self, options: dict[str, Any] | None) -> Any:
+        """Read the mask (n,) of episodes to start.
+
+        Raises ValueError.
+        """
         if options is None or "reset_mask" not in options:
             return np.ones(self.num_envs, dtype=bool)
         mask = np.asarray(options["reset_mask"])
@@ -230,7 +233,7 @@ def _spaces(episodes: Episodes) -> tuple[Any, Any]:
     )
 
 
-def _clipped(field: str, given: Any, shape: tuple[int, ...]) -> Any:
+def _clip_action(field: str, given: Any, shape: tuple[int, ...]) -> Any:
     """Clip actions of a shape to −1 … 1.
 
     Raises TypeError, ValueError.

@@ -79,7 +79,7 @@ class Episodes:
             self.control[k] = np.clip(model.control_at(p), *task.limits)
         self.decided[which] = 0
         nodes, velocities = self._places(self.states[which])
-        if self._broken(nodes).any():
+        if self._find_broken(nodes).any():
             raise ValueError(
                 f"Task.start is {task.start}: bars cannot be put right from so far off, give a smaller spread"
             )
@@ -107,7 +107,7 @@ class Episodes:
         )
         before = self.nodes, self.velocities
         after = self._places(rolled.states)
-        lost = (rolled.status != 0) | self._broken(after[0])
+        lost = (rolled.status != 0) | self._find_broken(after[0])
         self.states = np.where(lost[:, None], self.states, rolled.states)
         self.nodes, self.velocities = (
             np.where(lost[:, None, None], *places) for places in zip(before, after, strict=True)
@@ -133,7 +133,7 @@ class Episodes:
             given = call_user_function(
                 "Task.observation", lambda places: see(*places), places, cure
             )
-            seen = finite_array("what Task.observation gives", given, (n, self._width))
+            seen = finite_array("result of Task.observation", given, (n, self._width))
             self._width = seen.shape[1]  # the size of the observation space
         else:
             rows = [
@@ -148,7 +148,7 @@ class Episodes:
         """Compute the rewards (n,), 0 for diverged episodes."""
         return np.where(lost, 0.0, _per_episode("reward", self.task.reward, now))
 
-    def ended(self, now: Transition, lost: Array) -> Any:
+    def find_ended(self, now: Transition, lost: Array) -> Any:
         """Find the terminated episodes (n,)."""
         if self.task.terminated is None:
             return lost.copy()
@@ -161,7 +161,7 @@ class Episodes:
             :, :count
         ]
 
-    def _broken(self, nodes: Array) -> Any:
+    def _find_broken(self, nodes: Array) -> Any:
         """Find episodes (n,) with an invalid bar length."""
         structure = self.task.model.scene.structure
         ends, own = nodes[:, structure.bars], structure.nodes[structure.bars]
@@ -218,4 +218,4 @@ def _per_episode(name: str, function: Callable[[Transition], Any], now: Transiti
         "give a function of a Transition that returns one number for each episode",
     )
     values = given.astype(float) if isinstance(given, np.ndarray) and given.dtype == bool else given
-    return finite_array(f"what Task.{name} gives", values, (len(now.time),))
+    return finite_array(f"result of Task.{name}", values, (len(now.time),))

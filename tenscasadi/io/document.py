@@ -1,4 +1,4 @@
-"""Scene files as data: TOML or JSON with their includes and declared numbers."""
+"""Scene files as data, with includes and declared numbers."""
 
 from __future__ import annotations
 
@@ -31,7 +31,9 @@ MOST_VALUES = 1_000_000  # keys and entries of lists
 
 
 class Change(NamedTuple):
-    """Change of a scene file: the option that asks for it, a dotted key, and a value in TOML.
+    """Change of a scene file by an option.
+
+    The key is dotted, and the value is TOML.
 
     A value that is no TOML is text.
     """
@@ -67,7 +69,10 @@ def read_document(path: str | os.PathLike[str], changes: Sequence[Change] = ()) 
 
 
 def write_document(path: Path, tables: Mapping[str, Any]) -> Path:
-    """Write tables to a scene file, by its ending as TOML or JSON. Raises OSError."""
+    """Write tables to a scene file in TOML or JSON.
+
+    Raises OSError.
+    """
     text = (to_json if path.suffix == ".json" else to_toml)({**HEAD, **tables})
     with whole_file(path) as file:
         file.write(text.encode("utf-8"))
@@ -80,7 +85,10 @@ def format_tables(tables: Mapping[str, Any]) -> str:
 
 
 def read_tables(field: str, text: str, read: Callable[[Document], T]) -> T:
-    """Read the tables of a field of a file of results. Raises ValueError naming the field."""
+    """Read the tables in a field of saved results.
+
+    Raises ValueError naming the field.
+    """
     try:
         return read(Document(field, parse(text, "json")))
     except ValueError as error:
@@ -100,14 +108,17 @@ def _format_change(change: Change) -> str:
 
 
 class _Reader:
-    """Reader of one file and its includes; it counts their size."""
+    """Reader of a file and its includes, with limited size."""
 
     def __init__(self) -> None:
         self.sources: list[tuple[str, str]] = []
         self._bytes = self._values = 0
 
     def read(self, path: Path, name: str, above: tuple[Path, ...]) -> dict[str, Any]:
-        """Read the merged data of a file that the files `above` include."""
+        """Read a file with its includes.
+
+        The files `above` include it.
+        """
         content = self._load(path, name)
         own = self.parse(name, content, path.suffix[1:])
         document = Document(name, own, {}, ((name, content),))
@@ -127,7 +138,10 @@ class _Reader:
         return _merge(data, own)
 
     def parse(self, name: str, text: str, language: str) -> dict[str, Any]:
-        """Parse a text and count its values. Raises SceneFileError."""
+        """Parse a text and count its values.
+
+        Raises SceneFileError.
+        """
         try:
             data = parse(text, "json" if language == "json" else "toml", MOST_VALUES - self._values)
         except TextError as error:
@@ -173,7 +187,12 @@ def _check_head(document: Document) -> None:
 
 
 def _find_included(item: Item, folder: Path) -> Path:
-    """Find an included file, in the folder of the including file or below. Raises SceneFileError."""
+    """Find an included file.
+
+    It is in the folder of the including file or below.
+
+    Raises SceneFileError.
+    """
     name = item.text('the name of a file, such as "mast.toml"')
     parts = name.split("/")
     odd = any(part in ("", ".", "..") or not part.isprintable() for part in parts)
@@ -197,7 +216,10 @@ def _find_included(item: Item, folder: Path) -> Path:
 
 
 def _merge(data: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """Merge tables key by key; a table of another kind or shape replaces the whole table."""
+    """Merge tables key by key.
+
+    A table of another kind or shape replaces the whole table.
+    """
     merged = dict(data)
     for name, value in over.items():
         old = merged.get(name)
@@ -207,7 +229,10 @@ def _merge(data: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _compute_numbers(document: Document) -> dict[str, float]:
-    """Compute the declared numbers, each after those that it names. Raises SceneFileError."""
+    """Compute the declared numbers, each after those that it names.
+
+    Raises SceneFileError.
+    """
     section = document.root.child("numbers").table() if "numbers" in document.data else {}
     needs: dict[str, set[str]] = {}
     for name, item in section.items():

@@ -1,4 +1,4 @@
-"""JSON Schema of scene files, by which editors complete and check them."""
+"""JSON Schema of scene files, for editors."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ _INCLUDE: Schema = {
 
 
 def scene_schema(sections: Mapping[str, Definition]) -> dict[str, Any]:
-    """Build the JSON Schema of scene files with these sections beside [structure] and [scene]."""
+    """Build the JSON Schema of scene files.
+
+    `sections` are those beside [structure] and [scene].
+    """
     kinds: Schemas = {}
     known: Mapping[str, FieldType | Definition]
     known = {"structure": StructureSection(), "scene": SCENE, **sections}

@@ -1,4 +1,4 @@
-"""Scene files: values in TOML or JSON and back, to the last bit."""
+"""Scenes in files: reading and writing without loss."""
 
 from __future__ import annotations
 
@@ -106,7 +106,10 @@ def save_scene(scene: Any, path: str | os.PathLike[str]) -> Path:
 
 
 def read_scene(document: Document) -> Scene:
-    """Read [structure] and [scene]. Raises SceneFileError."""
+    """Read [structure] and [scene].
+
+    Raises SceneFileError.
+    """
     item = document.section("structure")
     if item is None:
         cure = 'give one with nodes, or with shape = "prism"'
@@ -118,7 +121,10 @@ def read_scene(document: Document) -> Scene:
 
 @singledispatch
 def write_tables(value: Any) -> dict[str, Any]:
-    """Write the tables of a value of a registered class. Raises NotWritten, TypeError."""
+    """Write the tables of a value of a registered class.
+
+    Raises NotWritten, TypeError.
+    """
     raise TypeError(
         f"scene is {format_value(value)}: give a tenscasadi.Scene or a tenscasadi.Simulation"
     )
@@ -126,6 +132,9 @@ def write_tables(value: Any) -> dict[str, Any]:
 
 @write_tables.register
 def write_scene(scene: Scene) -> dict[str, Any]:
-    """Write [structure] and [scene]. Raises NotWritten."""
+    """Write [structure] and [scene].
+
+    Raises NotWritten.
+    """
     tables = {"structure": StructureSection().write(scene.structure), "scene": SCENE.write(scene)}
     return {name: table for name, table in tables.items() if table}

@@ -1,4 +1,4 @@
-"""Section [structure]: a shape by its name, or nodes, bars and strings, alone or in groups."""
+"""Section [structure]: a named shape, or nodes, bars and strings."""
 
 from __future__ import annotations
 
@@ -86,7 +86,10 @@ OPTIONS = {name: own for name, own in NODES.fields.items() if name not in _FIRST
 
 
 def find_shapes() -> dict[str, Definition]:
-    """Find the definitions of all shapes: their arguments, and the options of `Structure`."""
+    """Find the definitions of all shapes.
+
+    They have their own arguments and the options of `Structure`.
+    """
     own = {name: definition(build, name, "shape") for name, build in Shape.members.items()}
     names = {name: NODES.fields[name] for name in _NAMES}
     return {
@@ -103,7 +106,10 @@ class StructureSection(FieldType):
     """The table [structure]."""
 
     def read(self, item: Item) -> Structure:
-        """Read the structure. Raises SceneFileError."""
+        """Read the structure.
+
+        Raises SceneFileError.
+        """
         table = item.table()
         if "shape" not in table:
             return _read_nodes(item, table)
@@ -134,7 +140,7 @@ class StructureSection(FieldType):
 
 @dataclass(frozen=True)
 class OfStructure(FieldType):
-    """Values of a structure, given by a table with a ``shape``; or by another type."""
+    """Attribute of a structure by its ``shape``, or another type."""
 
     take: Literal["nodes", "string_lengths"]
     other: FieldType
@@ -155,7 +161,7 @@ class OfStructure(FieldType):
 
 
 def _build_shape_schema(kinds: Schemas) -> Schema:
-    """Add the schemas of all shapes, which their names tell apart."""
+    """Add the schemas of all shapes to `kinds`."""
     if "Shape" not in kinds:
         shapes = [shape.schema(kinds, tagged=True) for shape in find_shapes().values()]
         several = {"type": "object", "discriminator": {"propertyName": "shape"}, "oneOf": shapes}
@@ -227,7 +233,10 @@ def _build(
     table: Mapping[str, Item],
     groups: Groups,
 ) -> Structure:
-    """Build a structure, set its rest lengths, turn it, then move it. Raises SceneFileError."""
+    """Build a structure, set its rest lengths, and place it.
+
+    Raises SceneFileError.
+    """
 
     def make(function: Callable[..., Structure], **fields: Any) -> Structure:
         try:

@@ -1,4 +1,4 @@
-"""Types of the fields of [structure]: nodes, groups of members, and properties of each item."""
+"""Field types of [structure]: nodes, member groups and properties."""
 
 from __future__ import annotations
 
@@ -43,7 +43,10 @@ class Turn(Value, kind="Turn"):
     angle: float
 
     def matrix(self) -> Array:
-        """Compute the rotation matrix (3×3). Raises ValueError."""
+        """Compute the rotation matrix (3×3).
+
+        Raises ValueError.
+        """
         size = float(np.linalg.norm(self.axis))
         if size == 0:
             raise ValueError("axis is (0, 0, 0): give a direction")
@@ -55,7 +58,9 @@ class Turn(Value, kind="Turn"):
 
 @dataclass(frozen=True)
 class PerItem(FieldType):
-    """A number for all nodes, bars or strings, a list, or a table of some of them.
+    """Property of nodes, bars or strings.
+
+    It is a number for all, a list, or a table of some of them.
 
     Items that a table does not name have the number `others`. If it is infinite, numbers may be.
     """
@@ -80,7 +85,7 @@ class PerItem(FieldType):
         return values[0] if alike else values
 
     def schema(self, kinds: Schemas) -> Schema:
-        """Build the schema of a number, a list or a table."""
+        """Build the schema of a number, list or table."""
         return for_items(self.which, NUMBER, self._numbers).schema(kinds)
 
     @property
@@ -90,13 +95,19 @@ class PerItem(FieldType):
 
 @dataclass(frozen=True)
 class MemberGroups(FieldType):
-    """Pairs of nodes, or groups of them: pairs, or a table with `members` and properties."""
+    """Pairs of nodes, or named groups of them.
+
+    A group is a list of pairs, or a table with `members` and properties.
+    """
 
     which: Literal["bar", "string"]
     properties: tuple[str, ...]
 
     def read(self, item: Item) -> MembersRead:
-        """Read the members of all groups with their properties. Raises SceneFileError."""
+        """Read the members of all groups with their properties.
+
+        Raises SceneFileError.
+        """
         if not isinstance(item.value, dict):
             return MembersRead(PAIRS.read(item), [], {})
         found = MembersRead([], [], {})

@@ -1,1 +1,1 @@
-"""Values that describe themselves: their fields, forms, checks and texts, and files made from them."""
+"""Values that define their fields, checks, texts and files."""

@@ -1,4 +1,4 @@
-"""Types of fields that hold others: lists, tables, and either of two."""
+"""Field types of lists, tables and alternatives."""
 
 from __future__ import annotations
 
@@ -41,7 +41,10 @@ class ListOf(FieldType):
         return [self.type.read(entry) for entry in entries]
 
     def write(self, value: Any) -> Any:
-        """Write the entries; one alone without a list where that is allowed."""
+        """Write the entries.
+
+        A single one needs no list where that is allowed.
+        """
         alone = self.single and not isinstance(value, (Sequence, np.ndarray))
         written = [self.type.write(entry) for entry in ([value] if alone else value)]
         return written[0] if self.single and len(written) == 1 else written
@@ -56,7 +59,10 @@ class ListOf(FieldType):
 
 @dataclass(frozen=True)
 class MapOf(FieldType):
-    """A table from nodes, bars or strings to values; a group stands for all its members."""
+    """Table from nodes, bars or strings to values.
+
+    A group stands for all its members.
+    """
 
     which: ItemKind
     type: FieldType
@@ -119,7 +125,9 @@ class TableOf(FieldType):
 
 @dataclass(frozen=True)
 class Either(FieldType):
-    """One of two types: the first for values of some classes, in files and in Python.
+    """One of two types.
+
+    The first is for values of some classes, in files and in Python.
 
     Parameters
     ----------
@@ -154,16 +162,16 @@ class Either(FieldType):
 
 
 def for_items(which: ItemKind, type: FieldType, other: FieldType) -> Either:
-    """Build the type of a table from some items to values, or of another type."""
+    """Build the type of a table by item, or another type."""
     return Either((Mapping,), MapOf(which, type), other)
 
 
 @dataclass(frozen=True)
 class NodeForceTable(FieldType):
-    """Forces on all nodes, or a table from some nodes to theirs; also over time."""
+    """Forces of all or some nodes, also over time."""
 
     def read(self, item: Item) -> Any:
-        """Read forces (n, 3) or (K, n, 3), or a function of time."""
+        """Read forces (n, 3), (K, n, 3) or a function of time."""
         if not isinstance(item.value, dict):
             return varying(None, 3).read(item)
         given: dict[int, Any] = MapOf("node", varying(3)).read(item)

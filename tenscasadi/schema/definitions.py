@@ -1,4 +1,4 @@
-"""Definitions of values: their fields, from a class or a function, its types and its docstring."""
+"""Definitions of values from types, defaults and docstrings."""
 
 from __future__ import annotations
 
@@ -31,14 +31,17 @@ from tenscasadi.util.validate import format_value
 
 
 class Field(NamedTuple):
-    """A field of a definition; `default` is MISSING if it has to be given."""
+    """Field of a definition.
+
+    `default` is MISSING for required fields.
+    """
 
     type: FieldType
     default: Any = MISSING
     text: str = ""
 
     def write_default(self) -> list[Any]:
-        """Write the default as a list of one; an empty list if there is none."""
+        """Write the default as a list of at most one."""
         none = self.default is None or self.default is MISSING
         return [] if none else [self.type.write(self.default)]
 
@@ -66,7 +69,7 @@ class Definition:
 
     @property
     def short(self) -> str:
-        """Field that stands for the whole value where no other is given."""
+        """Field that stands for the whole value if given alone."""
         return str(getattr(self.build, "short", ""))
 
     @property
@@ -79,7 +82,10 @@ class Definition:
         return [(name, field) for name, field in own if not isinstance(field.type, InPython)]
 
     def read(self, item: Item, **more: Any) -> Any:
-        """Read a value; `more` are fields of other tables. Raises SceneFileError."""
+        """Read a value; `more` are fields of other tables.
+
+        Raises SceneFileError.
+        """
         if self.short and not isinstance(item.value, dict):
             table = {self.short: item}
         else:
@@ -93,7 +99,10 @@ class Definition:
         return call(getattr(self.build, "from_fields", self.build), item, table, given)
 
     def read_fields(self, table: Mapping[str, Item]) -> dict[str, Any]:
-        """Read the fields of a table by name. Raises SceneFileError."""
+        """Read the fields of a table by name.
+
+        Raises SceneFileError.
+        """
         known, earlier = dict(self._in_files()), getattr(self.build, "earlier_names", {})
         named = {earlier.get(name, name): item for name, item in table.items()}
         for name, item in named.items():
@@ -102,7 +111,10 @@ class Definition:
         return {name: known[name].type.read(item) for name, item in named.items()}
 
     def write(self, value: Any) -> dict[str, Any]:
-        """Write a value as a table without its defaults. Raises NotWritten."""
+        """Write a value as a table without its defaults.
+
+        Raises NotWritten.
+        """
         written: dict[str, Any] = {self.tag: self.kind} if self.tag else {}
         own = value.to_fields() if isinstance(value, Value) else value
         for name, field in self.fields.items():
@@ -119,7 +131,10 @@ class Definition:
         return written
 
     def schema(self, kinds: Schemas, tagged: bool = False) -> Schema:
-        """Add the JSON Schema to `kinds` and refer to it; `tagged`: the table has to name its kind."""
+        """Add the JSON Schema to `kinds` and refer to it.
+
+        Tables that are `tagged` have to name their kind.
+        """
         name = _schema_name(self.build, self.kind)
         if name not in kinds:
             kinds[name] = {}  # a kind may hold its like
@@ -159,7 +174,10 @@ def definition(
     tag: str = "",
     types: tuple[tuple[str, FieldType], ...] = (),
 ) -> Definition:
-    """Derive the definition of a class or a function; `types` take the place of annotations."""
+    """Derive the definition of a class or function.
+
+    `types` take the place of annotations.
+    """
     known, texts = dict(types), parameter_texts(build)
     hints = {} if known else get_type_hints(build, include_extras=True)
     own = {
@@ -192,7 +210,10 @@ _LISTS = (Sequence, Iterable, list, tuple)
 
 
 def field_type(hint: Any, name: str) -> FieldType:
-    """Derive the type of a field from its annotation. Raises TypeError if it has to be given."""
+    """Derive the type of a field from its annotation.
+
+    Raises TypeError if it has to be given.
+    """
     origin, inner = get_origin(hint), get_args(hint)
     if origin is Annotated:
         given = [entry for entry in inner[1:] if isinstance(entry, FieldType)]
@@ -219,7 +240,7 @@ def field_type(hint: Any, name: str) -> FieldType:
 
 @dataclass(frozen=True)
 class OneOf(FieldType):
-    """A value of a family: a table whose key ``kind`` names the class, or the kind alone.
+    """Value of a family: a table with ``kind``, or the kind.
 
     A table without the key is of the only kind, or of the implied one.
     """
@@ -256,7 +277,7 @@ class OneOf(FieldType):
         return known[kind].read(rest)
 
     def write(self, value: Any) -> Any:
-        """Write a table, or the word of a kind that needs no more."""
+        """Write a table, or the kind alone if that suffices."""
         known = self.definitions
         own = known.get(getattr(type(value), "kind", ""))
         if own is None or own.build is not type(value):
@@ -271,7 +292,7 @@ class OneOf(FieldType):
         return table if set(table) - {"kind"} else own.kind
 
     def schema(self, kinds: Schemas) -> Schema:
-        """Add the schemas of all kinds, which their key tells apart, and of their words."""
+        """Add the schemas of the family and its kinds to `kinds`."""
         known, name = (
             self.definitions,
             _schema_name(self.family, self.family.__name__.removeprefix("Named")),
@@ -290,7 +311,7 @@ class OneOf(FieldType):
 
 
 def parameter_texts(build: Callable[..., Any]) -> dict[str, str]:
-    """Extract the text of each parameter from a numpydoc docstring, in one line each."""
+    """Extract the text of each parameter from a numpydoc docstring."""
     section = re.search(
         r"^Parameters\n-+\n(.*?)(?=^\S[^\n]*\n---|\Z)",
         inspect.getdoc(build) or "",

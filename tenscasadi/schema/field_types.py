@@ -1,4 +1,4 @@
-"""Types of fields: each reads a value, writes it, and has a JSON Schema."""
+"""Field types that read, write and describe values."""
 
 from __future__ import annotations
 
@@ -25,11 +25,17 @@ class FieldType(ABC):
 
     @abstractmethod
     def read(self, item: Item) -> Any:
-        """Convert an entry of a file to a Python value. Raises SceneFileError."""
+        """Convert an entry of a file to a Python value.
+
+        Raises SceneFileError.
+        """
 
     @abstractmethod
     def write(self, value: Any) -> Any:
-        """Convert a Python value to numbers, text, lists and tables. Raises NotWritten."""
+        """Convert a Python value to numbers, text, lists and tables.
+
+        Raises NotWritten.
+        """
 
     @abstractmethod
     def schema(self, kinds: Schemas) -> Schema:
@@ -157,7 +163,7 @@ WHOLES = Numbers(((), (None,)), whole=True)
 
 
 def varying(*shape: int | None) -> Numbers:
-    """Build the type of a quantity that may change with time: also a table over times."""
+    """Build the type of a quantity that may change with time."""
     return Numbers((shape, (None, *shape)), varying=True)
 
 
@@ -203,14 +209,17 @@ class Word(FieldType):
 
 
 def names_file(option: str) -> bool:
-    """Return whether the name of an option tells of a file or a library."""
+    """Return whether an option names a file or a library."""
     parts = ("file", "lib", "path", "plugin", "dir", "load", "dump", "write")
     return any(part in option for part in parts)
 
 
 @dataclass(frozen=True)
 class Option(FieldType):
-    """An option of a solver: a number, a flag or a word; none that names a file or a library."""
+    """Option of a solver: a number, a flag or a word.
+
+    Options that name files or libraries are rejected.
+    """
 
     def read(self, item: Item) -> Any:
         """Read an option."""
@@ -258,7 +267,10 @@ class Index(FieldType):
 
 @dataclass(frozen=True)
 class Members(FieldType):
-    """A list of nodes, bars or strings; the name of a group stands for all its members."""
+    """List of nodes, bars or strings.
+
+    The name of a group stands for all its members.
+    """
 
     which: ItemKind
 
@@ -277,7 +289,7 @@ class Members(FieldType):
 
 
 class InPython(FieldType):
-    """A field that only Python can give, such as a function."""
+    """Field that files do not hold, such as a function."""
 
     def read(self, item: Item) -> Any:
         """Reject the entry."""

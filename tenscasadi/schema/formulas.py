@@ -1,4 +1,4 @@
-"""Formulas of scene files: arithmetic on declared numbers and on time.
+"""Formulas of scene files: arithmetic on numbers and time.
 
 The text is parsed, never run as Python.
 """
@@ -84,7 +84,10 @@ class Formula:
         return TIME in self.names
 
     def value(self, numbers: Mapping[str, float]) -> float:
-        """Compute the number for given values of the names. Raises FormulaError."""
+        """Compute the number for given values of the names.
+
+        Raises FormulaError.
+        """
         if self.varies:
             raise FormulaError(f"{self.text!r} changes with the time t: give a constant here")
         found = float(self.at(0.0, numbers))
@@ -93,7 +96,10 @@ class Formula:
         return found
 
     def at(self, time: Any, numbers: Mapping[str, Any]) -> Any:
-        """Compute the value at a time, a number or a CasADi symbol. Raises FormulaError."""
+        """Compute the value at a time, also a CasADi symbol.
+
+        Raises FormulaError.
+        """
         known = {**numbers, **CONSTANTS, TIME: time}
         values: dict[ast.expr, Any] = {}
         for node, content, operands in reversed(self._terms):
@@ -128,7 +134,12 @@ def _parse(text: str) -> ast.expr:
 
 
 def _read(node: ast.expr, text: str) -> tuple[Any, list[ast.expr]]:
-    """Find the number, name or operation of a node, and its operands. Raises FormulaError."""
+    """Find the value, name or operation of a node.
+
+    Its operands follow.
+
+    Raises FormulaError.
+    """
     match node:
         case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
             return float(str(value)), []  # of an int that is too large: inf

@@ -1,4 +1,4 @@
-"""Values of scene files with their places, for errors that name file, line and key."""
+"""Values of scene files with file, line and key."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ ItemKind = Literal["node", "bar", "string"]
 
 
 class SceneFileError(ValueError):
-    r"""A fault of a scene file, on one line: file, line, key, value and cure.
+    r"""Error in a scene file.
+
+    Its message is one line with file, line, key, value and cure.
 
     Parameters
     ----------
@@ -56,12 +58,12 @@ class SceneFileError(ValueError):
 
 
 class NotWritten(ValueError):
-    """A value that no file can hold; the message gives the reason and the cure."""
+    """Error for a value that no file can hold."""
 
 
 @dataclass(frozen=True)
 class Names:
-    """Numbers of nodes, bars and strings, and the indices that a name stands for.
+    """Counts and names of nodes, bars and strings.
 
     A name is that of one item, or of a group of items.
     """
@@ -70,7 +72,10 @@ class Names:
     named: Mapping[ItemKind, Mapping[str, Sequence[int]]] = field(default_factory=dict)
 
     def find(self, which: ItemKind, word: Any) -> list[int]:
-        """Find the indices of an index or a name. Raises ValueError."""
+        """Find the indices of an index or a name.
+
+        Raises ValueError.
+        """
         named, count = self.named.get(which, {}), self.counts.get(which, 0)
         if isinstance(word, str) and word in named:
             return list(named[word])
@@ -115,7 +120,10 @@ class Document:
         return Item(self.data, (), self)
 
     def section(self, name: str) -> Item | None:
-        """Return a table of the document, None if it has none. Raises SceneFileError."""
+        """Find a section of the document; None without one.
+
+        Raises SceneFileError.
+        """
         if name not in self.data:
             return None
         found = self.root.child(name)
@@ -130,7 +138,7 @@ class Document:
 
 
 class Item(NamedTuple):
-    """A value of a document, its key, and the names that it may use."""
+    """Value of a document with its key and known names."""
 
     value: Any
     key: Key
@@ -138,29 +146,41 @@ class Item(NamedTuple):
     names: Names = Names()
 
     def child(self, name: str | int) -> Item:
-        """Return the value of a key of a table, or an entry of a list."""
+        """Select an entry of a table or a list."""
         return Item(self.value[name], (*self.key, name), self.document, self.names)
 
     def table(self, wanted: str = "a table") -> dict[str, Item]:
-        """Return the items of a table by name. Raises SceneFileError."""
+        """Read the items of a table by name.
+
+        Raises SceneFileError.
+        """
         if not isinstance(self.value, dict):
             raise self.error(f"is {format_value(self.value)}: give {wanted}")
         return {name: self.child(name) for name in self.value}
 
     def entries(self, wanted: str = "a list") -> list[Item]:
-        """Return the items of a list. Raises SceneFileError."""
+        """Read the items of a list.
+
+        Raises SceneFileError.
+        """
         if not isinstance(self.value, list):
             raise self.error(f"is {format_value(self.value)}: give {wanted}")
         return [self.child(k) for k in range(len(self.value))]
 
     def text(self, wanted: str = "text") -> str:
-        """Return a text. Raises SceneFileError."""
+        """Read a text.
+
+        Raises SceneFileError.
+        """
         if not isinstance(self.value, str):
             raise self.error(f"is {format_value(self.value)}: give {wanted}")
         return self.value
 
     def number(self, wanted: str = "a number, or a formula in quotes") -> float:
-        """Return a number, or the value of a formula. Raises SceneFileError."""
+        """Read a number, also from a formula.
+
+        Raises SceneFileError.
+        """
         if isinstance(self.value, str):
             return self._call(lambda: Formula(self.value).value(self.document.numbers))
         if isinstance(self.value, bool) or not isinstance(self.value, (int, float)):
@@ -171,22 +191,36 @@ class Item(NamedTuple):
         return float(self.value)
 
     def formula(self) -> Formula:
-        """Parse a text as a formula. Raises SceneFileError."""
+        """Parse a text as a formula.
+
+        Raises SceneFileError.
+        """
         return self._call(lambda: Formula(self.text("a formula in quotes")))
 
     def whole(self, wanted: str = "a whole number") -> int:
-        """Return a whole number, or the value of a formula that is one. Raises SceneFileError."""
+        """Read a whole number, also from a formula.
+
+        Raises SceneFileError.
+        """
         found = self.number(wanted)
         if found != int(found):
             raise self.error(f"is {found:g}: give {wanted}")
         return int(found)
 
     def indices(self, which: ItemKind, word: Any = None) -> list[int]:
-        """Find the indices of a name or index, the value by default. Raises SceneFileError."""
+        """Find the indices of a name or index.
+
+        By default it is the value.
+
+        Raises SceneFileError.
+        """
         return self._call(lambda: self.names.find(which, self.value if word is None else word))
 
     def error(self, message: str) -> SceneFileError:
-        """Build the error of this value from a message such as "is 3: give 4"."""
+        """Build the error of this value from a message.
+
+        An example is "is 3: give 4".
+        """
         text = ""
         for word in self.key:
             text += f"[{word}]" if isinstance(word, int) else f".{word}" if text else str(word)
@@ -203,7 +237,7 @@ class Item(NamedTuple):
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """Format the cure for an unknown word: the nearest known one, or a list of them."""
+    """Suggest the nearest known word, or list known ones."""
     names = list(known)
     if close := difflib.get_close_matches(word[:80], names, 1):
         return f"did you mean {close[0]!r}?"

@@ -1,4 +1,4 @@
-"""Results in .npz files: frozen dataclasses of numbers, text and arrays."""
+"""Results in .npz files: dataclasses of numbers, text and arrays."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ class Stored(ReadOnlyArrays):
     other types than numbers, text, arrays and results by `_write_values` and `_read_values`.
     """
 
-    _form: ClassVar[str] = ""  # what files tell of themselves
-    _title: ClassVar[str] = ""  # what messages call them
+    _form: ClassVar[str] = ""  # the field "format" of files
+    _title: ClassVar[str] = ""  # the name in messages
 
     def __init_subclass__(cls, *, form: str = "", title: str = "", **more: Any) -> None:
         super().__init_subclass__(**more)
@@ -177,17 +177,23 @@ class Stored(ReadOnlyArrays):
         return cls(**given)
 
     def _write_values(self) -> dict[str, str]:
-        """Write fields that are no numbers, text or arrays as texts."""
+        """Write the other fields, such as scenes, as texts."""
         return {}
 
     @classmethod
     def _read_values(cls, content: Fields, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Read fields that `_write_values` wrote; `given` are the others. Raises ValueError."""
+        """Read fields that `_write_values` wrote; `given` are the others.
+
+        Raises ValueError.
+        """
         return {}
 
     @classmethod
     def _check_loaded(cls, given: Mapping[str, Any]) -> None:
-        """Check the values of loaded fields. Raises ValueError."""
+        """Check the values of loaded fields.
+
+        Raises ValueError.
+        """
 
 
 def _restore_part(kind: type[Stored], name: str, content: Fields) -> Stored:
@@ -198,7 +204,10 @@ def _restore_part(kind: type[Stored], name: str, content: Fields) -> Stored:
 
 
 class _FieldTypes(NamedTuple):
-    """Types of the fields of a class; dimensions, as letters, and kinds of those of arrays."""
+    """Types of the fields of a class.
+
+    Arrays have dimensions, as letters, and a kind.
+    """
 
     hints: dict[str, Any]
     arrays: dict[str, tuple[str | None, str]]
@@ -222,12 +231,18 @@ def _find_fields(cls: Hashable) -> _FieldTypes:
 
 
 def array_fields(cls: type) -> dict[str, tuple[str | None, str]]:
-    """Find the dimensions, as letters, and the kinds of all fields that are numbers or text."""
+    """Find dimensions and kinds of fields of numbers or text.
+
+    Dimensions are letters.
+    """
     return _find_fields(cls).arrays
 
 
 def _check_arrays(content: Mapping[str, Any], cls: type) -> None:
-    """Check the kinds and shapes of fields. Raises ValueError."""
+    """Check the kinds and shapes of fields.
+
+    Raises ValueError.
+    """
     sizes: dict[str, int] = {"2": 2, "3": 3}
     for name, (letters, kind) in array_fields(cls).items():
         if content.get(name) is None:
@@ -246,7 +261,7 @@ def _check_arrays(content: Mapping[str, Any], cls: type) -> None:
 
 
 def check_indices(name: str, value: Any, count: int, least: int = 0) -> None:
-    """Raise ValueError unless all indices of a field are from `least` to below `count`."""
+    """Raise ValueError unless indices lie in [`least`, `count`)."""
     if np.size(value) and not least <= np.min(value) <= np.max(value) < count:
         raise ValueError(f"field {name!r} holds indices outside {least} … {count - 1}")
 

@@ -1,4 +1,4 @@
-"""TOML and JSON text: data, the line of each key, and writing to the last bit."""
+"""TOML and JSON: parsing, lines of keys, and writing."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _POSITION = re.compile(r" \(at (?:line (\d+), column \d+|end of document)\)")
 
 
 class TextError(ValueError):
-    """A text that is no TOML or JSON; `line` tells where."""
+    """Error for invalid TOML or JSON at a `line`."""
 
     def __init__(self, message: str, line: int | None) -> None:
         super().__init__(message)
@@ -82,7 +82,7 @@ def _parse_json(text: str) -> Any:
 
 
 def find_line(text: str, key: Key) -> tuple[int, int]:
-    """Find the line of a key in a text that parses.
+    """Find the line of a key in a valid text.
 
     Returns the number of leading words of `key` that the text has, and the position of the last of
     them, as a line from 1 on.
@@ -144,7 +144,10 @@ def to_json(data: Mapping[str, Any]) -> str:
 
 
 def to_toml(data: Mapping[str, Any], width: int = 100) -> str:
-    """Format a table as TOML, with lines of at most `width` characters where that is possible."""
+    """Format a table as TOML.
+
+    Lines have at most `width` characters where that is possible.
+    """
     return "\n".join(_table(data, (), width)).strip("\n") + "\n"
 
 

@@ -32,18 +32,24 @@ class TimeFormula(Value, kind="TimeFormula"):
         object.__setattr__(self, "numbers", numbers)
 
     def __call__(self, time: Any) -> Any:
-        """Compute nested lists of the values at a time, a number or a CasADi symbol."""
+        """Compute nested lists of values at a time.
+
+        The time is a number or a CasADi symbol.
+        """
         numbers = dict(self.numbers)
         return _map(self.entries, lambda formula: formula.at(time, numbers))
 
     def plain(self) -> Any:
-        """Format nested lists of formulas with the numbers in place of their names."""
+        """Format nested lists of formulas with numbers for names."""
         numbers = dict(self.numbers)
         return _map(self.entries, lambda formula: Formula(formula.with_numbers(numbers)).text)
 
 
 def _map(entries: Any, function: Callable[[Formula], Any]) -> Any:
-    """Apply a function to each formula in nested tuples; the result is nested lists."""
+    """Apply a function to each formula in nested tuples.
+
+    The result is nested lists.
+    """
     if isinstance(entries, tuple):
         return [_map(entry, function) for entry in entries]
     return function(Formula(entries)) if isinstance(entries, str) else entries

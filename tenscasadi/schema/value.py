@@ -52,7 +52,10 @@ class Value:
 
     @classmethod
     def maker(cls, function: T) -> T:
-        """Register a function that builds values of this family; its name is the kind."""
+        """Register a function that builds values of this family.
+
+        Its name is the kind.
+        """
         _add(cls, function.__name__, function)
         return function
 
@@ -67,7 +70,10 @@ class Value:
 
 
 def _add(family: type[Value], kind: str, member: Callable[..., Any]) -> None:
-    """Enter a member into its family. Raises TypeError if another one has its kind."""
+    """Enter a member into its family.
+
+    Raises TypeError if another one has its kind.
+    """
     other = family.members.setdefault(kind, member)
     if other.__qualname__ != member.__qualname__ or other.__module__ != member.__module__:
         raise TypeError(

@@ -135,7 +135,10 @@ def load_simulation(path: str | os.PathLike[str]) -> Simulation:
 
 
 def read_simulation(document: Document, scene: Scene, t_end: float | None = None) -> Simulation:
-    """Read [start] and [simulation]; `t_end` is for files without one. Raises SceneFileError."""
+    """Read [start] and [simulation]; `t_end` is for files without one.
+
+    Raises SceneFileError.
+    """
     item, first = document.section("simulation"), document.section("start")
     if item is None and t_end is None:
         cure = "give one with t_end, the end of the run in s"
@@ -159,7 +162,10 @@ def read_simulation(document: Document, scene: Scene, t_end: float | None = None
 
 @write_tables.register
 def write_simulation(simulation: Simulation) -> dict[str, Any]:
-    """Write the sections of a simulation. Raises NotWritten."""
+    """Write the sections of a simulation.
+
+    Raises NotWritten.
+    """
     start = {name: getattr(simulation, name) for name in START.fields if hasattr(simulation, name)}
     tables = {"start": START.write(start), "simulation": SIMULATION.write(vars(simulation))}
     return write_scene(simulation.scene) | {name: own for name, own in tables.items() if own}

@@ -1,1 +1,1 @@
-"""Independent cases, on the cores of this machine or on a cluster; each result on disk at once."""
+"""Sweeps over independent cases on many cores or a cluster."""

@@ -36,7 +36,10 @@ class CaseOutcome(NamedTuple):
 
 
 def check_results(returned: Any) -> dict[str, Any]:
-    """Convert the result of a function to numbers, text and arrays by name. Raises TypeError."""
+    """Convert a result to numbers, text and arrays by name.
+
+    Raises TypeError.
+    """
     if returned is None:
         return {}
     results = dict(returned) if isinstance(returned, Mapping) else {"result": returned}
@@ -59,7 +62,7 @@ def _read_result(name: str, value: Any) -> Any:
 
 
 class CaseFiles:
-    """Folder with one .npz file for each finished case of a function.
+    """Folder with one .npz file for each finished case.
 
     Raises TypeError, ValueError, OSError.
 
@@ -77,11 +80,17 @@ class CaseFiles:
         self.found = self.damaged = self.outdated = 0
 
     def key(self, case: Any, field: str) -> str:
-        """Compute the key of a case. Raises TypeError."""
+        """Compute the key of a case.
+
+        Raises TypeError.
+        """
         return case_key(self.function.key, case, field)
 
     def write(self, key: str, case: Any, outcome: CaseOutcome) -> None:
-        """Write a case atomically. Raises OSError."""
+        """Write a case atomically.
+
+        Raises OSError.
+        """
         own = self.function
         content = {
             **{"case": describe_case(case), "function": own.name, "source": own.source},
@@ -117,7 +126,10 @@ class CaseFiles:
 
 
 def _read(function: str, key: str, content: Fields) -> tuple[CaseOutcome, str, str]:
-    """Read an outcome, and the hash and the home of its function. Raises ValueError."""
+    """Read an outcome, and hash and home of its function.
+
+    Raises ValueError.
+    """
     if hash_case(function, str(content.array("case", "U", 0))) != key:
         raise ValueError("it is of another case")
     values = {

@@ -1,4 +1,7 @@
-"""Identity of cases and functions: the same content gives the same key in any process."""
+"""Identity of cases and functions.
+
+The same content gives the same key in any process.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +48,10 @@ class FunctionIdentity(NamedTuple):
 
 
 def identify(function: Callable[..., Any]) -> FunctionIdentity:
-    """Find the identity of a function. Raises TypeError if its content is unknown."""
+    """Find the identity of a function.
+
+    Raises TypeError if its content is unknown.
+    """
     bare = function
     while isinstance(bare, partial):
         bare = bare.func
@@ -61,7 +67,7 @@ def identify(function: Callable[..., Any]) -> FunctionIdentity:
 
 
 def _find_content(function: Callable[..., Any]) -> Any:
-    """Find the values that distinguish a function from others of its name."""
+    """Find the values that distinguish functions of one name."""
     if isinstance(function, partial):  # of a partial, Python makes one with all arguments
         inner, arguments = _find_content(function.func), function.args
         return {"of": inner, "arguments": arguments, "keywords": function.keywords}
@@ -82,7 +88,10 @@ def _find_content(function: Callable[..., Any]) -> Any:
 
 
 def case_key(name: str, case: Any, field: str) -> str:
-    """Hash the content of a case of a function. Raises TypeError naming `field`."""
+    """Hash the content of a case of a function.
+
+    Raises TypeError naming `field`.
+    """
     return hash_case(name, describe_case(case, field))
 
 
@@ -92,7 +101,10 @@ def hash_case(name: str, text: str) -> str:
 
 
 def describe_case(case: Any, field: str = "case") -> str:
-    """Format the content of a case, the same on any machine. Raises TypeError naming `field`."""
+    """Format the content of a case, independent of the machine.
+
+    Raises TypeError naming `field`.
+    """
     return json.dumps(_describe(field, case))
 
 

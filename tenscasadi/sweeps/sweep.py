@@ -1,4 +1,4 @@
-"""Sweeps: one function of many independent cases, on many cores or a cluster."""
+"""Evaluation of a function for many independent cases."""
 
 from __future__ import annotations
 
@@ -25,7 +25,9 @@ def sweep(
     folder: str | os.PathLike[str] | None = None,
     progress: bool = False,
 ) -> Sweep:
-    """Compute a function of many independent cases, such as structures, plans or seeds.
+    """Evaluate a function for many independent cases.
+
+    Cases are, for example, structures, plans or seeds.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Table of a sweep: a row for each case, a column for each entry and result."""
+"""Table of a sweep with a row for each case."""
 
 from __future__ import annotations
 
@@ -96,7 +96,9 @@ class Sweep(ReadOnlyArrays):
 
     @property
     def columns(self) -> dict[str, Any]:
-        """Columns by name, arrays (n, …): entries of the cases, then of the results.
+        """Columns (n, …) by name.
+
+        Entries of the cases come first, then those of the results.
 
         Cases other than dicts are the column ``case``. Results with the name of an entry of a case
         begin with ``result.``. Missing values are NaN, or "" for text. Arrays of different shapes
@@ -171,7 +173,10 @@ def _build_column(values: list[Any]) -> Any:
 
 
 def _as_array(value: Any) -> Any:
-    """Convert numbers and text to an array, other values to one entry of objects."""
+    """Convert numbers and text to an array.
+
+    Other values become one entry of objects.
+    """
     if isinstance(value, (bool, int, float, complex, str, list, tuple, np.ndarray, np.generic)):
         with contextlib.suppress(ValueError):  # lists of different lengths
             return np.asarray(value)

@@ -1,4 +1,4 @@
-"""Workers of a sweep: an executor of any kind, or processes that may die."""
+"""Workers of a sweep: an executor, or own processes."""
 
 from __future__ import annotations
 
@@ -32,12 +32,15 @@ _ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1"
 )
 _DIED = "the worker process died while it computed this case: it was killed, ran out of memory or crashed"
-_UNPICKLED = (pickle.PicklingError, AttributeError, TypeError, RecursionError)  # what pickle raises
-_CURE = "which other processes cannot get: give numbers, text and arrays, and build in the function what is else"
+_UNPICKLED = (pickle.PicklingError, AttributeError, TypeError, RecursionError)
+_CURE = "which other processes cannot get: give numbers, text and arrays, and build other objects in the function"
 
 
 def compute(function: Function, case: Any) -> CaseOutcome:
-    """Compute one case in a worker; an exception becomes its error."""
+    """Compute a case in a worker.
+
+    An exception becomes its error.
+    """
     began = time.perf_counter()
     try:
         values, error = check_results(function(case)), ""
@@ -60,7 +63,7 @@ def _has_keyboard() -> bool:
 def run_on_executor(
     function: Function, cases: Mapping[Any, Any], executor: Executor
 ) -> Generator[tuple[Any, CaseOutcome], None, None]:
-    """Yield the key and outcome of each case as it finishes.
+    """Yield outcomes of cases as an executor finishes them.
 
     Cases that have not begun are canceled when the caller stops early. Raises the exception of an
     executor that takes no jobs.
@@ -88,7 +91,7 @@ def run_on_executor(
 def run_in_processes(
     function: Function, cases: Mapping[Any, Any]
 ) -> Generator[tuple[Any, CaseOutcome], None, None]:
-    """Yield the key and outcome of each case as it finishes in a new process.
+    """Yield outcomes of cases as new processes finish them.
 
     There are as many processes as cores, each with one thread. When a process dies, its pool is
     lost. The running cases are tried again one by one to find the cause. Raises ValueError if
@@ -134,7 +137,7 @@ def run_in_processes(
 def _outcome(future: Future[CaseOutcome], case: Any) -> CaseOutcome:
     try:
         return future.result()
-    except Exception as fault:  # noqa: BLE001  what executors make of a lost worker, or of a case that does not pickle
+    except Exception as fault:  # noqa: BLE001  executors raise many things for lost workers and pickling
         return _describe_loss(fault, case)
 
 
@@ -147,7 +150,10 @@ def _describe_loss(fault: Exception, case: Any) -> CaseOutcome:
 
 
 def _find_unpicklable(value: Any, name: str = "case") -> str:
-    """Find the part of a case that does not pickle; "" for none."""
+    """Find the part of a case that does not pickle.
+
+    Returns "" for none.
+    """
     try:
         pickle.dumps(value)
     except Exception:  # noqa: BLE001  pickle raises many things
@@ -174,11 +180,14 @@ def _check_function(function: Function) -> None:
 
 
 def _check_worker(pool: ProcessPoolExecutor, function: Function) -> bool:
-    """Import the function in a process. Raises RuntimeError if it cannot begin."""
+    """Import the function in a process.
+
+    Raises RuntimeError if it cannot begin.
+    """
     try:
         return pool.submit(callable, function).result()
     except BrokenProcessPool:
-        cure = "a script needs `if __name__ == '__main__':` around what it runs; a function of a notebook has to move into a module"
+        cure = "a script needs `if __name__ == '__main__':` around its calls; move functions of a notebook into a module"
         raise RuntimeError(
             f"worker processes cannot begin, or cannot import {format_value(function)}: {cure}"
         ) from None
@@ -192,7 +201,10 @@ def _cores() -> int:
 
 @contextlib.contextmanager
 def _environment(values: Mapping[str, str]) -> Iterator[None]:
-    """Set variables for processes that start in the block: libraries read them at import."""
+    """Set environment variables for processes started in the block.
+
+    Libraries read them at import.
+    """
     before = {name: os.environ.get(name) for name in values}
     os.environ.update(values)
     try:
@@ -206,7 +218,7 @@ def _environment(values: Mapping[str, str]) -> Iterator[None]:
 
 
 def _begin_worker() -> None:
-    """Ignore Ctrl-C, and end with the parent process, even if it is killed."""
+    """Ignore Ctrl-C, and end with the parent process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 

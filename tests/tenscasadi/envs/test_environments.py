@@ -271,7 +271,7 @@ def test_an_observation_that_grows_is_refused():
     env.reset(seed=0)
     with pytest.raises(
         ValueError,
-        match=r"what Task.observation gives has shape \(1, 2\): give an array of shape \(1, 1\)",
+        match=r"result of Task.observation has shape \(1, 2\): give an array of shape \(1, 1\)",
     ):
         env.step(np.zeros(9))
 
@@ -336,7 +336,7 @@ BAD = {
     "a reward of other shape": (
         lambda: TensegrityEnv(Task(DRIVEN, lambda now: 1.0, 0.0, 1.0)).step(np.zeros(9)),
         ValueError,
-        r"what Task.reward gives has shape \(\): give .*\(1,\)",
+        r"result of Task.reward has shape \(\): give .*\(1,\)",
     ),
     "a reward that fails": (
         lambda: TensegrityEnv(Task(DRIVEN, lambda now: now.speed, 0.0, 1.0)).step(np.zeros(9)),
@@ -346,7 +346,7 @@ BAD = {
     "an observation of other shape": (
         lambda: TensegrityEnv(driven(observation=lambda nodes, velocities, control: nodes)),
         ValueError,
-        "what Task.observation gives has shape",
+        "result of Task.observation has shape",
     ),
 }
 
