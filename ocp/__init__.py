@@ -1,8 +1,9 @@
-"""Plans of force densities for tensegrity structures: problem → transcription → solver → plan, replayed by tenscasadi.
+"""Optimal control of tensegrity structures by force densities.
 
-Goals, bounds, costs, guesses and options are values. Each raises TypeError or ValueError, naming
-the field and what would be right, where it is made, or where a `Problem` learns which structure it
-is for.
+A problem is transcribed, solved, and replayed by tenscasadi: problem → transcription → solver →
+plan. Goals, bounds, costs, guesses and options are immutable values. A wrong value raises TypeError
+or ValueError when it is created, or when a `Problem` combines it with a structure. The message
+names the field, the value and the cure.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ from ocp.transcription.multiple_shooting import MultipleShooting
 from ocp.transcription.variational import Variational
 
 __all__ = [
-    # what is asked
+    # problem
     "Problem",
     "FreeStart",
     "Phase",
@@ -89,7 +90,7 @@ __all__ = [
     "Constraint",
     "Integral",
     "AtEnd",
-    # how it is solved
+    # solution method
     "MultipleShooting",
     "ImplicitMidpoint",
     "Variational",
@@ -101,11 +102,11 @@ __all__ = [
     "Sampling",
     "Progress",
     "solve",
-    # where it starts
+    # initial guess
     "InverseDynamics",
     "Equilibrium",
     "Arrays",
-    # what comes of it
+    # result
     "Plan",
     "InfeasibleGoalError",
     "Duals",
@@ -113,11 +114,11 @@ __all__ = [
     "Robustness",
     "replay_wound",
     "reachable",
-    # in files
+    # files
     "load_problem",
     "load_arguments",
     "save_problem",
-    # in closed loop
+    # closed loop
     "Mpc",
     "Mppi",
     "SplineNoise",
@@ -125,7 +126,7 @@ __all__ = [
     "track",
     "run",
     "ClosedLoop",
-    # as C
+    # C code
     "export_program",
     "export_mpc",
 ]

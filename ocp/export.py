@@ -1,4 +1,4 @@
-"""Programs and controllers as C that needs nothing but the C library."""
+"""Export of nonlinear programs and predictive controllers as C code."""
 
 from __future__ import annotations
 
@@ -16,9 +16,14 @@ from ocp.problem.problem import Problem
 from ocp.search.methods import program_of
 from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import InitialGuess
-from tenscasadi.util.casadi_tools import generated
+from tenscasadi.util.casadi_tools import generate_code
 from tenscasadi.util.validate import file_path, instance
 from tenscasadi.util.whole_file import write_files, write_whole
+
+_CALLING_CONVENTION = (
+    "Each function: int name(const casadi_real** arg, casadi_real** res, casadi_int* iw, "
+    "casadi_real* w, int mem); name_work returns the sizes:"
+)
 
 
 def export_program(
@@ -27,18 +32,20 @@ def export_program(
     folder: str | Path,
     guess: InitialGuess | None = None,
 ) -> list[Path]:
-    """Write the nonlinear program of a plan as C that needs nothing but the C library.
+    """Write the nonlinear program of a problem as C code.
+
+    The code requires only the C library.
 
     Parameters
     ----------
     problem : Problem
-        What is asked.
+        Optimal control problem.
     transcription : MultipleShooting, Collocation, ImplicitMidpoint or Variational
-        How the motion becomes a program.
+        Transcription of the problem into a nonlinear program.
     folder : str or Path
-        Where the files go; made if need be.
+        Folder of the files, which is created if necessary.
     guess : InverseDynamics, Equilibrium, Arrays or Plan, optional
-        Where solvers start. Default: `InverseDynamics()`.
+        Initial guess. Default: `InverseDynamics()`.
 
     Returns
     -------
@@ -48,22 +55,24 @@ def export_program(
     Raises
     ------
     InfeasibleGoalError
-        No strings can bring the goals about.
+        If no string forces can reach the goals.
     TypeError, ValueError
-        An argument is wrong, or limits and goals contradict each other.
+        If an argument is wrong, or limits and goals contradict each other.
     OSError
-        A file cannot be written.
+        If a file cannot be written.
 
     Notes
     -----
-    The program: minimise f(w) subject to lower ≤ g(w) ≤ upper and limits of w, all scaled. Its
-    functions are `nlp_f`, `nlp_g`, `nlp_grad_f`, `nlp_jac_g` and `nlp_hess_l` (the upper triangle
-    of the Hessian of lam_f f + lam_gᵀ g), with exact sparse derivatives. The tables say what each
-    entry of w and g is, its limits, and its scale, by which it is multiplied for physical units;
-    unknowns.csv also where to start.
+    The program is: minimize f(w) subject to lower ≤ g(w) ≤ upper and variable bounds of w, all
+    scaled. Its functions are `nlp_f`, `nlp_g`, `nlp_grad_f`, `nlp_jac_g` and `nlp_hess_l`, with
+    exact sparse derivatives. `nlp_hess_l` is the upper triangle of the Hessian of lam_f f + lam_gᵀ
+    g.
 
-    An `accuracy` of the transcription is no part of it, which `program.h` says: `solve` gets there
-    by solving the program several times, with other limits of the rows of the motion.
+    The tables list name, scale and bounds of each entry of w (unknowns.csv) and g (rows.csv).
+    Entries times their scale are in physical units. unknowns.csv also has the initial guess.
+
+    The `accuracy` of a transcription is not part of the program, and `program.h` says so. `solve`
+    reaches it by repeated solutions with corrected bounds of the defect constraints.
 
     Examples
     --------
@@ -83,13 +92,17 @@ def export_program(
         ca.Function(f"nlp_{name}", [w, p], [program.problem[name]], ["x", "p"], [name])
         for name in "fg"
     ]
-    sizes = f"{len(program.w_names)} unknowns (unknowns.csv), {len(program.names)} rows (rows.csv), costs = {program.objective!r} f"
-    comment = [f"minimise f(w) subject to limits of g(w) and w: {sizes}."]
+    sizes = f"{len(program.w_names)} unknowns (unknowns.csv), {len(program.names)} rows (rows.csv)"
+    comment = [
+        f"minimize f(w) subject to bounds of g(w) and w: {sizes}, costs = {program.objective!r} f."
+    ]
     if transcription.accuracy is not None:
         comment.append(
-            f"{type(transcription).__name__}.accuracy is {transcription.accuracy:g} m, and no part of it: this is what is solved first."
+            f"{type(transcription).__name__}.accuracy is {transcription.accuracy:g} m: "
+            "not part of this program, which is the first that ocp.solve solves."
         )
-    written = _generate(target, "program", [*values, *program.parts.derivatives.values()], comment)
+    functions = [*values, *program.parts.derivatives.values()]
+    paths = _write_code(target, "program", functions, comment)
     unknowns = zip(
         program.w_names,
         program.w_scale,
@@ -100,21 +113,25 @@ def export_program(
     )
     rows = zip(program.names, program.scale, program.lower, program.upper, strict=True)
     return [
-        *written,
-        _table(target / "unknowns.csv", ("name", "scale", "lower", "upper", "first"), unknowns),
-        _table(target / "rows.csv", ("name", "scale", "lower", "upper"), rows),
+        *paths,
+        _write_table(
+            target / "unknowns.csv", ("name", "scale", "lower", "upper", "first"), unknowns
+        ),
+        _write_table(target / "rows.csv", ("name", "scale", "lower", "upper"), rows),
     ]
 
 
 def export_mpc(mpc: Mpc, folder: str | Path) -> list[Path]:
-    """Write a predictive controller, with its solver, as C that needs nothing but the C library.
+    """Write a predictive controller with its solver as C code.
+
+    The code requires only the C library.
 
     Parameters
     ----------
     mpc : Mpc
-        The controller.
+        Controller.
     folder : str or Path
-        Where the files go; made if need be.
+        Folder of the files, which is created if necessary.
 
     Returns
     -------
@@ -124,16 +141,16 @@ def export_mpc(mpc: Mpc, folder: str | Path) -> list[Path]:
     Raises
     ------
     TypeError
-        It is no `Mpc`.
+        If `mpc` is not an `Mpc`.
     OSError
-        A file cannot be written.
+        If a file cannot be written.
 
     Notes
     -----
-    The function is `decide` (time, state, before) → after, as `Mpc.function` describes it, also
-    where it has a fourth input. before and after are α × intervals numbers, interval by interval;
-    the first α of `after` are to be applied. mpc.h holds the sizes, the period, and `MPC_FIRST` to
-    begin with.
+    The function is `decide` (time, state, before) → after. `Mpc.function` describes it and the
+    fourth input that some controllers have. before and after are α × intervals numbers, interval by
+    interval. Apply the first α of `after`. mpc.h has the sizes, the sampling period, and
+    `MPC_FIRST`, the first `before`.
 
     Examples
     --------
@@ -148,13 +165,15 @@ def export_mpc(mpc: Mpc, folder: str | Path) -> list[Path]:
     instance("mpc", mpc, Mpc, "an ocp.Mpc")
     first = ", ".join(repr(float(value)) for value in mpc.first.T.ravel())
     lines = [
-        "decide (time s, state, before N/m) -> after N/m; apply the first MPC_STRINGS of after for MPC_PERIOD s, then hand it on as before.",
-        "State: free coordinates of the nodes, node by node, then their velocities. MPC_FIRST is the first before.",
+        "decide (time s, state, before N/m) -> after N/m: apply the first MPC_STRINGS of after "
+        "for MPC_PERIOD s, then give after as the next before.",
+        "State: free coordinates of the nodes, node by node, then their velocities. "
+        "MPC_FIRST is the first before.",
     ]
     decide = mpc.function()
     if "earlier" in decide.name_in():
         lines.append(
-            "earlier: the state at the last decision, NAN to begin with; limits of rates hold from there on."
+            "earlier: state at the last decision, NAN at the first; rate limits start from it."
         )
     constants = [
         f"#define MPC_STATES {mpc.model.nx}",
@@ -163,46 +182,47 @@ def export_mpc(mpc: Mpc, folder: str | Path) -> list[Path]:
         f"#define MPC_PERIOD {mpc.period!r}",
         f"#define MPC_FIRST {{{first}}}",
     ]
-    return _generate(file_path("folder", folder), "mpc", [decide], lines, constants)
+    return _write_code(file_path("folder", folder), "mpc", [decide], lines, constants)
 
 
-def _generate(
+def _write_code(
     folder: Path,
     name: str,
     functions: Sequence[ca.Function],
     comment: Sequence[str],
     constants: Sequence[str] = (),
 ) -> list[Path]:
-    """`name`.c and `name`.h, whose head says what they are."""
+    """Write functions as `name`.c and `name`.h, whose comment describes them."""
     generator = ca.CodeGenerator(f"{name}.c", {"with_header": True})
     for function in functions:
         generator.add(function)
     head = [
         "/*",
-        *(f" * {line}" for line in [*comment, CALL]),
-        *(f" * {_signature(function)}" for function in functions),
+        *(f" * {line}" for line in [*comment, _CALLING_CONVENTION]),
+        *(f" * {_describe_signature(function)}" for function in functions),
         " */",
         *constants,
         "",
     ]
-    files = generated(generator, name)
+    files = generate_code(generator, name)
     return write_files(folder, {**files, f"{name}.h": "\n".join(head) + files[f"{name}.h"]})
 
 
-CALL = "Each function: int name(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem); name_work tells sizes:"
+def _describe_signature(function: ca.Function) -> str:
+    """Describe inputs and outputs of a function with their sizes.
 
+    Sparse matrices hold their nonzeros, column by column.
+    """
 
-def _signature(function: ca.Function) -> str:
-    """Describe inputs and outputs of a function with their sizes; matrices that are sparse hold their non-zeros, column by column."""
-
-    def listed(count: int, name: Any, sparsity: Any) -> str:
+    def join(count: int, name: Any, sparsity: Any) -> str:
         return ", ".join(f"{name(k)}[{sparsity(k).nnz()}]" for k in range(count))
 
-    before = listed(function.n_in(), function.name_in, function.sparsity_in)
-    return f"{function.name()}: {before} -> {listed(function.n_out(), function.name_out, function.sparsity_out)}"
+    inputs = join(function.n_in(), function.name_in, function.sparsity_in)
+    outputs = join(function.n_out(), function.name_out, function.sparsity_out)
+    return f"{function.name()}: {inputs} -> {outputs}"
 
 
-def _table(path: Path, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> Path:
+def _write_table(path: Path, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> Path:
     text = io.StringIO(newline="")
     writer = csv.writer(text)
     writer.writerow(head)

@@ -1,4 +1,4 @@
-"""The entrance to planning: checks of the arguments, and a plan with its methods."""
+"""Function `solve`, which finds a plan for a problem."""
 
 from __future__ import annotations
 
@@ -36,49 +36,49 @@ def solve(
     Parameters
     ----------
     problem : Problem
-        What is asked.
+        Optimal control problem.
     transcription : MultipleShooting, Collocation, ImplicitMidpoint or Variational, optional
-        How the motion becomes a program. Default, with a solver: `MultipleShooting()`,
-        `Variational()` for `CondensedNewton`; without, what suits the problem (see Notes).
+        Transcription of the problem into a nonlinear program. Default with a solver:
+        `MultipleShooting()`, or `Variational()` for `CondensedNewton`. Default without a solver:
+        selected for the problem (see Notes).
     solver : Ipopt, CondensedNewton or Sampling, optional
-        What solves the program, or samples motions instead. Default, with a transcription:
-        `Ipopt()`; without, what suits the problem.
+        Solver of the nonlinear program. `Sampling` searches trajectories instead. Default with a
+        transcription: `Ipopt()`. Default without: selected for the problem.
     guess : InverseDynamics, Equilibrium, Arrays or Plan, optional
-        Where the solver starts. From a plan of the same mesh and constraints it starts exactly,
-        with its multipliers (see `Ipopt.warm`). `Sampling` searches where it leads to no plan.
-        Default: `InverseDynamics()`.
+        Initial guess. A plan with the same mesh and constraints is a warm start that includes its
+        duals (see `Ipopt.warm`). `Sampling` is tried if the solver finds no plan. Default:
+        `InverseDynamics()`.
     tolerance : float, optional
-        How far the replay may end from the goals, m, and as many m per duration in speed, for the
-        plan to be a success. Default: 1 % of the structure's size.
+        Largest distance of the replay's end from the goals [m] at which a plan is a success. The
+        limit of the velocity is this distance per duration. Default: 1 % of the structure's size.
     seconds : float, optional
-        Wall time, s, that all of it may take: building, solving, replaying. When it is over, the
-        plan is the best so far, without success. By default there is no limit.
+        Time limit [s] for building, solving and replaying. When it expires, the best plan so far is
+        returned, without success. Default: no limit.
     starts : int
-        From how many guesses it is solved, which differ by their seeds (see `InverseDynamics`; with
-        `Sampling` its own). The plan is the best of all, and `Plan.starts` the objectives of all.
+        Number of initial guesses, which have different seeds (see `InverseDynamics` and
+        `Sampling`). The best plan is returned. `Plan.starts` has the objectives of all.
     executor : concurrent.futures.Executor, optional
-        What solves the starts at once, such as a ``ProcessPoolExecutor``. Default: one after the
-        other.
+        Executor that solves the starts in parallel, such as a ``ProcessPoolExecutor``. Default: one
+        after the other.
     tracked : bool
-        Whether the replay that decides on success is under `track`, in closed loop: for motions
-        along which errors grow.
+        Whether the replay that decides on success is a tracked replay, see `track`. Motions with a
+        large error growth need it.
     parameters : array_like, shape (np,), or mapping of str to array_like, optional
-        Values of the parameters of the problem's model, see `Problem.fixed`. Default: those that
-        the problem was made with. They enter as constants; only `Sampling` compiles code, and does
-        so again for other values.
+        Values of the model's parameters, see `Problem.fixed`. Default: those of the problem. They
+        are constants of the program. Only `Sampling` compiles code, again for each set of values.
 
     Returns
     -------
     Plan
-        The plan. Where none was found, or its replay misses more, `success` is False, and `message`
-        says why and what to try.
+        Plan. If none is found or its replay misses the goals, `success` is False. `message` then
+        has the reason and the next step to try.
 
     Raises
     ------
     InfeasibleGoalError
-        No strings can bring the goals about; found before solving.
+        If no string forces can reach the goals. This is found before solving.
     TypeError, ValueError
-        An argument is wrong, or limits and goals contradict each other; the message names them.
+        If an argument is wrong, or limits and goals contradict each other.
 
     See Also
     --------
@@ -86,21 +86,23 @@ def solve(
 
     Notes
     -----
-    Where neither transcription nor solver is given, both are chosen, and the number of intervals:
-    three for each radian of the fastest vibration, 30 at least. Where nodes may touch a ground,
-    `Sampling`; else `Variational`, corrected to a third of the tolerance, with `Ipopt`, or from
-    nine bars on with `CondensedNewton`, where it takes the problem. A plan whose replay misses is
-    found again on a mesh twice as fine; where there is none, the other solver follows, then
-    `MultipleShooting`. The first success is returned, and its message says what was tried.
+    Without transcription and solver, both are selected. `Sampling` is selected if nodes may touch a
+    ground. Otherwise it is `Variational`, with deferred correction to a third of the tolerance. Its
+    solver is `CondensedNewton` from nine bars on, if it supports the problem, else `Ipopt`. The
+    mesh has three intervals per radian of the fastest vibration, at least 30.
 
-    A problem in full coordinates is planned in reduced ones, as motions do not depend on them, but
-    with `MultipleShooting`: the plan, its replay and the verdict are of the model that is given,
-    and own expressions get its states. Where constraints are redundant, or bounds and costs are of
-    own classes, `MultipleShooting` plans in full coordinates.
+    If the replay of a plan misses the goals, the mesh is refined by a factor of two. If no plan is
+    found, the other solver is tried, then `MultipleShooting`. The first success is returned, and
+    its message lists the attempts.
+
+    Problems in full coordinates are solved in reduced coordinates, which have the same motions. The
+    plan, its replay and the acceptance test use the given model, and so do the user's expressions.
+    `MultipleShooting` keeps full coordinates if constraints are redundant, or if bounds or costs
+    are of the user's own classes.
 
     Examples
     --------
-    The two bars of a planar cross turn against each other within a second, at the least effort:
+    The two bars of a planar cross rotate against each other within a second with minimum effort:
 
     >>> import ocp
     >>> import tenscasadi as tc
@@ -134,10 +136,8 @@ def solve(
     if seconds is not None:
         positive_number("seconds", seconds)
     problem = problem if parameters is None else problem.fixed(parameters)
-    asked = problem, transcription, solver, guess, tolerance
+    arguments = problem, transcription, solver, guess, tolerance
+    limits: dict[str, Any] = {"seconds": seconds, "tracked": tracked}
     if count > 1:
-        best = find_best_plan(
-            *asked, seconds=seconds, tracked=tracked, count=count, executor=executor
-        )
-        return Plan.of(best)
-    return Plan.of(find_plan(*asked, seconds=seconds, tracked=tracked))
+        return Plan.of(find_best_plan(*arguments, **limits, count=count, executor=executor))
+    return Plan.of(find_plan(*arguments, **limits))

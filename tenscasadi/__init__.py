@@ -1,6 +1,7 @@
-"""Tensegrity dynamics as CasADi Functions: structure → scene → model → simulation → trajectory.
+"""Dynamics of tensegrity structures as CasADi Functions.
 
-Pictures are in `tenscasadi.plots`, which loads matplotlib and is imported by name.
+A structure in a scene gives a model, and a simulation of the model gives a trajectory. Figures are
+in `tenscasadi.plots`, a module that is imported by name and loads matplotlib.
 """
 
 from __future__ import annotations
@@ -118,7 +119,7 @@ def __dir__() -> list[str]:
 
 
 __all__ = [
-    # what is modelled
+    # structure and statics
     "Structure",
     "ClassOne",
     "shapes",
@@ -133,7 +134,7 @@ __all__ = [
     "BucklingFactor",
     "load_path",
     "LoadPath",
-    # how
+    # scene
     "Scene",
     "ForceDensity",
     "RestLength",
@@ -149,7 +150,7 @@ __all__ = [
     "SupportMotion",
     "Parameters",
     "ParameterLayout",
-    # as equations
+    # equations
     "Model",
     "Energy",
     "Multipliers",
@@ -161,7 +162,7 @@ __all__ = [
     "modes",
     "Modes",
     "mode_motion",
-    # over time
+    # simulation
     "simulate",
     "RungeKutta4",
     "DormandPrince54",
@@ -179,7 +180,7 @@ __all__ = [
     "sensitivities",
     "Sensitivities",
     "CompileError",
-    # files of others
+    # other programs' files
     "export_mjcf",
     "export_vtk",
     "import_mjcf",
@@ -188,19 +189,19 @@ __all__ = [
     "load_ntrt",
     "save_mat",
     "InexactImportWarning",
-    # many at once
+    # batches
     "rollouts",
     "Rollouts",
     "Feedback",
     "sweep",
     "Sweep",
-    # files of scenes
+    # scene files
     "load_scene",
     "save_scene",
     "load_simulation",
     "Simulation",
     "SceneFileError",
-    # speed against accuracy
+    # accuracy
     "tradeoff",
     "Tradeoff",
     "TradeoffRow",

@@ -1,4 +1,4 @@
-"""`python -m tenscasadi`: the command line."""
+"""Command line, run by `python -m tenscasadi`."""
 
 from tenscasadi.cli.main import main
 

@@ -1,4 +1,4 @@
-"""`tenscasadi.animation.animate`, the path that is documented for animations."""
+"""Documented path of `tenscasadi.animation.animate`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The part [plan] of scene files: a problem and how it is solved, read from a table and written to one."""
+"""Table [plan] of scene files: a problem and the arguments of `ocp.solve`."""
 
 from __future__ import annotations
 
@@ -47,41 +47,42 @@ _START = OfStructure(
 
 @dataclass(frozen=True, eq=False)
 class PlanPart:
-    """A problem but for its model, and how it is solved.
+    """Problem without its model, and the arguments of `ocp.solve`.
 
     Parameters
     ----------
     duration : float or (float, float)
-        Seconds, or [shortest, longest] to let the solver choose.
+        Duration [s], or [shortest, longest] if it is a decision variable.
     start : array_like, shape (n, 3) or (nx,), or FreeStart
-        Nodes at rest, m, or a state; "structure" for those of [structure]; FreeStart: found with
+        Nodes at rest [m], or a state. "structure": nodes of [structure]. FreeStart: optimized with
         the plan. Default: that of [start].
     goals : list
-        What the motion meets, at its end unless a goal says when.
+        Terminal constraints, and waypoints.
     bounds : list
-        What holds all along.
+        Path constraints.
     costs : list
-        What is least: their sum.
+        Terms of the objective, which are summed.
     phases : list
-        Parts of the plan in which nodes stand on the ground, one after another.
+        Stance phases, one after another.
     control : ForceDensity or RestLength
-        What is planned. Default: the scene's control, ForceDensity where it has none.
+        Kind of control. Default: that of the scene, or ForceDensity if it has none.
     coordinates, bar_length : str
         See `tenscasadi.Model`. Default: those of [simulation].
     parameters : table
         Values of the scene's parameters. Default: those of [simulation].
     transcription : table
-        How the motion becomes a program. Default: what suits the problem.
+        Transcription. Default: selected for the problem.
     solver : table
-        What solves it. Default: what suits the problem.
+        Solver. Default: selected for the problem.
     guess : table
-        Where the solver starts. Default: InverseDynamics.
+        Initial guess. Default: InverseDynamics.
     tolerance : float
-        How far the replay may end from the goals, m. Default: 1 % of the structure's size.
+        Largest distance of the replay's end from the goals [m]. Default: 1 % of the structure's
+        size.
     seconds : float
-        Wall time that all of it may take, s. Default: no limit.
+        Time limit [s]. Default: no limit.
     starts : int
-        From how many guesses it is solved.
+        Number of initial guesses.
     tracked : bool
         Whether the replay that decides on success is in closed loop.
     """
@@ -111,8 +112,8 @@ class PlanPart:
         whole_number("starts", self.starts, 1, MOST_STARTS)
 
 
-ASKED = ("duration", "start", "goals", "bounds", "costs", "phases", "parameters")
-WAY = ("transcription", "solver", "guess", "tolerance", "seconds", "starts", "tracked")
+_PROBLEM_ARGUMENTS = ("duration", "start", "goals", "bounds", "costs", "phases", "parameters")
+SOLVE_ARGUMENTS = ("transcription", "solver", "guess", "tolerance", "seconds", "starts", "tracked")
 PLAN = definition(PlanPart, "plan")
 
 
@@ -122,26 +123,30 @@ def file_schema() -> dict[str, Any]:
 
 
 def read_plan(item: Item, simulation: Simulation) -> dict[str, Any]:
-    """Return the arguments of `ocp.solve` that [plan] tells, beside a scene and its start. Raises SceneFileError."""
+    """Read [plan] of a scene as arguments of `ocp.solve`.
+
+    The simulation provides the scene and the default start. Raises SceneFileError.
+    """
     item = item._replace(names=simulation.scene.structure.names)
     part, table = PLAN.read(item), item.table()
     _check_each(table, part, simulation.scene.structure)
     scene = replace(
         simulation.scene, control=part.control or simulation.scene.control or ForceDensity()
     )
-    own: dict[str, Any] = {
+    options: dict[str, Any] = {
         "coordinates": part.coordinates or simulation.coordinates,
         "bar_length": part.bar_length or simulation.bar_length,
     }
-    modelled = replace(simulation, scene=scene, control=None, **own)
-    asked = {name: getattr(part, name) for name in ASKED}
-    asked["parameters"] = simulation.parameters if part.parameters is None else part.parameters
-    asked["start"] = call(_start, item, table, {"start": part.start, "simulation": modelled})
-    problem = call(partial(Problem, modelled.model), item, table, asked)
-    return {"problem": problem, **{name: getattr(part, name) for name in WAY if name in table}}
+    own = replace(simulation, scene=scene, control=None, **options)
+    fields = {name: getattr(part, name) for name in _PROBLEM_ARGUMENTS}
+    fields["parameters"] = simulation.parameters if part.parameters is None else part.parameters
+    fields["start"] = call(_read_start, item, table, {"start": part.start, "simulation": own})
+    problem = call(partial(Problem, own.model), item, table, fields)
+    given = {name: getattr(part, name) for name in SOLVE_ARGUMENTS if name in table}
+    return {"problem": problem, **given}
 
 
-def _start(start: Any, simulation: Simulation) -> Any:
+def _read_start(start: Any, simulation: Simulation) -> Any:
     if isinstance(start, str):
         return FreeStart() if start == "FreeStart" else None
     as_built = (
@@ -151,7 +156,10 @@ def _start(start: Any, simulation: Simulation) -> Any:
 
 
 def _check_each(table: Mapping[str, Item], part: PlanPart, structure: Structure) -> None:
-    """Raise SceneFileError at the first goal or bound that does not fit the structure: the problem's own message names no line."""
+    """Check goals, bounds and costs against the structure, entry by entry.
+
+    The messages of `Problem` name no line. Raises SceneFileError.
+    """
     for name in ("goals", "bounds", "costs"):
         for entry, value in zip(
             table[name].entries() if name in table else (), getattr(part, name), strict=True
@@ -159,40 +167,44 @@ def _check_each(table: Mapping[str, Item], part: PlanPart, structure: Structure)
             call(value.check, entry, {}, {"structure": structure})
 
 
-def write_plan(problem: Problem, way: Mapping[str, Any]) -> dict[str, Any]:
-    """Return [plan] of a problem, and of the arguments of `ocp.solve` beside it. Raises NotWritten for what no file holds."""
-    _refuse_functions(problem)
-    goals, costs = _with_wishes(problem)
+def write_plan(problem: Problem, arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """Write a problem and further arguments of `ocp.solve` as [plan].
+
+    Raises NotWritten for Python functions and other values that files cannot hold.
+    """
+    _reject_functions(problem)
+    goals, costs = _separate_soft_goals(problem)
     model = problem.model
-    asked: dict[str, Any] = {
+    fields: dict[str, Any] = {
         "bounds": problem.bounds,
         "phases": problem.phases,
         "goals": goals,
         "costs": costs,
     }
     if model.coordinates != choose_coordinates(model.scene):
-        asked["coordinates"] = model.coordinates
+        fields["coordinates"] = model.coordinates
     if model.mechanism.constant_length:
-        asked["bar_length"] = "constant"
+        fields["bar_length"] = "constant"
     if not problem.phases:
-        asked["duration"] = problem.duration
+        fields["duration"] = problem.duration
     if problem.free_start or not np.array_equal(problem.first_state, model.initial_state):
-        asked["start"] = problem.start
-    return PLAN.write(vars(PlanPart(**asked, **way)))
+        fields["start"] = problem.start
+    return PLAN.write(vars(PlanPart(**fields, **arguments)))
 
 
-def _refuse_functions(problem: Problem) -> None:
+def _reject_functions(problem: Problem) -> None:
     for name in ("bounds", "costs"):
         for k, value in enumerate(getattr(problem, name)):
             if isinstance(value, (Constraint, Integral, AtEnd)):
                 kind = type(value).__name__
                 raise NotWritten(
-                    f"Problem.{name}[{k}] is {kind} {value.name!r}, a function in Python: leave it out, or keep the problem in Python"
+                    f"Problem.{name}[{k}] is {kind} {value.name!r}, a function in Python: "
+                    "leave it out, or keep the problem in Python"
                 )
 
 
-def _with_wishes(problem: Problem) -> tuple[list[Any], list[Any]]:
-    """Return goals and costs as they are given: what is wished for is among the goals."""
+def _separate_soft_goals(problem: Problem) -> tuple[list[Any], list[Any]]:
+    """Separate goals and costs; `Problem` has soft goals among its costs."""
     goals, costs = list(problem.goals), []
     for cost in problem.costs:
         if isinstance(cost, CostAt) and isinstance(cost.cost, SoftGoal):

@@ -1,4 +1,4 @@
-"""Problems from scene files, and back to the last bit."""
+"""Scene files with optimal control problems."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from ocp.io.plan_section import WAY, read_plan, write_plan
+from ocp.io.plan_section import SOLVE_ARGUMENTS, read_plan, write_plan
 from ocp.problem.problem import Problem
 from tenscasadi.io.document import read_document, write_document
 from tenscasadi.io.scene_files import read_scene, write_scene
@@ -20,31 +20,32 @@ from tenscasadi.util.validate import file_path, instance
 def load_problem(path: str | os.PathLike[str]) -> Problem:
     """Read a problem from a scene file with a table [plan].
 
-    Nothing in the file is run, and no file is opened but those that it includes from its own
-    folder.
+    No content of the file is executed. Other files are opened only if they are included and in the
+    same folder.
 
     Parameters
     ----------
     path : str or os.PathLike
-        A file in TOML, as docs/scene_files.md describes it.
+        TOML file, see docs/scene_files.md.
 
     Returns
     -------
     Problem
-        The problem of [plan] for the model of [structure] and [scene], from the start of [start]
-        unless [plan] has its own.
+        Problem of [plan] for the model of [structure] and [scene]. It starts as [plan] or [start]
+        says.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     tenscasadi.SceneFileError
-        If it is no scene file or has no [plan], in one line: file, line, key, value and cure.
+        If the file is not a scene file or has no [plan]. The message has one line: file, line, key,
+        value and cure.
 
     See Also
     --------
-    load_arguments : Also how it is solved.
-    save_problem : Write one.
+    load_arguments : Read the other arguments of `solve`, too.
+    save_problem : Write a problem.
 
     Examples
     --------
@@ -61,29 +62,30 @@ def load_problem(path: str | os.PathLike[str]) -> Problem:
 
 
 def load_arguments(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Read a problem, and how it is solved, from a scene file with a table [plan].
+    """Read the arguments of `solve` from a scene file.
 
     Parameters
     ----------
     path : str or os.PathLike
-        A file in TOML, as docs/scene_files.md describes it.
+        TOML file with a table [plan], see docs/scene_files.md.
 
     Returns
     -------
     dict
-        The arguments of `solve` that the file gives, by name: "problem", and where they are there
-        "transcription", "solver", "guess", "tolerance", "seconds", "starts" and "tracked".
+        Arguments of `solve` by name: "problem", and those of "transcription", "solver", "guess",
+        "tolerance", "seconds", "starts" and "tracked" that the file has.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     tenscasadi.SceneFileError
-        If it is no scene file or has no [plan], in one line: file, line, key, value and cure.
+        If the file is not a scene file or has no [plan]. The message has one line: file, line, key,
+        value and cure.
 
     See Also
     --------
-    load_problem : The problem alone.
+    load_problem : Read the problem alone.
 
     Examples
     --------
@@ -109,21 +111,23 @@ def read_arguments(document: Document) -> dict[str, Any]:
         raise document.root.error(
             "it has no [plan]: give one with duration, goals, bounds and costs"
         )
-    return read_plan(item, _simulation(document, scene))
+    return read_plan(item, _read_simulation(document, scene))
 
 
-def save_problem(problem: Problem, path: str | os.PathLike[str], **way: Any) -> Path:
-    """Write a problem to a scene file, from which it comes back to the last bit.
+def save_problem(problem: Problem, path: str | os.PathLike[str], **solve_arguments: Any) -> Path:
+    """Write a problem to a scene file.
+
+    Numbers read back are equal to the last bit.
 
     Parameters
     ----------
     problem : Problem
-        What is written, with its model.
+        Problem, which is written with its model.
     path : str or os.PathLike
-        The file in TOML; one that is there is replaced.
-    **way
-        How it is solved, as `solve` takes it: ``transcription``, ``solver``, ``guess``,
-        ``tolerance``, ``seconds``, ``starts``, ``tracked``.
+        TOML file. An existing file is replaced.
+    **solve_arguments
+        Further arguments of `solve`: ``transcription``, ``solver``, ``guess``, ``tolerance``,
+        ``seconds``, ``starts``, ``tracked``.
 
     Returns
     -------
@@ -133,17 +137,16 @@ def save_problem(problem: Problem, path: str | os.PathLike[str], **way: Any) -> 
     Raises
     ------
     TypeError
-        If `problem` is none, or an argument is none of `solve`.
+        If `problem` is not a problem, or a keyword is not an argument of `solve`.
     ValueError
-        If a part of it cannot be written, by its name: `Constraint`, `Integral` and `AtEnd`, whose
-        expressions are functions in Python, other functions, such as who watches a solver, goals
-        and schemes of your own.
+        If a part of the problem cannot be written. These are Python functions, such as those of
+        `Constraint`, `Integral` and `AtEnd`, and the user's own goals and schemes.
     OSError
         If the file cannot be written.
 
     See Also
     --------
-    load_problem : Read it.
+    load_problem : Read a problem.
 
     Examples
     --------
@@ -159,18 +162,18 @@ def save_problem(problem: Problem, path: str | os.PathLike[str], **way: Any) -> 
     """
     instance("problem", problem, Problem, "an ocp.Problem")
     target = file_path("path", path)
-    for name in way:
-        if name not in WAY:
-            raise TypeError(f"save_problem takes no {name!r}: give {', '.join(WAY)}")
+    for name in solve_arguments:
+        if name not in SOLVE_ARGUMENTS:
+            raise TypeError(f"save_problem takes no {name!r}: give {', '.join(SOLVE_ARGUMENTS)}")
     try:
-        tables = {**write_scene(problem.model.scene), "plan": write_plan(problem, way)}
+        tables = {**write_scene(problem.model.scene), "plan": write_plan(problem, solve_arguments)}
     except NotWritten as error:
         raise ValueError(f"problem cannot be written, {error}") from None
     return write_document(target, tables)
 
 
 def describe_problem(problem: Problem) -> str:
-    """Format duration, goals, bounds and costs in a line."""
+    """Format duration, goals, bounds and costs in one line."""
     times = dict.fromkeys(f"{time:g}" for time in (problem.shortest, problem.longest))
     parts = {
         name: [type(value).__name__ for value in getattr(problem, name)]
@@ -180,8 +183,8 @@ def describe_problem(problem: Problem) -> str:
     return f"{' to '.join(times)} s, {'; '.join(texts)}"
 
 
-def _simulation(document: Document, scene: Scene) -> Simulation:
-    """Return what [start] and [simulation] tell; without the latter of no certain length."""
+def _read_simulation(document: Document, scene: Scene) -> Simulation:
+    """Read [start] and [simulation]; without the latter, the duration is arbitrary."""
     if document.section("simulation") is not None:
         return read_simulation(document, scene)
     first = document.section("start")

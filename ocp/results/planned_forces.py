@@ -9,7 +9,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.strings import rest_length
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.tables import Columns, Tabular, coordinates, numbered
+from tenscasadi.util.tables import Columns, Tabular, coordinates, name_columns
 from tenscasadi.util.validate import Array, flag, nonnegative, per_item
 
 
@@ -49,9 +49,11 @@ class PlannedForces(Tabular):
         )
         return {
             "time (s)": self.time,
-            **numbered("string {} force density (N/m)", gamma),
-            **numbered("string {} tension (N)", gamma * self.lengths()),
-            **({} if soft else numbered("string {} rest length (m)", self.rest_lengths()[rows])),
+            **name_columns("string {} force density (N/m)", gamma),
+            **name_columns("string {} tension (N)", gamma * self.lengths()),
+            **(
+                {} if soft else name_columns("string {} rest length (m)", self.rest_lengths()[rows])
+            ),
             **coordinates("node {} {} (m)", self.trajectory.nodes),
             **coordinates("node {} velocity {} (m/s)", self.trajectory.velocities),
         }

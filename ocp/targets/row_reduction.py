@@ -20,7 +20,7 @@ import scipy.linalg
 import scipy.sparse as sp
 
 from tenscasadi.util.casadi_tools import ArrayFunction
-from tenscasadi.util.linear_algebra import null_space, separated_svd
+from tenscasadi.util.linear_algebra import null_space, compute_block_svd
 from tenscasadi.util.validate import Array, Indices
 
 # smallest singular value that counts, for rows of norm 1: below it a row has two solutions closer
@@ -182,13 +182,13 @@ def reduce_rows(
     """
     norms = np.linalg.norm(H, axis=1)
     rows = H / np.maximum(norms, 1e-12)[:, None]
-    left, values, _ = separated_svd(rows)
+    left, values, _ = compute_block_svd(rows)
     repeated = {"another": len(H) - int(np.sum(values > RANK))}
     known = np.zeros((0, H.shape[1]))
     for kind, A in groups:
         before = int(np.sum(values > RANK))
         known = np.concatenate([known, _normalized(A)])
-        left, values, _ = separated_svd(rows @ null_space(known, RANK))
+        left, values, _ = compute_block_svd(rows @ null_space(known, RANK))
         repeated[kind] = repeated.get(kind, 0) + before - int(np.sum(values > RANK))
     kept = values > RANK
     combinations = (left[:, : len(values)][:, kept] / values[kept]).T / np.maximum(norms, 1e-12)
@@ -209,7 +209,7 @@ def soft_directions(
     _, J = rows(y)
     norms = np.linalg.norm(J, axis=1)
     used = norms > 1e-12
-    left, singular, right = separated_svd(J[used] / norms[used, None])
+    left, singular, right = compute_block_svd(J[used] / norms[used, None])
     rank = int(np.sum(singular > rank_tolerance))
     W = np.zeros((len(J), left.shape[1] - rank))
     W[used] = left[:, rank:] / norms[used, None]

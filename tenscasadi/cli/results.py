@@ -7,7 +7,7 @@ from typing import Any
 from tenscasadi.cli.loading import load_ocp
 from tenscasadi.simulation.motions import Rollouts
 from tenscasadi.simulation.trajectory import Trajectory
-from tenscasadi.util.archive import stored_format
+from tenscasadi.util.archive import read_format
 
 
 def load_result(path: str) -> Any:
@@ -15,7 +15,7 @@ def load_result(path: str) -> Any:
 
     Raises ValueError, OSError.
     """
-    kind = " ".join(stored_format(path).split()[:2])
+    kind = " ".join(read_format(path).split()[:2])
     if kind == "tenscasadi plan":
         return load_ocp().Plan.load(path)
     loaders = {"tenscasadi trajectory": Trajectory.load, "tenscasadi rollouts": Rollouts.load}

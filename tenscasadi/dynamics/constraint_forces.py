@@ -28,11 +28,11 @@ from tenscasadi.util.casadi_tools import (
     diagonal_row,
     entries_at,
     matrix_with_pattern,
-    multiplied_rows,
-    numbered,
+    multiply_rows,
+    number_nonzeros,
     product,
     sparse,
-    weighted_product,
+    scale_and_multiply,
 )
 from tenscasadi.util.linear_algebra import solve_semidefinite
 
@@ -103,7 +103,7 @@ def nodal_forces(mech: Mechanism, B: Any, lam: Any, Omega: Any = None) -> Any:
 
     These are the forces of bars and, with Ω, of joints on the nodes.
     """
-    force = weighted_product(B, lam, mech.C_b)
+    force = scale_and_multiply(B, lam, mech.C_b)
     return force if Omega is None or not mech.joints else force + ca.mtimes(Omega, sparse(mech.P.T))
 
 
@@ -182,7 +182,7 @@ def _reduced_matrix(mech: Mechanism, B: Any) -> Any:
     It has the sparsity of G.
     """
     G = mech.G
-    pattern = sp.coo_array(sum(abs(numbered(g)) for g in G) + sp.eye_array(mech.bars))
+    pattern = sp.coo_array(sum(abs(number_nonzeros(g)) for g in G) + sp.eye_array(mech.bars))
     order = np.lexsort((pattern.row, pattern.col))
     rows, columns = pattern.row[order].tolist(), pattern.col[order].tolist()
     weights = [entries_at(g, rows, columns) for g in G]
@@ -210,11 +210,11 @@ def _joint_matrix(mech: Mechanism, unit: Any) -> Any:
         mech.K,
         mech.active if mech.frames is None else np.ones_like(mech.active),
     )
-    E, links = product(mech.P.T, mech.inverse[0], mech.P), abs(numbered(K))
-    pattern = sp.coo_array(abs(numbered(E)) + links @ links.T + sp.eye_array(c))
+    E, links = product(mech.P.T, mech.inverse[0], mech.P), abs(number_nonzeros(K))
+    pattern = sp.coo_array(abs(number_nonzeros(E)) + links @ links.T + sp.eye_array(c))
     n, j = pattern.row, pattern.col
     direct = entries_at(E, n, j)
-    pairs = multiplied_rows(K, n, j)  # nnz×β: k_ni k_ji
+    pairs = multiply_rows(K, n, j)  # nnz×β: k_ni k_ji
     rows: list[Any] = []
     columns: list[Any] = []
     values = []

@@ -20,7 +20,7 @@ from tenscasadi.scene.ground import Surface
 from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity, Linear, RestLength, Smooth, StringLaw
-from tenscasadi.util.casadi_tools import constant_row, is_expression, sparse, weighted_product
+from tenscasadi.util.casadi_tools import constant_row, is_expression, sparse, scale_and_multiply
 from tenscasadi.util.validate import Array, Indices
 
 
@@ -203,7 +203,7 @@ class StringForces(ForceElement):
     def forces(self, at: NodeMotion) -> Any:
         """Compute −S γ̂ C_s (3×n) [N] (Eq. 56)."""
         gamma, S = self.force_density(at.N, at.V)
-        return weighted_product(S, gamma, -self.mech.C_s)
+        return scale_and_multiply(S, gamma, -self.mech.C_s)
 
     def power(self, at: NodeMotion, stored: bool) -> Any:
         """Compute −γ sᵀṡ of all strings [W], of damping alone if their energy is `stored`."""
@@ -286,7 +286,7 @@ class ElasticBars(ForceElement):
     def forces(self, at: NodeMotion) -> Any:
         """Compute the forces (3×n) [N]."""
         E = ca.mtimes(at.N, sparse(self.mech.C_e.T))
-        return weighted_product(E, self.law_density(ca.sum1(E * E)), -self.mech.C_e)
+        return scale_and_multiply(E, self.law_density(ca.sum1(E * E)), -self.mech.C_e)
 
     def energy(self, N: Any) -> Any:
         """Compute the elastic energy [J]."""

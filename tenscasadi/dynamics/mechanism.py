@@ -15,7 +15,7 @@ from tenscasadi.util.casadi_tools import (
     is_diagonal,
     is_expression,
     matrix_with_pattern,
-    numbered,
+    number_nonzeros,
     product,
     sparse,
 )
@@ -174,7 +174,7 @@ class Mechanism(ReadOnlyArrays):
         if not is_expression(self.M):
             return free_mass_matrix(self.M, self.turn, self.free_index)
         wide = sp.csc_array(
-            sp.csr_array(sp.kron(numbered(self.M), sp.eye_array(3)))[self.free_index][
+            sp.csr_array(sp.kron(number_nonzeros(self.M), sp.eye_array(3)))[self.free_index][
                 :, self.free_index
             ]
         )
@@ -289,7 +289,7 @@ class Mechanism(ReadOnlyArrays):
             G = list(self.G)
         else:  # for all values of the masses
             ends, patterns = abs(self.C_b), map(ca.DM.ones, self.masses.patterns)
-            G = [ends @ numbered(pattern) @ ends.T for pattern in patterns]
+            G = [ends @ number_nonzeros(pattern) @ ends.T for pattern in patterns]
         alone = len(G) == 1 and is_diagonal(G[0]) and bool(np.all(G[0].diagonal() > 0))
         return 0 if alone else self.bars
 

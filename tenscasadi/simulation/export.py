@@ -17,7 +17,7 @@ from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme, check_scheme
 from tenscasadi.integrators.stabilization import Projection, correct
 from tenscasadi.simulation.engine.build import check_single
-from tenscasadi.util.casadi_tools import generated
+from tenscasadi.util.casadi_tools import generate_code
 from tenscasadi.util.compile import Single
 from tenscasadi.util.validate import Array, file_path, instance
 from tenscasadi.util.whole_file import write_files
@@ -101,7 +101,8 @@ def export_c(
     for function in (model.ode, _jacobian(model), _step(model, scheme), model.observe):
         generator.add(function)
     return write_files(
-        target, {**generated(generator, "tensegrity"), "start.h": _start(model, p), "main.c": _MAIN}
+        target,
+        {**generate_code(generator, "tensegrity"), "start.h": _start(model, p), "main.c": _MAIN},
     )
 
 

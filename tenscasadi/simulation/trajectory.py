@@ -14,7 +14,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.scene import Scene
 from tenscasadi.schema.stored import array_fields, check_indices
 from tenscasadi.simulation.scene_result import SceneResult
-from tenscasadi.util.tables import Columns, Tabular, coordinates, numbered
+from tenscasadi.util.tables import Columns, Tabular, coordinates, name_columns
 from tenscasadi.util.validate import LARGEST, Array, Indices
 from tenscasadi.util.viewable import Viewable
 
@@ -188,8 +188,8 @@ class Trajectory(
             "time (s)": self.time,
             **coordinates("node {} {} (m)", self.nodes),
             **coordinates("node {} velocity {} (m/s)", self.velocities),
-            **numbered("string {} force density (N/m)", self.force_density),
-            **numbered("string {} tension (N)", self.tension),
+            **name_columns("string {} force density (N/m)", self.force_density),
+            **name_columns("string {} tension (N)", self.tension),
             "energy (J)": self.energy,
             **dict(
                 zip(
@@ -201,7 +201,7 @@ class Trajectory(
             "energy error (J)": self.energy_error,
             "bar length error": self.bar_length_error,
             "joint error (m)": self.joint_error,
-            **numbered("control {}", self.control),
+            **name_columns("control {}", self.control),
         }
 
     @classmethod

@@ -61,7 +61,7 @@ def write(file: BinaryIO, form: str, content: Mapping[str, Any]) -> None:
     savez(file, allow_pickle=False, format=np.asarray(form), **arrays)
 
 
-def unpacked_limit(path: Path) -> int:
+def compute_size_limit(path: Path) -> int:
     """Return the largest unpacked size of a file in bytes: 1 GB, or 20 times its own size."""
     return max(_LIMIT, 20 * path.stat().st_size)  # numbers of real motions need less than 20
 
@@ -90,7 +90,7 @@ def load(path: str | os.PathLike[str], form: str, kind: str, build: Callable[[Fi
         raise ValueError(f"{rejection}: {error}") from error
 
 
-def stored_format(path: str | os.PathLike[str]) -> str:
+def read_format(path: str | os.PathLike[str]) -> str:
     """Return the form that a file was saved in, "" for other files. Raises FileNotFoundError."""
     try:
         return str(_read(file_path("path", path), "format").get("format", ""))
@@ -107,7 +107,7 @@ def _read(path: Path, only: str = "") -> Fields:
     with zipfile.ZipFile(path) as packed:
         found = {info.filename.removesuffix(".npy"): info for info in packed.infolist()}
         wanted = {name: info for name, info in found.items() if only in ("", name)}
-        size, most = sum(info.file_size for info in wanted.values()), unpacked_limit(path)
+        size, most = sum(info.file_size for info in wanted.values()), compute_size_limit(path)
         if size > most:
             limit = f"the limit of {most / 1e9:.3g} GB for a file of its size"
             raise MemoryError(f"it unpacks to {size / 1e9:.3g} GB, above {limit}")

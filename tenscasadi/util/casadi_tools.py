@@ -70,7 +70,7 @@ def constant_row(values: Any) -> Any:
     return ca.DM(values[0]) if len(values) and np.ptp(values) == 0 else ca.DM(values).T
 
 
-def weighted_product(Z: Any, weights: Any, C: Any) -> Any:
+def scale_and_multiply(Z: Any, weights: Any, C: Any) -> Any:
     """Compute Z ŵ C (3×n) of columns Z (3×k), their weights (1×k) and a constant matrix C (k×n)."""
     constant = sparse(C)
     if not isinstance(Z, ca.MX):
@@ -118,7 +118,7 @@ def drop_rounding(matrix: Any) -> sp.csr_array:
     return result
 
 
-def numbered(matrix: Any) -> sp.csr_array:
+def number_nonzeros(matrix: Any) -> sp.csr_array:
     """Convert a CasADi matrix to a SciPy matrix of the indices, from 1, of its nonzeros.
 
     A SciPy matrix is returned unchanged.
@@ -131,18 +131,18 @@ def numbered(matrix: Any) -> sp.csr_array:
 
 def entries_at(matrix: Any, rows: Any, columns: Any) -> Any:
     """Select entries of a sparse matrix as a CasADi column, 0 where none is stored."""
-    found = np.asarray(numbered(matrix)[rows, columns]).ravel()
+    found = np.asarray(number_nonzeros(matrix)[rows, columns]).ravel()
     if not is_expression(matrix):
         return ca.DM(found)
     return ca.vertcat(0, matrix.nz[:])[found.tolist()]
 
 
-def multiplied_rows(matrix: Any, one: Any, other: Any) -> Any:
+def multiply_rows(matrix: Any, one: Any, other: Any) -> Any:
     """Multiply rows `one` by rows `other` of a sparse matrix, entry by entry.
 
     Returns a sparse CasADi matrix (rows × columns).
     """
-    index = numbered(matrix)
+    index = number_nonzeros(matrix)
     if not is_expression(matrix):
         return sparse(index[one, :].multiply(index[other, :]))
     both = sp.csc_array(index[one, :].multiply(index[other, :]))
@@ -239,7 +239,7 @@ class ArrayFunction:
         return dict(self._buffer.stats())
 
 
-def generated(generator: ca.CodeGenerator, name: str) -> dict[str, str]:
+def generate_code(generator: ca.CodeGenerator, name: str) -> dict[str, str]:
     """Write the C code and header of a generator, by file name."""
     with TemporaryDirectory() as folder:
         generator.generate(f"{folder}/")

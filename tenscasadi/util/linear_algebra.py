@@ -60,7 +60,7 @@ def null_space(A: Array, tolerance: float) -> Array:
 
     Singular values up to `tolerance` count as zero.
     """
-    _, values, right = separated_svd(A)
+    _, values, right = compute_block_svd(A)
     return np.asarray(right[int(np.sum(values > tolerance)) :].T)
 
 
@@ -76,7 +76,7 @@ def independent_rows(A: Array, tolerance: float) -> Array:
     return np.asarray(left[:, values > tolerance * values.max(initial=0.0)].T)
 
 
-def separated_svd(A: Array) -> tuple[Array, Array, Array]:
+def compute_block_svd(A: Array) -> tuple[Array, Array, Array]:
     """Compute U, σ and Vᵀ, of full size, part by part.
 
     σ is padded with zeros to the number of rows or columns, whichever is smaller.

@@ -16,7 +16,7 @@ from tenscasadi.util.whole_file import whole_file
 Columns = Mapping[str, Array]  # each (rows,), in order; the name ends in the unit, as in "time (s)"
 
 
-def numbered(template: str, values: Any) -> dict[str, Array]:
+def name_columns(template: str, values: Any) -> dict[str, Array]:
     """Name the columns of `values` (rows, items) by a template, such as "string {} tension (N)"."""
     return {template.format(k): column for k, column in enumerate(np.asarray(values).T)}
 

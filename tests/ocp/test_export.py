@@ -213,7 +213,7 @@ def test_an_accuracy_is_said_to_be_no_part_of_a_program(tmp_path):
             problem(), ocp.Variational(3, accuracy=accuracy), tmp_path / str(accuracy)
         )
         head = (tmp_path / str(accuracy) / "program.h").read_text()
-        assert ("Variational.accuracy is 0.0001 m, and no part of it" in head) is said
+        assert ("Variational.accuracy is 0.0001 m: not part of this program" in head) is said
 
 
 def test_wrong_values_are_refused(tmp_path):

@@ -22,7 +22,7 @@ from scipy.sparse import csc_array
 
 from tenscasadi.exchange.source import DEEPEST, Source
 from tenscasadi.schema.reading import SceneFileError
-from tenscasadi.util.archive import unpacked_limit
+from tenscasadi.util.archive import compute_size_limit
 from tenscasadi.util.validate import file_path
 from tenscasadi.util.whole_file import whole_file
 
@@ -47,7 +47,7 @@ def read_mat(source: Source) -> dict[str, Any]:
     objects, function handles, cells, arrays of structs and complex numbers. Raises
     FileNotFoundError, SceneFileError.
     """
-    limit = unpacked_limit(source.path)
+    limit = compute_size_limit(source.path)
     whole, name = source.read(most=limit), source.path.name
     _check_version(name, whole[:_HEADER])
     try:

@@ -35,13 +35,13 @@ def test_files_say_what_they_are(tmp_path: Path) -> None:
     archive.save(tmp_path / "a.npz", "form 1", {"x": np.zeros(2)})
     np.savez(tmp_path / "b.npz", x=np.zeros(2))
     (tmp_path / "c.npz").write_text("no archive")
-    assert [archive.stored_format(tmp_path / name) for name in ("a.npz", "b.npz", "c.npz")] == [
+    assert [archive.read_format(tmp_path / name) for name in ("a.npz", "b.npz", "c.npz")] == [
         "form 1",
         "",
         "",
     ]
     with pytest.raises(FileNotFoundError):
-        archive.stored_format(tmp_path / "d.npz")
+        archive.read_format(tmp_path / "d.npz")
 
 
 def test_a_write_that_fails_leaves_the_old_file_and_no_other(

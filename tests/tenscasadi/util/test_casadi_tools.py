@@ -15,7 +15,7 @@ from tenscasadi.util.casadi_tools import (
     drop_rounding,
     is_diagonal,
     sparse,
-    weighted_product,
+    scale_and_multiply,
 )
 
 
@@ -46,10 +46,10 @@ def test_weighted_products(kind):
         np.array([[1.0, 0, -1], [0, 2, 0], [0, 0, 0], [0, 3, 1]]),
     )
     if kind is ca.DM:
-        found = weighted_product(ca.DM(Z), ca.DM(w), C)
+        found = scale_and_multiply(ca.DM(Z), ca.DM(w), C)
     else:
         a, b = kind.sym("Z", 3, 4), kind.sym("w", 1, 4)
-        found = ca.Function("f", [a, b], [weighted_product(a, b, C)])(Z, w)
+        found = ca.Function("f", [a, b], [scale_and_multiply(a, b, C)])(Z, w)
     assert found.full() == pytest.approx(Z @ np.diag(w[0]) @ C)
 
 
