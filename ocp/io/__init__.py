@@ -1,1 +1,1 @@
-"""Problems in scene files: the part [plan], how it is read and written."""
+"""Scene files with optimal control problems, table [plan]."""

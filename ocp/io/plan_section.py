@@ -1,4 +1,4 @@
-"""Table [plan] of scene files: a problem and the arguments of `ocp.solve`."""
+"""Table [plan] of scene files, the arguments of `ocp.solve`."""
 
 from __future__ import annotations
 
@@ -156,9 +156,9 @@ def _read_start(start: Any, simulation: Simulation) -> Any:
 
 
 def _check_each(table: Mapping[str, Item], part: PlanPart, structure: Structure) -> None:
-    """Check goals, bounds and costs against the structure, entry by entry.
+    """Check goals, bounds and costs against the structure.
 
-    The messages of `Problem` name no line. Raises SceneFileError.
+    Errors name the line of the entry, unlike those of `Problem`. Raises SceneFileError.
     """
     for name in ("goals", "bounds", "costs"):
         for entry, value in zip(
@@ -204,7 +204,10 @@ def _reject_functions(problem: Problem) -> None:
 
 
 def _separate_soft_goals(problem: Problem) -> tuple[list[Any], list[Any]]:
-    """Separate goals and costs; `Problem` has soft goals among its costs."""
+    """Separate goals and costs.
+
+    `Problem` has soft goals among its costs.
+    """
     goals, costs = list(problem.goals), []
     for cost in problem.costs:
         if isinstance(cost, CostAt) and isinstance(cost.cost, SoftGoal):

@@ -184,7 +184,10 @@ def describe_problem(problem: Problem) -> str:
 
 
 def _read_simulation(document: Document, scene: Scene) -> Simulation:
-    """Read [start] and [simulation]; without the latter, the duration is arbitrary."""
+    """Read [start] and [simulation].
+
+    Without [simulation] the duration is arbitrary.
+    """
     if document.section("simulation") is not None:
         return read_simulation(document, scene)
     first = document.section("start")

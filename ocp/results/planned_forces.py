@@ -9,7 +9,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.strings import rest_length
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.tables import Columns, Tabular, coordinates, name_columns
+from tenscasadi.util.tables import Columns, Tabular, name_columns, name_coordinates
 from tenscasadi.util.validate import Array, flag, nonnegative, per_item
 
 
@@ -54,8 +54,8 @@ class PlannedForces(Tabular):
             **(
                 {} if soft else name_columns("string {} rest length (m)", self.rest_lengths()[rows])
             ),
-            **coordinates("node {} {} (m)", self.trajectory.nodes),
-            **coordinates("node {} velocity {} (m/s)", self.trajectory.velocities),
+            **name_coordinates("node {} {} (m)", self.trajectory.nodes),
+            **name_coordinates("node {} velocity {} (m/s)", self.trajectory.velocities),
         }
 
     def lengths(self) -> Array:

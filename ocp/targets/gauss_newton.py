@@ -12,7 +12,7 @@ import scipy.optimize
 import scipy.sparse as sp
 
 from ocp.targets.row_reduction import RANK, RowFunction, soft_directions
-from tenscasadi.util.linear_algebra import separate_parts
+from tenscasadi.util.linear_algebra import find_blocks
 from tenscasadi.util.validate import Array
 
 STRIDE = 0.1  # relative to the structure's size: largest relative displacement of nodes in a step
@@ -135,7 +135,7 @@ class GaussNewton:
         """
         A = np.asarray(sp.csr_array(J) @ self._basis)
         parts = []
-        for rows, columns in separate_parts(A):
+        for rows, columns in find_blocks(A):
             own = A[np.ix_(rows, columns)]
             wide = len(rows) <= len(columns)
             values, vectors = np.linalg.eigh(own @ own.T if wide else own.T @ own)

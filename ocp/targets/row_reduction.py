@@ -20,7 +20,7 @@ import scipy.linalg
 import scipy.sparse as sp
 
 from tenscasadi.util.casadi_tools import ArrayFunction
-from tenscasadi.util.linear_algebra import null_space, compute_block_svd
+from tenscasadi.util.linear_algebra import compute_block_svd, null_space
 from tenscasadi.util.validate import Array, Indices
 
 # smallest singular value that counts, for rows of norm 1: below it a row has two solutions closer

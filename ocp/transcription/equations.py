@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from ocp.transcription.sparse_nlp import symbol_kind
-from tenscasadi.dynamics.equation_of_motion import applied_forces, forward_dynamics
+from tenscasadi.dynamics.equation_of_motion import compute_forces, forward_dynamics
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.validate import Array
@@ -47,7 +47,7 @@ def build_residuals(model: Model) -> ca.Function:
     mu = kind.sym("mu", constraints.size1_in(1))
     _, rates, push = constraints(x, mu)
     N, V, time = model.unpack(x)
-    F, _ = applied_forces(model, N, V, u, time)
+    F, _ = compute_forces(model, N, V, u, time)
     forces = model.split(model.pack(F, F, 0))[0] + push
     _, v, clock = model.split(x)
     bends = ca.jtimes(rates, x, ca.vertcat(v, a, kind.ones(*clock.shape)))
@@ -67,7 +67,7 @@ def evaluate_multipliers(model: Model, states: Array, controls: Array) -> Array:
     held = np.flatnonzero(mech.active.ravel(order="F")).tolist()
     joints = ca.vec(ca.densify(Omega))
     if mech.frames is not None:
-        joints = ca.mtimes(mech.held_directions.T, joints)
+        joints = ca.mtimes(mech.constrained_directions.T, joints)
     mu = ca.densify(ca.vertcat(lam.T * ca.DM(mech.lengths), joints[held]))
     found = ca.Function("multipliers", [x, u], [mu]).map(len(states))(states.T, controls.T)
     return np.asarray(np.nan_to_num(found.full().T, posinf=0.0, neginf=0.0))

@@ -291,7 +291,7 @@ class _Pairs:
         model.split(states)[2][:, 0] = times
         held = np.tile(inputs.stack(0, np.array([0])), (len(times), 1))
         rates = (
-            model.stacked(model.ode)
+            model.with_stacked_input(model.ode)
             .map(len(times))(states.T, held.T if model.nw else ca.DM(0, len(times)))
             .full()
             .T

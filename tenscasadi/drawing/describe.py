@@ -11,7 +11,7 @@ import numpy as np
 from tenscasadi.drawing.node_forces import describe_scene_forces, describe_trajectory_forces
 from tenscasadi.drawing.view_content import Motion, ViewContent
 from tenscasadi.dynamics.model import Model
-from tenscasadi.scene.ground import Grounds, Surface, checked_grounds
+from tenscasadi.scene.ground import Grounds, Surface, read_grounds
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Clip, StringLaw
 from tenscasadi.simulation.motions import Rollouts, node_positions
@@ -49,7 +49,7 @@ def describe_content(things: Any, field: str = "things", ground: Grounds = None)
             replace(motion, name=f"{k + 1}: {motion.name}") for k, motion in enumerate(motions)
         )
     grounds = [ground for part in parts for ground in part.grounds]
-    grounds += checked_grounds(ground, "ground")
+    grounds += read_grounds(ground, "ground")
     return ViewContent(
         motions,
         tuple({id(ground): ground for ground in grounds}.values()),

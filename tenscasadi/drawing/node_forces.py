@@ -92,7 +92,7 @@ def _build_reactions(scene: Scene, size: int) -> Any:
     x, u = model.symbols(False)
     N, V, time = model.unpack(x)
     accelerations, multipliers, _ = forward_dynamics(model, N, V, u, time)
-    mech = model.weighted(u, inverse=False)
+    mech = model.with_masses(u, inverse=False)
     pushed = total(scene, mech, N, V, u, time)
     pushed += nodal_forces(mech, mech.bar_vectors(N), multipliers)
     lacking = ca.mtimes(accelerations, ca.DM(mech.M.tocsc())) - pushed

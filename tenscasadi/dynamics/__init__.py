@@ -1,1 +1,1 @@
-"""Equations of motion: forces, constraint forces, state space, model."""
+"""Equations of motion of a scene, and their CasADi Functions."""

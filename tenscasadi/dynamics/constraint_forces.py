@@ -31,8 +31,8 @@ from tenscasadi.util.casadi_tools import (
     multiply_rows,
     number_nonzeros,
     product,
-    sparse,
     scale_and_multiply,
+    sparse,
 )
 from tenscasadi.util.linear_algebra import solve_semidefinite
 
@@ -70,16 +70,15 @@ def assemble_system(mech: Mechanism, B: Any, r: Any, R: Any) -> tuple[Any, Any]:
     The matrix is that of Eq. 103, or (BᵀB) ∘ G. Returns matrix and right-hand side.
     """
     if not mech.joints:
-        return _reduced_matrix(mech, B), -r.T
+        return _bar_matrix(mech, B), -r.T
     h = bar_scale(mech, B)
-    rhs = mech.along_held(ca.mtimes(B * ca.repmat(r / h, 3, 1), sparse(mech.K.T)) - R)  # 3×c
+    bars = ca.mtimes(B * ca.repmat(r / h, 3, 1), sparse(mech.K.T))
+    rhs = ca.vec(mech.project_constrained(bars - R))  # 3c
     matrix = _joint_matrix(mech, B / ca.repmat(ca.sqrt(h), 3, 1))
     if mech.frames is None:
-        return matrix, ca.vec(rhs)
-    directions, idle = mech.held_directions, sparse(sp.diags_array(1.0 - mech.active.T.ravel()))
-    return ca.mtimes(ca.mtimes(directions.T, matrix), directions) + idle, ca.mtimes(
-        directions.T, ca.vec(rhs)
-    )
+        return matrix, rhs
+    D, idle = mech.constrained_directions, sparse(sp.diags_array(1.0 - mech.active.T.ravel()))
+    return ca.mtimes(ca.mtimes(D.T, matrix), D) + idle, ca.mtimes(D.T, rhs)
 
 
 def recover_multipliers(mech: Mechanism, B: Any, r: Any, solution: Any) -> tuple[Any, Any]:
@@ -89,7 +88,7 @@ def recover_multipliers(mech: Mechanism, B: Any, r: Any, solution: Any) -> tuple
     """
     if mech.joints:
         Omega = ca.reshape(
-            solution if mech.frames is None else ca.mtimes(mech.held_directions, solution),
+            solution if mech.frames is None else ca.mtimes(mech.constrained_directions, solution),
             3,
             mech.joints,
         )
@@ -113,14 +112,12 @@ def nodal_forces(mech: Mechanism, B: Any, lam: Any, Omega: Any = None) -> Any:
 def remove_residuals(mech: Mechanism, Z: Any, B: Any, r: Any, R: Any) -> Any:
     """Remove constraint residuals by a mass-weighted projection.
 
-    The result is Z + (B λ̂ C_b + Ω Pᵀ) M⁻.
-
-    The residuals are r of bars (1×β) and R of joints (3×c).
+    The residuals are r of bars (1×β) and R of joints (3×c). The result is Z + (B λ̂ C_b + Ω Pᵀ) M⁻.
     """
     solution: Any = ca.DM.zeros(0, 1)
     if mech.system_size:
         solution = solve_semidefinite(*call_weighted(mech, assemble_system, B, r, R))
-    return call_weighted(mech, _pushed, Z, B, r, solution)[0]
+    return call_weighted(mech, _apply_multipliers, Z, B, r, solution)[0]
 
 
 def call_weighted(
@@ -134,16 +131,15 @@ def call_weighted(
         return call_as_sx(mech.large, partial(function, mech), *arguments)
     return call_as_sx(
         mech.large,
-        lambda weights, *rest: function(mech.weighted(weights), *rest),
+        lambda weights, *rest: function(mech.with_masses(weights), *rest),
         mech.weights,
         *arguments,
     )
 
 
-def _pushed(mech: Mechanism, Z: Any, B: Any, r: Any, solution: Any) -> tuple[Any, ...]:
-    return (
-        Z + mech.with_inverse(nodal_forces(mech, B, *recover_multipliers(mech, B, r, solution))),
-    )
+def _apply_multipliers(mech: Mechanism, Z: Any, B: Any, r: Any, solution: Any) -> tuple[Any, ...]:
+    multipliers = recover_multipliers(mech, B, r, solution)
+    return (Z + mech.with_inverse(nodal_forces(mech, B, *multipliers)),)
 
 
 def project_velocities(mech: Mechanism, N: Any, V: Any, Dd: Any) -> Any:
@@ -160,9 +156,7 @@ def project_velocities(mech: Mechanism, N: Any, V: Any, Dd: Any) -> Any:
 def stretch_bars(mech: Mechanism, N: Any, B: Any, nu: Any) -> Any:
     """Scale uncoupled bars by impulses along them.
 
-    A bar b becomes b + ν b.
-
-    Returns N; ν is (1×β).
+    A bar b becomes b + ν b, where ν is 1×β. Returns the nodes N.
     """
     return N + mech.with_inverse(nodal_forces(mech, B, nu / diagonal_row(mech.G[0])))
 
@@ -170,13 +164,13 @@ def stretch_bars(mech: Mechanism, N: Any, B: Any, nu: Any) -> Any:
 def bar_scale(mech: Mechanism, B: Any) -> Any:
     """Compute h = bᵀb G_ii (1×β) of uncoupled bars.
 
-    It is l² G_ii with the paper's constant length.
+    With the paper's constant length, it is l² G_ii.
     """
     squared = ca.DM(mech.lengths**2).T if mech.constant_length else ca.sum1(B * B)
     return squared * diagonal_row(mech.G[0])
 
 
-def _reduced_matrix(mech: Mechanism, B: Any) -> Any:
+def _bar_matrix(mech: Mechanism, B: Any) -> Any:
     """Compute Σ over axes of (b bᵀ) ∘ G (β×β).
 
     It has the sparsity of G.

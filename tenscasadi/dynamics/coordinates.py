@@ -1,4 +1,4 @@
-"""Reduced and full coordinates of a structure, and the choice between them."""
+"""Mechanisms in reduced and full coordinates, and their selection."""
 
 from __future__ import annotations
 
@@ -24,12 +24,13 @@ from tenscasadi.util.validate import Array, Indices
 def scene_mechanism(
     scene: Scene, coordinates: Coordinates, bar_length: BarLength = "current"
 ) -> Mechanism:
-    """Build the matrices of a scene's modeled structure, with `masses` if they are parameters."""
+    """Build the mechanism of a scene, with parametric masses."""
     mechanism = build_mechanism(scene.modelled, coordinates, bar_length)
     layout = scene.modelled._layout if coordinates == "full" else None
     if mechanism.turn is not None and _has_open_masses(scene):
         raise ValueError(
-            'Scene.parameters contains masses, and a roller is inclined: give Model(coordinates="full") for both'
+            "Scene.parameters contains masses, and a roller is inclined: "
+            'give Model(coordinates="full") for both'
         )
     masses = read_masses(scene, mechanism.physical, mechanism.inverse, layout)
     return mechanism if masses is None else replace(mechanism, masses=masses)
@@ -53,10 +54,10 @@ def choose_coordinates(scene: Scene, bar_length: BarLength = "current") -> Coord
 
 
 def is_full_cheaper(structure: Structure) -> bool:
-    """Return whether full coordinates need less than a quarter of the operations.
+    """Return whether full coordinates are cheaper by a factor of four.
 
-    In chains of 40 to 400 bars an operation in full coordinates takes up to three times as long,
-    because it is one of a sparse routine.
+    In chains of 40 to 400 bars, an operation in full coordinates takes up to three times as long,
+    because sparse routines perform it.
     """
     moving = np.flatnonzero(~structure.fixed.all(axis=1))
     mass = structure.mass_matrix()[moving][:, moving]
@@ -73,7 +74,10 @@ def is_full_cheaper(structure: Structure) -> bool:
 def build_mechanism(
     structure: Structure, coordinates: Coordinates, bar_length: BarLength = "current"
 ) -> Mechanism:
-    """Build the matrices of a structure; `bar_length` selects the denominator of λ̂."""
+    """Build the mechanism of a structure.
+
+    `bar_length` selects the denominator of λ̂.
+    """
     build = _build_reduced if coordinates == "reduced" else _build_full
     return build(structure, bar_length == "constant")
 
@@ -81,8 +85,8 @@ def build_mechanism(
 def _build_reduced(structure: Structure, constant_length: bool) -> Mechanism:
     n, M, free, turn = len(structure.nodes), structure.mass_matrix(), ~structure.fixed, None
     if structure.rollers:
-        free, turn = _across_rollers(structure)
-        inverse = _coupled_inverse(M, turn, np.flatnonzero(free.ravel()))
+        free, turn = _build_local_coordinates(structure)
+        inverse = _invert_masses(M, turn, np.flatnonzero(free.ravel()))
     else:
         axes = free.T[:1] if (free == free[:, :1]).all() else free.T
         inverse = tuple(block_inverse(M, axis) for axis in axes)
@@ -148,7 +152,10 @@ def _build_full(structure: Structure, constant_length: bool) -> Mechanism:
 
 
 def _split_bars(structure: Structure, C_b: sp.csr_array, ends: Indices) -> dict[str, Any]:
-    """Divide bars with connectivity C_b (bars × n) and these end columns into rigid and elastic."""
+    """Divide bars into rigid and elastic ones.
+
+    C_b is their connectivity (bars × n), with the given end columns.
+    """
     rigid = np.flatnonzero(~structure.elastic)
     return {
         "C_b": C_b[rigid],
@@ -164,7 +171,7 @@ def _has_open_masses(scene: Scene) -> bool:
 
 
 def _count_operations(mech: Mechanism) -> int:
-    """Count the multiplications of solving for the multipliers, and of a product with M⁻."""
+    """Count the multiplications of the multipliers and of M⁻."""
     if not mech.system_size:
         return 0
     B = mech.bar_vectors(ca.DM(mech.N))
@@ -174,16 +181,19 @@ def _count_operations(mech: Mechanism) -> int:
     return int(solving + sum(inverse.nnz for inverse in mech.inverse))
 
 
-def _across_rollers(structure: Structure) -> tuple[Any, sp.csr_array]:
-    """Find the free local coordinates (n, 3) and `Mechanism.turn`; those across rollers are fixed."""
+def _build_local_coordinates(structure: Structure) -> tuple[Any, sp.csr_array]:
+    """Build the local coordinates of inclined rollers.
+
+    Returns the mask (n, 3) of free coordinates, which are along rollers, and `Mechanism.turn`.
+    """
     free, frames = ~structure.fixed, [np.eye(3)] * len(structure.nodes)
     for node, normals in structure.rollers.items():
         free[node], frames[node] = np.arange(3) >= len(normals), _frame(normals)
     return free, sp.csr_array(sp.block_diag(frames))
 
 
-def _coupled_inverse(M: Any, turn: sp.csr_array, index: Indices) -> tuple[sp.csr_array, ...]:
-    """Compute M⁻ on the free local coordinates, for each pair of axes."""
+def _invert_masses(M: Any, turn: sp.csr_array, index: Indices) -> tuple[sp.csr_array, ...]:
+    """Compute M⁻ of free local coordinates by pairs of axes."""
     free = sp.csr_array(turn[:, index])
     inner = block_inverse(free_mass_matrix(M, turn, index), np.ones(len(index), bool))
     wide = drop_rounding(free @ inner @ free.T)
@@ -191,6 +201,6 @@ def _coupled_inverse(M: Any, turn: sp.csr_array, index: Indices) -> tuple[sp.csr
 
 
 def _frame(normals: Normals) -> Array:
-    """Complete one or two orthonormal directions to a basis, whose vectors are columns."""
+    """Complete orthonormal directions to a basis of columns."""
     directions = np.array(normals)
     return np.column_stack([*directions, *np.linalg.svd(directions)[2][len(directions) :]])

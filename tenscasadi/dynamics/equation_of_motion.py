@@ -11,7 +11,6 @@ import numpy as np
 from tenscasadi.dynamics import forces
 from tenscasadi.dynamics.constraint_forces import (
     assemble_system,
-    bar_scale,
     call_weighted,
     nodal_forces,
     recover_multipliers,
@@ -50,39 +49,21 @@ def forward_dynamics(
     -----
     In small models, the expressions before and after the linear system are scalar code.
     """
-    mech = space.weighted(u)
-    F, B, r, *system = call_weighted(mech, partial(_unconstrained, space, mode), N, V, u, time)
+    mech = space.with_masses(u)
+    F, B, r, *system = call_weighted(mech, partial(_assemble, space, mode), N, V, u, time)
     solution = solve_semidefinite(*system) if system else ca.DM.zeros(0, 1)
-    A, lam, Omega = call_weighted(mech, partial(_constrained, space), F, B, r, solution, time)
+    A, lam, Omega = call_weighted(mech, partial(_recover, space), F, B, r, solution, time)
     return A, lam, Omega
 
 
-def lifted_dynamics(
-    space: StateSpace, N: Any, V: Any, u: Any, time: Any, solution: Any
-) -> tuple[Any, Any, Any]:
-    """Compute N̈ with the multipliers' solution as an input.
-
-    Also returns the linear system: matrix and right-hand side. `solution` is that of
-    `assemble_system`, or λ (β, 1) of uncoupled bars. With a symbol in its place no linear system is
-    unrolled.
-    """
-    mech = space.weighted(u)
-    F, B, r, *system = _unconstrained(space, None, mech, N, V, u, time)
-    if system:
-        lam, Omega = recover_multipliers(mech, B, r, solution)
-    else:
-        lam, Omega, system = solution.T, ca.DM.zeros(3, 0), [ca.diag(bar_scale(mech, B).T), -r.T]
-    return _accelerations(space, mech, F, B, lam, Omega, time), system[0], system[1]
-
-
-def _unconstrained(
+def _assemble(
     space: StateSpace, mode: Any, mech: Mechanism, N: Any, V: Any, u: Any, time: Any
 ) -> tuple[Any, ...]:
     """Compute F, B, the bar residuals, and the linear system.
 
     The residuals r are those without constraint forces. The system is absent if it has no unknowns.
     """
-    F, moved = applied_forces(space, N, V, u, time, mode, mech)  # 3×n, Eq. 67
+    F, moved = compute_forces(space, N, V, u, time, mode, mech)  # 3×n, Eq. 67
     B, Bd = mech.bar_vectors(N), mech.bar_vectors(V)  # 3×β
     Bdd = mech.with_inverse(F, mech.C_b.T) + mech.bar_vectors(moved)  # 3×β, without bar forces
     r = ca.sum1(Bd * Bd) + ca.sum1(B * Bdd)  # 1×β: the constraint ḃᵀḃ + bᵀb̈ = 0, Eq. 28
@@ -93,7 +74,7 @@ def _unconstrained(
     return F, B, r, *assemble_system(mech, B, r, R)  # Eq. 103
 
 
-def _constrained(
+def _recover(
     space: StateSpace, mech: Mechanism, F: Any, B: Any, r: Any, solution: Any, time: Any
 ) -> tuple[Any, ...]:
     """Compute N̈, λ and Ω from the linear system's solution."""
@@ -110,7 +91,7 @@ def _accelerations(
     )
 
 
-def applied_forces(
+def compute_forces(
     space: StateSpace,
     N: Any,
     V: Any,
@@ -121,15 +102,14 @@ def applied_forces(
 ) -> tuple[Any, Any]:
     """Compute applied forces F (3×n) [N] and support accelerations.
 
-    F are the forces of strings and loads less the inertia of moving supports, whose accelerations
-    are (3×n) [m/s²]. F M⁻ plus these accelerations are the accelerations without constraints.
-    `mode`: see `forward_dynamics`. `mech`: the mechanism with the masses of u, if it is known.
+    F are the forces of strings and loads minus the inertia of moving supports. Their accelerations
+    are 3×n [m/s²]. F M⁻ plus these are the accelerations without constraints. `mode` is that of
+    `forward_dynamics`, and `mech` the mechanism with the masses of u, if it is known.
     """
-    moved, mech = space.support_accelerations(time), mech or space.weighted(u, inverse=False)
+    moved, mech = space.support_accelerations(time), mech or space.with_masses(u, inverse=False)
     u = space.add_schedule(u, time)
-    return forces.total(space.scene, mech, N, V, u, time, mode) - ca.mtimes(
-        moved, sparse(mech.M)
-    ), moved
+    total = forces.total(space.scene, mech, N, V, u, time, mode)
+    return total - ca.mtimes(moved, sparse(mech.M)), moved
 
 
 def joint_forces(space: StateSpace, N: Any, V: Any, A: Any, lam: Any, u: Any, time: Any) -> Any:
@@ -141,7 +121,7 @@ def joint_forces(space: StateSpace, N: Any, V: Any, A: Any, lam: Any, u: Any, ti
     if not full.joints:
         return ca.DM.zeros(3, 0)
     if full.masses is not None:
-        full = full.weighted(full.masses.weigh(u[space.nu :]))
+        full = full.with_masses(full.masses.weigh(u[space.nu :]))
     N, V, A = (Z[:, full.physical.tolist()] for Z in (N, V, A))
     known = forces.total(space.scene, full, N, V, space.add_schedule(u, time), time)
     lacking = (

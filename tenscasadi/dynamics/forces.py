@@ -1,7 +1,7 @@
-"""Forces on the columns of N: F = W − S γ̂ C_s (Eq. 67), and their potential energy.
+"""Forces F = W − S γ̂ C_s (Eq. 67) and potential energy.
 
 Each feature of a scene that exerts forces is a `ForceElement`. A new kind of load or member is one
-class and one line of `build_elements`; an absent feature builds no expression. In full coordinates
+class and one line of `build_elements`. An absent feature builds no expression. In full coordinates
 loads act on the first copy of each physical node, unless another one is given.
 """
 
@@ -20,16 +20,16 @@ from tenscasadi.scene.ground import Surface
 from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity, Linear, RestLength, Smooth, StringLaw
-from tenscasadi.util.casadi_tools import constant_row, is_expression, sparse, scale_and_multiply
+from tenscasadi.util.casadi_tools import constant_row, is_expression, scale_and_multiply, sparse
 from tenscasadi.util.validate import Array, Indices
 
 
 class NodeMotion(NamedTuple):
-    """Nodes (3×n) [m], velocities (3×n) [m/s] and time [s], in the columns of a mechanism."""
+    """Motion of the columns of a mechanism at an instant."""
 
-    N: Any
-    V: Any
-    time: Any
+    N: Any  # 3×n [m]
+    V: Any  # 3×n [m/s]
+    time: Any  # [s]
 
 
 class ForceElement:
@@ -56,7 +56,10 @@ class ForceElement:
         return ca.DM(0)
 
     def power(self, at: NodeMotion, stored: bool) -> Any:
-        """Compute the power of the forces [W], without changes of `energy` if that is `stored`."""
+        """Compute the power of the forces [W].
+
+        If `stored`, the rate of change of `energy` is left out.
+        """
         power = ca.sum2(ca.sum1(self.forces(at) * at.V))
         if not stored:
             return power
@@ -64,7 +67,7 @@ class ForceElement:
         return power + ca.substitute(ca.jtimes(self.energy(n), n, at.V), n, at.N)
 
     def switches(self, at: NodeMotion) -> Any:
-        """Compute lengths (1×k) [m] that are positive where the mode is 1."""
+        """Compute switching functions (1×k) [m], positive in mode 1."""
         return ca.DM(1, 0)
 
 
@@ -119,12 +122,15 @@ def sum_forces(elements: list[ForceElement], mech: Mechanism, at: NodeMotion) ->
 def total(
     scene: Scene, mech: Mechanism, N: Any, V: Any, w: Any, time: Any, mode: Any = None
 ) -> Any:
-    """Compute F (3×n) [N], the sum of all forces of a scene."""
+    """Compute the sum F (3×n) of all forces of a scene [N]."""
     return sum_forces(build_elements(scene, mech, w, mode), mech, NodeMotion(N, V, time))
 
 
 def potential_energy(scene: Scene, mech: Mechanism, N: Any, w: Any) -> tuple[Any, Any]:
-    """Compute elastic energy, of strings, bars and grounds, and gravity energy [J]."""
+    """Compute elastic and gravity energy [J].
+
+    The elastic energy is that of strings, bars and grounds.
+    """
     elastic = gravity = ca.DM(0)
     for element in build_elements(scene, mech, w):
         if isinstance(element, Weights):
@@ -135,13 +141,16 @@ def potential_energy(scene: Scene, mech: Mechanism, N: Any, w: Any) -> tuple[Any
 
 
 def string_force_density(scene: Scene, mech: Mechanism, N: Any, V: Any, w: Any) -> tuple[Any, Any]:
-    """Compute force densities γ (1×α) [N/m] and string vectors S (3×α) [m]."""
+    """Compute γ (1×α) [N/m] and string vectors S (3×α) [m]."""
     scene, u = bind(scene, w)
     return StringForces(scene, mech, u).force_density(N, V)
 
 
 def bar_force_density(scene: Scene, mech: Mechanism, N: Any, w: Any, lam: Any) -> Any:
-    """Compute λ (1×bars) of all bars [N/m], positive in compression, from that of rigid bars."""
+    """Compute λ (1×bars) of rigid and elastic bars [N/m].
+
+    It is positive in compression.
+    """
     if not mech.C_e.shape[0]:
         return lam
     bars = ElasticBars(bind(scene, w)[0], mech)
@@ -173,16 +182,19 @@ class StringForces(ForceElement):
 
     @property
     def switch_count(self) -> int:  # type: ignore[override]
-        """Number of strings that go slack at an instant."""
+        """Number of strings with slack events."""
         return len(self.scene.switching_strings)
 
     def force_density(self, N: Any, V: Any) -> tuple[Any, Any]:
-        """Compute force densities γ (1×α) [N/m] and string vectors S (3×α) [m] (Eq. 66)."""
+        """Compute γ (1×α) [N/m] and S (3×α) [m] (Eq. 66)."""
         S = ca.mtimes(N, sparse(self.mech.C_s.T))
         return self.law_density(ca.sum1(S * S), self._rate(S, V)), S
 
     def law_density(self, squared: Any, rate: Any = None) -> Any:
-        """Compute γ (1×α) from squared lengths [m²] and c sᵀṡ [N·m] (Eqs. 98, 99)."""
+        """Compute γ (1×α) from the string laws (Eqs. 98, 99).
+
+        `squared` are squared lengths [m²], and `rate` is c sᵀṡ [N·m].
+        """
         scene = self.scene
         if isinstance(scene.control, ForceDensity):  # tension is constant along a parent string
             return self._per_segment(1 / scene.modelled.string_fraction)
@@ -206,14 +218,17 @@ class StringForces(ForceElement):
         return scale_and_multiply(S, gamma, -self.mech.C_s)
 
     def power(self, at: NodeMotion, stored: bool) -> Any:
-        """Compute −γ sᵀṡ of all strings [W], of damping alone if their energy is `stored`."""
+        """Compute the power −γ sᵀṡ of all strings [W].
+
+        If their energy is `stored`, it is the power of damping.
+        """
         gamma, S = self.force_density(at.N, at.V)
         if stored and not isinstance(self.scene.control, ForceDensity):
             gamma = gamma - self.law_density(ca.sum1(S * S))
         return -ca.sum2(gamma * ca.sum1(S * ca.mtimes(at.V, sparse(self.mech.C_s.T))))
 
     def energy(self, N: Any) -> Any:
-        """Compute the elastic energy [J]; force densities that are commanded store none."""
+        """Compute the elastic energy [J], 0 with force-density control."""
         if isinstance(self.scene.control, ForceDensity):
             return ca.DM(0)
         S = ca.mtimes(N, sparse(self.mech.C_s.T))
@@ -225,12 +240,15 @@ class StringForces(ForceElement):
         return ca.sum2(energies)
 
     def switches(self, at: NodeMotion) -> Any:
-        """Compute the excess lengths of strings that go slack at an instant."""
+        """Compute the switching functions of strings with slack events."""
         S = ca.mtimes(at.N, sparse(self.mech.C_s.T))
         return self.excess_lengths(ca.sum1(S * S), self._rate(S, at.V))
 
     def excess_lengths(self, squared: Any, rate: Any = None) -> Any:
-        """Compute the excess lengths (1×k) [m] from squared lengths [m²] and c sᵀṡ [N·m]."""
+        """Compute the switching functions (1×k) [m] of strings.
+
+        `squared` are squared lengths [m²], and `rate` is c sᵀṡ [N·m].
+        """
 
         def gap(law: Any, _: Indices, squared: Any, rest: Any, k: Any, unit: Any, rate: Any) -> Any:
             return law.gap(squared, rest, k, rate, unit)
@@ -238,7 +256,7 @@ class StringForces(ForceElement):
         return self._by_law(gap, squared, rate, switching=True)
 
     def _rate(self, S: Any, V: Any) -> Any:
-        """Compute c sᵀṡ (1×α) (Eq. 98), or None if no string is damped."""
+        """Compute c sᵀṡ (1×α) (Eq. 98), None without damping."""
         if not self.damped or not is_damped(self.scene):
             return None
         rates = ca.sum1(S * ca.mtimes(V, sparse(self.mech.C_s.T)))
@@ -247,7 +265,10 @@ class StringForces(ForceElement):
     def _by_law(
         self, evaluate: Callable[..., Any], squared: Any, rate: Any, switching: bool = False
     ) -> Any:
-        """Evaluate a function for each string law and join the rows, of laws that switch if so."""
+        """Evaluate a function of each law and join rows.
+
+        If `switching`, only laws with slack events are evaluated.
+        """
         s, laws = self.scene.modelled, self.scene.string_laws
         by_control = isinstance(self.scene.control, RestLength)
         rest = self._per_segment(s.string_fraction) if by_control else constant_row(s.rest_length)
@@ -264,7 +285,7 @@ class StringForces(ForceElement):
         return ca.horzcat(*parts)[:, place.tolist()]
 
     def _per_segment(self, factor: Array) -> Any:
-        """Expand the control to a row over modeled strings, times `factor`."""
+        """Expand the control to modeled strings, times `factor`."""
         parent, u = self.scene.modelled.string_parent, self.control
         row = u.T if len(parent) == u.shape[0] else u[parent.tolist(), :].T
         return row if np.all(factor == 1) else row * ca.DM(factor).T
@@ -272,7 +293,7 @@ class StringForces(ForceElement):
 
 @dataclass(frozen=True, eq=False)
 class ElasticBars(ForceElement):
-    """Elastic bars, t = k (l − ρ) in tension and compression."""
+    """Elastic bars with the tension k (l − ρ)."""
 
     name: ClassVar[str] = "elastic bars"
     scene: Scene
@@ -306,7 +327,7 @@ class ElasticBars(ForceElement):
 
 @dataclass(frozen=True, eq=False)
 class Weights(ForceElement):
-    """Weights of the columns."""
+    """Gravity on the columns."""
 
     name: ClassVar[str] = "gravity"
     gravity: Gravity
@@ -317,7 +338,7 @@ class Weights(ForceElement):
         return self.gravity.forces(self.mech.node_weight, at.time)
 
     def energy(self, N: Any) -> Any:
-        """Compute the energy [J], zero at the origin; gravity over time has none."""
+        """Compute the potential energy [J], see `Gravity.energy`."""
         return self.gravity.energy(N, self.mech.node_weight)
 
 
@@ -358,13 +379,13 @@ class Contacts(ForceElement):
         return self.surface.energy(N[:, self.columns])
 
     def switches(self, at: NodeMotion) -> Any:
-        """Compute lengths that are positive where the ground pushes."""
+        """Compute the switching functions [m], positive in contact."""
         return self.surface.switching(at.N[:, self.columns], at.V[:, self.columns])
 
 
 @dataclass(frozen=True, eq=False)
 class PressureForces(ForceElement):
-    """Pressure across triangles of nodes."""
+    """Pressure on triangles of nodes."""
 
     name: ClassVar[str] = "pressure"
     pressure: Pressure
@@ -378,7 +399,7 @@ class PressureForces(ForceElement):
 
 @dataclass(frozen=True, eq=False)
 class NodalForces(ForceElement):
-    """Forces on nodes, at the end of the given bar where there is one."""
+    """Forces on nodes, or on the ends of given bars."""
 
     name: ClassVar[str] = "nodal forces"
     load: NodalForce
@@ -407,7 +428,10 @@ def _spread(mech: Mechanism, W: Any, columns: list[int]) -> Any:
 
 
 def is_damped(scene: Scene) -> bool:
-    """Return whether any string has damping; those under force-density control have none."""
+    """Return whether any string has damping.
+
+    Strings have none with force-density control.
+    """
     if isinstance(scene.control, ForceDensity):
         return False
     damping = scene.modelled.damping

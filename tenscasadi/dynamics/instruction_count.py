@@ -47,7 +47,7 @@ def count_terms(space: StateSpace, ode: ca.Function) -> TermCounts:
     """Count the instructions of each term of the right-hand side."""
     scene = space.scene
     x, u = space.symbols(not space.mechanism.large)
-    mech = space.weighted(u, inverse=False)
+    mech = space.with_masses(u, inverse=False)
     N, V, time = space.unpack(x)
     at, built = forces.NodeMotion(N, V, time), {}
     for element in forces.build_elements(scene, mech, u):

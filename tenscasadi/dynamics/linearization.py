@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
-from tenscasadi.dynamics.equation_of_motion import applied_forces
+from tenscasadi.dynamics.equation_of_motion import compute_forces
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.casadi_tools import (
     ArrayFunction,
@@ -107,7 +107,7 @@ class EquationDerivatives:
         kind = _symbol_kind(model)
         x, w, a = kind.sym("x", nx), kind.sym("w", model.nw), kind.sym("a", nq)
         N, V, time = model.unpack(x)
-        F, _ = applied_forces(model, N, V, w, time)
+        F, _ = compute_forces(model, N, V, w, time)
         force = model.split(model.pack(F, F, 0))[0]
         constraints = model.constraints(x)
         rates = ca.densify(ca.vertcat(kind(0, 1), constraints.bar_rates, constraints.joint_rates))
@@ -117,10 +117,10 @@ class EquationDerivatives:
         J = ca.jacobian(rates, x)[:, nq : 2 * nq]
         drift = ca.vertcat(v, kind.zeros(nq, 1), *([1] if clock.shape[0] else []))
         bias = ca.jtimes(rates, x, drift) if self.constraints else rates
-        give = _squared_length_error(model, N, w)
+        give = _compute_length_error(model, N, w)
         balance = force + ca.mtimes(J.T, mu)
         if model.mechanism.masses is not None:
-            balance -= ca.mtimes(model.weighted(w, inverse=False).free_mass, a)
+            balance -= ca.mtimes(model.with_masses(w, inverse=False).free_mass, a)
         kept = ca.mtimes(J, a) + bias - give * mu
         slopes = ca.jacobian(ca.vertcat(balance, kept), ca.vertcat(x, w))
         self._places, pattern = J.sparsity().get_triplet(), slopes.sparsity()
@@ -191,7 +191,7 @@ class EquationDerivatives:
         It belongs to the free coordinates at parameters p.
         """
         w = ca.DM(np.append(np.zeros(self.model.nu), p))
-        M = self.model.weighted(w, inverse=False).free_mass
+        M = self.model.with_masses(w, inverse=False).free_mass
         return sp.csc_array(M.sparse() if is_expression(M) else M)
 
     def _inverse_mass(self, p: Array) -> Any:
@@ -261,7 +261,7 @@ def _symbol_kind(model: Model) -> Any:
     return ca.SX if not model.has_clock or model.ode.is_a("SXFunction") else ca.MX
 
 
-def _squared_length_error(model: Model, N: Any, w: Any) -> Any:
+def _compute_length_error(model: Model, N: Any, w: Any) -> Any:
     """Compute (bᵀb − l²)/l² G, or 0.
 
     It is the constraint violation of λ̂ with constant lengths.
@@ -271,7 +271,7 @@ def _squared_length_error(model: Model, N: Any, w: Any) -> Any:
     if not mech.constant_length:
         return ca.vertcat(type(N).zeros(count, 1), none)
     B, squares = mech.bar_vectors(N), ca.DM(mech.lengths**2).T
-    give = (ca.sum1(B * B) / squares - 1) * diagonal_row(model.weighted(w).G[0])
+    give = (ca.sum1(B * B) / squares - 1) * diagonal_row(model.with_masses(w).G[0])
     return ca.vertcat(give.T, none)
 
 

@@ -44,13 +44,16 @@ class Masses(ReadOnlyArrays):
     held: Array
 
     def weigh(self, p: Any) -> Any:
-        """Compute the entries of M and M⁻ from CasADi parameters, in one column."""
+        """Compute entries of M and M⁻ as a CasADi column."""
         entries = self.entries.expression(p, full=True)
         inverse = self._unrolled if isinstance(p, ca.SX) else self._inverse
         return ca.vertcat(entries, *inverse.call([entries]))
 
     def matrices(self, weights: Any) -> tuple[Any, tuple[Any, ...]]:
-        """Build M and M⁻ (n×n) from their entries; M⁻ is one for each axis, or one for all."""
+        """Build M and M⁻ (n×n) from their entries.
+
+        There is one M⁻ for all axes or one for each.
+        """
         patterns = [self.pattern, *self.patterns]
         parts = ca.vertsplit(weights, np.cumsum([0, *(part.nnz() for part in patterns)]).tolist())
         M, *inverses = map(matrix_with_pattern, patterns, parts)
@@ -108,7 +111,10 @@ class Masses(ReadOnlyArrays):
 
 
 def _invert(block: Any, held: Array) -> Any:
-    """Invert a symmetric positive definite matrix; that of a single node may be `held`."""
+    """Invert a symmetric positive definite matrix.
+
+    The inverse of a single pinned node is given by `held`.
+    """
     n = block.shape[0]
     if n == 1:
         return ca.DM(held[0]) if held[0] else 1 / block
@@ -125,7 +131,7 @@ def _invert(block: Any, held: Array) -> Any:
 def read_masses(
     scene: Any, physical: Indices, inverse: tuple[Any, ...], layout: Layout | None
 ) -> Masses | None:
-    """Read the parametric masses of a mechanism; None if masses are constant.
+    """Read the parametric masses of a mechanism, if any.
 
     Parameters
     ----------
@@ -136,7 +142,7 @@ def read_masses(
     inverse : tuple of sparse array (n, n)
         Nominal M⁻.
     layout : Layout or None
-        That of full coordinates; None for reduced ones.
+        Layout of full coordinates, None for reduced ones.
     """
     if not scene.layout.quantities.keys() & set(MASSES):
         return None
@@ -175,7 +181,10 @@ def read_masses(
 
 
 def node_weights(scene: Any) -> Affine:
-    """Compute the mass that each modeled node carries: the row sums of M [kg]."""
+    """Compute the mass that each modeled node carries [kg].
+
+    These are the row sums of M.
+    """
     bars, count = scene.modelled.bars, len(scene.modelled.nodes)
     ends = bars.ravel(), np.repeat(np.arange(len(bars)), 2)
     halves = sp.csr_array((np.full(bars.size, 0.5), ends), shape=(count, len(bars)))
@@ -184,7 +193,7 @@ def node_weights(scene: Any) -> Affine:
 
 
 def _node_masses(scene: Any) -> Affine:
-    """Compute the point masses of modeled nodes, including those of segments."""
+    """Compute the point masses of modeled nodes."""
     s = scene.structure
     on_ends = scene.ends != "interior"
     spread = cut_strings(s.nodes, s.strings, scene.segment_fractions, on_ends)[2]
@@ -194,7 +203,7 @@ def _node_masses(scene: Any) -> Affine:
 
 
 def _coupled_masses(scene: Any) -> Affine:
-    """Compute the mass of each segment, which couples its ends if it is consistent."""
+    """Compute the consistent masses of segments."""
     s = scene.modelled
     count = len(s.strings)
     onto_segments = sp.csr_array(

@@ -61,7 +61,7 @@ class Mechanism(ReadOnlyArrays):
 
     Columns are physical nodes in reduced coordinates, and class-one nodes in full coordinates. If
     masses are parameters, M and M⁻ have nominal values, and are CasADi expressions in the result of
-    `weighted`.
+    `with_masses`.
     """
 
     N: Array  # 3×n initial nodes
@@ -162,11 +162,11 @@ class Mechanism(ReadOnlyArrays):
         Local coordinates are along and across rollers. Vectors are CasADi columns (3n) or arrays
         (…, 3n).
         """
-        return vector if self.turn is None else _turned(self.turn.T, vector)
+        return vector if self.turn is None else _rotate(self.turn.T, vector)
 
     def world(self, vector: Any) -> Any:
         """Convert vectors from local coordinates to the axes of N."""
-        return vector if self.turn is None else _turned(self.turn, vector)
+        return vector if self.turn is None else _rotate(self.turn, vector)
 
     @cached_property
     def free_mass(self) -> Any:
@@ -192,7 +192,7 @@ class Mechanism(ReadOnlyArrays):
         """
         return ca.sum1(self.M) if is_expression(self.M) else self.M.sum(axis=1)
 
-    def weighted(self, weights: Any) -> Mechanism:
+    def with_masses(self, weights: Any) -> Mechanism:
         """Insert the entries of M and M⁻ from `masses.weigh`."""
         if self.masses is None:
             return self
@@ -205,26 +205,20 @@ class Mechanism(ReadOnlyArrays):
         return ca.DM(self.active.astype(float))
 
     @cached_property
-    def held_directions(self) -> Any:
-        """Block-diagonal matrix (3c×3c) of the constrained directions.
-
-        Other directions have no entries.
-        """
+    def constrained_directions(self) -> Any:
+        """Block-diagonal matrix (3c×3c) of the constrained directions."""
         return sparse(
             sp.block_diag(
                 [frame * active for frame, active in zip(self.frames, self.active.T, strict=True)]
             )
         )
 
-    def along_held(self, gap: Any) -> Any:
+    def project_constrained(self, vectors: Any) -> Any:
         """Project vectors (3×c) onto the constrained directions."""
         if self.frames is None:
-            return gap * self.active_mask
-        return ca.reshape(
-            ca.mtimes(ca.mtimes(self.held_directions, self.held_directions.T), ca.vec(gap)),
-            3,
-            self.joints,
-        )
+            return vectors * self.active_mask
+        D = self.constrained_directions
+        return ca.reshape(ca.mtimes(ca.mtimes(D, D.T), ca.vec(vectors)), 3, self.joints)
 
     def bar_vectors(self, Z: Any) -> Any:
         """Compute Z C_bᵀ (3×β): bar vectors, or their rates.
@@ -253,7 +247,7 @@ class Mechanism(ReadOnlyArrays):
         )
 
     def join_bars(self, rigid: Any, elastic: Any) -> Any:
-        """Join rows of rigid and of elastic bars, in the order of all bars."""
+        """Join rows of rigid and elastic bars in order."""
         if not self.C_e.shape[0]:
             return rigid
         order = np.argsort(np.concatenate([self.rigid, self.elastic]))
@@ -295,12 +289,12 @@ class Mechanism(ReadOnlyArrays):
 
 
 def free_mass_matrix(M: Any, turn: Any, index: Indices) -> sp.csr_array:
-    """Compute the mass matrix of the free local coordinates with these indices."""
+    """Compute the mass matrix of the free local coordinates."""
     wide = sp.csr_array(sp.kron(M, sp.eye_array(3)))
     return sp.csr_array(wide if turn is None else turn.T @ wide @ turn)[index][:, index]
 
 
-def _turned(matrix: Any, vector: Any) -> Any:
+def _rotate(matrix: Any, vector: Any) -> Any:
     if isinstance(vector, np.ndarray):
         return (vector.reshape(-1, vector.shape[-1]) @ matrix.T).reshape(vector.shape)
     return ca.mtimes(sparse(matrix), vector)

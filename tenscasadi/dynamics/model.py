@@ -69,8 +69,8 @@ class Model(Value, Observations, kind="Model"):
     The equations are Eqs. 58-95 of the paper. Reduced coordinates couple all connected bars.
 
     If the scene has `Parameters`, all Functions have their values p as an additional input after u:
-    they are (x, u, p). `parameters` names the entries of p. `stacked` converts Functions to the
-    form (x, w) with w = (u, p), which integrators use.
+    they are (x, u, p). `parameters` names the entries of p. Integrators use the form (x, w) with w =
+    (u, p), into which `with_stacked_input` converts Functions.
 
     Sizes are `nx` (state), `nq` (positions in it), `nu` (control), `np` (parameters) and `nw` =
     `nu` + `np`. `structure` is the structure with subdivided strings, and `mechanism` contains its
@@ -196,7 +196,7 @@ class Model(Value, Observations, kind="Model"):
             return None
         x, u = self.symbols(not self.mechanism.large)
         N, V, time = self.unpack(x)
-        mech, w = self.weighted(u, inverse=False), self.add_schedule(u, time)
+        mech, w = self.with_masses(u, inverse=False), self.add_schedule(u, time)
         elements, at = forces.build_elements(self.scene, mech, w), forces.NodeMotion(N, V, time)
         power: Any = sum((e.power(at, self.schedule is None) for e in elements), start=ca.DM(0))
         if self._supports is not None:  # their reactions do work, too
@@ -303,7 +303,10 @@ _COMMANDED: dict[type, tuple[tuple[str, ...], str]] = {
 
 
 def _check_parameters(model: Model) -> None:
-    """Raise ValueError for parameters without effect; warn of those that set the control only."""
+    """Check that parameters have an effect.
+
+    Raises ValueError. Warns of parameters that set only the control.
+    """
     unused, control = _find_unused(model), model.scene.control
     replaced, commanded = _COMMANDED.get(type(control), ((), ""))
     for name in unused:

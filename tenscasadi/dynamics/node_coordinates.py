@@ -37,12 +37,12 @@ class NodeCoordinates:
 
     @property
     def has_clock(self) -> bool:
-        """Whether the state has a clock, as anything depends on time."""
+        """Whether the state has a clock."""
         return self.scene.has_clock or self.schedule is not None
 
     @cached_property
     def entries(self) -> Indices:
-        """Entry of q that holds each coordinate of a physical node (n, 3).
+        """Entry of q of each coordinate of nodes (n, 3).
 
         It is -1 for a prescribed coordinate. Rotated supports have coordinates along their own axes.
         """

@@ -61,7 +61,7 @@ class Observations(StateSpace):
         """
         x, u = self.symbols(not self.mechanism.large)
         N, V, time = self.unpack(x)
-        mech, w = self.weighted(u, inverse=False), self.add_schedule(u, time)
+        mech, w = self.with_masses(u, inverse=False), self.add_schedule(u, time)
         gamma, S = forces.string_force_density(self.scene, mech, N, V, w)
         first = self.mechanism.first.tolist()
         outputs = {
@@ -83,7 +83,9 @@ class Observations(StateSpace):
     def energy_function(self) -> ca.Function:
         """Function "energy" (x, u) → total energy [J]."""
         x, u = self.symbols(not self.mechanism.large)
-        energy = ca.sum1(self.stacked(self.observe)(x, u)[self.observe.index_out("energy")])
+        energy = ca.sum1(
+            self.with_stacked_input(self.observe)(x, u)[self.observe.index_out("energy")]
+        )
         return self._function("energy", x, u, [energy], ["energy"])
 
     # --- numbers in, numbers out ---
@@ -105,7 +107,7 @@ class Observations(StateSpace):
         ndarray, shape (α,), or CasADi column
             Tension divided by length [N/m] (Eq. 99); CasADi if x or u is.
         """
-        return self._observed("force_density", x, u, parameters)
+        return self._evaluate("force_density", x, u, parameters)
 
     def tension(self, x: Any, u: Any = None, parameters: Any = None) -> Any:
         """Compute the tensions of the modeled strings.
@@ -124,7 +126,7 @@ class Observations(StateSpace):
         ndarray, shape (α,), or CasADi column
             Tensions [N]; CasADi if x or u is.
         """
-        return self._observed("tension", x, u, parameters)
+        return self._evaluate("tension", x, u, parameters)
 
     def energy(self, x: Any, u: Any = None, parameters: Any = None) -> Energy:
         """Compute kinetic, elastic and gravity energy.
@@ -192,18 +194,18 @@ class Observations(StateSpace):
     def _joint_error(self, N: Any, time: Any) -> Any:
         if not self.mechanism.joints:
             return ca.DM(0)
-        gap = self.mechanism.along_held(
+        gap = self.mechanism.project_constrained(
             ca.mtimes(N, sparse(self.mechanism.P)) - self.targets(time)[0]
         )
         return ca.mmax(ca.fabs(gap))
 
     # --- numbers ---
 
-    def _observed(self, name: str, x: Any, u: Any, parameters: Any = None) -> Any:
+    def _evaluate(self, name: str, x: Any, u: Any, parameters: Any = None) -> Any:
         arguments = self.arguments(x, u, parameters)
         value = self.observe(*arguments)[self.observe.index_out(name)]
         return value.full().ravel() if isinstance(value, ca.DM) else value
 
     def _scalars(self, name: str, x: Any, u: Any = None, parameters: Any = None) -> list[Any]:
-        value = self._observed(name, x, u, parameters)
+        value = self._evaluate(name, x, u, parameters)
         return ca.vertsplit(value) if isinstance(value, (ca.SX, ca.MX)) else value.tolist()

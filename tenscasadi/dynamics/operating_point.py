@@ -1,4 +1,4 @@
-"""Operating points: nodes at rest with a control and parameters, such as an equilibrium."""
+"""Operating points, such as equilibria."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from tenscasadi.util.validate import Array
 
 
 class OperatingPoint:
-    """Nodes of a scene at rest with its control and parameters.
+    """Nodes at rest with control and parameters.
 
     Functions of a state, a control and parameters take it in place of the state.
 
@@ -36,7 +36,7 @@ class OperatingPoint:
         raise NotImplementedError
 
     def state_of(self, model: Model) -> Array:
-        """Compute the state (nx,) of a model of the same structure.
+        """Compute the state (nx,) of a model.
 
         Parameters
         ----------
@@ -54,7 +54,7 @@ class OperatingPoint:
 
 
 def split_point(model: Model, state: Any, control: Any, parameters: Any) -> tuple[Any, Any, Any]:
-    """Take state, control and parameters from an operating point that is given as the state.
+    """Read state, control and parameters of an operating point.
 
     Control and parameters that are given have priority.
     """

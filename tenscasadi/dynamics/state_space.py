@@ -25,6 +25,7 @@ from tenscasadi.scene.binding import initial_control
 from tenscasadi.scene.scene import Scene
 from tenscasadi.structure.mass_checks import check_mass_ratio
 from tenscasadi.util.read_only import read_only
+from tenscasadi.util.renamed import RenamedAttribute
 from tenscasadi.util.validate import Array, choice, finite_array, instance
 
 Kept = TypeVar("Kept")
@@ -104,7 +105,7 @@ class StateSpace(NodeCoordinates):
         if self._supports is None or not self.mechanism.constrained:
             return x
         N, V, time = self.unpack(ca.DM(x))
-        V = project_velocities(self.weighted(ca.DM(w)), N, V, self.targets(time)[1])
+        V = project_velocities(self.with_masses(ca.DM(w)), N, V, self.targets(time)[1])
         return self.pack(N, V, time).full().ravel()  # type: ignore[no-any-return]
 
     @cached_property
@@ -120,7 +121,7 @@ class StateSpace(NodeCoordinates):
         return initial_control(self.scene, p)
 
     def stack_inputs(self, u: Any = None, parameters: Any = None) -> Array:
-        """Stack control and parameters to the input w (nw,), and check them.
+        """Check and stack control and parameters (nw,).
 
         Default: the initial control and nominal parameters.
         """
@@ -168,7 +169,7 @@ class StateSpace(NodeCoordinates):
         )
         own = [ca.vec(ca.densify(row)) for row in (joints, joint_rates)]
         if mech.frames is not None:
-            own = [ca.mtimes(mech.held_directions.T, row) for row in own]
+            own = [ca.mtimes(mech.constrained_directions.T, row) for row in own]
         rows = [row.T / ca.DM(mech.lengths) for row in (bars, bar_rates)] + [
             row[held] for row in own
         ]
@@ -200,11 +201,11 @@ class StateSpace(NodeCoordinates):
 
     @property
     def over_time(self) -> list[Any]:
-        """The parts that change over time."""
+        """Time-varying loads, support motions and control."""
         return [*self.scene.over_time, *([] if self.schedule is None else [self.schedule])]
 
     def add_schedule(self, w: Any, time: Any) -> Any:
-        """Add the control of the schedule at a time, s, to the held input w; w where there is none."""
+        """Add the scheduled control to the stacked input w."""
         if self.schedule is None:
             return w
         return w + ca.vertcat(self.schedule.at(time), ca.DM.zeros(self.np))
@@ -223,11 +224,11 @@ class StateSpace(NodeCoordinates):
         value: Kept = self.functions[key]
         return value
 
-    def stacked(self, function: ca.Function) -> ca.Function:
+    def with_stacked_input(self, function: ca.Function) -> ca.Function:
         """Convert a Function of (x, u, p) to (x, w).
 
-        Here w is the control u followed by the parameters p. Integrators have one input. Without
-        parameters it is the Function itself.
+        The stacked input w is the control u followed by the parameters p, because integrators have
+        one input. Without parameters, the Function is returned unchanged.
 
         Parameters
         ----------
@@ -252,6 +253,8 @@ class StateSpace(NodeCoordinates):
         # The hash is a memory address. The Function is kept, too, so that the address stays unique.
         return self.keep(("stacked", hash(function)), build)[1]
 
+    stacked = RenamedAttribute("with_stacked_input")
+
     def _function(
         self, name: str, x: Any, w: Any, outputs: list[Any], names: list[str]
     ) -> ca.Function:
@@ -275,10 +278,8 @@ class StateSpace(NodeCoordinates):
 
     # --- expressions ---
 
-    def weighted(self, w: Any, inverse: bool = True) -> Mechanism:
+    def with_masses(self, w: Any, inverse: bool = True) -> Mechanism:
         """Insert the masses of w into the mechanism.
-
-        w is (u, p).
 
         w is a CasADi column. M⁻ is computed only if `inverse`.
         """
@@ -286,7 +287,7 @@ class StateSpace(NodeCoordinates):
         if masses is None:
             return mechanism
         if inverse:
-            return mechanism.weighted(masses.weigh(w[self.nu :]))
+            return mechanism.with_masses(masses.weigh(w[self.nu :]))
         return replace(mechanism, M=masses.mass_matrix(w[self.nu :]), inverse=())
 
     def symbols(self, scalar: bool) -> tuple[Any, Any]:

@@ -120,7 +120,7 @@ def _bar_force_density(run: Trajectory, model: Model | None) -> Array:
             "model is not that of the trajectory: its states, controls, parameters or bars are others"
         )
     held = np.hstack([run.control, np.tile(run.parameters, (len(run.time), 1))])
-    lam = model.stacked(model.multiplier_function).map(len(run.time))(
+    lam = model.with_stacked_input(model.multiplier_function).map(len(run.time))(
         run.states.T, held.T if held.size else np.zeros((0, len(run.time)))
     )[0]
     return np.asarray(-lam.full().T.reshape(len(run.time), -1))

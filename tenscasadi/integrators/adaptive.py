@@ -104,7 +104,8 @@ def build_control(
         ode = build_mode_ode(model, power)
     else:
         ode = equations(
-            model, model.stacked(model.power) if power and model.power is not None else None
+            model,
+            model.with_stacked_input(model.power) if power and model.power is not None else None,
         )
     z, u = ca.MX.sym("z", model.nx + power), ca.MX.sym("u", model.nw)
     packed = ca.MX.sym("memory", len(Memory._fields))

@@ -52,7 +52,7 @@ def build_mode_ode(model: Model, work: bool = False) -> ca.Function:
     acceleration = forward_dynamics(model, N, V, u, time, mode)[0]
     parts = [model.pack(V, acceleration, 1)]
     if work:
-        mech = model.weighted(u, inverse=False)
+        mech = model.with_masses(u, inverse=False)
         if model.scene.supports is None:
             push = forces.total(model.scene, mech, N, V, model.add_schedule(u, time), time, mode)
         else:  # reactions of moving supports do work
@@ -76,7 +76,7 @@ def build_potential(model: Model) -> ca.Function:
     x, u = model.symbols(not model.mechanism.large)
     if model.schedule is not None:
         return ca.Function("potential", [x, u], [ca.DM(0)], ["x", "u"], ["potential"])
-    mech = model.weighted(u, inverse=False)
+    mech = model.with_masses(u, inverse=False)
     total = ca.densify(sum(forces.potential_energy(model.scene, mech, model.unpack(x)[0], u)))
     return ca.Function("potential", [x, u], [total], ["x", "u"], ["potential"])
 

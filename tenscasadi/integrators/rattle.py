@@ -16,7 +16,7 @@ from tenscasadi.dynamics.constraint_forces import (
     residuals,
     stretch_bars,
 )
-from tenscasadi.dynamics.equation_of_motion import applied_forces
+from tenscasadi.dynamics.equation_of_motion import compute_forces
 from tenscasadi.dynamics.mechanism import Mechanism
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import Complex, NamedScheme
@@ -172,7 +172,7 @@ def _leap(model: Model, power: ca.Function | None, kick: Tableau, iterations: in
     """Build drift, kick and drift: (z, u, h) → z_next."""
     kind: Any = ca.SX if model.mechanism.unrolled else ca.MX
     z, u, h = kind.sym("z", model.nx + (power is not None)), kind.sym("u", model.nw), kind.sym("h")
-    mech, scene = model.weighted(u), model.scene
+    mech, scene = model.with_masses(u), model.scene
     N, V, time = model.unpack(z[: model.nx])
 
     def drift(N: Any, V: Any, time: Any) -> tuple[Any, Any, Any]:
@@ -189,7 +189,7 @@ def _leap(model: Model, power: ca.Function | None, kick: Tableau, iterations: in
         return project_velocities(mech, N, V, model.targets(time)[1])
 
     def acceleration(mech: Mechanism, N: Any, V: Any, u: Any, time: Any) -> tuple[Any, ...]:
-        return (mech.with_inverse(applied_forces(model, N, V, u, time, mech=mech)[0]),)
+        return (mech.with_inverse(compute_forces(model, N, V, u, time, mech=mech)[0]),)
 
     N, V, time = drift(N, V, time)
     rough = forces.is_damped(scene) or forces.has_dissipative_ground(scene)
@@ -247,7 +247,9 @@ def _newton(mech: Mechanism, free: Any, B: Any, D: Any, iterations: int) -> Any:
             excess,
             gap,
             ca.norm_inf(
-                ca.vertcat((excess / ca.DM(mech.lengths).T).T, ca.vec(mech.along_held(gap)))
+                ca.vertcat(
+                    (excess / ca.DM(mech.lengths).T).T, ca.vec(mech.project_constrained(gap))
+                )
             ),
         )
 

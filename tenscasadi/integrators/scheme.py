@@ -175,7 +175,7 @@ def equations(model: Model, power: ca.Function | None) -> ca.Function:
     The input w is the control followed by the parameters. `power` (x, w) → W adds a state, see
     `add_work`.
     """
-    ode = model.stacked(model.ode)
+    ode = model.with_stacked_input(model.ode)
     return ode if power is None else add_work(ode, power)
 
 

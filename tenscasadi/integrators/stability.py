@@ -166,7 +166,7 @@ def lightest_mass(model: Model, parameters: Any = None) -> float:
     It is 1/max diag M⁻¹, without bars.
     """
     w = ca.DM(model.stack_inputs(None, parameters))
-    return float(1 / max(_numbers(part).diagonal().max() for part in model.weighted(w).inverse))
+    return float(1 / max(_numbers(part).diagonal().max() for part in model.with_masses(w).inverse))
 
 
 def _numbers(matrix: Any) -> Array:
@@ -180,7 +180,7 @@ def _contact(model: Model, parameters: Any) -> tuple[Any, float, float]:
     if not scene.grounds:
         return (), 0.0, 0.0
     mass = float(
-        np.sum(_numbers(model.weighted(ca.DM(model.stack_inputs(None, p)), inverse=False).M))
+        np.sum(_numbers(model.with_masses(ca.DM(model.stack_inputs(None, p)), inverse=False).M))
     )
     pull = 0.0 if scene.gravity is None else float(ca.norm_2(scene.gravity.at(0.0)))
     return scene.grounds, lightest_mass(model, p), mass * pull
@@ -267,7 +267,7 @@ def _directional(model: Model) -> ca.Function:
 
     def build() -> ca.Function:
         X, W, V = ca.MX.sym("x", model.nx), ca.MX.sym("w", model.nw), ca.MX.sym("v", model.nx)
-        along = ca.jtimes(model.stacked(model.ode)(X, W), X, V)
+        along = ca.jtimes(model.with_stacked_input(model.ode)(X, W), X, V)
         return ca.Function("along", [X, W, V], [along])
 
     return model.keep("tangent", build)

@@ -210,7 +210,7 @@ def build_projection(model: Model, iterations: int = 3) -> ca.Function:
 def _projection(model: Model, iterations: int) -> ca.Function:
     kind: Any = ca.SX if model.mechanism.unrolled else ca.MX
     x, p = kind.sym("x", model.nx), kind.sym("p", model.np)
-    mech = model.weighted(ca.vertcat(kind(model.nu, 1), p))
+    mech = model.with_masses(ca.vertcat(kind(model.nu, 1), p))
     N, V, time = model.unpack(x)
     D, Dd, _ = model.targets(time)
     if mech.system_size:
@@ -321,7 +321,7 @@ def _close_joints(mech: Mechanism, Z: Any, change: Any, target: Any) -> Any:
     spread = sp.csr_array(
         sp.vstack([ends, sp.csr_array(sp.eye_array(Z.shape[1]))[strings]])
     )  # from centers and string nodes to nodes
-    gap = mech.along_held(target - ca.mtimes(Z, sparse(mech.P)))
+    gap = mech.project_constrained(target - ca.mtimes(Z, sparse(mech.P)))
     return Z + ca.mtimes(
         ca.mtimes(gap, ca.DM(np.linalg.pinv((spread @ mech.P).toarray()))), sparse(spread)
     )
@@ -332,7 +332,7 @@ def build_effect(model: Model) -> ca.Function:
 
     Function (x before, x after, w) → largest movement of a node [m] and added energy [J].
     """
-    energy = model.stacked(model.energy_function)
+    energy = model.with_stacked_input(model.energy_function)
     before, after = ca.MX.sym("before", model.nx), ca.MX.sym("after", model.nx)
     w = ca.MX.sym("w", model.nw)
     shift = model.nodes(after) - model.nodes(before)  # (n, 3)

@@ -21,7 +21,7 @@ from tenscasadi.integrators.events import (
     split_mode,
 )
 from tenscasadi.scene.binding import bind, with_fields
-from tenscasadi.scene.ground import Contact, Surface, along, slip_velocity
+from tenscasadi.scene.ground import Contact, Surface, along, compute_slip
 from tenscasadi.scene.strings import Smooth
 from tenscasadi.util.casadi_tools import call_as_sx, constant_row, sparse
 from tenscasadi.util.validate import Array
@@ -112,7 +112,7 @@ def _sweep(model: Model, A: Array, k: Any, changes: Any, x: Any, u: Any, h: Any)
     L = factor_crout(A)
     squared = L @ L
     gaps = build_switching(model)
-    ode = model.stacked(model.ode) if gaps is None else build_mode_ode(model)
+    ode = model.with_stacked_input(model.ode) if gaps is None else build_mode_ode(model)
     solve = _solver(model)
     found: list[Any] = []
     for i, state in enumerate(stage_states(model, A, x, k, h)):
@@ -174,7 +174,7 @@ def _solver(model: Model) -> ca.Function:
     def linear(x: Any, w: Any, g: Any, r: Any, moved: Any) -> tuple[Any, ...]:
         N, V, time = model.unpack(x)
         u, mode = split_mode(model, w)
-        u, mech = model.add_schedule(u, time), model.weighted(u, inverse=False)
+        u, mech = model.add_schedule(u, time), model.with_masses(u, inverse=False)
         M = sparse(mech.free_mass)
 
         at = forces.NodeMotion(N, V, time)
@@ -232,7 +232,7 @@ class _Dragging(Surface):
         return self.frictionless.contact(N)
 
     def forces(self, N: Any, V: Any, touching: Any = None) -> Any:
-        slip, _ = slip_velocity(self.contact(N), V)
+        slip, _ = compute_slip(self.contact(N), V)
         slip = slip - self.direction * ca.repmat(ca.sum1(self.direction * slip), 3, 1)
         return self.frictionless.forces(N, V, touching) - slip * ca.repmat(self.drag, 3, 1)
 
@@ -264,7 +264,7 @@ def _drag_slopes(
         ground, columns = element.surface, element.columns
         frictionless: Surface = with_fields(ground, friction=None)
         n, v, contact = at.N[:, columns], at.V[:, columns], ground.contact(at.N[:, columns])
-        slip, share = slip_velocity(contact, v)
+        slip, share = compute_slip(contact, v)
         speed = ca.sqrt(ca.sum1(slip * slip) + ground.slip_speed**2)
         push = ca.fmax(along(contact.outward, frictionless.forces(n, v, element.mode)), 0)
         drag = ground.friction * (push if share is None else push / share) / speed

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.dynamics.constraint_forces import nodal_forces
-from tenscasadi.dynamics.equation_of_motion import applied_forces
+from tenscasadi.dynamics.equation_of_motion import compute_forces
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.events import build_mode_ode, count_switches, split_mode
 from tenscasadi.integrators.scheme import (
@@ -316,18 +316,18 @@ class Idas(Sundials, kind="Idas"):
             kind.sym("u", model.nw + held * count_switches(model)),
         )
         u, mode = split_mode(model, w) if held else (w, None)
-        mech = model.weighted(u)
+        mech = model.with_masses(u)
         z = kind.sym("z", mech.bars + 3 * mech.joints)
         N, V, time = model.unpack(state[: model.nx])
         lam, Omega = z[: mech.bars].T, ca.reshape(z[mech.bars :], 3, mech.joints)
         B, Bd = mech.bar_vectors(N), mech.bar_vectors(V)
-        F, moved = applied_forces(model, N, V, u, time, mode, mech)
+        F, moved = compute_forces(model, N, V, u, time, mode, mech)
         A = mech.with_inverse(F + nodal_forces(mech, B, lam, Omega)) + moved
         stretching = ca.sum1(Bd * Bd) + ca.sum1(B * mech.bar_vectors(A))  # Eq. 28
         gaping = (
-            mech.along_held(ca.mtimes(A, sparse(mech.P)) - model.targets(time)[2])
+            mech.project_constrained(ca.mtimes(A, sparse(mech.P)) - model.targets(time)[2])
             + Omega
-            - mech.along_held(Omega)
+            - mech.project_constrained(Omega)
         )
         xdot = [model.pack(V, A, 1)] + (
             [] if power is None else [power(state[: power.size1_in(0)], w)[-1]]
@@ -357,5 +357,5 @@ class Idas(Sundials, kind="Idas"):
         if not mech.constrained:
             return None
         x, u = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nw)
-        lam, Omega = model.stacked(model.multiplier_function)(x, u)
+        lam, Omega = model.with_stacked_input(model.multiplier_function)(x, u)
         return ca.Function("start", [x, u], [ca.vertcat(lam, ca.vec(Omega)[: 3 * mech.joints])])

@@ -1,1 +1,1 @@
-"""Scenes: a structure, how its strings are driven, its loads and its supports."""
+"""Scenes: structures with control, string laws, loads, grounds and supports."""

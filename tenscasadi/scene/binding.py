@@ -1,4 +1,4 @@
-"""Scenes with values of their parameters: expressions for equations, or numbers."""
+"""Substitution of the parameters of a scene."""
 
 from __future__ import annotations
 
@@ -24,7 +24,10 @@ _LOADS = ("gravity", "pressure", "forces")
 
 
 def with_fields(value: Value, **fields: Any) -> Value:
-    """Copy a frozen value with other fields, such as CasADi expressions, which are not checked."""
+    """Copy a frozen value with other fields, without checks.
+
+    The fields can be CasADi expressions.
+    """
     new = copy.copy(value)
     vars(new).update(fields)
     return new
@@ -43,8 +46,8 @@ def bind(scene: Any, w: Any) -> tuple[Any, Any]:
     Returns
     -------
     tuple
-        The scene without parameters, and the control (nu,). Quantities of strings are rows (1×α, or
-        1×1 if they are equal) over the modeled strings.
+        Scene without parameters, and the control (nu,). Quantities of the modeled strings are rows
+        1×α, or 1×1 if they are equal.
     """
     if scene.parameters is None:
         return scene, w
@@ -99,7 +102,7 @@ def initial_control(scene: Any, p: Array) -> Array:
 
 
 def fix(scene: Any, p: Array) -> Any:
-    """Replace the constants of a scene by the values of checked parameters (np,)."""
+    """Replace the constants of a scene by checked parameters (np,)."""
     if scene.parameters is None:
         return scene
     items = {name: affine.numbers(p) for name, affine in scene.layout.quantities.items()}
@@ -129,7 +132,7 @@ def fix(scene: Any, p: Array) -> Any:
 
 
 def _own_entries(ground: Any, k: int, values: dict[str, Any]) -> dict[str, Any]:
-    """Select the entries of ground k; one without friction keeps none."""
+    """Select the parameters of ground k."""
     given = {name: value for name, value in values.items() if getattr(ground, name) is not None}
     return {name: value[k] for name, value in given.items()}
 
@@ -142,7 +145,7 @@ def _fix_ground(ground: Any, values: dict[str, Any]) -> Any:
 
 
 def _scale(function: Any, factor: float, time: Any) -> Any:
-    """Multiply the value of a function of time, also if it consists of nested sequences."""
+    """Multiply a function of time, which can return nested sequences."""
     return _multiply(function(time), factor)
 
 

@@ -1,4 +1,4 @@
-"""Breakpoints: times at which steps of a simulation have to end."""
+"""Breakpoints: times at which integration steps must end."""
 
 from __future__ import annotations
 
@@ -9,47 +9,37 @@ import numpy as np
 
 from tenscasadi.util.validate import Array
 
-_COMPARED = (
-    ca.OP_LT,
-    ca.OP_LE,
-    ca.OP_EQ,
-    ca.OP_NE,
-    ca.OP_FMIN,
-    ca.OP_FMAX,
-)  # they switch where both operands are equal
-_SIGNED = (ca.OP_SIGN, ca.OP_FABS)  # they switch where their operand is 0
-_ROUNDED = (ca.OP_FLOOR, ca.OP_CEIL)  # they switch where their operand is whole
-_POSITIVE = (
-    ca.OP_SQRT,
-    ca.OP_LOG,
-    ca.OP_POW,
-    ca.OP_CONSTPOW,
-)  # not defined below 0, but for whole exponents
-_REMAINDERS = {
-    ca.OP_FMOD: ca.sin,
-    ca.OP_REMAINDER: ca.cos,
-}  # they switch where the quotient of their operands is whole, or half of odd
+# switch if both operands are equal
+_COMPARISONS = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_FMIN, ca.OP_FMAX)
+# switch if the operand is 0
+_SIGNS = (ca.OP_SIGN, ca.OP_FABS)
+# switch if the operand is a whole number
+_ROUNDINGS = (ca.OP_FLOOR, ca.OP_CEIL)
+# undefined below 0, except for whole exponents
+_POSITIVE = (ca.OP_SQRT, ca.OP_LOG, ca.OP_POW, ca.OP_CONSTPOW)
+# switch if the quotient of the operands is a whole number, or half an odd one
+_REMAINDERS = {ca.OP_FMOD: ca.sin, ca.OP_REMAINDER: ca.cos}
 
 
 def probe_times(first: float, last: float) -> Array:
-    """Return 4001 equidistant times of a run, s."""
+    """Return 4001 equidistant times of a run [s]."""
     return np.linspace(first, last, 4001)
 
 
 def find_breakpoints(function: ca.Function, first: float, last: float) -> Array:
-    """Find the times in [first, last], s, at which conditions in a function of time switch.
+    """Find the times [s] at which conditions switch.
 
-    Conditions are comparisons, signs and roundings. Each is bracketed between two of the probe
-    times: a condition that switches there and back between two of them is not seen, nor is one in
-    a Function that CasADi cannot expand.
+    Times are in [first, last]. Conditions are comparisons, signs and roundings. Each is bracketed
+    between two probe times. A condition that switches twice between them is missed, and so is a
+    condition in a Function that CasADi cannot expand.
     """
     t = ca.SX.sym("t")
     values = expand(function, t)
-    found = [] if values is None else list(_switches(values))
+    found = [] if values is None else list(_find_switches(values))
     if not found:
         return np.empty(0)
     switches = ca.Function("switches", [t], [ca.densify(ca.vertcat(*found))])
-    # A condition that switches at the end may do so a rounding later.
+    # by rounding, a condition that switches at the end may do so just after it
     beyond = last + 100 * np.spacing(max(abs(first), abs(last)))
     times = np.append(probe_times(first, last), beyond)
     signs = np.sign(switches(times[None]).full())
@@ -65,15 +55,18 @@ def find_breakpoints(function: ca.Function, first: float, last: float) -> Array:
 
 
 def expand(function: ca.Function, t: ca.SX) -> ca.SX | None:
-    """Write the outputs of a function of time as one column of scalar operations; None where CasADi cannot."""
+    """Expand the outputs of a function as scalars.
+
+    Returns None if CasADi cannot expand the function.
+    """
     try:
         return ca.densify(ca.vertcat(*(ca.vec(value) for value in function.call([t]))))
     except RuntimeError:
         return None
 
 
-def _switches(values: ca.SX) -> Iterator[ca.SX]:
-    """Yield expressions that change sign where the values switch, or cease to be defined."""
+def _find_switches(values: ca.SX) -> Iterator[ca.SX]:
+    """Find expressions that change sign where values switch or end."""
     waiting, seen = [values[k] for k in range(values.numel())], set()
     while waiting:
         item = waiting.pop()
@@ -83,13 +76,13 @@ def _switches(values: ca.SX) -> Iterator[ca.SX]:
         parts = [item.dep(k) for k in range(item.n_dep())]
         waiting.extend(parts)
         operation = item.op()
-        if operation in _COMPARED:
+        if operation in _COMPARISONS:
             yield parts[0] - parts[1]
-        elif operation in _SIGNED or (
+        elif operation in _SIGNS or (
             operation in _POSITIVE and not (len(parts) == 2 and _is_whole(parts[1]))
         ):
             yield parts[0]
-        elif operation in _ROUNDED:
+        elif operation in _ROUNDINGS:
             yield ca.sin(np.pi * parts[0])
         elif operation in _REMAINDERS:
             yield _REMAINDERS[operation](np.pi * parts[0] / parts[1])
@@ -99,11 +92,11 @@ def _is_whole(exponent: ca.SX) -> bool:
     return bool(exponent.is_constant()) and float(exponent).is_integer()
 
 
-def short_beside_steep(times: Array) -> Array:
-    """Add times to those of a table beside pieces far shorter than the next one, as far away as those are long.
+def add_guard_times(times: Array) -> Array:
+    """Add times beside very short pieces of a table.
 
-    A step that ends where a steep piece begins may see a rounding of the clock of it, and counts
-    that for its whole length.
+    Each added time is as far from the piece as the piece is long. By rounding of the clock, a step
+    that ends where a steep piece begins may see its slope. A short step limits the effect.
     """
     inner, before, after = times[1:-1], np.diff(times)[:-1], np.diff(times)[1:]
     late, early = after > 100 * before, before > 100 * after
@@ -113,5 +106,5 @@ def short_beside_steep(times: Array) -> Array:
 
 
 def clock_error(first: float, last: float, steps: int) -> float:
-    """Bound the error, s, of the clock of a run of so many steps, which is the sum of them."""
+    """Bound the rounding error [s] of a summed clock."""
     return 4.0 * (steps + 1) * float(np.spacing(max(abs(first), abs(last))))

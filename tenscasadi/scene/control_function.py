@@ -1,4 +1,4 @@
-"""Controls that are functions of time: expressions of it where CasADi can trace them, else piecewise cubics."""
+"""Control functions of time, traced or interpolated."""
 
 from __future__ import annotations
 
@@ -20,29 +20,29 @@ from tenscasadi.util.validate import (
     positive_number,
 )
 
-_ACCURACY = 1e-9  # of the largest value: error of piecewise cubics
-_FINEST = 1e-9  # of a run: shortest piece, where no resolution is given
-_MOST_PIECES = 20_000
+_ACCURACY = 1e-9  # × largest value: error of the interpolation
+_MIN_PIECE = 1e-9  # × duration of the run: shortest piece without a given resolution
+_MAX_PIECES = 20_000
 
 
 @dataclass(frozen=True, eq=False)
 class ControlFunction:
-    """Control as a function of time, evaluated by each stage of a step.
+    """Control function of time, evaluated at each stage of a step.
 
-    Where CasADi cannot trace the function, as with Python's ``if``, it is sampled and replaced by
-    piecewise cubics, which are halved until they agree with it. Steps of a simulation end at its
+    A function that CasADi cannot trace, as with Python's ``if``, is interpolated by piecewise
+    cubics. Pieces are halved until they agree with the function. Steps of a simulation end at the
     breakpoints.
 
     Parameters
     ----------
     function : callable
-        Function of the time t since the start of the run [s] that returns the control (nu,).
+        Function of the time since the start of the run [s] that returns the control (nu,).
     breakpoints : array_like, shape (B,), optional
-        Times at which the function jumps, has a kink, or begins or ends a pulse [s], beside those
-        that its comparisons, signs and roundings show.
+        Times [s] at which the function jumps or has a kink, or a pulse begins or ends. Those of
+        comparisons, signs and roundings are found without it.
     resolution : float, optional
-        Shortest piece [s] of a function that is sampled: faster changes are followed by a ramp of
-        this length. Default: a billionth of the run.
+        Shortest piece of the interpolation [s]. A faster change becomes a ramp of this length.
+        Default: a billionth of the run.
 
     Raises
     ------
@@ -77,14 +77,14 @@ class ControlFunction:
 
 @dataclass(frozen=True, eq=False)
 class ControlSchedule:
-    """Control function of a run, as a CasADi Function of the clock.
+    """Control as a CasADi Function of a run's clock.
 
     Attributes
     ----------
     at : casadi.Function
         t (s) → control (nu).
     breakpoints : ndarray, shape (B,)
-        Times at which steps have to end [s], beside those that `at` shows.
+        Times [s] at which steps must end, in addition to those found in `at`.
     """
 
     at: ca.Function
@@ -92,7 +92,7 @@ class ControlSchedule:
     field: str = "control"
 
     def check_run(self, first: float, last: float) -> None:
-        """Do nothing: values are checked where the schedule is built."""
+        """Do nothing, because `build_schedule` checks the values."""
 
     def find_breakpoints(self, first: float, last: float) -> Array:
         """Find the jumps and kinks of the control.
@@ -100,18 +100,18 @@ class ControlSchedule:
         Parameters
         ----------
         first, last : float
-            Times at which the run begins and ends, s.
+            Start and end of the run [s].
 
         Returns
         -------
         ndarray
-            Times, s, in order.
+            Increasing times [s].
         """
         found = [self.breakpoints, find_breakpoints(self.at, first, last)]
         return np.unique(np.concatenate(found))
 
     def changing(self) -> ca.Function:
-        """Return the function of time that steps have to follow.
+        """Return the function of time that integration steps must resolve.
 
         Returns
         -------
@@ -129,21 +129,21 @@ def build_schedule(
     Parameters
     ----------
     control : ControlFunction
-        The control over the time since the start of the run.
+        Control function of the time since the start of the run.
     nu : int
-        Number of its entries.
+        Size of the control.
     first : float
-        Time of the clock at the start [s].
+        Clock at the start [s].
     t_end : float
         Duration of the run [s].
     positive : bool
-        Whether the entries are lengths, greater than 0.
+        Whether the entries must be greater than 0, as rest lengths.
 
     Raises
     ------
     ValueError
-        If the function raises, changes its answer, or returns numbers that are not finite or of
-        another shape; the message names the time.
+        If the function raises an error, is not deterministic, or returns numbers that are not
+        finite or have another shape. The message names the time.
     """
     sample = read_function(control.function, nu, positive)
     t = ca.MX.sym("t")
@@ -151,7 +151,7 @@ def build_schedule(
     inside = control.breakpoints[(control.breakpoints > 0) & (control.breakpoints < t_end)]
     edges = inside
     if traced is None:
-        shortest = _FINEST * t_end if control.resolution is None else control.resolution
+        shortest = _MIN_PIECE * t_end if control.resolution is None else control.resolution
         traced, steep = _interpolate(sample, nu, t_end, inside, shortest)
         edges = np.union1d(inside, steep)
     times = np.union1d(probe_times(0.0, t_end), find_breakpoints(traced, 0.0, t_end))
@@ -176,8 +176,8 @@ def _check_values(given: Any, nu: int, positive: bool, time: float) -> Array:
 def read_function(
     function: Callable[[Any], Any], nu: int, positive: bool
 ) -> Callable[[float], Array]:
-    """Return the function with its results checked."""
-    hint = f"give a function of time, s, that returns ({nu},)"
+    """Wrap a control function in checks of its results."""
+    hint = f"give a function of time [s] that returns ({nu},)"
 
     def sample(time: float) -> Array:
         given = call_user_function(f"control({time:g})", function, time, hint)
@@ -189,7 +189,10 @@ def read_function(
 def _trace(
     function: Callable[[Any], Any], sample: Callable[[float], Array], nu: int, t_end: float
 ) -> ca.Function | None:
-    """Trace a function as a CasADi expression; None where it is none, or not the same as for numbers."""
+    """Trace a function by CasADi.
+
+    Returns None if that fails, or the expression differs from the function's numbers.
+    """
     t = ca.MX.sym("t")
     known = [(time, sample(time)) for time in probe_times(0.0, t_end)[::1000].tolist()]
     for time, values in known:
@@ -211,9 +214,10 @@ def _trace(
 def _interpolate(
     sample: Callable[[float], Array], nu: int, t_end: float, breakpoints: Array, shortest: float
 ) -> tuple[ca.Function, Array]:
-    """Build the piecewise cubics of a function, and find the times where they are steep.
+    """Interpolate a function by piecewise cubics.
 
-    A piece is halved until it agrees with the function, or is as short as `shortest`, s.
+    A piece is halved until it agrees with the function or is as short as `shortest` [s]. Returns
+    the interpolant, and the ends of pieces that do not agree.
     """
     known: dict[float, Array] = {}
 
@@ -240,10 +244,10 @@ def _interpolate(
         else:
             pieces.append((low, high, bezier))
             steep += [low, high] if wrong else []
-        if len(pieces) + len(waiting) > _MOST_PIECES:
+        if len(pieces) + len(waiting) > _MAX_PIECES:
             raise ValueError(
-                f"control changes too fast near t = {low:g} s to be sampled: "
-                "give ControlFunction(function, breakpoints=(…), resolution=…), or CasADi's mathematics"
+                f"control changes too fast near t = {low:g} s to be sampled: give "
+                "ControlFunction(function, breakpoints=(…), resolution=…), or CasADi's mathematics"
             )
     return _spline(pieces, nu), np.unique([time for time in steep if 0 < time < t_end])
 
@@ -256,7 +260,7 @@ _AT_BETWEEN = np.array(
 
 
 def _spline(pieces: list[tuple[float, float, Array]], nu: int) -> ca.Function:
-    """Build the Function of time of cubics in Bernstein's form, one after the other."""
+    """Join cubics in Bernstein form to a Function of time."""
     ends = np.array([pieces[0][0], *(high for _, high, _ in pieces)])
     knots = np.concatenate([ends[:1], np.repeat(ends, 3), ends[-1:]])
     rows = np.concatenate([pieces[0][2][:1], *(bezier[1:] for _, _, bezier in pieces)])
@@ -265,5 +269,5 @@ def _spline(pieces: list[tuple[float, float, Array]], nu: int) -> ca.Function:
     )
     t = ca.MX.sym("t")
     inside = ca.fmin(ca.fmax(t, ends[0]), ends[-1])
-    # Inlined it could not be a part of scalar code.
+    # scalar code cannot inline a spline
     return ca.Function("sampled", [t], [spline(inside)], {"never_inline": True})

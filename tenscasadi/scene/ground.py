@@ -1,4 +1,4 @@
-"""Ground: planes and height fields that push nodes out, with Coulomb's friction along them."""
+"""Planes and height fields with penalty contact and friction."""
 
 from __future__ import annotations
 
@@ -28,15 +28,18 @@ from tenscasadi.util.validate import (
 
 
 class Contact(NamedTuple):
-    """Where nodes are to a surface, and where it pushes them."""
+    """Penetration depths and directions of normal forces."""
 
-    depth: Any  # 1×n, m, negative above the surface
-    outward: Any  # −∂depth/∂n: 3×1 where it is the same for all nodes, else 3×n
-    steepness: Any  # length of `outward`, 1×n; None where it is 1
+    depth: Any  # 1×n [m], negative above the surface
+    outward: Any  # −∂depth/∂n, 3×n, or 3×1 if it is the same for all nodes
+    steepness: Any  # length of `outward`, 1×n, or None if it is 1
 
 
 class Surface(Value, ABC, implied="Ground"):
-    """A ground of any shape: a push k d − c v on nodes at a depth d, never a pull, and friction."""
+    """Base of grounds with penalty contact.
+
+    The normal force on a node at penetration depth d is k d − c v, and at least 0.
+    """
 
     stiffness: float
     damping: float
@@ -46,40 +49,45 @@ class Surface(Value, ABC, implied="Ground"):
 
     @abstractmethod
     def contact(self, N: Any) -> Contact:
-        """Return depths and directions of nodes (3×n), m."""
+        """Compute penetration depths and force directions of nodes (3×n) [m]."""
 
     @property
     def conservative(self) -> bool:
-        """Whether the ground neither damps nor rubs."""
+        """Whether the ground has neither damping nor friction."""
         return self.damping == 0 and self.friction is None
 
     def check(self, nodes: int) -> None:
-        """Raise ValueError where `nodes` names one that is not there.
+        """Check the node indices of the ground.
 
         Parameters
         ----------
         nodes : int
             Number of nodes of the structure.
+
+        Raises
+        ------
+        ValueError
+            If an index is out of range.
         """
         for node in self.nodes or ():
             node_index(f"{type(self).__name__}.nodes", node, nodes)
 
     def forces(self, N: Any, V: Any, touching: Any = None) -> Any:
-        """Return the ground's forces on nodes.
+        """Build the contact forces on nodes.
 
         Parameters
         ----------
         N : casadi expression, shape (3, n)
-            Nodes, m.
+            Nodes [m].
         V : casadi expression, shape (3, n)
-            Velocities, m/s.
+            Velocities [m/s].
         touching : casadi expression, shape (1, n), optional
-            1 or 0 where nodes are held in contact, or off it; by default as their depths say.
+            Prescribed mode, 1 in contact and 0 off it. Default: as the depths give it.
 
         Returns
         -------
         casadi expression, shape (3, n)
-            W, N.
+            Forces W [N].
         """
         contact = self.contact(N)
         depth, outward, _ = contact
@@ -90,53 +98,53 @@ class Surface(Value, ABC, implied="Ground"):
         push = ca.if_else(depth > 0, push, 0) if touching is None else touching * push  # 1×n
         W = times(outward, push)
         if self.friction is not None:
-            slip, share = slip_velocity(contact, V)
-            drag = (
-                self.friction
-                * (push if share is None else push * share)
-                / ca.sqrt(ca.sum1(slip * slip) + self.slip_speed**2)
-            )
-            W = W - slip * ca.repmat(drag, 3, 1)
+            slip, steepness = compute_slip(contact, V)
+            normal_force = push if steepness is None else push * steepness
+            regularized = ca.sqrt(ca.sum1(slip * slip) + self.slip_speed**2)
+            W = W - slip * ca.repmat(self.friction * normal_force / regularized, 3, 1)
         return W
 
     def energy(self, N: Any) -> Any:
-        """Return the energy stored in the ground's springs.
+        """Build the energy stored in the ground's springs.
 
         Parameters
         ----------
         N : casadi expression, shape (3, n)
-            Nodes, m.
+            Nodes [m].
 
         Returns
         -------
         casadi expression
-            Energy, J.
+            Energy [J].
         """
         depth = ca.fmax(self.depth(N), 0)
         return self.stiffness * ca.sum2(depth * depth) / 2
 
     def depth(self, N: Any) -> Any:
-        """Return how deep nodes are below the surface.
+        """Build the penetration depths of nodes.
 
         Parameters
         ----------
         N : casadi expression, shape (3, n)
-            Nodes, m.
+            Nodes [m].
 
         Returns
         -------
         casadi expression, shape (1, n)
-            Depths, m, negative above the surface.
+            Depths [m], negative above the surface.
         """
         return self.contact(N).depth
 
     def switching(self, N: Any, V: Any) -> Any:
-        """Return lengths (1×n), m, that are positive where nodes (3×n) with velocities (3×n) are pushed."""
+        """Build the switching functions (1×n) [m], positive in contact.
+
+        Nodes N and velocities V are 3×n.
+        """
         depth, outward, _ = self.contact(N)
         return ca.fmin(depth, depth - self.damping / self.stiffness * along(outward, V))
 
-    def _checked(self, **others: Any) -> None:
-        """Set the fields that all surfaces have, once they are checked, and `others`."""
+    def _check_fields(self, **others: Any) -> None:
+        """Check the common fields of surfaces, and set `others`."""
         name = type(self).__name__
         checked = {
             "stiffness": positive_number(f"{name}.stiffness", self.stiffness),
@@ -153,17 +161,20 @@ class Surface(Value, ABC, implied="Ground"):
 
 
 def along(outward: Any, V: Any) -> Any:
-    """Return the products (1×n) of the columns of V (3×n) with `outward` (3×1 or 3×n)."""
+    """Compute the components (1×n) of V (3×n) along `outward`."""
     return ca.mtimes(outward.T, V) if outward.shape[1] == 1 else ca.sum1(outward * V)
 
 
 def times(outward: Any, row: Any) -> Any:
-    """Return the columns of `outward` (3×1 or 3×n) times the entries of a row (1×n)."""
+    """Multiply columns of `outward` by a row (1×n)."""
     return ca.mtimes(outward, row) if outward.shape[1] == 1 else outward * ca.repmat(row, 3, 1)
 
 
-def slip_velocity(contact: Contact, V: Any) -> tuple[Any, Any]:
-    """Return the velocities (3×n) along a surface, m/s, and the force on it as a multiple of the push (1×n); None: it is the push."""
+def compute_slip(contact: Contact, V: Any) -> tuple[Any, Any]:
+    """Compute the slip velocities (3×n) along a surface [m/s].
+
+    Also return the ratio (1×n) of the normal force to k d − c v, None if it is 1.
+    """
     _, outward, steepness = contact
     if steepness is None:
         return V - times(outward, along(outward, V)), None
@@ -179,38 +190,38 @@ def _distinct(field: str, nodes: Any) -> tuple[int, ...]:
 
 @dataclass(frozen=True)
 class Ground(Surface, kind="Ground"):
-    """A plane that pushes on nodes below it, and never pulls (Sect. 7.4).
+    """Plane with penalty contact and Coulomb friction (Sect. 7.4).
 
-    The plane is normalᵀx = height. A node at depth d that moves along the normal at speed v is
-    pushed with k d − c v.
+    The plane is normalᵀx = height. The normal force on a node at penetration depth d with normal
+    velocity v is k d − c v, and at least 0.
 
     Parameters
     ----------
     stiffness : float
-        k, N/m.
+        Contact stiffness k [N/m].
     damping : float
-        c, N·s/m.
+        Contact damping c [N·s/m].
     friction : float, optional
-        Coulomb's coefficient μ; by default the plane is frictionless.
+        Coulomb's friction coefficient μ. Default: no friction.
     height : float
-        Distance of the plane from the origin along the normal, m.
+        Distance of the plane from the origin along the normal [m].
     normal : sequence of float, shape (3,)
         Direction away from the ground, of any length.
     slip_speed : float
-        Speed v_s, m/s, over which friction is regularised.
+        Slip velocity v_s over which friction is regularized [m/s].
     nodes : sequence of int, optional
-        Nodes of the structure that it acts on; by default on all, also those inside strings that
-        are cut into segments.
+        Nodes of the structure that can touch the ground. Default: all, including nodes between the
+        segments of strings.
 
     See Also
     --------
-    Terrain : a height field.
+    Terrain : Height field.
 
     Notes
     -----
-    Friction is μ f v_t/√(v_t² + v_s²) for a push f and a tangential velocity v_t. A body that
-    should stick therefore creeps, at v_s r/√(1 − r²) where it needs the share r of the friction
-    that there is.
+    Friction is μ f v_t/√(v_t² + v_s²), with the normal force f and the slip velocity v_t. A sticking
+    body therefore creeps. Its velocity is v_s r/√(1 − r²) if it needs the fraction r of the largest
+    friction force.
 
     Examples
     --------
@@ -219,7 +230,7 @@ class Ground(Surface, kind="Ground"):
     >>> round(float(ground.forces([0, 0, 0.25], [0, 0, 0])[2]), 6)
     250.0
 
-    A slope of 30° through the origin, and a wall at x = 2 that only node 0 meets:
+    A slope of 30° through the origin, and a wall at x = 2 that only node 0 can touch:
 
     >>> slope = tc.Ground(normal=(-0.5, 0, 0.75**0.5), friction=0.3)
     >>> wall = tc.Ground(normal=(-1, 0, 0), height=-2.0, nodes=[0])
@@ -241,24 +252,24 @@ class Ground(Surface, kind="Ground"):
                 "Ground.normal is (0, 0, 0): give the direction away from the ground, such as (0, 0, 1)"
             )
         size = float(np.linalg.norm(normal))
-        if abs(size - 1) >= 1e-15:  # once normalised it stays as it is
-            normal = normal / np.abs(normal).max()  # whose square neither vanishes nor overflows
+        if abs(size - 1) >= 1e-15:  # a unit normal stays equal to the last bit
+            normal = normal / np.abs(normal).max()  # its square neither vanishes nor overflows
             normal = normal / np.linalg.norm(normal)
         unit = tuple(float(v) for v in normal)
-        self._checked(height=number("Ground.height", self.height), normal=unit)
+        self._check_fields(height=number("Ground.height", self.height), normal=unit)
 
     def contact(self, N: Any) -> Contact:
-        """Return how deep nodes are below the plane, and its normal.
+        """Compute the penetration depths of nodes.
 
         Parameters
         ----------
         N : casadi expression, shape (3, n)
-            Nodes, m.
+            Nodes [m].
 
         Returns
         -------
         Contact
-            Depths, m, and the normal.
+            Depths [m] and the normal.
         """
         normal = ca.DM(self.normal)
         return Contact(self.height - ca.mtimes(normal.T, N), normal, None)
@@ -266,44 +277,44 @@ class Ground(Surface, kind="Ground"):
 
 @dataclass(frozen=True, eq=False)
 class Terrain(ReadOnlyArrays, Surface, kind="Terrain"):
-    """A height field z = h(x, y) that pushes on nodes below it, and never pulls.
+    """Height field z = h(x, y) with penalty contact and Coulomb friction.
 
-    Heights are bilinear between the points of a regular grid. A node at depth d that moves out of
-    the ground at speed v is pushed with k d − c v, and rubs along the surface where it is.
+    Heights are bilinear between the points of a regular grid. The normal force on a node at
+    penetration depth d with normal velocity v is k d − c v, and at least 0.
 
     Parameters
     ----------
     heights : array_like, shape (K, L)
-        Heights z at K equally spaced x and L equally spaced y, m.
+        Heights z [m] at K equally spaced x and L equally spaced y.
     lower, upper : sequence of float, shape (2,)
-        The grid's corners (x, y) with the least and the greatest coordinates, m.
+        Corners (x, y) of the grid with the smallest and largest coordinates [m].
     stiffness : float
-        k, N/m.
+        Contact stiffness k [N/m].
     damping : float
-        c, N·s/m.
+        Contact damping c [N·s/m].
     friction : float, optional
-        Coulomb's coefficient μ; by default the ground is frictionless.
+        Coulomb's friction coefficient μ. Default: no friction.
     slip_speed : float
-        Speed v_s, m/s, over which friction is regularised, as that of `Ground`.
+        Slip velocity v_s over which friction is regularized [m/s], see `Ground`.
     nodes : sequence of int, optional
-        Nodes of the structure that it acts on; by default on all, also those inside strings that
-        are cut into segments.
+        Nodes of the structure that can touch the ground. Default: all, including nodes between the
+        segments of strings.
 
     See Also
     --------
-    Ground : a plane.
+    Ground : Plane.
 
     Notes
     -----
-    Beyond the grid the ground goes on as it ends: its height is that of the nearest point of the
-    grid's border.
+    The height outside the grid is that of the nearest point of its border.
 
-    The depth is (h − z) cos θ, with the cosine of the slope bilinear between the grid's points, too
-    (there from central differences): exactly the distance to a plane, and elsewhere without jumps.
-    The push is the gradient of the energy k d²/2, so that energy is kept. From cell to cell the
-    slope jumps, and the push its direction: a node that comes to lie in a groove between two cells
-    chatters from one to the other. Fixed steps pass over that; schemes that control their error
-    need a tolerance above about 1e-8, or a finer grid.
+    The depth is (h − z) cos θ with the slope angle θ. cos θ is bilinear between the grid points,
+    where it follows from central differences. The depth is thus continuous, and exact for planes.
+    The normal force is the gradient of k d²/2, so that energy is conserved.
+
+    The slope jumps from cell to cell, and so does the direction of the normal force. A node at rest
+    in a groove between two cells chatters between them. Fixed steps average over that. Schemes with
+    error control need a tolerance above about 1e-8 or a finer grid.
 
     Examples
     --------
@@ -330,7 +341,7 @@ class Terrain(ReadOnlyArrays, Surface, kind="Terrain"):
         heights = finite_array("Terrain.heights", self.heights, (None, None))
         if min(heights.shape) < 2:
             raise ValueError(
-                f"Terrain.heights has shape {heights.shape}: give two or more points along each axis"
+                f"Terrain.heights has shape {heights.shape}: give at least two points along each axis"
             )
         corners = {
             name: tuple(finite_array(f"Terrain.{name}", getattr(self, name), (2,)).tolist())
@@ -339,41 +350,43 @@ class Terrain(ReadOnlyArrays, Surface, kind="Terrain"):
         for axis, (low, high) in enumerate(zip(*corners.values(), strict=True)):
             if not high - low >= 1e-9 * max(abs(low), abs(high), 1e-90):
                 raise ValueError(
-                    f"Terrain.lower is {low:g} and .upper {high:g} along {'xy'[axis]}: give lower < upper"
+                    f"Terrain.lower is {low:g} and .upper {high:g} along {'xy'[axis]}: "
+                    "give lower < upper"
                 )
-        self._checked(heights=heights, **corners)
+        self._check_fields(heights=heights, **corners)
 
     @cached_property
     def spacing(self) -> Array:
-        """Distances between the grid's points along x and y, m."""
+        """Distances between grid points along x and y [m]."""
         return np.asarray(np.subtract(self.upper, self.lower) / np.subtract(self.heights.shape, 1))
 
     def contact(self, N: Any) -> Contact:
-        """Return how deep nodes are below the surface, and where it pushes them.
+        """Compute penetration depths and their negative gradients.
 
         Parameters
         ----------
         N : casadi expression, shape (3, n)
-            Nodes, m.
+            Nodes [m].
 
         Returns
         -------
         Contact
-            Depths, m, and their gradients, downwards.
+            Depths [m] and directions of normal forces.
         """
         N = N if isinstance(N, (ca.SX, ca.MX)) else ca.DM(N)
-        cells, shares = [], []
+        cells, fractions = [], []
         for axis, (low, width, points) in enumerate(
             zip(self.lower, self.spacing, self.heights.shape, strict=True)
         ):
             place = (N[axis, :] - low) / float(width)
-            cell = ca.fmin(
-                ca.fmax(ca.floor(place), -1), points - 1
-            )  # −1 and points − 1: beyond the grid
+            # cells −1 and points − 1 are outside the grid
+            cell = ca.fmin(ca.fmax(ca.floor(place), -1), points - 1)
             cells.append(cell + 1)
-            shares.append(place - cell)
+            fractions.append(place - cell)
         corners = self._corners(cells[0] + (self.heights.shape[0] + 2) * cells[1])  # 8×n
-        height, cosine = (_bilinear(corners[4 * k : 4 * k + 4, :], *shares) for k in range(2))
+        height, cosine = (
+            _interpolate_cells(corners[4 * k : 4 * k + 4, :], *fractions) for k in range(2)
+        )
         above = height[0] - N[2, :]
         sides = [
             -(height[axis] * cosine[0] + above * cosine[axis]) / float(self.spacing[axis - 1])
@@ -384,14 +397,17 @@ class Terrain(ReadOnlyArrays, Surface, kind="Terrain"):
 
     @cached_property
     def _corners(self) -> ca.Function:
-        """Function cell → heights and cosines of the slope at its corners (8): 00, 10, 01, 11 of each. The grid has a cell more on each side."""
+        """Function that looks up heights and cosines at corners.
+
+        The input is the number of a cell. The result is (8,): heights, then cosines of the slope, in the order 00, 10, 01, 11. The
+        grid is extended by a cell on each side.
+        """
         slopes = np.gradient(self.heights, *self.spacing)
         cosines = 1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
         table = np.stack(
             [np.pad(values, 1, mode="edge").ravel(order="F") for values in (self.heights, cosines)]
         )
-        # A table that is looked up at its own points: generated code reads it where it is, a
-        # constant matrix it would copy at every call.
+        # generated code reads a lookup table in place, but copies a constant matrix at each call
         points = ca.interpolant(
             "points",
             "linear",
@@ -401,9 +417,9 @@ class Terrain(ReadOnlyArrays, Surface, kind="Terrain"):
         )
         cell, rows = ca.MX.sym("cell"), self.heights.shape[0] + 2
         found = points(ca.horzcat(*(cell + offset for offset in (0, 1, rows, rows + 1)))).T
-        # Which cell it is does not change with a small step. The zeros are stored: of a derivative
-        # without entries CasADi's scalars make NaN.
-        still = ca.Function(
+        # The number of the cell is piecewise constant. Its zero derivative is stored, because
+        # CasADi's scalars turn an empty derivative into NaN.
+        jacobian = ca.Function(
             "jac_corners",
             [cell, ca.MX.sym("out", 8)],
             [ca.MX(ca.DM.zeros(8, 1))],
@@ -412,32 +428,33 @@ class Terrain(ReadOnlyArrays, Surface, kind="Terrain"):
         )
         options: dict[str, Any] = {
             "never_inline": True,
-            "custom_jacobian": still,
+            "custom_jacobian": jacobian,
             "enable_forward": False,
             "enable_reverse": False,
         }
-        return ca.Function(
-            "corners", [cell], [ca.vec(found)], ["cell"], ["corners"], options
-        )  # scalar code calls it: it cannot look up itself
+        # scalar code cannot look up tables, and calls this function
+        return ca.Function("corners", [cell], [ca.vec(found)], ["cell"], ["corners"], options)
 
 
-def _bilinear(corners: Any, s: Any, t: Any) -> tuple[Any, Any, Any]:
-    """Return values (1×n) between corners (4×n) at shares s, t of a cell, and their derivatives by s and t."""
-    value, by_s, by_t, mixed = (
-        corners[0, :],
-        corners[1, :] - corners[0, :],
-        corners[2, :] - corners[0, :],
-        0,
-    )
-    mixed = corners[3, :] - corners[2, :] - by_s
-    return value + s * by_s + t * (by_t + s * mixed), by_s + t * mixed, by_t + s * mixed
+def _interpolate_cells(corners: Any, s: Any, t: Any) -> tuple[Any, Any, Any]:
+    """Interpolate bilinearly between the corners (4×n) of cells.
+
+    s and t (1×n) are fractions of the cells. Returns the values (1×n) and their derivatives with
+    respect to s and t.
+    """
+    value, ds = corners[0, :], corners[1, :] - corners[0, :]
+    dt, mixed = corners[2, :] - value, corners[3, :] - corners[2, :] - ds
+    return value + s * ds + t * (dt + s * mixed), ds + t * mixed, dt + s * mixed
 
 
 Grounds = Surface | Sequence[Surface] | None
 
 
-def checked_grounds(value: Any, field: str = "Scene.ground") -> tuple[Surface, ...]:
-    """Return one ground or a sequence of them, or None, as a tuple. Raises TypeError."""
+def read_grounds(value: Any, field: str = "Scene.ground") -> tuple[Surface, ...]:
+    """Convert the field `ground` to a tuple.
+
+    Raises TypeError.
+    """
     if value is None or isinstance(value, Surface):
         return () if value is None else (value,)
     example = "a tenscasadi.Ground or Terrain, a sequence of them, or None"

@@ -1,4 +1,4 @@
-"""Loads on nodes: each value builds its columns of W (3×n) and, where it has one, its potential energy."""
+"""Loads on nodes: gravity, pressure and nodal forces."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from tenscasadi.scene.over_time import OverTime, takes_breaks
+from tenscasadi.scene.over_time import OverTime, accept_breaks
 from tenscasadi.schema.containers import ListOf, MapOf, NodeForceTable
 from tenscasadi.schema.field_types import TIMES, Index, Members, varying
 from tenscasadi.util.casadi_tools import is_expression
@@ -25,30 +25,27 @@ from tenscasadi.util.validate import (
 )
 
 
-@takes_breaks
+@accept_breaks
 @dataclass(frozen=True)
 class Gravity(OverTime, kind="Gravity", short="acceleration"):
-    """Uniform gravity, constant or over time.
+    """Uniform gravity, constant or time-varying.
 
     A function is called with a CasADi symbol: write it with NumPy's or CasADi's mathematics,
-    without ``if`` on the time. A table is linear between its times and constant before and after
-    them.
+    without ``if`` on the time. A table is linear between its times and constant outside.
 
     Parameters
     ----------
     acceleration : sequence of float, shape (3,) or (K, 3), or callable
-        Acceleration of a free body, m/s²; a function of the time t, s, that returns it; or a table
-        of it at `times`.
+        Acceleration of a free body [m/s²], a table of it at `times`, or a function of the time [s].
     times : array_like, shape (K,), optional
-        Increasing times of a table, s. Steps of a simulation end there.
+        Increasing times of a table [s]. Steps of a simulation end there.
     breakpoints : array_like, shape (B,), optional
-        Times at which a function of time jumps, has a kink, or begins or ends a pulse, s, beside
-        those that its comparisons, signs and roundings show. Steps of a simulation end there.
+        Times [s] at which a function jumps or has a kink, or a pulse begins or ends. Those of
+        comparisons, signs and roundings are found without it. Steps of a simulation end there.
 
     Notes
     -----
-    Gravity that changes over time has no potential energy: its work counts as supplied from
-    outside.
+    Time-varying gravity has no potential energy. Its work is external work.
 
     Examples
     --------
@@ -89,7 +86,7 @@ class Gravity(OverTime, kind="Gravity", short="acceleration"):
         return ca.mtimes(self.at(time), row)
 
     def energy(self, N: Any, node_weight: Any) -> Any:
-        """Compute the potential energy −Σ mᵢ gᵀnᵢ; gravity that changes over time has none.
+        """Compute the potential energy −Σ mᵢ gᵀnᵢ, 0 if gravity varies.
 
         Parameters
         ----------
@@ -106,26 +103,26 @@ class Gravity(OverTime, kind="Gravity", short="acceleration"):
         return ca.DM(0) if self.varies else -ca.sum1(ca.sum2(N * self.forces(node_weight)))
 
 
-@takes_breaks
+@accept_breaks
 @dataclass(frozen=True)
 class Pressure(OverTime, kind="Pressure"):
-    """A pressure across triangles, which follows them as they move, constant or over time.
+    """Pressure on triangles that follows their motion.
 
-    Each node a, b, c of a face takes p/6 (b − a)×(c − a), towards the side from which a, b, c run
-    counterclockwise: outwards, for a closed surface under inner pressure. A function is called with
-    a CasADi symbol, as for `NodalForce`.
+    Each node a, b, c of a face has the force p/6 (b − a)×(c − a). It points to the side from which
+    a, b, c are counterclockwise, which is outwards for a closed surface under inner pressure. The
+    pressure is constant or time-varying, as in `NodalForce`.
 
     Parameters
     ----------
     faces : array_like of int, shape (f, 3)
         Nodes of each triangle.
     difference : float, array_like, shape (K,), or callable
-        Pressure p, Pa; a function of the time t, s, that returns it; or a table of it at `times`.
+        Pressure p [Pa], a table of it at `times`, or a function of the time [s].
     times : array_like, shape (K,), optional
-        Increasing times of a table, s. Steps of a simulation end there.
+        Increasing times of a table [s]. Steps of a simulation end there.
     breakpoints : array_like, shape (B,), optional
-        Times at which a function of time jumps, has a kink, or begins or ends a pulse, s, beside
-        those that its comparisons, signs and roundings show. Steps of a simulation end there.
+        Times [s] at which a function jumps or has a kink, or a pulse begins or ends. Those of
+        comparisons, signs and roundings are found without it. Steps of a simulation end there.
 
     Examples
     --------
@@ -163,31 +160,36 @@ class Pressure(OverTime, kind="Pressure"):
         _freeze(self, "difference")
 
     def check(self, nodes: int) -> None:
-        """Raise ValueError where a face names a node that is not there.
+        """Check the node indices of the faces.
 
         Parameters
         ----------
         nodes : int
             Number of nodes.
+
+        Raises
+        ------
+        ValueError
+            If an index is out of range.
         """
         for k, face in enumerate(self.faces):
             for node in face:
                 node_index(f"Pressure.faces[{k}]", node, nodes)
 
     def forces(self, N: Any, time: Any = 0) -> Any:
-        """Return the forces on nodes.
+        """Build the forces on nodes.
 
         Parameters
         ----------
         N : casadi expression, shape (3, n)
-            Nodes, m.
+            Nodes [m].
         time : casadi expression
-            t, s; not needed where the pressure is constant.
+            Time [s], which a constant pressure does not need.
 
         Returns
         -------
         casadi expression, shape (3, n)
-            W, N.
+            Forces W [N].
         """
         a, b, c = ([face[k] for face in self.faces] for k in range(3))
         push = self.at(time) / 6 * ca.cross(N[:, b] - N[:, a], N[:, c] - N[:, a], 1)  # 3×f
@@ -196,28 +198,27 @@ class Pressure(OverTime, kind="Pressure"):
         return ca.mtimes(push, spread)
 
 
-@takes_breaks
+@accept_breaks
 @dataclass(frozen=True, eq=False)
 class NodalForce(OverTime, ReadOnlyArrays, kind="NodalForce"):
-    """Forces on nodes, constant or over time.
+    """Forces on nodes, constant or time-varying.
 
-    A function is called once with a CasADi symbol: write it with NumPy's or CasADi's mathematics,
-    without ``if`` on the time. A table is linear between its times and constant before and after
-    them.
+    A function is called with a CasADi symbol: write it with NumPy's or CasADi's mathematics,
+    without ``if`` on the time. A table is linear between its times and constant outside.
 
     Parameters
     ----------
     values : array_like, shape (n, 3) or (K, n, 3), or callable
-        Forces, N; a function of the time t, s, that returns them; or a table of them at `times`.
+        Forces [N], a table of them at `times`, or a function of the time [s].
     times : array_like, shape (K,), optional
-        Increasing times of a table, s. Steps of a simulation end there.
+        Increasing times of a table [s]. Steps of a simulation end there.
     breakpoints : array_like, shape (B,), optional
-        Times at which a function of time jumps, has a kink, or begins or ends a pulse, s, beside
-        those that its comparisons, signs and roundings show. Steps of a simulation end there.
+        Times [s] at which a function jumps or has a kink, or a pulse begins or ends. Those of
+        comparisons, signs and roundings are found without it. Steps of a simulation end there.
     bars : mapping of int to int, optional
-        Nodes of several bars, and the bar whose end takes the node's force; by default the one that
-        is first in the columns of `Structure.class_one`. The motion is the same, the forces in the
-        joint (Ω of `Model.multipliers`) are not.
+        Bar whose end takes the force, by node. Default: the first bar of the node in the columns of
+        `Structure.class_one`. The choice changes only the constraint forces in the joint (Ω of
+        `Model.multipliers`), not the motion.
 
     Examples
     --------
@@ -239,12 +240,13 @@ class NodalForce(OverTime, ReadOnlyArrays, kind="NodalForce"):
         if self.bars is not None:
             if not isinstance(self.bars, Mapping):
                 raise TypeError(
-                    f"NodalForce.bars is {format_value(self.bars)}: give a mapping from nodes to bars, such as {{1: 0}}"
+                    f"NodalForce.bars is {format_value(self.bars)}: "
+                    "give a mapping from nodes to bars, such as {1: 0}"
                 )
             object.__setattr__(self, "bars", dict(self.bars))
 
     def check(self, nodes: int, pairs: Indices | None = None) -> None:
-        """Raise TypeError or ValueError unless there is one row of finite numbers for each node (at t = 0 for a function), and `bars` end there.
+        """Check the forces and bars against a structure.
 
         Parameters
         ----------
@@ -252,6 +254,12 @@ class NodalForce(OverTime, ReadOnlyArrays, kind="NodalForce"):
             Number of nodes.
         pairs : ndarray of int, shape (β, 2), optional
             Nodes at the ends of each bar.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If there is not one row of finite numbers for each node, or a bar does not end at its
+            node. A function of time is evaluated at t = 0.
         """
         for node, bar in (self.bars or {}).items():
             node_index("NodalForce.bars", node, nodes)
@@ -259,20 +267,22 @@ class NodalForce(OverTime, ReadOnlyArrays, kind="NodalForce"):
             ends = [] if pairs is None else np.flatnonzero((pairs == node).any(axis=1)).tolist()
             if pairs is not None and bar not in ends:
                 raise ValueError(
-                    f"NodalForce.bars[{node}] is {bar}, which is no bar of node {node}: give one of {ends}, or leave it out"
+                    f"NodalForce.bars[{node}] is {bar}, which is no bar of node {node}: "
+                    f"give one of {ends}, or remove the node"
                 )
         if callable(self.values):
             self._check_function((nodes, 3))
         elif self.values.shape[-2] != nodes:
             raise ValueError(
-                f"NodalForce.values has {self.values.shape[-2]} rows: give one row for each of the {nodes} nodes"
+                f"NodalForce.values has {self.values.shape[-2]} rows: "
+                f"give one row for each of the {nodes} nodes"
             )
 
     forces = RenamedAttribute("at")
 
 
 def _freeze(load: OverTime, quantity: str) -> None:
-    """Make tuples of the arrays of a value, which is compared and hashed."""
+    """Convert arrays of a load to hashable tuples."""
     for name in (quantity, "times", "breakpoints"):
         value = getattr(load, name)
         if isinstance(value, np.ndarray):

@@ -1,4 +1,4 @@
-"""Loads that may change over time: a constant, a table at times, or a function of time."""
+"""Time-varying loads: constants, tables over time, or functions of time."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, TypeVar
 import casadi as ca
 import numpy as np
 
-from tenscasadi.scene.breakpoints import find_breakpoints, short_beside_steep
+from tenscasadi.scene.breakpoints import add_guard_times, find_breakpoints
 from tenscasadi.scene.time_functions import (
     as_numbers,
     check_over_run,
@@ -24,8 +24,8 @@ from tenscasadi.util.validate import Array, finite_array
 Timed = TypeVar("Timed", bound=type)
 
 
-def takes_breaks(kind: Timed) -> Timed:
-    """Let a class take the earlier name `breaks` of its field `breakpoints`, with a warning."""
+def accept_breaks(kind: Timed) -> Timed:
+    """Accept `breaks`, the deprecated name of the field `breakpoints`."""
     made: Any = kind
     made.earlier_names = {"breaks": "breakpoints"}
     made.__init__ = rename_keywords(**made.earlier_names)(made.__init__)
@@ -33,17 +33,17 @@ def takes_breaks(kind: Timed) -> Timed:
 
 
 class OverTime(Value):
-    """Base of loads with one quantity that is constant, a table over time, or a function of time.
+    """Base of loads with a quantity that can vary over time.
 
-    A function is called with a CasADi symbol: write it with NumPy's or CasADi's mathematics,
-    without ``if`` on the time. A table is linear between its times and constant before and after
-    them.
+    The quantity is constant, a table or a function of time. A table is linear between its times and
+    constant outside. A function is called with a CasADi symbol: write it with NumPy's or CasADi's
+    mathematics, without ``if`` on the time.
     """
 
-    _quantity: ClassVar[str]  # name of the field that may change over time
+    _quantity: ClassVar[str]  # name of the field that can vary over time
     times: Annotated[Any, TIMES]
     breakpoints: Annotated[Any, TIMES]
-    factor: ClassVar[Any] = None  # that parameters multiply the quantity by
+    factor: ClassVar[Any] = None  # factor of the quantity, from parameters
 
     @property
     def varies(self) -> bool:
@@ -52,31 +52,34 @@ class OverTime(Value):
 
     @property
     def is_function(self) -> bool:
-        """Whether what changes is given as a function, not as a table."""
+        """Whether the quantity is a function of time."""
         return callable(self.quantity)
 
     @property
     def quantity(self) -> Any:
-        """The constant, the table or the function that is given."""
+        """The given constant, table or function."""
         return getattr(self, self._quantity)
 
     @property
     def quantity_name(self) -> str:
-        """Name of the field that may change over time."""
+        """Name of the field that can vary over time."""
         return self._quantity
 
     @property
     def field(self) -> str:
-        """Name of that quantity, as messages tell it."""
+        """Name of the quantity in messages."""
         return f"{type(self).__name__}.{self._quantity}"
 
     def _read(self, shape: tuple[int | None, ...]) -> None:
-        """Check the fields of a frozen value whose quantity has this shape at each time; arrays take their place."""
+        """Convert the fields to checked arrays.
+
+        `shape` is that of the quantity at each time.
+        """
         name, value = type(self).__name__, self.quantity
         given = finite_array(f"{name}.breakpoints", self.breakpoints, (None,))
         if len(given) and not callable(value):
             raise ValueError(
-                f"{name}.breakpoints is {given}: give them with a function of time alone, a table has its times"
+                f"{name}.breakpoints is {given}: give breakpoints only with a function of time"
             )
         checked: dict[str, Any] = {"breakpoints": given}
         if self.times is not None:
@@ -93,22 +96,22 @@ class OverTime(Value):
             object.__setattr__(self, field, array)
 
     def _check_function(self, shape: tuple[int, ...]) -> None:
-        """Raise ValueError unless a function returns finite numbers of this shape at t = 0, and entries as many on a CasADi time."""
-        function, wanted = (
-            self.quantity,
-            f"({', '.join(map(str, shape))})" if shape else "one number",
-        )
+        """Check the results of a function of time.
+
+        Raises ValueError unless they have this shape for t = 0 and a symbol, and are finite.
+        """
+        function = self.quantity
+        wanted = f"({', '.join(map(str, shape))})" if shape else "one number"
         try:
             sample = function(0.0)
-        except Exception as error:  # whatever the caller's function raises
+        except Exception as error:  # user code can raise anything
             raise ValueError(
                 f"{self.field} raised {error!r} at t = 0: give a function of time that returns {wanted}"
             ) from error
         read_sample(f"{self.field}(0.0)", sample, shape)
         found = express(self.field, function, ca.MX.sym("t")).shape
-        if found not in (
-            (shape,) if len(shape) == 2 else ((*shape, 1), (1, *shape)) if shape else ((1, 1),)
-        ):
+        row = (1, *shape) if shape else (1, 1)
+        if found not in ((shape,) if len(shape) == 2 else (row, row[::-1])):
             raise ValueError(f"{self.field} returns shape {found} on a CasADi time: give {wanted}")
 
     def at(self, time: Any) -> Any:
@@ -122,7 +125,7 @@ class OverTime(Value):
         Returns
         -------
         casadi matrix
-            One number, or the columns (3, n) of n vectors.
+            A number, or n vectors as columns (3, n).
         """
         value = self.quantity
         if self.times is not None:
@@ -138,41 +141,47 @@ class OverTime(Value):
         return value if self.factor is None else self.factor * value
 
     def check_run(self, first: float, last: float) -> None:
-        """Raise ValueError where a function of time is not finite in a run or is not written in the mathematics of symbols.
+        """Check a function of time over a run, see `check_over_run`.
 
         Parameters
         ----------
         first, last : float
-            Times at which the run begins and ends, s.
+            Start and end of the run [s].
         """
         if self.is_function:
             check_over_run(self.field, self.quantity, trace(self.at), first, last)
 
     def find_breakpoints(self, first: float, last: float) -> Array:
-        """Find the times of a table, or the jumps and kinks of a function.
+        """Find times of a table, or jumps of a function.
 
         Parameters
         ----------
         first, last : float
-            Times at which the run begins and ends, s.
+            Start and end of the run [s].
 
         Returns
         -------
         ndarray
-            Times, s, in order.
+            Increasing times [s].
         """
         if self.times is not None:
-            return short_beside_steep(np.asarray(self.times))
+            return add_guard_times(np.asarray(self.times))
         if not self.is_function:
             return np.empty(0)
         found = [self.breakpoints, find_breakpoints(trace(self.at), first, last)]
         return np.unique(np.concatenate(found))
 
     def changing(self) -> ca.Function | None:
-        """Build the function of time that steps have to follow; None where it is a table, which they follow."""
+        """Build the function of time that integration steps must resolve.
+
+        It is None for tables, as steps end at their times.
+        """
         return trace(self.at) if self.is_function else None
 
 
 def read_sample(field: str, value: Any, shape: tuple[int, ...]) -> Array:
-    """Return what a function of time returned for a number, of this shape. Raises TypeError, ValueError."""
+    """Convert the result of a function to a finite array.
+
+    Raises TypeError or ValueError.
+    """
     return finite_array(field, as_numbers(value), shape)

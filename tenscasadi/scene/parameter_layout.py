@@ -1,4 +1,4 @@
-"""Parameter vector p of a scene: its entries, the quantities that follow from it, and checks."""
+"""Layout of the parameter vector p of a scene."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tenscasadi.util.validate import SMALLEST, Array, Indices, finite_array, for
 
 
 class Affine(NamedTuple):
-    """Values constant + matrix · p of the items of a quantity."""
+    """Values constant + matrix · p of items."""
 
     constant: Array  # (k,)
     matrix: sp.csr_array  # k×np
@@ -32,7 +32,10 @@ class Affine(NamedTuple):
         )
 
     def expression(self, p: Any, full: bool = False) -> Any:
-        """Build the values (k×1) for a CasADi column p; 1×1 if all are equal, unless `full`."""
+        """Build the values (k×1) for a CasADi column p.
+
+        Equal values become 1×1 unless `full`.
+        """
         count = len(self.constant)
         first = self.matrix[[0] * count]
         equal = count > 1 and not np.ptp(self.constant) and not (self.matrix - first).nnz
@@ -48,14 +51,14 @@ class Affine(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ParameterLayout(ReadOnlyArrays):
-    """Names, units and nominal values of a model's parameter vector p.
+    """Names, units and nominal values of the parameter vector p.
 
     It is `Model.parameters`, and empty for a scene without `Parameters`.
 
     Attributes
     ----------
     names : tuple of str, length np
-        Names of the entries, such as ``"stiffness[3]"`` of string 3, ``"bar_mass"`` of all bars and
+        Names of the entries, such as ``"stiffness[3]"`` of string 3, ``"bar_mass"`` of all bars, or
         ``"damping scale[1]"`` of group 1.
     units : tuple of str, length np
         Unit of each entry; "1" for scales.
@@ -72,7 +75,7 @@ class ParameterLayout(ReadOnlyArrays):
 
     See Also
     --------
-    Parameters : Which quantities are parameters.
+    Parameters : Choice of the quantities.
 
     Examples
     --------
@@ -114,7 +117,7 @@ class ParameterLayout(ReadOnlyArrays):
         Raises
         ------
         TypeError, ValueError
-            If a name is no parameter, or a value has another shape, is not finite, or is
+            If a name is not a parameter, or a value has another shape, is not finite, or is
             physically impossible.
         """
         mapping = isinstance(given, Mapping)
@@ -149,7 +152,7 @@ class ParameterLayout(ReadOnlyArrays):
         p : ndarray, shape (np,)
             Parameters.
         constant : ndarray, shape (k,)
-            Values of the scene, if the quantity is no parameter.
+            Values of the scene, used if the quantity is not a parameter.
 
         Returns
         -------
@@ -159,12 +162,17 @@ class ParameterLayout(ReadOnlyArrays):
         return self.quantities[name].numbers(p) if name in self.quantities else constant.copy()
 
     def check(self, p: Array) -> None:
-        """Raise ValueError for physically impossible parameters, such as a negative mass.
+        """Check that parameters are physically possible.
 
         Parameters
         ----------
         p : ndarray, shape (..., np)
-            Parameters, one vector or many.
+            One parameter vector or many.
+
+        Raises
+        ------
+        ValueError
+            If a value is impossible, such as a negative mass.
         """
         where = "parameters"
         for name, affine in self.quantities.items():
@@ -215,7 +223,7 @@ class _ParameterBlock(NamedTuple):
 
 
 def build_layout(scene: Any, parameters: Parameters) -> ParameterLayout:
-    """Build the parameter vector of a scene's quantities, in their order.
+    """Build the layout of the parameters of a scene.
 
     Raises ValueError for a quantity that the scene does not have.
     """
@@ -260,7 +268,8 @@ def _build_block(scene: Any, parameters: Parameters, name: str) -> _ParameterBlo
             )
         if not scaled and np.ptp(own):
             raise ValueError(
-                f"Parameters: the scene's {name}{key} differs, from {own.min():g} to {own.max():g}: give it under scale=, or equal values"
+                f"Parameters: the scene's {name}{key} differs, from {own.min():g} to {own.max():g}: "
+                "give it under scale=, or equal values"
             )
     items = np.concatenate(members)
     constant = np.array(values, dtype=float)
@@ -280,7 +289,7 @@ def _build_block(scene: Any, parameters: Parameters, name: str) -> _ParameterBlo
 def _find_members(
     parameters: Parameters, name: str, labels: list[Any]
 ) -> tuple[list[Indices], list[str]]:
-    """Find the items of each entry of a quantity, and the ends of the entries' names."""
+    """Find the items and name suffix of each entry."""
     groups, count = dict(parameters.groups).get(name), len(labels)
     if groups == ((),) or labels == [""] or (groups is None and name in parameters.scale):
         return [np.arange(count)], [""]
@@ -290,13 +299,14 @@ def _find_members(
         if max(group) >= count:
             item = QUANTITIES[name].item
             raise ValueError(
-                f"Parameters.groups[{name!r}][{g}] has index {max(group)}: {item}s run from 0 to {count - 1}"
+                f"Parameters.groups[{name!r}][{g}] has index {max(group)}: "
+                f"{item}s run from 0 to {count - 1}"
             )
     return [np.array(group) for group in groups], [f"[{g}]" for g in range(len(groups))]
 
 
 def _read_items(scene: Any, parameters: Parameters, name: str) -> tuple[Array, list[Any]]:
-    """Read the scene's values of a quantity, and the labels of its items."""
+    """Read values and item labels of a quantity."""
     part, item = QUANTITIES[name].part, QUANTITIES[name].item
     source = getattr(scene, part)
     missing = "" if source is not None else f"Scene.{part} is None: give one"
@@ -310,16 +320,17 @@ def _read_items(scene: Any, parameters: Parameters, name: str) -> tuple[Array, l
             "Ground.friction is None: give a coefficient" if None in values else ""
         )
     if missing:
-        cure = ", or leave the name out" if ": " in missing else ": leave the name out"
+        cure = ", or remove the name" if ": " in missing else ": remove the name"
         raise ValueError(f"Parameters has {name!r}, but {missing}{cure}")
     if part in ("structure", "ground"):
         single = part == "ground" and len(values) == 1
         return np.array(values), [""] if single else list(range(len(values)))
-    if name in parameters.scale:  # of a load as a whole, which may depend on time
+    if name in parameters.scale:  # a factor of the whole load, which can vary over time
         return np.ones(1), [""]
     if source.varies:
         raise ValueError(
-            f"Parameters has {name!r}, but {source.field} changes over time: name {name!r} under scale="
+            f"Parameters has {name!r}, but {source.field} varies over time: "
+            f"name {name!r} under scale="
         )
     values = np.asarray(source.quantity, dtype=float)
     nodes = [f"{node}, " for node in range(len(values))] if values.ndim == 2 else [""]
@@ -330,12 +341,12 @@ def _read_items(scene: Any, parameters: Parameters, name: str) -> tuple[Array, l
 def _find_strict(scene: Any, name: str, count: int) -> Any:
     """Find the items (count,) that must be greater than 0."""
     s = scene.structure
-    if name == "node_mass":  # nodes that nothing else makes heavy
+    if name == "node_mass":  # nodes without mass of bars or strings
         bare = ~s.fixed.all(axis=1)
         bare[s.bars] = False
         bare[s.strings[s.string_mass > SMALLEST]] = False
         return bare
-    if name == "string_mass":  # nodes inside strings need one
+    if name == "string_mass":  # strings with inner nodes
         return np.bincount(scene.modelled.string_parent, minlength=count) > 1
     if name in _ELASTIC:  # rigid bars have none
         return s.elastic

@@ -1,4 +1,4 @@
-"""Parameters: quantities of a scene that stay open in its equations, as a vector p that a run is given."""
+"""Parameters: quantities whose values each run can set."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from tenscasadi.util.validate import as_tuple, format_value, whole_number
 
 
 class Quantity(NamedTuple):
-    """A kind of parameter: its unit, what it belongs to, whether 0 or less is refused, and the part of the scene that has it."""
+    """Physical quantity that can be a parameter."""
 
     unit: str
-    item: str
-    least: Literal["any", "zero", "positive"]
-    part: str = "structure"
+    item: str  # kind of object that has it
+    least: Literal["any", "zero", "positive"]  # lower limit of its values
+    part: str = "structure"  # field of the scene that has it
 
 
 QUANTITIES = {
@@ -58,43 +58,41 @@ Groups = tuple[tuple[str, tuple[tuple[int, ...], ...]], ...]
 
 @dataclass(frozen=True, init=False)
 class Parameters(Value, kind="Parameters"):
-    """Quantities of a scene that stay open in its equations: a run is given their values, and one compiled code serves all of them.
+    """Quantities of a scene whose values each run can set.
 
-    What is not named stays constant and costs nothing. Strings and their masses are those of the
-    structure, before they are cut into segments.
+    They form the parameter vector p of the model. One compiled code is used for all their values.
+    Other quantities are constants of the equations. Strings are parent strings, before they are
+    divided into segments.
 
     Parameters
     ----------
     *names : str
-        Quantities, in SI units, with an entry of p for each of their items: ``"stiffness"``,
-        ``"damping"``, ``"rest_length"`` and ``"string_mass"`` of strings, ``"bar_mass"``,
-        ``"bar_stiffness"`` and ``"bar_rest_length"`` of bars,
-        ``"node_mass"`` of nodes, ``"gravity"`` (x, y, z), ``"ground_stiffness"``,
-        ``"ground_damping"`` and ``"ground_friction"``, ``"pressure"``, and constant nodal
-        ``"forces"`` (x, y, z of each node).
+        Quantities in SI units, with an entry of p for each item. Strings have ``"stiffness"``,
+        ``"damping"``, ``"rest_length"`` and ``"string_mass"``. Bars have ``"bar_mass"``,
+        ``"bar_stiffness"`` and ``"bar_rest_length"``. Nodes have ``"node_mass"``. Grounds have
+        ``"ground_stiffness"``, ``"ground_damping"`` and ``"ground_friction"``. Constant loads are
+        ``"gravity"`` (x, y, z), ``"pressure"`` and ``"forces"`` (x, y, z of each node).
     scale : iterable of str
-        Quantities that are multiplied by an entry of p: a factor without dimension, 1 for the
-        scene's own values.
+        Quantities with a dimensionless factor in p, which is 1 for the values of the scene.
     groups : mapping of str to sequence of sequence of int, or to "all", optional
-        For named quantities of strings, bars, nodes and grounds the groups of items that share an
-        entry; items in no group stay constant. "all": all items share one. A scale is shared by all
-        unless there are groups.
+        Groups of strings, bars, nodes or grounds that share an entry, by quantity. Items in no
+        group are constant. "all": all items share one entry, which is the default of a scale.
 
     Attributes
     ----------
     names, scale : tuple of str
-        The quantities as they are given.
+        Quantities as given.
     groups : tuple of (str, tuple of tuples of int)
-        The groups of each quantity that has some; "all" is no group at all: ``((),)``.
+        Groups by quantity; ``((),)`` for "all".
 
     Raises
     ------
     TypeError, ValueError
-        Where a name is none, given twice, or a group is wrong.
+        If a name is unknown or given twice, or a group is wrong.
 
     See Also
     --------
-    ParameterLayout : The vector p of a model: `Model.parameters`.
+    ParameterLayout : Vector p of a model, `Model.parameters`.
 
     Examples
     --------
@@ -131,7 +129,7 @@ class Parameters(Value, kind="Parameters"):
         for k, name in enumerate(given):
             if not isinstance(name, str):
                 raise TypeError(
-                    f"Parameters got {format_value(name)}: give names of quantities, such as {example}"
+                    f"Parameters got {format_value(name)}: give quantities, such as {example}"
                 )
             if name not in QUANTITIES:
                 raise ValueError(
@@ -139,7 +137,8 @@ class Parameters(Value, kind="Parameters"):
                 )
             if name in given[:k]:
                 raise ValueError(
-                    f"Parameters got {format_value(name)} twice: name a quantity once, in SI units or under scale="
+                    f"Parameters got {format_value(name)} twice: "
+                    "name a quantity once, in SI units or under scale="
                 )
         if not given:
             raise ValueError(
@@ -147,23 +146,26 @@ class Parameters(Value, kind="Parameters"):
             )
         if groups is not None and not isinstance(groups, Mapping):
             raise TypeError(
-                f"Parameters.groups is {format_value(groups)}: give a mapping such as {{'stiffness': [[0, 1, 2], [3, 4, 5]]}}"
+                f"Parameters.groups is {format_value(groups)}: "
+                "give a mapping such as {'stiffness': [[0, 1, 2], [3, 4, 5]]}"
             )
         for name in groups or {}:
             if name not in given:
                 raise ValueError(
-                    f"Parameters.groups has {format_value(name)}, which is no parameter: name it, too, or leave its groups out"
+                    f"Parameters.groups has {format_value(name)}, which is no parameter: "
+                    "name it, too, or remove its groups"
                 )
             if QUANTITIES[name].item not in GROUPED:
                 raise ValueError(
-                    f"Parameters.groups has {format_value(name)}: groups are of strings, bars, nodes and grounds, leave them out"
+                    f"Parameters.groups has {format_value(name)}, which cannot have groups: "
+                    "give groups of strings, bars, nodes or grounds"
                 )
         read = tuple((name, _read_groups(name, value)) for name, value in (groups or {}).items())
         for attribute, value in {"names": tuple(names), "scale": scaled, "groups": read}.items():
             object.__setattr__(self, attribute, value)
 
     def to_fields(self) -> dict[str, Any]:
-        """Return the fields as `from_fields` takes them."""
+        """Return the arguments of `from_fields`."""
         groups = {name: "all" if own == ((),) else own for name, own in self.groups}
         return {"names": self.names, "scale": self.scale, "groups": groups or None}
 
@@ -176,7 +178,7 @@ def _read_groups(name: str, value: Any) -> tuple[tuple[int, ...], ...]:
     if isinstance(value, str):
         if value != "all":
             raise ValueError(
-                f'{where} is {format_value(value)}: give "all", or groups of indices such as [[0, 1], [2, 3]]'
+                f'{where} is {format_value(value)}: give "all", or groups such as [[0, 1], [2, 3]]'
             )
         return ((),)
     groups = tuple(
@@ -185,15 +187,13 @@ def _read_groups(name: str, value: Any) -> tuple[tuple[int, ...], ...]:
     )
     if not groups or not all(groups):
         raise ValueError(
-            f"{where} is {format_value(value)}: give at least one group, each with at least one index"
+            f"{where} is {format_value(value)}: give one or more groups of one or more indices"
         )
     seen: set[int] = set()
     for g, group in enumerate(groups):
         for index in group:
             whole_number(f"{where}[{g}]", index, 0)
             if index in seen:
-                raise ValueError(
-                    f"{where}[{g}] has index {index}, which is in a group already: leave one out"
-                )
+                raise ValueError(f"{where}[{g}] has index {index} again: give each index once")
             seen.add(int(index))
     return tuple(tuple(int(index) for index in group) for group in groups)

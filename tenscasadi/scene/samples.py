@@ -1,4 +1,4 @@
-"""Samples of functions of time, which take their place in files."""
+"""Sampled functions of time, which files can store."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from tenscasadi.util.validate import Array
 
 
 def sample_functions(scene: Scene, times: Array) -> tuple[Scene, tuple[str, ...]]:
-    """Replace functions of time by their samples at `times` (K,) [s].
+    """Replace functions of time by samples at times (K,) [s].
 
-    Formulas, which files can hold, stay. Returns the scene and the names of the sampled fields.
-    Raises ValueError.
+    Formulas stay, because files can store them. Returns the scene and the names of the sampled
+    fields. Raises ValueError.
     """
     times = np.unique([0.0, *times])
     changes: dict[str, Any] = {}

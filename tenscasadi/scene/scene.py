@@ -1,4 +1,4 @@
-"""A scene: which structure, driven how, under which loads, and how finely its strings are modelled."""
+"""Class `Scene`: a structure with its control, loads and supports."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 
-from tenscasadi.scene.ground import Surface, checked_grounds
+from tenscasadi.scene.ground import Surface, read_grounds
 from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
 from tenscasadi.scene.parameter_layout import EMPTY, ParameterLayout, build_layout
 from tenscasadi.scene.parameters import Parameters
@@ -29,44 +29,40 @@ from tenscasadi.util.viewable import Viewable
 
 @dataclass(frozen=True)
 class Scene(Value, Viewable, kind="Scene"):
-    """A structure, how it is driven, its loads, and how finely its strings are modelled.
-
-    A load that is None builds no expression.
+    """Structure with its control, string laws, loads and supports.
 
     Parameters
     ----------
     structure : Structure
-        The structure in its initial nodes.
+        Structure with its initial nodes.
     control : ForceDensity or RestLength, optional
-        What the input is; by default strings keep the structure's rest lengths and there is no
-        input.
+        Kind of control. Default: strings keep the structure's rest lengths.
     segments : int or sequence of int, shape (α,)
-        Number of pieces that each string is modelled by.
+        Number of segments of each string.
     ends : {"interior", "lumped", "consistent"}
-        Where the mass of a string goes, see `Structure.subdivide`.
+        Distribution of a string's mass, see `Structure.subdivide`.
     gravity : Gravity, optional
         Gravity.
     ground : Ground or Terrain or a sequence of them, optional
-        Planes and height fields that nodes may touch.
+        Planes and height fields that nodes can touch.
     pressure : Pressure, optional
-        Pressure across triangles.
+        Pressure on triangles.
     forces : NodalForce, optional
         Forces on nodes.
     slack : Clip, Smooth or Linear, or a sequence or mapping of them
-        Law of a string about its rest length: exact, smooth for optimisers, or one that pushes too.
-        One for all strings, one for each, or a mapping such as ``{3: tc.Linear()}``: strings that
-        it does not name have `Clip()`. Strings driven by force density have none.
+        Law of all strings, or of each. Strings that a mapping such as ``{3: tc.Linear()}`` does not
+        name have `Clip()`. Force-density control does not use it.
     supports : SupportMotion, optional
         Motion of pinned nodes.
     fractions : sequence of float, shape (segments,), optional
-        Shares of each string's length that its segments have; by default equal.
+        Fractions of a string's length that its segments have. Default: equal.
     parameters : Parameters, optional
-        Quantities whose values are given to each run; by default all are constant.
+        Quantities whose values each run can set. Default: all are constant.
 
     Raises
     ------
     TypeError, ValueError
-        Where a field is wrong or does not fit the structure, by its name.
+        If a field is wrong or does not fit the structure.
 
     Examples
     --------
@@ -118,7 +114,7 @@ class Scene(Value, Viewable, kind="Scene"):
             )
         object.__setattr__(self, "slack", read_slack(self.slack, len(self.structure.strings)))
         if not isinstance(self.ground, Surface):
-            grounds = checked_grounds(self.ground)
+            grounds = read_grounds(self.ground)
             object.__setattr__(
                 self, "ground", (grounds if len(grounds) != 1 else grounds[0]) or None
             )
@@ -136,10 +132,13 @@ class Scene(Value, Viewable, kind="Scene"):
                 Parameters,
                 'tenscasadi.Parameters("stiffness") or None',
             )
-        _ = self.modelled, self.layout  # now, so that a fault shows here
+        _ = self.modelled, self.layout  # raises errors here instead of at first use
 
     def to_fields(self) -> dict[str, Any]:
-        """Return the fields; laws of strings without those that are `Clip()`."""
+        """Return the fields, with string laws by string.
+
+        Strings with `Clip()` are left out.
+        """
         own = {name: getattr(self, name) for name in self.__dataclass_fields__}
         if isinstance(self.slack, tuple):
             own["slack"] = {k: law for k, law in enumerate(self.slack) if law != Clip()}
@@ -147,7 +146,7 @@ class Scene(Value, Viewable, kind="Scene"):
 
     @cached_property
     def modelled(self) -> Structure:
-        """The structure with its strings cut into `segments`: what the model's nodes and strings are."""
+        """Modeled structure, whose strings are divided into segments."""
         return self.structure.subdivide(self.segments, self.ends, self.fractions)
 
     @cached_property
@@ -161,7 +160,10 @@ class Scene(Value, Viewable, kind="Scene"):
 
     @cached_property
     def string_laws(self) -> list[tuple[StringLaw, Indices]]:
-        """Each law that strings have, with the modelled strings that have it; none where force densities are commanded."""
+        """String laws, each with indices of modeled strings.
+
+        It is empty with force-density control.
+        """
         count = len(self.modelled.strings)
         if isinstance(self.control, ForceDensity):
             return []
@@ -177,12 +179,12 @@ class Scene(Value, Viewable, kind="Scene"):
 
     @property
     def switching_strings(self) -> Indices:
-        """The modelled strings that go slack at an instant."""
+        """Modeled strings with slack events."""
         return self._strings_with("switches")
 
     @property
     def clamped_strings(self) -> Indices:
-        """The modelled strings that go slack also where damping takes their tension."""
+        """Modeled strings that are slack if damping cancels tension."""
         return self._strings_with("clamps")
 
     @property
@@ -194,7 +196,7 @@ class Scene(Value, Viewable, kind="Scene"):
 
     @cached_property
     def layout(self) -> ParameterLayout:
-        """The vector p that the parameters make, with its nominal values: `Model.parameters`."""
+        """Layout of the parameter vector p, `Model.parameters`."""
         return EMPTY if self.parameters is None else build_layout(self, self.parameters)
 
     def has_parameter(self, name: str) -> bool:
@@ -203,12 +205,12 @@ class Scene(Value, Viewable, kind="Scene"):
         Parameters
         ----------
         name : str
-            Quantity, as `Parameters` names it.
+            Quantity, see `Parameters`.
 
         Returns
         -------
         bool
-            Whether p holds it or its scale.
+            Whether p has the quantity or its scale.
         """
         return self.parameters is not None and name in self.parameters
 
@@ -219,17 +221,17 @@ class Scene(Value, Viewable, kind="Scene"):
 
     @property
     def grounds(self) -> tuple[Surface, ...]:
-        """All grounds, one after the other."""
-        return checked_grounds(self.ground)
+        """All grounds."""
+        return read_grounds(self.ground)
 
     @property
     def has_clock(self) -> bool:
-        """Whether anything depends on time."""
+        """Whether any part of the scene depends on time."""
         return bool(self.over_time)
 
     @property
     def over_time(self) -> list[Gravity | Pressure | NodalForce | SupportMotion]:
-        """The parts that change over time."""
+        """Time-varying loads and support motions."""
         loads = [
             load
             for load in (self.gravity, self.pressure, self.forces)

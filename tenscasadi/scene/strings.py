@@ -1,4 +1,4 @@
-"""The law of a string: stretch and its rate → force density γ and elastic energy, and back from γ to the rest length (Appendix A)."""
+"""Laws of strings: force density and elastic energy (Appendix A)."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from tenscasadi.util.validate import Array, as_tuple, choice, instance, node_ind
 
 
 class Control(Value):
-    """Control of a scene: the input of its strings."""
+    """Kind of control, the input of a scene's strings."""
 
 
 @dataclass(frozen=True)
 class ForceDensity(Control, kind="ForceDensity"):
-    """Control by force densities: the input is γ of every parent string, N/m.
+    """Force-density control: the input is γ [N/m] of each parent string.
 
-    γ acts as it is commanded: no stiffness, damping or slack is built.
+    Strings then have neither stiffness nor damping nor slack.
 
     Examples
     --------
@@ -33,9 +33,10 @@ class ForceDensity(Control, kind="ForceDensity"):
 
 @dataclass(frozen=True)
 class RestLength(Control, kind="RestLength"):
-    """Control by rest lengths: the input is ρ of every parent string, m, greater than 0.
+    """Rest-length control: the input is ρ [m] of each parent string.
 
-    The string law (`Clip`, `Smooth` or `Linear`) turns it into a force density.
+    Rest lengths are greater than 0. The string law (`Clip`, `Smooth` or `Linear`) converts them to
+    force densities.
 
     Examples
     --------
@@ -47,42 +48,44 @@ class RestLength(Control, kind="RestLength"):
 
 
 class StringLaw(Value):
-    """Law of a string: stretch and its rate to force density and energy."""
+    """Law of a string: force density and energy of its stretch."""
 
-    switches: ClassVar[bool]
-    pushes: ClassVar[bool]
+    switches: ClassVar[bool]  # between taut and slack, as an event
+    pushes: ClassVar[bool]  # compression-capable
 
     @property
     def clamps(self) -> bool:
-        """Whether damping ends where the tension does."""
+        """Whether damping cannot make the tension negative."""
         return False
 
     def force_density(
         self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any, taut: Any = None
     ) -> Any:
-        """Build the force densities of strings, see `Clip.force_density`."""
+        """Build the force densities, see `Clip.force_density`."""
         raise NotImplementedError
 
     def energy(self, squared: Any, rest: Any, stiffness: Any, unit: Any) -> Any:
-        """Build the elastic energy of strings, see `Clip.energy`."""
+        """Build the elastic energy, see `Clip.energy`."""
         raise NotImplementedError
 
 
 @dataclass(frozen=True)
 class Clip(StringLaw, kind="Clip"):
-    """Slack as it is: a string pulls only while it is longer than its rest length and its tension is positive (Eq. 99).
+    """Exact slack law (Eq. 99).
+
+    A string is taut while it is longer than its rest length and its tension is positive.
 
     Parameters
     ----------
     damping : {"clamped", "unclamped"}
-        What damping may do to a taut string. "clamped": it never makes it push, the tension ends at
-        zero. "unclamped": it acts in full while the string is longer than at rest, so that one that
-        shortens fast pushes, as in STEDY.
+        Damping of a taut string. "clamped": the tension is at least 0. "unclamped": damping acts in
+        full, and a string that shortens fast is in compression, as in STEDY.
 
     Notes
     -----
-    Unclamped damping jumps by c ds/dt where a string becomes taut or slack. It takes c (ds/dt)² out
-    of the motion at any time while the string is longer than at rest, clamped damping less.
+    With unclamped damping the tension jumps by c ds/dt when a string becomes taut or slack. It
+    dissipates the power c (ds/dt)² while the string is longer than at rest. Clamped damping
+    dissipates less.
 
     Examples
     --------
@@ -104,66 +107,66 @@ class Clip(StringLaw, kind="Clip"):
 
     @property
     def clamps(self) -> bool:
-        """Whether damping ends where the tension does."""
+        """Whether damping cannot make the tension negative."""
         return self.damping == "clamped"
 
     def force_density(
         self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any, taut: Any = None
     ) -> Any:
-        """Return the force densities of strings, γ = k (s − ρ)/s + c sᵀṡ/s² where they are taut (Eq. 99).
+        """Build the force densities γ = k (s − ρ)/s + c sᵀṡ/s² (Eq. 99).
+
+        They are 0 for slack strings.
 
         Parameters
         ----------
         squared : casadi expression
-            Squared lengths s², m².
+            Squared lengths s² [m²].
         rest : casadi expression
-            Rest lengths ρ, m.
+            Rest lengths ρ [m].
         stiffness : casadi expression
-            Stiffness k, N/m.
+            Stiffness k [N/m].
         rate : casadi expression or None
-            c sᵀṡ of each string, N·m; None when none is damped.
+            c sᵀṡ [N·m], None without damping.
         unit : casadi expression
-            Typical lengths, m, constant: a string of no length is taken as 1e-9 of them long, to
-            have finite derivatives.
+            Constant typical lengths [m]. Lengths are regularized by 1e-9 of them, so that
+            derivatives are finite at length 0.
         taut : casadi expression, optional
-            1 or 0 where strings are held to pull, or not to, whatever their length; by default as
-            they are.
+            Prescribed mode, 1 for taut and 0 for slack. Default: as length and tension give it.
 
         Returns
         -------
         casadi expression
-            γ, N/m, in the shape of the arguments.
+            γ [N/m], in the shape of the arguments.
         """
         safe = squared + (1e-9 * unit) ** 2
         length = ca.sqrt(safe)
-        strain = (
-            (length - rest) / length if taut is None else 1 - rest / length
-        )  # whose derivatives are shorter
+        # the second form has shorter derivatives
+        strain = (length - rest) / length if taut is None else 1 - rest / length
         gamma = stiffness * strain if rate is None else stiffness * strain + rate / safe
         if taut is None:
             taut = strain > 0 if rate is None or not self.clamps else (strain > 0) * (gamma > 0)
-        return gamma * taut  # a product: the shortest code, and finite in all derivatives
+        return gamma * taut  # the product has the shortest code and finite derivatives
 
     def gap(self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any) -> Any:
-        """Return lengths that are positive where strings pull: how much longer than at rest they are, or what their tension would stretch them by.
+        """Build the switching functions, which are positive for taut strings.
 
         Parameters
         ----------
         squared : casadi expression
-            Squared lengths s², m².
+            Squared lengths s² [m²].
         rest : casadi expression
-            Rest lengths ρ, m.
+            Rest lengths ρ [m].
         stiffness : casadi expression
-            Stiffness k, N/m.
+            Stiffness k [N/m].
         rate : casadi expression or None
-            c sᵀṡ of each string, N·m; None when none is damped.
+            c sᵀṡ [N·m], None without damping.
         unit : casadi expression
-            Typical lengths, m, constant.
+            Constant typical lengths [m].
 
         Returns
         -------
         casadi expression
-            The lesser of both, m.
+            The stretch [m]. With clamped damping, at most the tension divided by the stiffness.
         """
         length = ca.sqrt(squared + (1e-9 * unit) ** 2)
         stretch = length - rest
@@ -174,23 +177,23 @@ class Clip(StringLaw, kind="Clip"):
         )
 
     def energy(self, squared: Any, rest: Any, stiffness: Any, unit: Any) -> Any:
-        """Return the elastic energy of strings, ½ k (s − ρ)² where they are taut.
+        """Build the elastic energy ½ k (s − ρ)² of taut strings.
 
         Parameters
         ----------
         squared : casadi expression
-            Squared lengths s², m².
+            Squared lengths s² [m²].
         rest : casadi expression
-            Rest lengths ρ, m.
+            Rest lengths ρ [m].
         stiffness : casadi expression
-            Stiffness k, N/m.
+            Stiffness k [N/m].
         unit : casadi expression
-            Not needed here.
+            Not used by this law.
 
         Returns
         -------
         casadi expression
-            Energy of each string, J.
+            Energy of each string [J].
         """
         stretch = ca.sqrt(ca.fmax(squared, rest * rest)) - rest
         return stiffness * stretch * stretch / 2
@@ -198,15 +201,16 @@ class Clip(StringLaw, kind="Clip"):
 
 @dataclass(frozen=True)
 class Smooth(StringLaw, kind="Smooth"):
-    """Slack as a smooth maximum, for optimisers: t = (t′ + √(t′² + (k w)²))/2 with the unclipped tension t′.
+    """Smooth slack law, for optimization.
 
-    The tension is wrong by at most k w/2, at the rest length, and by k w²/(4 |s − ρ|) far from it.
-    Damping fades over the same width.
+    The tension is t = (t′ + √(t′² + (k w)²))/2, where t′ is the tension without slack. Its error is
+    at most k w/2, at the rest length, and k w²/(4 |s − ρ|) far from it. Damping fades over the same
+    width.
 
     Parameters
     ----------
     width : float
-        w, m, over which the corner at the rest length is rounded.
+        Width w [m] over which the kink at the rest length is rounded.
 
     Examples
     --------
@@ -226,28 +230,28 @@ class Smooth(StringLaw, kind="Smooth"):
     def force_density(
         self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any, taut: Any = None
     ) -> Any:
-        """Return the force densities of strings, t/s with the smooth tension t.
+        """Build the force densities t/s with the smooth tension t.
 
         Parameters
         ----------
         squared : casadi expression
-            Squared lengths s², m².
+            Squared lengths s² [m²].
         rest : casadi expression
-            Rest lengths ρ, m.
+            Rest lengths ρ [m].
         stiffness : casadi expression
-            Stiffness k, N/m.
+            Stiffness k [N/m].
         rate : casadi expression or None
-            c sᵀṡ of each string, N·m; None when none is damped.
+            c sᵀṡ [N·m], None without damping.
         unit : casadi expression
-            Typical lengths, m, constant: a string of no length is taken as 1e-9 of them long, to
-            have finite derivatives.
+            Constant typical lengths [m]. Lengths are regularized by 1e-9 of them, so that
+            derivatives are finite at length 0.
         taut : None
-            Not needed here: strings are both.
+            Not used: this law has no modes.
 
         Returns
         -------
         casadi expression
-            γ, N/m, in the shape of the arguments.
+            γ [N/m], in the shape of the arguments.
         """
         length = self._length(squared, unit)
         stretch = length - rest
@@ -258,38 +262,37 @@ class Smooth(StringLaw, kind="Smooth"):
         return (tension + ca.sqrt(tension * tension + (stiffness * self.width) ** 2)) / (2 * length)
 
     def energy(self, squared: Any, rest: Any, stiffness: Any, unit: Any) -> Any:
-        """Return the elastic energy of strings: the integral of the undamped tension over the stretch.
+        """Build the elastic energy, the integral of the undamped tension.
 
         Parameters
         ----------
         squared : casadi expression
-            Squared lengths s², m².
+            Squared lengths s² [m²].
         rest : casadi expression
-            Rest lengths ρ, m.
+            Rest lengths ρ [m].
         stiffness : casadi expression
-            Stiffness k, N/m.
+            Stiffness k [N/m].
         unit : casadi expression
-            Typical lengths, m, constant: a string of no length is taken as 1e-9 of them long, to
-            have finite derivatives.
+            Constant typical lengths [m], see `force_density`.
 
         Returns
         -------
         casadi expression
-            Energy of each string, J, 0 at the rest length as w → 0.
+            Energy of each string [J], 0 at the rest length as w → 0.
         """
         e = self._length(squared, unit) - rest
         w = self.width
         return stiffness * (e * e + e * ca.sqrt(e * e + w * w) + w * w * ca.asinh(e / w)) / 4
 
     def _length(self, squared: Any, unit: Any) -> Any:
-        return ca.sqrt(squared + (1e-9 * unit) ** 2)  # finite derivatives at no length
+        return ca.sqrt(squared + (1e-9 * unit) ** 2)
 
 
 @dataclass(frozen=True)
 class Linear(StringLaw, kind="Linear"):
-    """No slack: a spring and a damper, which pull while they are longer than at rest and push while they are shorter.
+    """Law without slack: a linear spring and damper.
 
-    Such a string has no events, and its force density may be negative.
+    Such a string is compression-capable and has no events. Its force density can be negative.
 
     Examples
     --------
@@ -305,59 +308,61 @@ class Linear(StringLaw, kind="Linear"):
     def force_density(
         self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any, taut: Any = None
     ) -> Any:
-        """Return the force densities of strings, γ = k (s − ρ)/s + c sᵀṡ/s², of either sign.
+        """Build the force densities γ = k (s − ρ)/s + c sᵀṡ/s².
 
         Parameters
         ----------
         squared : casadi expression
-            Squared lengths s², m².
+            Squared lengths s² [m²].
         rest : casadi expression
-            Rest lengths ρ, m.
+            Rest lengths ρ [m].
         stiffness : casadi expression
-            Stiffness k, N/m.
+            Stiffness k [N/m].
         rate : casadi expression or None
-            c sᵀṡ of each string, N·m; None when none is damped.
+            c sᵀṡ [N·m], None without damping.
         unit : casadi expression
-            Typical lengths, m, constant: a string of no length is taken as 1e-9 of them long, to
-            have finite derivatives.
+            Constant typical lengths [m]. Lengths are regularized by 1e-9 of them, so that
+            derivatives are finite at length 0.
         taut : None
-            Not needed here: these strings are never slack.
+            Not used: these strings are never slack.
 
         Returns
         -------
         casadi expression
-            γ, N/m, in the shape of the arguments.
+            γ [N/m], in the shape of the arguments.
         """
         safe = squared + (1e-9 * unit) ** 2
         gamma = stiffness * (1 - rest / ca.sqrt(safe))
         return gamma if rate is None else gamma + rate / safe
 
     def energy(self, squared: Any, rest: Any, stiffness: Any, unit: Any) -> Any:
-        """Return the elastic energy of strings, ½ k (s − ρ)².
+        """Build the elastic energy ½ k (s − ρ)².
 
         Parameters
         ----------
         squared : casadi expression
-            Squared lengths s², m².
+            Squared lengths s² [m²].
         rest : casadi expression
-            Rest lengths ρ, m.
+            Rest lengths ρ [m].
         stiffness : casadi expression
-            Stiffness k, N/m.
+            Stiffness k [N/m].
         unit : casadi expression
-            Typical lengths, m, constant: a string of no length is taken as 1e-9 of them long, to
-            have finite derivatives.
+            Constant typical lengths [m], see `force_density`.
 
         Returns
         -------
         casadi expression
-            Energy of each string, J.
+            Energy of each string [J].
         """
         stretch = ca.sqrt(squared + (1e-9 * unit) ** 2) - rest
         return stiffness * stretch * stretch / 2
 
 
 def read_slack(given: Any, strings: int) -> StringLaw | tuple[StringLaw, ...]:
-    """Return one law for all strings, or a law for each; of a mapping those that it does not name have `Clip()`. Raises TypeError, ValueError."""
+    """Convert the field `slack` to one law, or one per string.
+
+    Strings that a mapping does not name have `Clip()`. Raises TypeError or ValueError.
+    """
     example = (
         "Clip(), Smooth(width), Linear(), or one of them for each string, such as {3: Linear()}"
     )
@@ -373,41 +378,33 @@ def read_slack(given: Any, strings: int) -> StringLaw | tuple[StringLaw, ...]:
         laws = list(as_tuple("Scene.slack", given, example))
         if len(laws) != strings:
             raise ValueError(
-                f"Scene.slack has {len(laws)} entries: give one law, or one for each of {strings} strings"
+                f"Scene.slack has {len(laws)} entries: "
+                f"give one law, or one for each of {strings} strings"
             )
     for string, law in enumerate(laws):
-        instance(
-            f"Scene.slack[{string}]",
-            law,
-            StringLaw,
-            "Clip(), Smooth(width) or Linear()",
-        )
-    return (
-        cast(StringLaw, laws[0])
-        if laws and len(set(laws)) == 1
-        else tuple(laws)
-        if laws
-        else Clip()
-    )
+        instance(f"Scene.slack[{string}]", law, StringLaw, "Clip(), Smooth(width) or Linear()")
+    if not laws:
+        return Clip()
+    return cast(StringLaw, laws[0]) if len(set(laws)) == 1 else tuple(laws)
 
 
 def rest_length(force_density: Array, length: Array, stiffness: Array) -> Array:
-    """Return the rest lengths ρ = s (1 − γ/k) at which strings carry force densities (Eq. 99).
+    """Compute the rest lengths ρ = s (1 − γ/k) of force densities (Eq. 99).
 
     Parameters
     ----------
     force_density : ndarray
-        γ, N/m.
+        γ [N/m].
     length : ndarray
-        s, m.
+        s [m].
     stiffness : ndarray
-        k, N/m.
+        k [N/m].
 
     Returns
     -------
     ndarray
-        ρ, m: not positive where γ ≥ k, as no rest length reaches that, and NaN where k = 0, unless
-        γ = 0.
+        ρ [m]. It is not positive if γ ≥ k, because no rest length gives such a γ. It is NaN if
+        k = 0 and γ ≠ 0.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(force_density == 0, length, length * (1 - force_density / stiffness))

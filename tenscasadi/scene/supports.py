@@ -1,4 +1,4 @@
-"""Pinned nodes that are moved: a shaking base, a driven hinge."""
+"""Prescribed motion of pinned nodes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.scene.breakpoints import find_breakpoints, probe_times
-from tenscasadi.scene.over_time import takes_breaks
+from tenscasadi.scene.over_time import accept_breaks
 from tenscasadi.scene.time_functions import CURE, Samples, check_over_run, express
 from tenscasadi.schema.containers import Either, MapOf
 from tenscasadi.schema.definitions import OneOf
@@ -21,32 +21,32 @@ from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, finite_array, format_value, node_index
 
 _MOTION = Either((dict, Samples), OneOf(Samples), MOVING_POINT)
-_AROUND = 1e-9  # of the latest time: how far before and after a switch both sides are compared
-_JUMP = 1e-9  # of the largest value: more is a jump
-_STEEP = 100.0  # times what the largest rate makes of it: more is a jump
+_OFFSET = 1e-9  # × latest time: distance before and after a switch at which values are compared
+_JUMP = 1e-9  # × largest value: smaller differences are rounding
+_STEEP = 100.0  # × largest rate × offset: smaller differences are continuous
 _JUMPS = {
     "the position (m)": "give a continuous motion",
     "the velocity (m/s)": "round the corner off",
 }
 
 
-@takes_breaks
+@accept_breaks
 @dataclass(frozen=True, eq=False)
 class SupportMotion(Value, kind="SupportMotion"):
     """Motion of pinned nodes, such as a shaking base or a driven hinge.
 
     Each function is called with a CasADi symbol: write it with NumPy's or CasADi's mathematics,
-    without ``if`` on the time. Velocity and acceleration are its exact derivatives: over a run they
-    have to be finite, and position and velocity may not jump.
+    without ``if`` on the time. Velocity and acceleration are its exact derivatives. They must be
+    finite over a run, and position and velocity must be continuous.
 
     Parameters
     ----------
     positions : mapping of int to callable
-        For each moved node a function of the time, s, that returns (x, y, z), m; at t = 0 where the
-        structure has the node. Three numbers are a constant.
+        Functions by node that convert the time [s] to (x, y, z) [m]. At t = 0 they return the
+        node's position in the structure. Three numbers are a constant.
     breakpoints : array_like, shape (B,), optional
-        Times at which an acceleration jumps or begins or ends a pulse, s, beside those that
-        comparisons, signs and roundings show. Steps of a simulation end there.
+        Times [s] at which an acceleration jumps, or a pulse begins or ends. Those of comparisons,
+        signs and roundings are found without it. Steps of a simulation end at breakpoints.
 
     Examples
     --------
@@ -63,7 +63,8 @@ class SupportMotion(Value, kind="SupportMotion"):
     def __post_init__(self) -> None:
         if not isinstance(self.positions, Mapping) or not self.positions:
             raise TypeError(
-                f"SupportMotion.positions is {format_value(self.positions)}: give a mapping of nodes to functions of time"
+                f"SupportMotion.positions is {format_value(self.positions)}: "
+                "give a mapping of nodes to functions of time"
             )
         given: Mapping[int, Any] = self.positions
         positions: dict[int, Any] = {}
@@ -72,32 +73,36 @@ class SupportMotion(Value, kind="SupportMotion"):
             positions[node] = TimeFormula(tuple(function)) if constant else function
             if not constant and not callable(function):
                 raise TypeError(
-                    f"SupportMotion.positions[{format_value(node)}] is {format_value(function)}: give a function of time that returns (x, y, z)"
+                    f"SupportMotion.positions[{format_value(node)}] is {format_value(function)}: "
+                    "give a function of time that returns (x, y, z)"
                 )
         object.__setattr__(self, "positions", positions)
-        object.__setattr__(
-            self,
-            "breakpoints",
-            finite_array("SupportMotion.breakpoints", self.breakpoints, (None,)),
-        )
+        times = finite_array("SupportMotion.breakpoints", self.breakpoints, (None,))
+        object.__setattr__(self, "breakpoints", times)
 
     @property
     def field(self) -> str:
-        """Name of what changes over time, as messages tell it."""
+        """Name of the motion in messages."""
         return "SupportMotion.positions"
 
     @property
     def nodes(self) -> list[int]:
-        """The nodes that are moved."""
+        """The moved nodes."""
         return list(self.positions)
 
     def check(self, structure: Structure) -> None:
-        """Raise TypeError or ValueError unless every node is pinned along all axes and starts where the structure has it.
+        """Check the pins and initial positions of moved nodes.
 
         Parameters
         ----------
         structure : Structure
-            The structure whose nodes are moved.
+            Structure of the nodes.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If a node is not pinned along all axes, or does not start at its position in the
+            structure.
         """
         for node in self.nodes:
             node_index(
@@ -109,48 +114,49 @@ class SupportMotion(Value, kind="SupportMotion"):
             name = f"SupportMotion.positions[{node}]"
             if structure.pinned.get(node) != "xyz":
                 raise ValueError(
-                    f"{name}: node {node} is not pinned along all axes, add it to Structure.pinned"
+                    f"{name}: node {node} is not pinned along all axes: add it to Structure.pinned"
                 )
             if not np.isfinite(place).all():
                 raise ValueError(f"{name}(0.0) is {place}: give finite numbers; {CURE}")
             if abs(place - structure.nodes[node]).max() > 1e-9 * size:
                 raise ValueError(
-                    f"{name}(0.0) is {place}: the structure has node {node} at {structure.nodes[node]}, start there"
+                    f"{name}(0.0) is {place}: start at {structure.nodes[node]}, "
+                    f"the position of node {node} in the structure"
                 )
 
     def check_run(self, first: float, last: float) -> None:
-        """Raise ValueError where a function of time or its rates are not finite in a run, jump, or are not those of symbols.
+        """Check the motion over a run.
 
         Parameters
         ----------
         first, last : float
-            Times at which the run begins and ends, s.
+            Start and end of the run [s].
+
+        Raises
+        ------
+        ValueError
+            If a position or its derivatives are not finite, if position or velocity jump, or if
+            numbers and symbols give different values.
         """
+        offset = _OFFSET * max(abs(first), abs(last))
         for node, function in self.positions.items():
             name, rates = (
                 f"SupportMotion.positions[{node}]",
                 SupportMotion({node: function}).rates(),
             )
             check_over_run(name, function, rates, first, last)
-            sizes = [
-                abs(values.full()).max() for values in rates.call([probe_times(first, last)[None]])
-            ]
-            around = _AROUND * max(abs(first), abs(last))
+            probes = rates.call([probe_times(first, last)[None]])
+            sizes = [abs(values.full()).max() for values in probes]
             for time in find_breakpoints(rates, first, last):
-                before, after = (
-                    rates(edge) for edge in (max(first, time - around), min(last, time + around))
-                )
-                for k, (what, cure) in enumerate(_JUMPS.items()):
-                    jump, rate = (
-                        abs((after[k] - before[k]).full()).max(),
-                        max(
-                            sizes[k + 1],
-                            *(abs(side[k + 1].full()).max() for side in (before, after)),
-                        ),
-                    )
-                    if jump > max(_JUMP * sizes[k], _STEEP * around * rate):
+                before, after = rates(max(first, time - offset)), rates(min(last, time + offset))
+                for k, (quantity, cure) in enumerate(_JUMPS.items()):
+                    jump = abs((after[k] - before[k]).full()).max()
+                    near = [abs(side[k + 1].full()).max() for side in (before, after)]
+                    smooth = _STEEP * offset * max(sizes[k + 1], *near)
+                    if jump > max(_JUMP * sizes[k], smooth):
                         raise ValueError(
-                            f"{name}: {what} jumps by {jump:.3g} at t = {time:g} s, which bars and joints cannot follow: {cure}"
+                            f"{name}: {quantity} jumps by {jump:.3g} at t = {time:g} s, "
+                            f"which bars and joints cannot follow: {cure}"
                         )
 
     def find_breakpoints(self, first: float, last: float) -> Array:
@@ -159,29 +165,29 @@ class SupportMotion(Value, kind="SupportMotion"):
         Parameters
         ----------
         first, last : float
-            Times at which the run begins and ends, s.
+            Start and end of the run [s].
 
         Returns
         -------
         ndarray
-            Times, s, in order.
+            Increasing times [s].
         """
         found = [self.breakpoints, find_breakpoints(self.rates(), first, last)]
         return np.unique(np.concatenate(found))
 
     def changing(self) -> ca.Function:
-        """Build the function of time that steps have to follow: the accelerations of the moved nodes.
+        """Build the function of time that integration steps must resolve.
 
         Returns
         -------
         casadi.Function
-            t (s) → acceleration (m/s²), (3, k) in the order of `nodes`.
+            t (s) → accelerations (m/s²) of the moved nodes, (3, k) in the order of `nodes`.
         """
         t = ca.SX.sym("t")
         return ca.Function("accelerations", [t], [self.rates()(t)[2]])
 
     def rates(self) -> ca.Function:
-        """Return positions, velocities and accelerations of the moved nodes.
+        """Build positions, velocities and accelerations of the moved nodes.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""Functions of time that users write: their expressions, and the checks of these."""
+"""User-defined functions of time, as CasADi expressions with checks."""
 
 from __future__ import annotations
 
@@ -22,38 +22,42 @@ CURE = "write it with NumPy's or CasADi's mathematics, without math, float() and
 
 
 def express(field: str, function: Callable[[Any], Any], time: Any) -> Any:
-    """Return what a user's function makes of a CasADi time: a matrix, a vector or the rows of one. Raises ValueError naming `field`."""
+    """Evaluate a user's function at a CasADi time.
+
+    The function can return a matrix, a vector or a sequence of rows. Raises ValueError naming
+    `field`.
+    """
     with warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore", FutureWarning
-        )  # CasADi's, about NumPy functions of its symbols
+        # CasADi warns of NumPy functions of its symbols
+        warnings.simplefilter("ignore", FutureWarning)
         try:
             found = function(time)
-        except Exception as error:  # whatever the caller's function raises
-            fault = re.sub(
-                r"\S+:\d+: ", "", str(error)
-            )  # CasADi begins with its own files and lines
+        except Exception as error:  # user code can raise anything
+            fault = re.sub(r"\S+:\d+: ", "", str(error))  # without CasADi's own file and line
             raise ValueError(
                 f"{field} raised {type(error).__name__}({fault}) on a CasADi time: {CURE}"
             ) from error
         try:
             if isinstance(found, _CASADI):
                 return found
-            return ca.vertcat(*map(_row, found)) if isinstance(found, Iterable) else ca.DM(found)
-        except Exception as error:  # CasADi's own words list all that it could take
+            if isinstance(found, Iterable):
+                return ca.vertcat(*map(_convert_row, found))
+            return ca.DM(found)
+        except Exception as error:  # CasADi's message lists all types that it accepts
             raise ValueError(
-                f"{field} returns {format_value(found)} on a CasADi time: give numbers and expressions of it; {CURE}"
+                f"{field} returns {format_value(found)} on a CasADi time: "
+                f"give numbers and expressions of it; {CURE}"
             ) from error
 
 
-def _row(entries: Any) -> Any:
+def _convert_row(entries: Any) -> Any:
     if isinstance(entries, _CASADI):
         return ca.vec(entries).T
     return ca.horzcat(*entries) if isinstance(entries, Iterable) else entries
 
 
 def as_numbers(value: Any) -> Any:
-    """Return what a user's function returned for a number, CasADi's numbers and vectors in it as Python's and NumPy's."""
+    """Convert CasADi numbers and vectors to Python's and NumPy's."""
     if isinstance(value, ca.DM):
         return float(value) if value.is_scalar() else value
     if isinstance(value, (list, tuple)):
@@ -68,14 +72,15 @@ def as_numbers(value: Any) -> Any:
 def check_over_run(
     field: str, function: Callable[[Any], Any], traced: ca.Function, first: float, last: float
 ) -> None:
-    """Check that a function of time is finite in a run, and the same for numbers as for symbols.
+    """Check values and tracing of a function of time.
 
-    `math` and `float` make a constant of a CasADi time: the comparison shows it.
+    `math` and `float` convert a CasADi time to a constant. A comparison of numbers and symbols
+    finds that.
 
     Raises
     ------
     ValueError
-        It is not; the message names `field` and the time.
+        If it is not. The message names `field` and the time.
     """
     times = probe_times(first, last)
     breaks = find_breakpoints(traced, first, last)
@@ -87,35 +92,34 @@ def check_over_run(
         bad = ~np.isfinite(values_at(traced, some, k)).all(axis=1)
         if bad.any():
             raise ValueError(
-                f"{field}{kind} is not finite at t = {some[bad.argmax()]:g} s: give finite values over the whole run; {CURE}"
+                f"{field}{kind} is not finite at t = {some[bad.argmax()]:g} s: "
+                f"give finite values over the whole run; {CURE}"
             )
     for time in times[::1000].tolist():
         try:
             number = np.asarray(as_numbers(function(time)), dtype=float).ravel()
-        except (
-            TypeError,
-            ValueError,
-            AttributeError,
-            ArithmeticError,
-            RuntimeError,
-        ):  # a function of CasADi's symbols alone
-            return
+        except (TypeError, ValueError, AttributeError, ArithmeticError, RuntimeError):
+            return  # a function for CasADi symbols only
         value = traced.call([time])[0].full().T.ravel()
         if not is_same(number, value):
             raise ValueError(
-                f"{field} is {number} for the number t = {time:g} and {value} for a CasADi time: give the same at each call; {CURE}"
+                f"{field} is {number} for the number t = {time:g} and {value} for a CasADi time: "
+                f"give the same at each call; {CURE}"
             )
 
 
 def is_same(number: Array, value: Array) -> bool:
-    """Return whether two values of a function agree but for rounding."""
+    """Return whether two values agree up to rounding."""
     return number.shape != value.shape or np.allclose(
         number, value, rtol=1e-6, atol=1e-9 * max(1.0, abs(number).max(initial=0.0))
     )
 
 
 def values_at(traced: ca.Function, times: Array, output: int = 0) -> Array:
-    """Evaluate an output of a function of time at times (K,): (K, entries)."""
+    """Evaluate an output of a function at times (K,).
+
+    The result is (K, entries).
+    """
     if not len(times):
         return np.empty((0, traced.numel_out(output)))
     values = traced.call([times[None]])[output].full()
@@ -125,30 +129,27 @@ def values_at(traced: ca.Function, times: Array, output: int = 0) -> Array:
 
 
 def trace(function: Any) -> ca.Function:
-    """Return the Function t -> what `function` makes of a CasADi time."""
+    """Trace a function of time as a CasADi Function."""
     t = ca.MX.sym("t")
     return ca.Function("traced", [t], [ca.densify(ca.MX(function(t)))])
 
 
 def interpolate(time: Any, times: Array, table: Array, rows: int) -> Any:
-    """Piecewise linear values (rows × m/rows, column by column) from a table (K, m), held constant outside its times: zeros cost nothing.
+    """Interpolate linearly in a table (K, m).
 
-    Only the two entries around a time have a share in the sum: pieces of CasADi's `pw_lin` go on
-    beyond their ends and cancel there, which leaves nothing of a steep pulse's neighbours but
-    rounding.
+    The result is constant outside the times. It is filled column by column. Zeros in the table need
+    no instructions. Each value is a sum of the two entries around a time. CasADi's `pw_lin` would
+    cancel long pieces instead, and lose the digits beside a steep pulse.
     """
     t = ca.SX.sym("t")
-    begun = [t >= float(at) for at in times]
-    shares = [ca.SX(1 - begun[0]), *[ca.SX(0)] * (len(times) - 2), begun[-1]]
+    reached = [t >= float(at) for at in times]
+    weights = [ca.SX(1 - reached[0]), *[ca.SX(0)] * (len(times) - 2), reached[-1]]
     for k, (first, last) in enumerate(pairwise(times)):
-        within, part = begun[k] - begun[k + 1], (t - float(first)) / float(last - first)
-        shares[k] += within * (1 - part)
-        shares[k + 1] += within * part
+        within, part = reached[k] - reached[k + 1], (t - float(first)) / float(last - first)
+        weights[k] += within * (1 - part)
+        weights[k + 1] += within * part
     entries = [
-        sum(
-            (float(value) * share for value, share in zip(column, shares, strict=True) if value),
-            ca.SX(0),
-        )
+        sum((float(value) * weights[k] for k, value in enumerate(column) if value), ca.SX(0))
         for column in table.T
     ]
     columns = [ca.vertcat(*entries[k : k + rows]) for k in range(0, len(entries), rows)]
@@ -157,9 +158,9 @@ def interpolate(time: Any, times: Array, table: Array, rows: int) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class Samples(Value, kind="Samples"):
-    """Function of time that is known at some times.
+    """Function of time that interpolates samples.
 
-    It is linear between them and constant before and after. Saved results hold such functions in
+    It is linear between its times and constant outside. Saved results hold such functions in
     place of those of Python. Nodes cannot follow the jumps of its velocity in a simulation.
 
     Parameters

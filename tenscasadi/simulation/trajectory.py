@@ -14,7 +14,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.scene import Scene
 from tenscasadi.schema.stored import array_fields, check_indices
 from tenscasadi.simulation.scene_result import SceneResult
-from tenscasadi.util.tables import Columns, Tabular, coordinates, name_columns
+from tenscasadi.util.tables import Columns, Tabular, name_columns, name_coordinates
 from tenscasadi.util.validate import LARGEST, Array, Indices
 from tenscasadi.util.viewable import Viewable
 
@@ -186,8 +186,8 @@ class Trajectory(
     def _columns(self) -> Columns:
         return {
             "time (s)": self.time,
-            **coordinates("node {} {} (m)", self.nodes),
-            **coordinates("node {} velocity {} (m/s)", self.velocities),
+            **name_coordinates("node {} {} (m)", self.nodes),
+            **name_coordinates("node {} velocity {} (m/s)", self.velocities),
             **name_columns("string {} force density (N/m)", self.force_density),
             **name_columns("string {} tension (N)", self.tension),
             "energy (J)": self.energy,
@@ -215,7 +215,7 @@ def observe_states(model: Model, states: Array, controls: Array) -> dict[str, Ar
     States (T, nx) and controls (T, nw) with the parameters give outputs by name, each (T, size).
     """
     rows = len(states)
-    mapped = model.stacked(model.observe).map(rows)
+    mapped = model.with_stacked_input(model.observe).map(rows)
     results = mapped.call([ca.DM(states.T), ca.DM(controls.T) if model.nw else ca.DM(0, rows)])
     return {
         name: result.full().T.copy()

@@ -10,9 +10,9 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.linalg import orth, qr
 
+from tenscasadi.statics.sparse_null_space import sparse_null_space
 from tenscasadi.structure.equilibrium_matrix import equilibrium_matrix, free_directions
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.sparse_null_space import sparse_null_space
 from tenscasadi.util.validate import Array, instance
 
 TOLERANCE = 1e-9  # relative to the largest: smaller residuals and forces count as zero

@@ -15,7 +15,7 @@ from tenscasadi.util.validate import Array, Indices
 
 
 def member_pairs(structure: Any) -> Indices:
-    """Return the end nodes (α + β, 2) of strings, then bars."""
+    """Return the nodes (α + β, 2) of strings and bars."""
     return np.concatenate([structure.strings, structure.bars])
 
 
@@ -41,7 +41,7 @@ def equilibrium_matrix(structure: Any) -> Any:
 
 
 def balance_bars(structure: Any, gamma: Array, loads: Array | None = None) -> Array:
-    """Compute the force densities of bars that balance strings and loads best.
+    """Compute the bar force densities that balance strings best.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def balance_columns(pairs: Indices, vectors: Array, count: int) -> sp.csc_array:
 
 
 def free_directions(structure: Any) -> sp.csr_array:
-    """Build an orthonormal basis of the displacements that pins and rollers allow.
+    """Build an orthonormal basis of the admissible displacements.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Checks of masses that would make the equations of motion singular."""
+"""Checks of masses that would make equations of motion singular."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ MAX_MASS_RATIO = 1e12  # between bars; beyond, rounding exceeds the force that h
 
 
 def check_node_masses(node_mass: Array, fixed: Any, bars: Indices, heavy_strings: Indices) -> None:
-    """Raise ValueError for a moving node without bar or mass, which would make M singular."""
+    """Check that each moving node has a bar or mass.
+
+    Otherwise M would be singular. Raises ValueError.
+    """
     heavy = (node_mass > SMALLEST) | fixed
     heavy[bars] = True
     heavy[heavy_strings] = True

@@ -1,4 +1,4 @@
-"""Names of nodes, bars and strings, and the items that a name stands for."""
+"""Names of nodes, bars and strings."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def read_names(field: str, value: Any, count: int) -> tuple[str, ...]:
 
 
 def name_members(groups: Iterable[tuple[str, int]]) -> list[str]:
-    """Name the members of groups, given the names and sizes of the groups."""
+    """Name the members of groups of given names and sizes."""
     return [
         group if size == 1 or not group else f"{group}[{k}]"
         for group, size in groups
@@ -49,12 +49,15 @@ def extend_names(names: Sequence[str], count: int) -> list[str]:
 
 
 def label(names: Sequence[str], index: int) -> str:
-    """Return the name of an item, its index if it has none."""
+    """Return the name of an item, or its index."""
     return (names[index] if names else "") or str(index)
 
 
 def find_names(counts: Mapping[Any, int], names: Mapping[Any, Sequence[str]]) -> Names:
-    """Find the indices of all names, and of the groups that names such as "guys[2]" belong to."""
+    """Find the indices of names and groups.
+
+    Names such as "guys[2]" belong to the group "guys".
+    """
     found: dict[Any, dict[str, list[int]]] = {}
     for which, own in names.items():
         table = found.setdefault(which, {})

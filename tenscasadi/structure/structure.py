@@ -237,7 +237,7 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         return structure._derived(**read_derived(derived, structure)) if derived else structure
 
     def to_fields(self) -> dict[str, Any]:
-        """Return the keywords, and the results of `subdivide` and `from_matrices` if there are."""
+        """Return the keywords and the derived attributes."""
         own = {name: getattr(self, name) for name in PARAMETERS}
         plain, derived = write_derived(Structure(**own)), write_derived(self)
         own |= {name: dict(own[name]) for name in ("pinned", "rollers")}
@@ -311,7 +311,7 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
 
     @property
     def names(self) -> Names:
-        """Indices of all names and groups of nodes, strings and bars."""
+        """Indices by name of nodes, strings and bars."""
         parts = {"node": self.nodes, "string": self.strings, "bar": self.bars}
         counts = {which: len(items) for which, items in parts.items()}
         return find_names(counts, {which: getattr(self, f"{which}_names") for which in parts})

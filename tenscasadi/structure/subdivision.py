@@ -26,7 +26,7 @@ LARGEST_COUNT = 200_000  # segments of all strings
 
 
 class Division(NamedTuple):
-    """Subdivided strings as changed keywords and derived attributes of a structure."""
+    """Changes of a structure by subdivided strings."""
 
     fields: dict[str, Any]
     derived: dict[str, Any]
@@ -94,7 +94,7 @@ def divide_strings(structure: Any, segments: Any, ends: Any, fractions: Any) -> 
 def cut_strings(
     nodes: Array, strings: Indices, fractions: Sequence[Array], lumped: bool
 ) -> tuple[Array, Indices, csr_array]:
-    """Divide strings into segments with the given fractions of the length.
+    """Divide strings into segments of given fractions.
 
     Parameters
     ----------

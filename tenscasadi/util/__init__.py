@@ -1,1 +1,1 @@
-"""Tools that know nothing of tensegrity: checks of input, files of arrays, CasADi helpers, compilation."""
+"""General tools: input checks, array files, CasADi helpers, compilation."""

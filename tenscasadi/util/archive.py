@@ -1,4 +1,4 @@
-"""Arrays in .npz files: written atomically, and read without running their content."""
+"""Files of arrays (.npz) that never execute code."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tenscasadi.util.validate import file_path
 from tenscasadi.util.whole_file import whole_file
 
 T = TypeVar("T")
-_LIMIT = 1_000_000_000  # bytes that a file may unpack to, however small it is
+_LIMIT = 1_000_000_000  # bytes that any file may unpack to; guards against archive bombs
 _UNREADABLE = (
     *(LookupError, ArithmeticError, RuntimeError, MemoryError, AttributeError, SyntaxError),
     *(OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error),
@@ -27,10 +27,13 @@ class Fields(dict[str, Any]):
     """Arrays of a file by name."""
 
     def __missing__(self, name: str) -> Any:
-        raise ValueError(f"it has no field {name!r}")
+        raise ValueError(f"it has no field {name!r}")  # `load` names the file
 
     def array(self, name: str, kinds: str, dimensions: int | None = None) -> Any:
-        """Return an array of one of the kinds, in NumPy's letters. Raises ValueError."""
+        """Select an array of one of NumPy's kinds of dtype.
+
+        Raises ValueError.
+        """
         value = self[name]
         if value.dtype.kind not in kinds or dimensions not in (None, value.ndim):
             found = f"type {value.dtype}, shape {value.shape}"
@@ -38,15 +41,18 @@ class Fields(dict[str, Any]):
         return value
 
     def within(self, prefix: str) -> Fields:
-        """Select the fields whose names begin with `prefix`, and remove it from the names."""
+        """Select the fields whose names begin with `prefix`.
+
+        The prefix is removed from the names.
+        """
         own = {name: value for name, value in self.items() if name.startswith(prefix)}
         return Fields({name.removeprefix(prefix): value for name, value in own.items()})
 
 
 def save(path: str | os.PathLike[str], form: str, content: Mapping[str, Any]) -> Path:
-    """Write arrays by name, and `form` as the field "format", to exactly `path`.
+    """Write arrays by name to exactly `path`, atomically.
 
-    An existing file stays as it is until the new one is complete. Raises OSError.
+    The field "format" is `form`. Raises OSError.
     """
     with whole_file(path) as file:
         write(file, form, content)
@@ -54,23 +60,27 @@ def save(path: str | os.PathLike[str], form: str, content: Mapping[str, Any]) ->
 
 
 def write(file: BinaryIO, form: str, content: Mapping[str, Any]) -> None:
-    """Write arrays by name, and `form` as the field "format", to an open file."""
+    """Write arrays by name to an open file."""
     arrays = {name: np.asarray(value) for name, value in content.items()}
-    large = sum(value.nbytes for value in arrays.values()) > _LIMIT  # `load` could reject it
+    # a well compressed large file could exceed the size limit of `load`
+    large = sum(value.nbytes for value in arrays.values()) > _LIMIT
     savez = np.savez if large else np.savez_compressed
     savez(file, allow_pickle=False, format=np.asarray(form), **arrays)
 
 
 def compute_size_limit(path: Path) -> int:
-    """Return the largest unpacked size of a file in bytes: 1 GB, or 20 times its own size."""
-    return max(_LIMIT, 20 * path.stat().st_size)  # numbers of real motions need less than 20
+    """Compute the largest unpacked size of a file [bytes].
+
+    It is 1 GB, or 20 times the size of the file. Trajectories compress by less than that.
+    """
+    return max(_LIMIT, 20 * path.stat().st_size)
 
 
 def load(path: str | os.PathLike[str], form: str, kind: str, build: Callable[[Fields], T]) -> T:
-    """Build a value from the arrays of a file that `save` wrote in this form.
+    """Build a value from the arrays of a file.
 
-    Raises FileNotFoundError, and ValueError that names the file, the `kind` that it is not, and the
-    reason: also if `build` raises one.
+    Raises FileNotFoundError. Raises ValueError with the file, the expected `kind` and the reason if
+    the file is damaged or has another `form`, or if `build` raises ValueError.
     """
     rejection = f"{file_path('path', path)} is not a {kind}"
     try:
@@ -80,7 +90,7 @@ def load(path: str | os.PathLike[str], form: str, kind: str, build: Callable[[Fi
     except (OSError, MemoryError) as error:
         raise ValueError(f"{rejection}: it cannot be read ({error})") from None
     except _UNREADABLE:  # NumPy's message would advise to allow pickles
-        reason = "as tenscasadi did not save it or it is damaged"
+        reason = "it is damaged, or tenscasadi did not save it"
         raise ValueError(f"{rejection}: it cannot be read, {reason}") from None
     if str(content.pop("format", "")) != form:
         raise ValueError(f"{rejection}: its field 'format' is not {form!r}")
@@ -91,7 +101,10 @@ def load(path: str | os.PathLike[str], form: str, kind: str, build: Callable[[Fi
 
 
 def read_format(path: str | os.PathLike[str]) -> str:
-    """Return the form that a file was saved in, "" for other files. Raises FileNotFoundError."""
+    """Read the format of a file, "" for other files.
+
+    Raises FileNotFoundError.
+    """
     try:
         return str(_read(file_path("path", path), "format").get("format", ""))
     except FileNotFoundError:
@@ -101,9 +114,9 @@ def read_format(path: str | os.PathLike[str]) -> str:
 
 
 def _read(path: Path, only: str = "") -> Fields:
-    """Read the arrays of a file if their sizes fit each other and the limit."""
+    """Read arrays of a file and check their sizes."""
     if path.exists() and not path.is_file():  # opening a FIFO would wait for another process
-        raise OSError("it is no regular file")
+        raise OSError("it is not a regular file")
     with zipfile.ZipFile(path) as packed:
         found = {info.filename.removesuffix(".npy"): info for info in packed.infolist()}
         wanted = {name: info for name, info in found.items() if only in ("", name)}
@@ -121,7 +134,7 @@ def _read_array(packed: zipfile.ZipFile, name: str, info: zipfile.ZipInfo) -> An
         shape, _, dtype = getattr(np.lib.format, header)(member)
         size = math.prod(shape) * dtype.itemsize
         if not dtype.hasobject and size != info.file_size - member.tell():
-            sizes = f"{size:.3g} bytes, and the file tells of {info.file_size}"
-            raise OSError(f"its field {name!r} of shape {shape} would take {sizes}")
+            sizes = f"{size:.3g} bytes, but the file has {info.file_size}"
+            raise OSError(f"its field {name!r} of shape {shape} requires {sizes}")
     with packed.open(info) as member:
         return np.lib.format.read_array(member, allow_pickle=False)

@@ -1,4 +1,4 @@
-"""Sparse matrices in CasADi and SciPy, and CasADi Functions of NumPy arrays."""
+"""Sparse matrices in CasADi and SciPy, and array Functions."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from tenscasadi.util.validate import Array
 def call_as_sx(
     large: bool, function: Callable[..., tuple[Any, ...]], *arguments: Any
 ) -> tuple[Any, ...]:
-    """Call a function; with MX arguments as one call of an SX Function, unless `large`.
+    """Call a function on scalar expressions (SX) unless `large`.
 
-    Scalar code has fewer instructions.
+    MX arguments then become one call of an SX Function, which has fewer instructions.
     """
     if large or not any(isinstance(argument, ca.MX) for argument in arguments):
         return function(*arguments)
@@ -36,14 +36,15 @@ def call_as_sx(
 
 
 def is_expression(value: Any) -> bool:
-    """Return whether a value is a CasADi matrix, not an array."""
+    """Return whether a value is a CasADi matrix."""
     return isinstance(value, (ca.SX, ca.MX, ca.DM))
 
 
 def product(*factors: Any) -> Any:
-    """Multiply sparse matrices; the result is a CasADi matrix if a factor is.
+    """Multiply sparse matrices of CasADi or SciPy.
 
-    Otherwise it is a SciPy matrix, without entries that are zero but for rounding.
+    The result is a CasADi matrix if a factor is one. Otherwise it is a SciPy matrix without
+    entries at rounding level.
     """
     if not any(is_expression(factor) for factor in factors):
         return drop_rounding(reduce(matmul, factors))
@@ -51,7 +52,7 @@ def product(*factors: Any) -> Any:
 
 
 def sparse(matrix: Any) -> Any:
-    """Convert a SciPy or NumPy matrix to a sparse CasADi matrix."""
+    """Convert a matrix to a sparse CasADi matrix."""
     if is_expression(matrix):
         return matrix
     csc = matrix.tocsc() if sp.issparse(matrix) else sp.csc_array(matrix)
@@ -61,9 +62,9 @@ def sparse(matrix: Any) -> Any:
 
 
 def constant_row(values: Any) -> Any:
-    """Convert constants (k,) to a CasADi row, 1×k or 1×1 if they are equal.
+    """Convert constants (k,) to a CasADi row (1×k).
 
-    Expressions are returned unchanged.
+    Equal constants become 1×1. Expressions are returned unchanged.
     """
     if is_expression(values):
         return values
@@ -71,7 +72,10 @@ def constant_row(values: Any) -> Any:
 
 
 def scale_and_multiply(Z: Any, weights: Any, C: Any) -> Any:
-    """Compute Z ŵ C (3×n) of columns Z (3×k), their weights (1×k) and a constant matrix C (k×n)."""
+    """Compute Z ŵ C (3×n) with weights w of columns.
+
+    Z is 3×k, w is 1×k, and C (k×n) is constant.
+    """
     constant = sparse(C)
     if not isinstance(Z, ca.MX):
         return ca.mtimes(Z * ca.repmat(weights, 3, 1), constant)
@@ -86,7 +90,10 @@ def scale_and_multiply(Z: Any, weights: Any, C: Any) -> Any:
 
 
 def matrix_with_pattern(sparsity: ca.Sparsity, values: Any) -> Any:
-    """Build a matrix of a sparsity from its values (nnz), of their CasADi type."""
+    """Build a matrix from its sparsity and nonzeros (nnz).
+
+    It has the CasADi type of the nonzeros.
+    """
     values = ca.densify(values)
     kind: Any = type(values) if is_expression(values) else ca.DM
     return kind(sparsity, values)
@@ -95,9 +102,10 @@ def matrix_with_pattern(sparsity: ca.Sparsity, values: Any) -> Any:
 def hermite_cubic(
     left: Any, left_slope: Any, right: Any, right_slope: Any, length: Any, share: Any
 ) -> Any:
-    """Evaluate the cubic with given values and derivatives at the ends of an interval.
+    """Evaluate a cubic Hermite interpolant.
 
-    `length` is that of the interval, and `share` the fraction at which the cubic is evaluated.
+    It has the given values and derivatives at the ends of an interval of the given length. `share`
+    is the fraction of the interval at which it is evaluated.
 
     Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, (II.6.7).
     """
@@ -110,7 +118,7 @@ def hermite_cubic(
 
 
 def drop_rounding(matrix: Any) -> sp.csr_array:
-    """Remove the entries that are zero but for rounding."""
+    """Remove entries at rounding level from a sparse matrix."""
     result = sp.csr_array(matrix)
     if result.nnz:
         result.data[abs(result.data) < 1e-14 * abs(result.data).max()] = 0
@@ -119,9 +127,9 @@ def drop_rounding(matrix: Any) -> sp.csr_array:
 
 
 def number_nonzeros(matrix: Any) -> sp.csr_array:
-    """Convert a CasADi matrix to a SciPy matrix of the indices, from 1, of its nonzeros.
+    """Replace nonzeros of a CasADi matrix by their numbers.
 
-    A SciPy matrix is returned unchanged.
+    Numbers begin at 1, and the result is a SciPy matrix. A SciPy matrix keeps its entries.
     """
     if not is_expression(matrix):
         return sp.csr_array(matrix)
@@ -130,7 +138,10 @@ def number_nonzeros(matrix: Any) -> sp.csr_array:
 
 
 def entries_at(matrix: Any, rows: Any, columns: Any) -> Any:
-    """Select entries of a sparse matrix as a CasADi column, 0 where none is stored."""
+    """Select entries of a sparse matrix as a CasADi column.
+
+    Entries that are not stored are 0.
+    """
     found = np.asarray(number_nonzeros(matrix)[rows, columns]).ravel()
     if not is_expression(matrix):
         return ca.DM(found)
@@ -138,9 +149,9 @@ def entries_at(matrix: Any, rows: Any, columns: Any) -> Any:
 
 
 def multiply_rows(matrix: Any, one: Any, other: Any) -> Any:
-    """Multiply rows `one` by rows `other` of a sparse matrix, entry by entry.
+    """Multiply rows of a sparse matrix entry by entry.
 
-    Returns a sparse CasADi matrix (rows × columns).
+    Row `one[k]` times row `other[k]` is row k of the sparse CasADi result.
     """
     index = number_nonzeros(matrix)
     if not is_expression(matrix):
@@ -159,12 +170,12 @@ def multiply_rows(matrix: Any, one: Any, other: Any) -> Any:
 
 
 def diagonal_row(matrix: Any) -> Any:
-    """Convert the diagonal of a matrix to a CasADi row, 1×1 if its numbers are equal."""
+    """Convert a diagonal to a CasADi row, see `constant_row`."""
     return ca.diag(matrix).T if is_expression(matrix) else constant_row(matrix.diagonal())
 
 
 def is_diagonal(matrix: Any) -> bool:
-    """Return whether no entry is stored off the diagonal."""
+    """Return whether all stored entries are on the diagonal."""
     if is_expression(matrix):
         return bool(matrix.sparsity().is_diag())
     coo = sp.coo_array(matrix)
@@ -172,7 +183,10 @@ def is_diagonal(matrix: Any) -> bool:
 
 
 def block_inverse(M: sp.csr_array, free: Any) -> sp.csr_array:
-    """Invert M (n×n) on the free coordinates, block by block; other entries are zero."""
+    """Invert M (n×n) on the free coordinates, block by block.
+
+    Other entries are zero.
+    """
     n = M.shape[0]
     index = np.flatnonzero(free)
     if not len(index):
@@ -201,16 +215,17 @@ def block_inverse(M: sp.csr_array, free: Any) -> sp.csr_array:
 
 
 class ArrayFunction:
-    """CasADi Function of NumPy arrays without copies, which cost more than small functions.
+    """CasADi Function of NumPy arrays without copies.
 
-    The memory of each argument holds the input column by column. Results are an array (columns,
-    rows) for each dense output, and the nonzeros of each sparse one.
+    Copies take longer than small functions. The memory of each argument holds the input column by
+    column. Results are an array (columns, rows) for each dense output, and the nonzeros of each
+    sparse one.
     """
 
     def __init__(self, function: ca.Function) -> None:
         self._buffer: Any
         self._buffer, self._evaluate = function.buffer()
-        self._lock = threading.Lock()  # values kept by a model are shared by threads
+        self._lock = threading.Lock()  # threads share the functions that a model keeps
         self._shapes = [
             (function.size2_out(k), function.size1_out(k))
             if function.sparsity_out(k).is_dense()
@@ -231,7 +246,7 @@ class ArrayFunction:
                     self._buffer.set_res(k, result.data)
             self._evaluate()
             if self._buffer.ret():
-                raise RuntimeError("CasADi could not evaluate a function")
+                raise RuntimeError("CasADi failed to evaluate a function")
         return results
 
     def stats(self) -> dict[str, Any]:
@@ -240,7 +255,7 @@ class ArrayFunction:
 
 
 def generate_code(generator: ca.CodeGenerator, name: str) -> dict[str, str]:
-    """Write the C code and header of a generator, by file name."""
+    """Generate C code and header, by file name."""
     with TemporaryDirectory() as folder:
         generator.generate(f"{folder}/")
         return {

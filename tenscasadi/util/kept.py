@@ -1,4 +1,4 @@
-"""Values that are derived from another value and kept as long as it lives."""
+"""Values derived from another value and kept with it."""
 
 from __future__ import annotations
 

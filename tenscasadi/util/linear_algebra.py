@@ -12,15 +12,15 @@ import scipy.sparse as sp
 from tenscasadi.util.casadi_tools import matrix_with_pattern
 from tenscasadi.util.validate import Array, Indices
 
-# on a system of unit diagonal: smaller eigenvalues are those of redundant rows
+# eigenvalues of a matrix of unit diagonal below this belong to redundant rows
 REGULARIZATION = 1e-10
 
 
 def solve_semidefinite(A: Any, b: Any) -> Any:
-    """Solve A x = b of CasADi with a symmetric positive semidefinite A.
+    """Solve A x = b with a positive semidefinite A.
 
-    Redundant rows are allowed where b is consistent. The diagonal is scaled to one, the factored
-    matrix is A + εI, and two refinements remove ε from all but the null space.
+    Redundant rows are allowed if b is consistent. A is scaled to unit diagonal, and A + εI is
+    factorized. Two refinements remove the effect of ε outside the null space.
     """
     diagonal = ca.diag(A)
     scale = 1 / ca.sqrt(diagonal + 1e-14 * ca.sum1(diagonal))  # a row of zeros stays zero
@@ -28,7 +28,7 @@ def solve_semidefinite(A: Any, b: Any) -> Any:
     scaled = A * matrix_with_pattern(A.sparsity(), scale[rows] * scale[columns])
     target = b * scale
     shifted = scaled + REGULARIZATION * ca.DM.eye(A.shape[0])
-    solve = _unrolled_solver(shifted) if isinstance(A, ca.SX) else _solver(shifted)
+    solve = _build_sx_solver(shifted) if isinstance(A, ca.SX) else _build_mx_solver(shifted)
     x = solve(target)
     for _ in range(2):
         x = x + solve(target - ca.mtimes(scaled, x))
@@ -38,7 +38,7 @@ def solve_semidefinite(A: Any, b: Any) -> Any:
 def semidefinite_inverse(S: Array) -> Array:
     """Invert symmetric positive semidefinite matrices (K, n, n).
 
-    Where rows are redundant, the pseudoinverse of the matrix of unit diagonal.
+    Matrices with redundant rows are scaled to unit diagonal and replaced by their pseudoinverse.
     """
     diagonal = np.einsum("kii->ki", S)
     with np.errstate(all="ignore"):  # a matrix that is not finite gets no finite inverse
@@ -56,19 +56,19 @@ def semidefinite_inverse(S: Array) -> Array:
 
 
 def null_space(A: Array, tolerance: float) -> Array:
-    """Compute an orthonormal basis (n, n − rank) of the null space of A (m, n).
+    """Compute an orthonormal basis of a null space.
 
-    Singular values up to `tolerance` count as zero.
+    The matrix A is (m, n) and the basis (n, n − rank). Singular values up to `tolerance` count as zero.
     """
     _, values, right = compute_block_svd(A)
     return np.asarray(right[int(np.sum(values > tolerance)) :].T)
 
 
 def independent_rows(A: Array, tolerance: float) -> Array:
-    """Find orthonormal combinations (rank, m) of the rows of A (m, n) that are independent.
+    """Find independent orthonormal combinations of rows.
 
-    Singular values up to `tolerance` times the largest count as zero. Where A is not finite or
-    empty, all rows count.
+    The matrix A is (m, n) and the combinations (rank, m). Singular values up to `tolerance` times the largest count as
+    zero. The result is the identity if A is empty or not finite.
     """
     if not np.all(np.isfinite(A)) or not A.size:
         return np.eye(len(A))
@@ -77,17 +77,16 @@ def independent_rows(A: Array, tolerance: float) -> Array:
 
 
 def compute_block_svd(A: Array) -> tuple[Array, Array, Array]:
-    """Compute U, σ and Vᵀ, of full size, part by part.
+    """Compute the full singular value decomposition by blocks.
 
-    σ is padded with zeros to the number of rows or columns, whichever is smaller.
+    Returns U, σ and Vᵀ. σ has as many entries as A has rows or columns, whichever is fewer.
     """
     m, n = A.shape
     if not A.size:
         return np.eye(m), np.zeros(0), np.eye(n)
     left, values, right = np.zeros((m, m)), np.zeros(min(m, n)), np.zeros((n, n))
     parts = [
-        (rows, columns, np.linalg.svd(A[np.ix_(rows, columns)]))
-        for rows, columns in separate_parts(A)
+        (rows, columns, np.linalg.svd(A[np.ix_(rows, columns)])) for rows, columns in find_blocks(A)
     ]
     found = np.concatenate([part[1] for _, _, part in parts]) if parts else np.zeros(0)
     rank = np.argsort(np.argsort(-found, kind="stable"), kind="stable")  # place of each value
@@ -105,10 +104,11 @@ def compute_block_svd(A: Array) -> tuple[Array, Array, Array]:
     return left, values, right.T
 
 
-def separate_parts(A: Array) -> list[tuple[Indices, Indices]]:
-    """Find the rows and columns of the parts of a matrix that share neither.
+def find_blocks(A: Array) -> list[tuple[Indices, Indices]]:
+    """Find the diagonal blocks of a matrix up to permutations.
 
-    Rows and columns of zeros are left out. A matrix of fewer than 50 rows or columns is one part.
+    Each block is its rows and its columns. Rows and columns of zeros are left out. A matrix of
+    fewer than 50 rows or columns is one block.
     """
     m, n = A.shape
     if min(m, n) < 50:  # a dense decomposition costs less than the search
@@ -121,10 +121,10 @@ def separate_parts(A: Array) -> list[tuple[Indices, Indices]]:
     return [(group[group < m], group[group >= m] - m) for group in groups if len(group) > 1]
 
 
-def _solver(A: Any) -> Callable[[Any], Any]:
+def _build_mx_solver(A: Any) -> Callable[[Any], Any]:
     return lambda rhs: ca.solve(A, rhs, "ldl")
 
 
-def _unrolled_solver(A: Any) -> Callable[[Any], Any]:
+def _build_sx_solver(A: Any) -> Callable[[Any], Any]:
     D, LT, permutation = ca.ldl(A)
     return lambda rhs: ca.ldl_solve(rhs, D, LT, permutation)

@@ -1,4 +1,4 @@
-"""Programs, BLAS threads and Ctrl-C, which belong to the whole process."""
+"""State of the whole process: child programs, BLAS threads, Ctrl-C."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def run_program(
             )
         )
 
-    # Ctrl-C reaches the main thread alone, so never between a program's start and its handle.
+    # Ctrl-C interrupts only the main thread, so a thread that starts the program keeps its handle.
     with ThreadPoolExecutor(1) as starter:
         try:
             starter.submit(start).result()
@@ -118,10 +118,10 @@ def on_interrupt(react: Callable[[], object], then_raise: bool) -> Iterator[None
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Limit the BLAS of NumPy and SciPy to one thread within a block.
+    """Limit BLAS to one thread within a block.
 
-    Its threads wait for each other longer than they compute at matrices of a few hundred rows. Most
-    libraries have one number of threads for the whole process. Overlapping calls in several threads
+    BLAS threads wait for each other longer than they compute at matrices of a few hundred rows.
+    Most libraries have one thread count for the whole process. Overlapping calls in several threads
     share it, and the last one restores it.
     """
     global _users, _before
@@ -153,17 +153,17 @@ def _has_count_per_thread(library: Any) -> bool:
 
 
 def _limit(libraries: list[Any], counts: list[int]) -> None:
-    """Set the threads of libraries; a number that someone else has changed stays."""
+    """Set thread counts, unless other code has changed them."""
     for library, count in zip(libraries, counts, strict=True):
         if count == 1 or library.num_threads == 1:
             library.set_num_threads(count)
         if hasattr(library, "clear_controlling_thread"):
-            # else only the thread that set it first may restore it
+            # otherwise only the first thread could restore the count
             library.clear_controlling_thread()
 
 
 @cache
 def _find_blas() -> list[Any]:
-    """Find the loaded BLAS libraries, that of SciPy included."""
+    """Find the loaded BLAS libraries, including SciPy's."""
     _ = linalg.blas  # loads that of SciPy
     return list(threadpoolctl.ThreadpoolController().select(user_api="blas").lib_controllers)

@@ -1,4 +1,4 @@
-"""Values with read-only arrays, also in copies and in other processes."""
+"""Values with read-only arrays, also in copies."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ import numpy as np
 
 
 def read_only(value: Any) -> Any:
-    """Make a read-only view of an array, or of all arrays in a tuple or dictionary.
+    """Make a read-only view of an array.
 
-    Sparse arrays are returned unchanged, because SciPy sorts them in place.
+    In tuples and dictionaries, all arrays become views. Sparse arrays are returned unchanged,
+    because SciPy sorts them in place.
     """
     if isinstance(value, np.ndarray):
         value = value.view()
@@ -24,7 +25,7 @@ def read_only(value: Any) -> Any:
 
 
 class ReadOnlyArrays:
-    """Base of frozen values whose arrays cannot be written, nor those of their copies."""
+    """Base of frozen values whose arrays and copies are read-only."""
 
     def __post_init__(self) -> None:
         """Make all arrays read-only."""

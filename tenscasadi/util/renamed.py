@@ -1,4 +1,4 @@
-"""Names and modules that load at first use, and old names that warn."""
+"""Lazy imports, and deprecated names that warn."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ def find_attribute(
     package : str
         Name of the package.
     modules : mapping of str to iterable of str
-        Names by the module that has them, which is imported when the first of them is used.
+        Names by module. A module is imported at the first use of one of its names.
     renamed : mapping of str to str
-        New names of old ones, which warn.
+        New names by deprecated name.
     """
     places = {name: module for module, names in modules.items() for name in names}
 
@@ -44,7 +44,7 @@ def find_attribute(
 
 
 def lazy_module(name: str) -> Any:
-    """Import a module of another package, and execute it at its first use."""
+    """Import a module whose code runs at its first use."""
     if name in sys.modules:
         return sys.modules[name]
     spec = find_spec(name)
@@ -57,7 +57,7 @@ def lazy_module(name: str) -> Any:
 
 
 class RenamedAttribute:
-    """Old name of an attribute or method of a class, which warns."""
+    """Deprecated name of an attribute or method."""
 
     def __init__(self, new: str) -> None:
         self.new = new
@@ -73,7 +73,7 @@ class RenamedAttribute:
 
 
 def rename_keywords(**names: str) -> Callable[[_Function], _Function]:
-    """Accept old keywords of a function, given as old="new", with a warning."""
+    """Accept deprecated keywords of a function, given as old="new"."""
 
     def decorate(function: _Function) -> _Function:
         @wraps(function)

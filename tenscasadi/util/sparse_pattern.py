@@ -1,4 +1,4 @@
-"""Sparse matrices of fixed pattern whose entries are linear in a vector of values."""
+"""Sparse matrices of fixed pattern with linear entries."""
 
 from __future__ import annotations
 
@@ -31,7 +31,10 @@ class Entries(NamedTuple):
         return self._replace(weight=factor * self.weight)
 
     def in_columns_of(self, basis: sp.csr_array) -> Entries:
-        """Return the entries of the product with `basis` (columns × new columns) from the right."""
+        """Compute the entries of the product with a basis.
+
+        `basis` (columns × new columns) multiplies from the right.
+        """
         counts = np.diff(basis.indptr)[self.column]
         which = np.repeat(np.arange(len(self.column)), counts)
         first = np.repeat(np.cumsum(counts) - counts, counts)

@@ -1,4 +1,4 @@
-"""Tables of named columns, as CSV and as pandas tables."""
+"""Tables of named columns, for CSV files and pandas."""
 
 from __future__ import annotations
 
@@ -17,19 +17,25 @@ Columns = Mapping[str, Array]  # each (rows,), in order; the name ends in the un
 
 
 def name_columns(template: str, values: Any) -> dict[str, Array]:
-    """Name the columns of `values` (rows, items) by a template, such as "string {} tension (N)"."""
+    """Name the columns of `values` (rows, items).
+
+    The template has a place for the item, as in "string {} tension (N)".
+    """
     return {template.format(k): column for k, column in enumerate(np.asarray(values).T)}
 
 
-def coordinates(template: str, values: Any) -> dict[str, Array]:
-    """Name the columns of `values` (rows, items, 3) by a template of item and axis."""
+def name_coordinates(template: str, values: Any) -> dict[str, Array]:
+    """Name the columns of vectors `values` (rows, items, 3).
+
+    The template has places for item and axis.
+    """
     rows, items = np.shape(values)[:2]
     names = [template.format(k, axis) for k in range(items) for axis in "xyz"]
     return dict(zip(names, np.reshape(values, (rows, 3 * items)).T, strict=True))
 
 
 class Tabular:
-    """Base of values with a table of a column per quantity and a row per time."""
+    """Base of values with a table over time."""
 
     def _columns(self) -> Columns:
         """Return the columns, time first."""
@@ -69,7 +75,7 @@ class Tabular:
         return file_path("path", path)
 
     def to_pandas(self) -> Any:
-        """Convert the table to a ``pandas.DataFrame`` with time as its index.
+        """Convert the table to a ``pandas.DataFrame`` indexed by time.
 
         Returns
         -------
@@ -85,7 +91,7 @@ class Tabular:
             import pandas as pd
         except ImportError as error:
             raise ImportError(
-                "to_pandas needs pandas: pip install 'tenscasadi[exchange]', or write a file by to_csv"
+                "to_pandas requires pandas: pip install 'tenscasadi[exchange]', or call to_csv"
             ) from error
         columns = self._columns()
         return pd.DataFrame(dict(columns)).set_index(next(iter(columns)))

@@ -1,6 +1,6 @@
-"""Checks of input, which return a clean value or raise an error.
+"""Input checks that return a clean value or raise.
 
-All functions raise TypeError or ValueError with the name of the field, the value, and the cure.
+All functions raise TypeError or ValueError. The message has the field, the value and the cure.
 """
 
 from __future__ import annotations
@@ -20,13 +20,12 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-# Squares and products of input do not overflow. No SI quantity of a structure comes near.
-LARGEST = 1e100
-SMALLEST = 1 / LARGEST  # least positive input: divisions by it do not overflow
+LARGEST = 1e100  # largest input in size: its square does not overflow
+SMALLEST = 1 / LARGEST  # smallest positive input: a division by it does not overflow
 
 
 def finite_array(field: str, value: Any, shape: tuple[int | None, ...]) -> Array:
-    """Convert a value to a finite read-only array of a shape.
+    """Convert a value to a finite read-only array.
 
     None in `shape` stands for any size. A CasADi column is also a vector.
     """
@@ -56,9 +55,9 @@ def finite_array(field: str, value: Any, shape: tuple[int | None, ...]) -> Array
 def real_array(
     field: str, value: Any, wanted: str, kind: str = "an array of real numbers"
 ) -> Array:
-    """Convert a value to a new array of any shape, which may contain NaN and inf.
+    """Convert a value to a new array of any shape.
 
-    `wanted` is the cure in the message.
+    It may contain NaN and inf. `wanted` is the cure in the message.
     """
     try:
         source = np.asarray(value)
@@ -70,12 +69,15 @@ def real_array(
     except Exception as error:  # an object's own __array__ may raise anything
         raise TypeError(f"{field} is not {kind} ({error}): give {wanted}") from error
     if np.ma.is_masked(value):  # NumPy would take the numbers under the mask
-        raise ValueError(f"{field} has masked entries: fill them or leave them out")
+        raise ValueError(f"{field} has masked entries: fill or remove them")
     return array
 
 
 def rows_of_size(field: str, value: Any, size: int, item: str) -> Array:
-    """Convert a value to a new array of shape (..., size), which may contain NaN and inf."""
+    """Convert a value to an array of shape (..., size).
+
+    It may contain NaN and inf.
+    """
     wanted = f"{item} of shape (..., {size})"
     array = real_array(field, value, wanted)
     if array.ndim == 0 or array.shape[-1] != size:
@@ -84,14 +86,14 @@ def rows_of_size(field: str, value: Any, size: int, item: str) -> Array:
 
 
 def nesting(value: Any) -> int:
-    """Count the dimensions of a value; 1 for a value that is no array."""
+    """Count the dimensions of a value, 1 for other objects."""
     with suppress(Exception):  # an object's own __array__ may raise anything
         return np.ndim(value)
     return 1
 
 
 def as_tuple(field: str, value: Any, example: str) -> tuple[Any, ...]:
-    """Convert a list of any kind, but no text, to a tuple."""
+    """Convert an iterable other than text to a tuple."""
     if not isinstance(value, (str, bytes)):
         with suppress(Exception):  # each kind of matrix raises its own error
             return tuple(value)
@@ -122,7 +124,7 @@ def file_path(field: str, value: Any) -> Path:
     """Convert a value to a path."""
     if not isinstance(value, (str, os.PathLike)) or not isinstance(os.fspath(value), str):
         raise TypeError(
-            f"{field} is {format_value(value)}: give the name of a file or folder, as text or a pathlib.Path"
+            f"{field} is {format_value(value)}: give a file or folder as text or pathlib.Path"
         )
     if "\0" in os.fspath(value):
         raise ValueError(f"{field} is {format_value(value)}: give a name without null characters")
@@ -135,16 +137,17 @@ def number(field: str, value: Any) -> float:
 
 
 def number_or_vector(field: str, value: Any) -> Array:
-    """Convert a value to a finite array of shape (), for one number, or (any,)."""
+    """Convert a value to a finite number or vector."""
     return finite_array(field, value, (None,) if nesting(value) else ())
 
 
 def coordinates(
     field: str, place: Any, none: str, some: bool = False, read: Callable[[str, Any], Any] = number
 ) -> tuple[Any, ...]:
-    """Convert (x, y, z) entry by entry by `read`.
+    """Convert (x, y, z), where entries may be None.
 
-    Entries may be None, which the message explains by `none`. With `some`, not all of them.
+    `read` converts the other entries. `none` explains None in the message. If `some`, at least one
+    entry must be given.
     """
     try:
         entries = tuple(place.full().ravel() if isinstance(place, ca.DM) else place)
@@ -160,7 +163,7 @@ def coordinates(
 
 
 def per_item(field: str, value: Any, count: int) -> Array:
-    """Broadcast a value to one number for each of `count` items."""
+    """Broadcast a value to `count` numbers."""
     if not isinstance(value, Real) and not (isinstance(value, np.ndarray) and value.ndim == 0):
         return finite_array(field, value, (count,))
     array = np.full(count, number(field, value))
@@ -169,7 +172,7 @@ def per_item(field: str, value: Any, count: int) -> Array:
 
 
 def nonnegative(field: str, array: Array, item: str, strict: bool = False) -> Array:
-    """Check that all entries are at least 0, or greater if `strict`."""
+    """Check that entries are at least 0, or positive if `strict`."""
     bad = np.flatnonzero(array < (SMALLEST if strict else 0.0))
     if bad.size:
         relation = "greater than" if strict else "at least"
@@ -180,7 +183,10 @@ def nonnegative(field: str, array: Array, item: str, strict: bool = False) -> Ar
 
 
 def positive_number(field: str, value: Any, zero: bool = False) -> float:
-    """Convert a value to a finite float greater than 0, or at least 0 if `zero`."""
+    """Convert a value to a positive float.
+
+    It can be 0 if `zero`.
+    """
     found = number(field, value)
     if found < SMALLEST and not (zero and found >= 0.0):
         raise ValueError(
@@ -190,7 +196,10 @@ def positive_number(field: str, value: Any, zero: bool = False) -> float:
 
 
 def whole_number(field: str, value: Any, minimum: int, maximum: int = 2**31 - 1) -> int:
-    """Convert a value to an int in a range; booleans and fractions are rejected."""
+    """Convert a value to an int in a range.
+
+    Booleans and fractions are rejected.
+    """
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
         raise TypeError(f"{field} is {format_value(value)}: give a whole number")
     if value < minimum:
@@ -201,7 +210,7 @@ def whole_number(field: str, value: Any, minimum: int, maximum: int = 2**31 - 1)
 
 
 def node_index(field: str, value: Any, count: int, item: str = "node") -> int:
-    """Convert a value to a zero-based index of one of `count` items."""
+    """Convert a value to an index of `count` items."""
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
         raise TypeError(f"{field} is {format_value(value)}: give a {item} index, a whole number")
     if not 0 <= value < count:
@@ -222,14 +231,14 @@ def node_pairs(
         rows = [tuple(row) for row in value]
     except Exception as error:  # each kind of matrix raises its own error
         raise TypeError(
-            f"{field} is {format_value(value)}: give a sequence of node pairs, such as [(0, 1), (1, 2)]"
+            f"{field} is {format_value(value)}: give node pairs, such as [(0, 1), (1, 2)]"
         ) from error
     seen: dict[tuple[int, int], int] = {}
     pairs = np.empty((len(rows), 2), dtype=np.intp)
     for k, row in enumerate(rows):
         if len(row) != 2:
             raise ValueError(
-                f"{field}[{k}] is {format_value(row)}: {item} {k} joins two nodes, give a pair"
+                f"{field}[{k}] is {format_value(row)}: give the two nodes of {item} {k}"
             )
         a, b = (node_index(f"{field}[{k}]", end, count) for end in row)
         if a == b:
@@ -239,7 +248,7 @@ def node_pairs(
         key = (min(a, b), max(a, b))
         if key in seen and not parallel:
             raise ValueError(
-                f"{field}: {item} {k} joins nodes {a} and {b} as {item} {seen[key]} does: leave one out"
+                f"{field}: {item}s {seen[key]} and {k} join the same nodes {a} and {b}: remove one"
             )
         seen[key] = k
         pairs[k] = a, b
@@ -248,7 +257,7 @@ def node_pairs(
 
 
 def item_mask(field: str, value: Any, count: int, item: str) -> np.ndarray[Any, np.dtype[np.bool_]]:
-    """Convert a list of indices to a mask of `count` items."""
+    """Convert indices to a mask of `count` items."""
     found = np.zeros(count, dtype=bool)
     for k, index in enumerate(as_tuple(field, value, f"[0, 3] of {item} indices")):
         found[node_index(f"{field}[{k}]", index, count, item)] = True
@@ -256,28 +265,37 @@ def item_mask(field: str, value: Any, count: int, item: str) -> np.ndarray[Any, 
 
 
 def instance(field: str, value: Any, kinds: type | tuple[type, ...], example: str) -> None:
-    """Check that a value is one of these types; the message gives the example."""
+    """Check the type of a value.
+
+    The message gives the example.
+    """
     if not isinstance(value, kinds):
         raise TypeError(f"{field} is {format_value(value)}: give {example}")
 
 
 def call_user_function(field: str, function: Callable[[Any], Any], argument: Any, hint: str) -> Any:
-    """Call a user's function; any exception becomes a ValueError that ends with a hint."""
+    """Call a user's function.
+
+    Any exception becomes a ValueError that ends with the hint.
+    """
     try:
         return function(argument)
     except Exception as error:
         last = (str(error).strip().splitlines() or [""])[-1]
-        fault = re.sub(r"^\S+:\d+: ", "", last)  # CasADi begins with its own files and lines
+        fault = re.sub(r"^\S+:\d+: ", "", last)  # without CasADi's own file and line
         cure = hint
         if "truth value" in fault:
-            cure = "give casadi.if_else(condition, a, b) in place of Python's if, max, and, or"
+            cure = "replace Python's if, max, and, or by casadi.if_else(condition, a, b)"
         raise ValueError(
             f"{field} fails with {type(error).__name__}: {fault.rstrip('.')}: {cure}"
         ) from error
 
 
 def format_value(value: Any) -> str:
-    """Format a value for a message: its repr, cut after 300 characters, or its type."""
+    """Format a value for a message.
+
+    This is its repr, cut after 300 characters, or its type if the repr fails.
+    """
     try:
         text = repr(value)
     except Exception:  # noqa: BLE001  an object's own repr may raise anything

@@ -1,4 +1,4 @@
-"""The version of both packages: the one place that says it; pyproject.toml reads it here."""
+"""Version of both packages, which pyproject.toml reads here."""
 
 from __future__ import annotations
 

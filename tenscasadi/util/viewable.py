@@ -15,7 +15,7 @@ class Viewable:
     """Base of values that `tenscasadi.viewer.view` shows."""
 
     def view(self, **options: Any) -> View:
-        """Show the value in a browser, or write it as a page.
+        """Show the value in a browser, or write a page.
 
         Parameters
         ----------
@@ -26,16 +26,16 @@ class Viewable:
         Returns
         -------
         tenscasadi.viewer.View
-            The view. In a notebook it displays itself, and no server is started.
+            View. A notebook displays it without a server.
 
         Raises
         ------
         ImportError
-            viser is not installed.
+            If viser is not installed.
         OSError
-            The port is taken, there is no such address, or the page cannot be written.
+            If the port is taken, the address does not exist, or the page cannot be written.
         TypeError, ValueError
-            An argument is wrong.
+            If an argument is wrong.
         """
         from tenscasadi.viewer.view import view  # requires viser, and knows all viewable values
 

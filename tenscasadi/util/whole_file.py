@@ -1,4 +1,4 @@
-"""Atomic writes: a file is complete, or as it was."""
+"""Atomic writes: a file is either complete or unchanged."""
 
 from __future__ import annotations
 
@@ -14,30 +14,30 @@ from typing import BinaryIO
 
 from tenscasadi.util.validate import file_path
 
-_UNFINISHED = ".tenscasadi-"  # beginning of names of files that are being written
+_UNFINISHED = ".tenscasadi-"  # prefix of temporary files
 
 
 @contextmanager
 def whole_file(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
-    """Open a file that becomes exactly `path` if the block succeeds, see `whole_path`."""
+    """Open a file that is written atomically, see `whole_path`."""
     with whole_path(path) as part, open(part, "xb") as file:
         yield file
 
 
 @contextmanager
 def whole_path(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Provide the name of a file that becomes exactly `path` if the block succeeds.
+    """Provide a temporary name for an atomic write.
 
-    An existing file stays as it is until then, and after a failure. The name has the ending of
-    `path`. Raises OSError if the file cannot be written, or `path` is no regular file, such as a
-    device.
+    The file becomes exactly `path` if the block succeeds. Until then, and after a failure, an
+    existing file stays unchanged. The temporary name has the suffix of `path`. Raises OSError if
+    the file cannot be written, or `path` is not a regular file, such as a device.
     """
     target = file_path("path", path)
     whole = Path(os.path.realpath(target))  # where a link leads to
     if (target.exists() or whole.is_symlink()) and not target.is_file():
         raise OSError(
             errno.EISDIR if target.is_dir() else errno.EINVAL,
-            "Not a regular file, give another name",
+            "Not a regular file: give another name",
             os.fspath(path),
         )
     _clean(whole.parent)
@@ -60,13 +60,16 @@ def whole_path(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def write_whole(path: str | os.PathLike[str], content: str) -> None:
-    """Write a text to exactly `path`, see `whole_path`."""
+    """Write text to exactly `path` atomically."""
     with whole_file(path) as file:
         file.write(content.encode())
 
 
 def write_files(folder: Path, texts: Mapping[str, str]) -> list[Path]:
-    """Write texts by file name into a folder, which is created, and return the paths."""
+    """Write texts by file name into a folder.
+
+    The folder is created if necessary. Returns the paths.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     for name, content in texts.items():
         write_whole(folder / name, content)
@@ -74,7 +77,7 @@ def write_files(folder: Path, texts: Mapping[str, str]) -> list[Path]:
 
 
 def _clean(folder: Path) -> None:
-    """Remove the unfinished files of killed processes, an hour after their last write."""
+    """Remove temporary files of killed processes, after an hour."""
     with suppress(OSError):
         for entry in os.scandir(folder):
             if entry.name.startswith(_UNFINISHED):

@@ -90,5 +90,5 @@ def test_segments_files_and_plans(tmp_path: Path) -> None:
 
 
 def test_bars_between_the_same_nodes_are_refused() -> None:
-    with pytest.raises(ValueError, match="bars: bar 1 joins nodes 1 and 0 as bar 0 does"):
+    with pytest.raises(ValueError, match="bars: bars 0 and 1 join the same nodes 1 and 0"):
         tc.Structure([(0, 0, 0), (1, 0, 0)], bars=[(0, 1), (1, 0)])

@@ -101,7 +101,9 @@ def write_program(
 
     `costs` are the stage and the terminal cost.
     """
-    power = model.stacked(model.power) if account.power and model.power is not None else None
+    power = (
+        model.with_stacked_input(model.power) if account.power and model.power is not None else None
+    )
     tableau = _tableau(scheme)
     sizes = dict.fromkeys(_OWN, 0) | {"nx": model.nx, "nu": model.nu}
     if isinstance(scheme, EmbeddedRungeKutta) and scheme.adaptive:
@@ -138,9 +140,9 @@ def write_observer(model: Model, account: Account, measured: Measured) -> Kernel
 def _observing(model: Model, account: Account, measured: Measured) -> dict[str, ca.Function]:
     functions = {}
     if measured != "nothing":
-        functions["measure"] = _measure(model.stacked(model.observe), measured == "all")
+        functions["measure"] = _measure(model.with_stacked_input(model.observe), measured == "all")
     if account.jumps:
-        functions["energy"] = model.stacked(model.energy_function)
+        functions["energy"] = model.with_stacked_input(model.energy_function)
     return functions
 
 
@@ -172,7 +174,7 @@ def _merge_power(ode: ca.Function, model: Model, power: ca.Function | None) -> c
     if power is None or not power.is_a("SXFunction") or not model.ode.is_a("SXFunction"):
         return ode
     z, w = ca.SX.sym("z", model.nx + 1), ca.SX.sym("w", model.nw)
-    rates = ca.vertcat(model.stacked(model.ode)(z[:-1], w), power(z[:-1], w))
+    rates = ca.vertcat(model.with_stacked_input(model.ode)(z[:-1], w), power(z[:-1], w))
     return ca.Function("ode_and_work", [z, w], ca.cse([rates]))
 
 

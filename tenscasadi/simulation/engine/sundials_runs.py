@@ -50,7 +50,11 @@ class SundialsRuns(Interpreted):
             )
         self.program: KernelFunctions = write_observer(model, account, measured)
         super().__init__(self.program)
-        power = model.stacked(model.power) if account.power and model.power is not None else None
+        power = (
+            model.with_stacked_input(model.power)
+            if account.power and model.power is not None
+            else None
+        )
         self._every = 1 if correction is None else correction.every
         self.chunk = self._every * max(1, 50 // self._every)
         self._scheme, self._nx = scheme, model.nx

@@ -119,7 +119,7 @@ class LiveSimulation:
         )
         self.compiled = self._kernel.lanes > 0
         self.note = self._kernel.note and f"; {self._kernel.note}"
-        self._energy = model.stacked(model.energy_function)
+        self._energy = model.with_stacked_input(model.energy_function)
         mass = float(model.mechanism.M.sum())
         self._least_mass = lightest_mass(model) if self.pullable.any() else 0.0
         # The whole structure swings at the pointer once a second, and the lightest node by at most

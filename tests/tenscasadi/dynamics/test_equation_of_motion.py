@@ -11,7 +11,7 @@ from comparison import relative
 from scenes import PRISM
 
 from tenscasadi.dynamics import forces
-from tenscasadi.dynamics.equation_of_motion import applied_forces, forward_dynamics
+from tenscasadi.dynamics.equation_of_motion import compute_forces, forward_dynamics
 from tenscasadi.dynamics.mechanism import UNROLL_MEMBERS
 from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.loads import Gravity
@@ -124,7 +124,7 @@ def motion_of(model: Model, x: Any, u: Any) -> tuple[Any, ...]:
     given = *model.unpack(ca.DM(x))[:2], ca.DM(u), 0
     F, (applied, _) = (
         forces.total(model.scene, model.mechanism, *given),
-        applied_forces(model, *given),
+        compute_forces(model, *given),
     )
     return tuple(
         ca.DM(value).full() for value in (*given[:2], F, applied, *forward_dynamics(model, *given))

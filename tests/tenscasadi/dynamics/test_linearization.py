@@ -89,7 +89,7 @@ def test_rates_and_derivatives_are_those_of_the_model(name):
     p = model.parameters.nominal * rng.uniform(0.8, 1.2, model.np)
     found = EquationDerivatives.of(model).at(states, controls, p)
     by_control = found.accelerations_by_control()
-    ode = model.stacked(model.ode)
+    ode = model.with_stacked_input(model.ode)
     x, w = ca.MX.sym("x", model.nx), ca.MX.sym("w", model.nw)
     jacobian = ca.Function("jacobian", [x, w], [ca.jacobian(ode(x, w), ca.vertcat(x, w))])
     for k in range(3):
@@ -115,7 +115,7 @@ def test_derivatives_are_those_of_differences(name):
     u = rng.uniform(0.2, 2.0, model.nu)
     p = np.array(model.parameters.nominal)
     J = EquationDerivatives.of(model).at(state[None], u[None], p).jacobian(0)
-    ode, z, tiny = model.stacked(model.ode), np.concatenate([state, u, p]), 1e-6
+    ode, z, tiny = model.with_stacked_input(model.ode), np.concatenate([state, u, p]), 1e-6
     for change in rng.normal(size=(4, z.size)):
         ends = [z + sign * tiny * change for sign in (1, -1)]
         plus, minus = (ode(end[: model.nx], end[model.nx :]).full().ravel() for end in ends)

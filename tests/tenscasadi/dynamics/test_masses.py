@@ -51,7 +51,7 @@ def test_matrices_are_those_of_the_numbers(name, coordinates, kind):
         changes["node_mass"][2] = 0.0
     expected = build_mechanism(structure.replace(**changes), coordinates)
     w = kind.sym("w", model.nw)
-    mech = model.weighted(w)
+    mech = model.with_masses(w)
     found = ca.Function("masses", [w], [mech.M, *mech.inverse, mech.free_mass, *mech.G]).call(
         [model.parameters.values(changes)]
     )
@@ -68,7 +68,7 @@ def test_matrices_are_those_of_the_numbers(name, coordinates, kind):
 
 def test_what_is_constant_is_not_weighed():
     model = tc.Model(tc.Scene(tc.shapes.prism(), parameters=tc.Parameters("stiffness")))
-    assert model.weighted(ca.SX.sym("w", model.nw)) is model.mechanism
+    assert model.with_masses(ca.SX.sym("w", model.nw)) is model.mechanism
 
 
 def test_masses_that_cancel_for_some_values_do_not_for_others():

@@ -253,7 +253,7 @@ def test_functions_of_a_model_with_parameters_take_them_after_the_control() -> N
     x, u, p = model.initial_state, model.initial_control, np.array([1.0, 2.0, 3.0, 0.5])
     for function in (model.ode, model.observe, model.energy_function, model.multiplier_function):
         assert function.name_in() == ["x", "u", "p"]
-        held = model.stacked(function)
+        held = model.with_stacked_input(function)
         assert held.n_in() == 2
         for value, other in zip(
             function.call([x, u, p]), held.call([x, np.concatenate([u, p])]), strict=True
@@ -263,7 +263,8 @@ def test_functions_of_a_model_with_parameters_take_them_after_the_control() -> N
         "own", model.ode.sx_in(), [2 * model.ode(*model.ode.sx_in())]
     )  # one that the model did not make
     assert np.allclose(
-        model.stacked(own)(x, np.concatenate([u, p])).full(), 2 * model.ode(x, u, p).full()
+        model.with_stacked_input(own)(x, np.concatenate([u, p])).full(),
+        2 * model.ode(x, u, p).full(),
     )
     assert np.array_equal(model.stack_inputs(u, p), np.concatenate([u, p]))
     compiled = model.compile()
@@ -272,7 +273,7 @@ def test_functions_of_a_model_with_parameters_take_them_after_the_control() -> N
 
 def test_without_parameters_functions_stay_as_they_are() -> None:
     model = Model(Scene(Structure(**PRISM)))
-    assert model.stacked(model.ode) is model.ode
+    assert model.with_stacked_input(model.ode) is model.ode
     assert model.with_parameters() is model
     assert model.np == 0
     assert model.ode.n_in() == 2
@@ -299,7 +300,7 @@ def test_each_function_is_stacked_for_itself() -> None:
     x, p = model.initial_state, model.parameters.nominal
     for factor in range(1, 20):  # CasADi gives the memory of one that is gone to the next
         own = ca.Function("own", model.ode.sx_in(), [factor * ca.sum1(model.ode.sx_in()[2])])
-        assert float(model.stacked(own)(x, p)) == pytest.approx(factor * p.sum())
+        assert float(model.with_stacked_input(own)(x, p)) == pytest.approx(factor * p.sum())
         del own
 
 

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from tenscasadi.scene.breakpoints import find_breakpoints, short_beside_steep
+from tenscasadi.scene.breakpoints import add_guard_times, find_breakpoints
 
 
 def test_switches_are_found_to_the_last_digit() -> None:
@@ -42,5 +42,5 @@ def test_jumps_of_remainders_and_at_the_end_are_found() -> None:
 
 def test_steps_are_short_beside_short_pieces_of_a_table():
     times = np.array([0.0, 0.5, 0.501, 0.503, 1.0])
-    assert short_beside_steep(times) == pytest.approx([0.0, 0.499, 0.5, 0.501, 0.503, 0.505, 1.0])
-    assert short_beside_steep(times[[0, 1, 4]]).tolist() == [0.0, 0.5, 1.0]
+    assert add_guard_times(times) == pytest.approx([0.0, 0.499, 0.5, 0.501, 0.503, 0.505, 1.0])
+    assert add_guard_times(times[[0, 1, 4]]).tolist() == [0.0, 0.5, 1.0]

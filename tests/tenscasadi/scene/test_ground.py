@@ -245,7 +245,7 @@ def test_one_ground_is_itself_and_none_costs_nothing() -> None:
         (lambda: terrain(heights=[1.0, 2.0]), r"Terrain\.heights has shape"),
         (
             lambda: terrain(heights=[[1.0, 2.0]]),
-            r"Terrain\.heights has shape \(1, 2\): give two or more",
+            r"Terrain\.heights has shape \(1, 2\): give at least two",
         ),
         (lambda: terrain(heights=[[1.0, 2.0], [1.0, np.nan]]), r"Terrain\.heights\[1, 1\] is nan"),
         (lambda: terrain(lower=(0, 0, 0)), r"Terrain\.lower has shape"),

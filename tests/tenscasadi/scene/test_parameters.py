@@ -26,15 +26,15 @@ from tenscasadi.scene.parameters import QUANTITIES
         (
             ("gravity",),
             {"groups": {"gravity": "all"}},
-            "groups are of strings, bars, nodes and grounds",
+            "give groups of strings, bars, nodes or grounds",
         ),
         (("stiffness",), {"groups": {"stiffness": "some"}}, "is 'some': give \"all\""),
-        (("stiffness",), {"groups": {"stiffness": []}}, "give at least one group"),
-        (("stiffness",), {"groups": {"stiffness": [[0, 1], []]}}, "give at least one group"),
+        (("stiffness",), {"groups": {"stiffness": []}}, "give one or more groups"),
+        (("stiffness",), {"groups": {"stiffness": [[0, 1], []]}}, "give one or more groups"),
         (
             ("stiffness",),
             {"groups": {"stiffness": [[0, 1], [1]]}},
-            "has index 1, which is in a group already",
+            "has index 1 again",
         ),
         (("stiffness",), {"groups": {"stiffness": [[-1]]}}, "must be at least 0"),
     ],
@@ -77,7 +77,7 @@ def test_what_a_scene_does_not_have_is_refused(parameters, message):
 
 def test_loads_that_change_over_time_are_scaled_only():
     over_time = {"gravity": tc.Gravity(lambda t: (0, 0, -t))}
-    with pytest.raises(ValueError, match="changes over time: name 'gravity' under scale="):
+    with pytest.raises(ValueError, match="varies over time: name 'gravity' under scale="):
         tc.Scene(tc.shapes.prism(), parameters=tc.Parameters("gravity"), **over_time)
     assert tc.Scene(
         tc.shapes.prism(), parameters=tc.Parameters(scale=["gravity"]), **over_time

@@ -14,8 +14,8 @@ from tenscasadi.util.casadi_tools import (
     constant_row,
     drop_rounding,
     is_diagonal,
-    sparse,
     scale_and_multiply,
+    sparse,
 )
 
 

@@ -18,13 +18,14 @@ import pytest
 
 import tenscasadi as tc
 from tenscasadi.util import compile as compiled
+from tenscasadi.util import library_cache
 from tenscasadi.util.compile import (
     CompileError,
-    cache_folder,
     compile_function,
     compile_library,
     find_compiler,
 )
+from tenscasadi.util.library_cache import cache_folder
 
 needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="no C compiler on this machine")
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks at /proc")
@@ -143,7 +144,7 @@ def test_temporary_folders_belong_to_one_process_and_come_back(
     monkeypatch.setenv("TENSCASADI_CACHE", str(tmp_path / "file" / "cache"))
     code = """
 import os, sys
-from tenscasadi.util.compile import cache_folder
+from tenscasadi.util.library_cache import cache_folder
 own = cache_folder()
 child = os.fork()
 if not child:
@@ -287,7 +288,7 @@ def library(cache: Path, name: str, age: float, size: int = 100) -> Path:
 def test_the_cache_has_a_limit(
     cache: Path, monkeypatch: pytest.MonkeyPatch, limit: int, kept: str
 ) -> None:
-    monkeypatch.setattr(compiled, "_LIMIT", limit)
+    monkeypatch.setattr(library_cache, "_LIMIT", limit)
     cache_folder()
     ages = {
         "newer": 2000,
@@ -296,12 +297,12 @@ def test_the_cache_has_a_limit(
         "older": 3000,
     }  # what is recent, another process may be loading
     files = {
-        name: library(cache, f"{name}-{'a' * 32}{compiled._SUFFIX}", age, 200_000)
+        name: library(cache, f"{name}-{'a' * 32}{library_cache.SUFFIX}", age, 200_000)
         for name, age in ages.items()
     }
     others = [
         library(cache, f"lib{name}", 9000, 10**6)
-        for name in ("-mine", f"-{'g' * 32}{compiled._SUFFIX}", f"{compiled._SUFFIX}")
+        for name in ("-mine", f"-{'g' * 32}{library_cache.SUFFIX}", f"{library_cache.SUFFIX}")
     ]
     f = compile_function(function())
     assert float(f([1, 1, 1], [])[1]) == 3
@@ -317,9 +318,9 @@ def test_use_keeps_a_library_in_the_cache(
     compile_function(function("g"))
     (used,) = cache.iterdir()
     os.utime(used, (0, 0))
-    unused = library(cache, f"f-{'0' * 32}{compiled._SUFFIX}", 1000)
+    unused = library(cache, f"f-{'0' * 32}{library_cache.SUFFIX}", 1000)
     compile_function(function("g"))
-    monkeypatch.setattr(compiled, "_LIMIT", 50)
+    monkeypatch.setattr(library_cache, "_LIMIT", 50)
     compile_function(function("h"))
     assert used.exists()
     assert not unused.exists()
@@ -335,7 +336,9 @@ def test_a_library_that_is_removed_still_serves_and_is_compiled_again(
     (path,) = cache.iterdir()
     path.unlink()
     assert float(loaded([1, 1, 1], [])[1]) == 3
-    monkeypatch.setattr(compiled, "_trim", lambda folder: path.unlink())  # as another process may
+    monkeypatch.setattr(
+        library_cache, "_trim", lambda folder: path.unlink()
+    )  # as another process may
     assert float(compile_function(function())([1, 1, 1], [])[1]) == 3
     assert len(count) == 2
     assert not path.exists()
@@ -391,7 +394,8 @@ def test_processes_may_compile_at_the_same_time(cache: Path) -> None:
 
 POISONERS = """
 import os, random, sys, casadi as ca
-from tenscasadi.util.compile import cache_folder, compile_function
+from tenscasadi.util.compile import compile_function
+from tenscasadi.util.library_cache import cache_folder
 draw = random.Random(int(sys.argv[1]))
 x = ca.SX.sym("x", 3)
 for k in range(25):
@@ -439,7 +443,7 @@ def test_a_library_that_is_replaced_once_it_was_looked_at_is_not_loaded(
     (library,) = cache.iterdir()
     compile_function(function("race", factor=5.0), ("-O0",))
     (other,) = set(cache.iterdir()) - {library}
-    original = compiled._read_whole
+    original = library_cache._read_library
 
     def then(path: Path, key: str) -> bytes:
         code = original(path, key)
@@ -448,7 +452,7 @@ def test_a_library_that_is_replaced_once_it_was_looked_at_is_not_loaded(
         library.chmod(0o700)
         return code
 
-    monkeypatch.setattr(compiled, "_read_whole", then)
+    monkeypatch.setattr(library_cache, "_read_library", then)
     assert float(compile_function(f, ("-O0",))([1, 1, 1], [])[0][0]) == pytest.approx(
         2 * np.sin(1) + 1
     )
@@ -613,11 +617,15 @@ def test_large_constants_do_not_cost_optimisation(
 ) -> None:
     levels: list[str] = []
 
-    def stop(command: tuple[str, ...], flags: tuple[str, ...], *_: object) -> None:
-        levels.append(flags[0])
+    original = compiled._run
+
+    def stop(command: list[str], *options: Any, **named: Any) -> str:
+        if "-shared" not in command:
+            return original(command, *options, **named)
+        levels.extend(flag for flag in command if flag.startswith("-O"))
         raise CompileError("not built")
 
-    monkeypatch.setattr(compiled, "_build", stop)
+    monkeypatch.setattr(compiled, "_run", stop)
     x, a = ca.MX.sym("x", 200_000), ca.SX.sym("a")
     long = a
     for k in range(20_000):
@@ -686,9 +694,9 @@ def test_cpp_is_compiled_once_and_sealed(
 def test_how_a_process_prints_numbers_does_not_change_its_code() -> None:
     x = ca.MX.sym("x", 3)
     function = ca.Function("third", [x], [ca.sin(x) * (1 / 3)])
-    before = compiled._c_code(function)
+    before = compiled._generate_c(function)
     try:
         ca.DM.set_precision(14)
-        assert compiled._c_code(function) == before
+        assert compiled._generate_c(function) == before
     finally:
         ca.DM.set_precision(6)

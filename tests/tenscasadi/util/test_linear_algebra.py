@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from tenscasadi.util.linear_algebra import (
+    find_blocks,
     independent_rows,
     null_space,
     semidefinite_inverse,
-    separate_parts,
     solve_semidefinite,
 )
 
@@ -47,7 +47,7 @@ def test_parts_that_share_nothing_are_taken_apart():
     A = A[rows][:, columns]
     assert [
         (len(own), len(other))
-        for own, other in sorted(separate_parts(A), key=lambda part: -len(part[1]))
+        for own, other in sorted(find_blocks(A), key=lambda part: -len(part[1]))
     ] == [(30, 40), (39, 20)]
     free = null_space(A, 1e-3)
     rank = np.linalg.matrix_rank(A)

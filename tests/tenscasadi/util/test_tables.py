@@ -66,7 +66,7 @@ def test_pandas_reads_the_file_as_it_is_given_the_table(run, tmp_path):
 def test_without_pandas_it_says_what_to_install(run, monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(
-        ImportError, match=r"to_pandas needs pandas: pip install 'tenscasadi\[exchange\]'"
+        ImportError, match=r"to_pandas requires pandas: pip install 'tenscasadi\[exchange\]'"
     ):
         run.to_pandas()
 

@@ -9,7 +9,7 @@ import pytest
 import scipy.sparse as sp
 from scipy.linalg import null_space
 
-from tenscasadi.util.sparse_null_space import sparse_null_space
+from tenscasadi.statics.sparse_null_space import sparse_null_space
 
 
 def check(A: Any, tolerance: float = 1e-9) -> int:

@@ -1,7 +1,7 @@
 """Null space of a large sparse matrix by an orthogonal factorization.
 
-SciPy has no sparse QR factorization. At 12 006 × 13 998 entries (2000 bars) this takes 0.9 s; the
-dense decompositions of LAPACK would take minutes and 1.6 GB.
+SciPy has no sparse QR factorization. At 12 006 × 13 998 entries (2000 bars) this takes 0.9 s. Dense
+decompositions by LAPACK would take minutes and 1.6 GB.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 from tenscasadi.util.validate import Array, Indices
 
 _ROUNDING = 64 * float(np.finfo(float).eps)
-_ROWS = 48  # eliminated together; times hardly differ from 24 to 96
+_BLOCK_ROWS = 48  # rows eliminated together; times hardly differ from 24 to 96
 
 
 def sparse_null_space(A: Any, tolerance: float) -> Array:
@@ -52,8 +52,8 @@ def sparse_null_space(A: Any, tolerance: float) -> Array:
     A, first, end = _reduce_bandwidth(A)
     scale = float(np.sqrt(A.multiply(A).sum(axis=1)).max(initial=0.0))
     passed_on, blocks, last = np.zeros((0, 0)), [], 0
-    for start in range(0, rows, _ROWS):
-        stop = min(start + _ROWS, rows)
+    for start in range(0, rows, _BLOCK_ROWS):
+        stop = min(start + _BLOCK_ROWS, rows)
         new = np.flatnonzero((first >= start) & (first < stop))
         last = max(last, stop, int(end[new].max(initial=0)))
         height, width = passed_on.shape
@@ -70,7 +70,10 @@ def sparse_null_space(A: Any, tolerance: float) -> Array:
 
 
 def _reduce_bandwidth(A: Any) -> tuple[Any, Indices, Indices]:
-    """Order the rows; find the first row and the end of the rows of each column."""
+    """Order the rows for a small bandwidth.
+
+    Also find the first row and the end of the rows of each column.
+    """
     A = sp.csr_array(A, copy=True)
     A.eliminate_zeros()
     pattern = sp.csr_array((np.ones(A.nnz), A.indices, A.indptr), shape=A.shape)
@@ -84,7 +87,10 @@ def _reduce_bandwidth(A: Any) -> tuple[Any, Indices, Indices]:
 
 
 def _split(R: Array, zero: float) -> tuple[Array, Array]:
-    """Find orthonormal bases of the row space and of the null space of R, as columns."""
+    """Find orthonormal bases of the row space and the null space.
+
+    Their vectors are columns.
+    """
     if not R.size:
         return np.zeros((R.shape[1], 0)), np.eye(R.shape[1])
     Q, triangle, _ = qr(R.T, pivoting=True, check_finite=False)
@@ -93,7 +99,7 @@ def _split(R: Array, zero: float) -> tuple[Array, Array]:
 
 
 def _expand(alone: Indices, blocks: list[tuple[Indices, Array, Array]], columns: int) -> Array:
-    """Write the null vectors of all blocks in the columns of the matrix, from the last block on."""
+    """Assemble the null vectors of all blocks, from the last block on."""
     begin = len(alone) + sum(null.shape[1] for _, _, null in blocks)
     basis = np.zeros((begin, columns))
     basis[np.arange(len(alone)), alone] = 1.0
