@@ -19,7 +19,7 @@ from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.validate import Array
 
 
-class Residual(NamedTuple):
+class MotionResidual(NamedTuple):
     """Difference between a solution and the motion that it stands for.
 
     Attributes
@@ -41,7 +41,7 @@ class Residual(NamedTuple):
     states: Array | None
 
 
-Measure = Callable[[Array], Residual]  # of unknowns w
+Measure = Callable[[Array], MotionResidual]  # of unknowns w
 
 
 class FineSteps:
@@ -103,7 +103,7 @@ def measure_ends(program: Program, model: Model, fractions: Array) -> Measure:
         if block.kind == "defect"
     ]
 
-    def measure(w: Array) -> Residual:
+    def measure(w: Array) -> MotionResidual:
         states, held, _ = fine.planned(w)
         y = np.concatenate([unknowns.scale * w, unknowns.constants])
         ends = y.copy()
@@ -145,7 +145,7 @@ def measure_jumps(program: Program, model: Model, fractions: Array) -> Measure:
             if project is not None:
                 leaving = np.asarray(project(leaving.T).full()).T
 
-    def measure(w: Array) -> Residual:
+    def measure(w: Array) -> MotionResidual:
         states, held, duration = fine.planned(w)
         left, arrived = leave(states, held, duration * fractions)
         planned = states[:, nq : 2 * nq]
@@ -161,9 +161,9 @@ def measure_jumps(program: Program, model: Model, fractions: Array) -> Measure:
     return measure
 
 
-def _measured(fine: FineSteps, w: Array, shift: Array) -> Residual:
+def _measured(fine: FineSteps, w: Array, shift: Array) -> MotionResidual:
     states, error = fine.whole(w)
-    return Residual(error, float(np.abs(shift).max(initial=0.0)), shift, states)
+    return MotionResidual(error, float(np.abs(shift).max(initial=0.0)), shift, states)
 
 
 def _rows_of(program: Program, name: str) -> list[slice]:

@@ -100,6 +100,6 @@ class Variational(Transcription, kind="Variational"):
         Returns
         -------
         callable
-            Function of the unknowns that returns a `Residual`.
+            Function of the unknowns that returns a `MotionResidual`.
         """
         return measure_jumps(program, model, self.fractions)

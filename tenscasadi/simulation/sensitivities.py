@@ -23,7 +23,7 @@ from tenscasadi.simulation.inputs.run_inputs import RunInputs, read_inputs
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.tangent_loop import (
     CHUNK,
-    Steps,
+    TangentSteps,
     choose_width,
     gradient_function,
     tangent_function,
@@ -231,7 +231,7 @@ def sensitivities(  # noqa: PLR0913  options of the run and of the derivatives
         many=False,
     )
     grid, output = inputs.grid, inputs.include_schedule(output)
-    steps = Steps(inputs.model, scheme, correction, output if over == "run" else None)
+    steps = TangentSteps(inputs.model, scheme, correction, output if over == "run" else None)
     owner = (
         _owners(request.control, inputs) if by == "control" else np.zeros(grid.steps, dtype=np.intp)
     )

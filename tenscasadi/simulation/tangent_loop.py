@@ -20,7 +20,7 @@ from tenscasadi.integrators.stabilization import Correction, correct
 CHUNK = 256  # steps per call, between saved states
 
 
-class Steps(NamedTuple):
+class TangentSteps(NamedTuple):
     """Steps to differentiate.
 
     With `running` (x, w) → (1), the last entry of z is its integral over time.
@@ -48,7 +48,7 @@ def choose_width(model: Model, directions: int) -> int:
     )
 
 
-def tangent_function(steps: Steps, width: int, held: bool) -> ca.Function:
+def tangent_function(steps: TangentSteps, width: int, held: bool) -> ca.Function:
     """Build CHUNK steps with `width` tangents.
 
     Function "tangent" (y, v (·, CHUNK), grid (2, CHUNK)) → final y. The state y = [z; vec S]
@@ -78,7 +78,7 @@ def tangent_function(steps: Steps, width: int, held: bool) -> ca.Function:
     return ca.Function("tangent", [y, v, grid], [after], ["y", "v", "grid"], ["y_next"]).fold(CHUNK)
 
 
-def gradient_function(steps: Steps, width: int) -> ca.Function:
+def gradient_function(steps: TangentSteps, width: int) -> ca.Function:
     """Build the adjoint of CHUNK steps with `width` gradients.
 
     Function "gradient" (z, vec L, w (nw, CHUNK), grid (2, CHUNK)) → final z, initial vec L,
@@ -115,7 +115,7 @@ def _reverse(columns: Any) -> Any:
     return columns[:, ::-1]
 
 
-def _step(steps: Steps) -> ca.Function:
+def _step(steps: TangentSteps) -> ca.Function:
     """Build one step: Function (z, w, grid (2)) → z_next."""
     z, w, grid = ca.MX.sym("z", steps.size), ca.MX.sym("w", steps.model.nw), ca.MX.sym("grid", 2)
     follow = _build_correction(steps)
@@ -124,7 +124,7 @@ def _step(steps: Steps) -> ca.Function:
     return ca.Function("step", [z, w, grid], [ca.if_else(grid[0] > 0, end, z)])
 
 
-def _plain(steps: Steps) -> ca.Function:
+def _plain(steps: TangentSteps) -> ca.Function:
     """Build one step without correction.
 
     Function (z, w, h) → z_next.
@@ -135,7 +135,7 @@ def _plain(steps: Steps) -> ca.Function:
     return steps.scheme.advance(steps.model, steps.running)
 
 
-def _build_correction(steps: Steps) -> ca.Function | None:
+def _build_correction(steps: TangentSteps) -> ca.Function | None:
     """Build the correction after a step.
 
     Function (z, w, flag) → z, corrected for flag > 0. None without constraints or correction.
@@ -165,7 +165,7 @@ def _push_tangents(
     return value, function.forward(tangents[0].shape[1])(*inputs, value, *tangents)
 
 
-def _variational(steps: Steps, width: int, held: bool) -> ca.Function:
+def _variational(steps: TangentSteps, width: int, held: bool) -> ca.Function:
     """Build the variational equation of the right-hand side.
 
     Function (y, v) → ẏ, see `tangent_function`.

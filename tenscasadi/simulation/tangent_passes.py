@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tenscasadi.simulation.inputs.run_inputs import RunInputs
-from tenscasadi.simulation.tangent_loop import CHUNK, Steps
+from tenscasadi.simulation.tangent_loop import CHUNK, TangentSteps
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.validate import Array, Indices
 
@@ -22,7 +22,7 @@ class PassSetup(NamedTuple):
     `owner` (steps,) is the interval of each step. None selects the initial state.
     """
 
-    steps: Steps
+    steps: TangentSteps
     states: Array
     inputs: RunInputs
     owner: Indices

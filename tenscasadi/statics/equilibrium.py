@@ -20,7 +20,7 @@ from tenscasadi.statics.solver.newton_system import NewtonSystem
 from tenscasadi.statics.solver.relaxation import relax
 from tenscasadi.statics.solver.settling import settle
 from tenscasadi.statics.solver.static_equations import Conditions, StaticEquations
-from tenscasadi.statics.solver.trust_region import Rest
+from tenscasadi.statics.solver.trust_region import SearchResult
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.kept import keep
 from tenscasadi.util.read_only import ReadOnlyArrays
@@ -268,7 +268,7 @@ def read_load(system: NewtonSystem, load: Any) -> Array:
 
 
 def describe_rest(
-    source: Scene | Model, system: NewtonSystem, rest: Rest, given: Conditions
+    source: Scene | Model, system: NewtonSystem, rest: SearchResult, given: Conditions
 ) -> Equilibrium:
     """Compute all quantities of an equilibrium.
 
@@ -278,7 +278,7 @@ def describe_rest(
         The scene, or its model.
     system : NewtonSystem
         Newton systems of the scene.
-    rest : Rest
+    rest : SearchResult
         Result of the search.
     given : Conditions
         Inputs and time.
@@ -317,7 +317,9 @@ def describe_rest(
     )
 
 
-def _retry(system: NewtonSystem, rest: Rest, nodes: Array, given: Conditions) -> Rest:
+def _retry(
+    system: NewtonSystem, rest: SearchResult, nodes: Array, given: Conditions
+) -> SearchResult:
     """Search again from the end of a dynamic relaxation; return the better result."""
     scene = system.equations.scene
     u, p = np.split(given.inputs, [scene.nu])
@@ -326,14 +328,14 @@ def _retry(system: NewtonSystem, rest: Rest, nodes: Array, given: Conditions) ->
     return again if again.converged else rest
 
 
-def is_unheld(system: NewtonSystem, rest: Rest) -> bool:
+def is_unheld(system: NewtonSystem, rest: SearchResult) -> bool:
     """Return whether most of the unbalanced force acts on rigid-body motions.
 
     Parameters
     ----------
     system : NewtonSystem
         Newton systems of the scene.
-    rest : Rest
+    rest : SearchResult
         Result of a search.
 
     Returns
@@ -346,7 +348,7 @@ def is_unheld(system: NewtonSystem, rest: Rest) -> bool:
     return float(np.linalg.norm(net)) > 0.5 * float(np.linalg.norm(rest.residual))
 
 
-def _message(system: NewtonSystem, rest: Rest, unbalanced: Array, residual: float) -> str:
+def _message(system: NewtonSystem, rest: SearchResult, unbalanced: Array, residual: float) -> str:
     if rest.converged:
         return f"in equilibrium after {rest.iterations} steps, unbalanced force {residual:.1e} N"
     cure = "give another start, or change supports, loads or rest lengths"

@@ -20,7 +20,7 @@ from tenscasadi.statics.equilibrium import (
     read_load,
     read_problem,
 )
-from tenscasadi.statics.solver.continuation import Change, Row, Tracer
+from tenscasadi.statics.solver.continuation import LoadChange, Row, Tracer
 from tenscasadi.statics.solver.newton_system import NewtonSystem
 from tenscasadi.statics.solver.settling import prepare_friction, settle
 from tenscasadi.statics.solver.static_equations import Conditions
@@ -200,7 +200,7 @@ def _read_change(
     control: Any,
     parameters: Any,
     factors: tuple[float, float],
-) -> Change:
+) -> LoadChange:
     """Read what changes with the factor. Raises TypeError, ValueError."""
     scene = system.equations.scene
     if load is None and control is None and parameters is None:
@@ -208,7 +208,9 @@ def _read_change(
     forces = read_load(system, load) if load is not None else np.zeros(given.anchor.shape)
     du = np.zeros(scene.nu) if control is None else finite_array("control", control, (scene.nu,))
     dp = _read_parameters(scene, parameters)
-    change = Change(given._replace(added=np.zeros_like(given.anchor)), np.append(du, dp), forces)
+    change = LoadChange(
+        given._replace(added=np.zeros_like(given.anchor)), np.append(du, dp), forces
+    )
     for factor in factors:
         u, p = np.split(change.at(factor).inputs, [scene.nu])
         try:

@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from tenscasadi.util.validate import Array, Indices
 
 
-class Entries(NamedTuple):
+class MatrixEntries(NamedTuple):
     """Contributions to a matrix: weight · values[source] at (row, column)."""
 
     row: Indices
@@ -18,19 +18,21 @@ class Entries(NamedTuple):
     source: Indices
     weight: Array
 
-    def transposed(self) -> Entries:
+    def transposed(self) -> MatrixEntries:
         """Return the entries of the transposed matrix."""
-        return Entries(self.column, self.row, self.source, self.weight)
+        return MatrixEntries(self.column, self.row, self.source, self.weight)
 
-    def shifted(self, row: int = 0, column: int = 0, source: int = 0) -> Entries:
+    def shifted(self, row: int = 0, column: int = 0, source: int = 0) -> MatrixEntries:
         """Return the entries with offsets of rows, columns and sources."""
-        return Entries(self.row + row, self.column + column, self.source + source, self.weight)
+        return MatrixEntries(
+            self.row + row, self.column + column, self.source + source, self.weight
+        )
 
-    def scaled(self, factor: float) -> Entries:
+    def scaled(self, factor: float) -> MatrixEntries:
         """Return the entries with all weights multiplied by a factor."""
         return self._replace(weight=factor * self.weight)
 
-    def in_columns_of(self, basis: sp.csr_array) -> Entries:
+    def in_columns_of(self, basis: sp.csr_array) -> MatrixEntries:
         """Compute the entries of the product with a basis.
 
         `basis` (columns × new columns) multiplies from the right.
@@ -39,21 +41,21 @@ class Entries(NamedTuple):
         which = np.repeat(np.arange(len(self.column)), counts)
         first = np.repeat(np.cumsum(counts) - counts, counts)
         place = basis.indptr[self.column[which]] + np.arange(len(which)) - first
-        return Entries(
+        return MatrixEntries(
             self.row[which],
             basis.indices[place].astype(np.intp),
             self.source[which],
             self.weight[which] * basis.data[place],
         )
 
-    def projected(self, basis: sp.csr_array) -> Entries:
+    def projected(self, basis: sp.csr_array) -> MatrixEntries:
         """Return the entries of basisᵀ · matrix · basis."""
         return self.in_columns_of(basis).transposed().in_columns_of(basis).transposed()
 
 
-def join_entries(*parts: Entries) -> Entries:
+def join_entries(*parts: MatrixEntries) -> MatrixEntries:
     """Join contributions to one matrix."""
-    return Entries(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    return MatrixEntries(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
 class SparsePattern:
@@ -61,7 +63,7 @@ class SparsePattern:
 
     Parameters
     ----------
-    entries : Entries
+    entries : MatrixEntries
         Contributions to the matrix.
     shape : tuple of int
         Rows and columns.
@@ -69,7 +71,7 @@ class SparsePattern:
         Number of values.
     """
 
-    def __init__(self, entries: Entries, shape: tuple[int, int], sources: int) -> None:
+    def __init__(self, entries: MatrixEntries, shape: tuple[int, int], sources: int) -> None:
         rows = shape[0]
         code, place = np.unique(entries.column * rows + entries.row, return_inverse=True)
         self.shape = shape

@@ -63,16 +63,16 @@ class CondensedProgram:
         count = len(program.lower)
         to_s, to_u = _numbers(self.s, n), _numbers(self.u, n)
         self._parts = [
-            [_Part(row, column, _numbers(rows, count), to) for to in (to_s, to_u)]
+            [_SparseBlock(row, column, _numbers(rows, count), to) for to in (to_s, to_u)]
             for rows in (self.goal_rows, self.path_rows)
         ]
         to_defect = _numbers(self.defect_rows, count)
-        self._defects_by_u = _Part(row, column, to_defect, to_u)
-        self._u_by_defects = _Part(column, row, to_u, to_defect)
+        self._defects_by_u = _SparseBlock(row, column, to_defect, to_u)
+        self._u_by_defects = _SparseBlock(column, row, to_u, to_defect)
         i, j = _places(functions["nlp_hess_l"].sparsity_out(0))
         off, both = np.flatnonzero(i != j), _numbers(np.append(self.s, self.u), n)
         self._symmetric = np.append(np.arange(len(i)), off)
-        self._second = _Part(np.append(i, j[off]), np.append(j, i[off]), both, both)
+        self._second = _SparseBlock(np.append(i, j[off]), np.append(j, i[off]), both, both)
         self.bounds = VariableBounds(program.w_lower[self.u], program.w_upper[self.u])
         self.path_bounds = VariableBounds(
             program.lower[self.path_rows], program.upper[self.path_rows]
@@ -232,7 +232,7 @@ class Expansion:
         return self._reduce(by_s[:, None], by_u[:, None])[:, 0]
 
 
-class _Part:
+class _SparseBlock:
     """Some rows and columns of a sparse matrix, from the non-zeros of the whole."""
 
     def __init__(self, row: Indices, column: Indices, rows: Indices, columns: Indices) -> None:

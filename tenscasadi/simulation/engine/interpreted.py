@@ -32,7 +32,7 @@ _REST, _NEXT = (Memory._fields.index(name) for name in ("rest", "step"))
 Values = Mapping[str, Any]
 
 
-class Rows(NamedTuple):
+class StepRows(NamedTuple):
     """States and work z (k, n, nz) after each of k steps.
 
     `effects` (k, n, 2) are those of corrections, None without them. `code` is the reason if a step
@@ -89,11 +89,11 @@ class Interpreted:
             self._mapped[key] = ArrayFunction(mapped)
         return self._mapped[key](*inputs)
 
-    def take(self, loop: Loop, length: float, most: int) -> Rows:
+    def take(self, loop: Loop, length: float, most: int) -> StepRows:
         """Take up to `most` steps of `length` s."""
         if self.has("attempt"):
             code = self._control_error(loop, length)
-            return Rows(loop.z[None], None, code)
+            return StepRows(loop.z[None], None, code)
         n, q = len(loop.z), loop.q
         steps = self.chunk if n == 1 and most >= self.chunk else 1
         every, places = q["correct_every"], loop.step + 1 + np.arange(steps)
@@ -103,7 +103,7 @@ class Interpreted:
             for value in (loop.w, np.full((1, 1), length), q["numbers"][None], flags[:, None])
         ]
         z, effects = self.evaluate("advance", loop.z, *rows, steps=steps)
-        return Rows(z.reshape(steps, n, -1), effects.reshape(steps, n, 2) if every else None)
+        return StepRows(z.reshape(steps, n, -1), effects.reshape(steps, n, 2) if every else None)
 
     def _control_error(self, loop: Loop, length: float) -> int:
         """Take trial steps to the end of a grid step.
@@ -197,7 +197,7 @@ class Loop:
             try:
                 rows = self.backend.take(self, length, left)
             except RuntimeError:  # CasADi could not evaluate a step
-                rows = Rows(before[None], None, UNSOLVED)
+                rows = StepRows(before[None], None, UNSOLVED)
             self._observe(np.concatenate([before[None], rows.z[:-1]]))
             if self.status.all():
                 return
@@ -207,7 +207,7 @@ class Loop:
             self._record_effects(rows)
             self.step, self.z, left = self.step + len(rows.z), rows.z[-1], left - len(rows.z)
 
-    def _record_effects(self, rows: Rows) -> None:
+    def _record_effects(self, rows: StepRows) -> None:
         """Store the effect of the first correction after each saved row."""
         q = self.q
         if rows.effects is None or not q["save_every"]:

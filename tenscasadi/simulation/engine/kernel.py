@@ -69,7 +69,7 @@ class SchemeNumbers(NamedTuple):
     correct_every: int
 
 
-class _Work(NamedTuple):
+class _KernelArrays(NamedTuple):
     """Arrays of n runs, by the names of `engine.hpp`, and their intervals."""
 
     values: dict[str, Any]
@@ -209,7 +209,7 @@ class Kernel:
         scheme[0] = longest if numbers.trials else scheme[0]
         values |= {"numbers": scheme, "counted": len(scheme), "save_every": save_every}
         values |= {"look_every": look_every, "total": total}
-        work = _Work(values, intervals, n)
+        work = _KernelArrays(values, intervals, n)
         short = self.lanes and n * total < self.rate * SLICE and time.monotonic() < watch.deadline
         if watch is NOBODY or (short and not numbers.trials):
             with _start_threads(threads) as pool:
@@ -273,7 +273,7 @@ class Kernel:
 
     def take(
         self,
-        work: _Work,
+        work: _KernelArrays,
         runs: tuple[int, int],
         steps: tuple[int, int],
         threads: _Threads | None,
@@ -323,7 +323,9 @@ class Kernel:
 class _March:
     """Runs in blocks and time slices that take about `SLICE` s each."""
 
-    def __init__(self, kernel: Kernel, work: _Work, threads: _Threads | None, watch: Watch) -> None:
+    def __init__(
+        self, kernel: Kernel, work: _KernelArrays, threads: _Threads | None, watch: Watch
+    ) -> None:
         self._kernel, self._work, self._threads, self._watch = kernel, work, threads, watch
         self._total, self._done = work.values["total"], 0
 
@@ -379,7 +381,7 @@ class _March:
                     rows[alive, row:] = np.nan
 
 
-def _select(work: _Work, steps: tuple[int, int]) -> dict[str, Any]:
+def _select(work: _KernelArrays, steps: tuple[int, int]) -> dict[str, Any]:
     """Collect the arrays for a range of steps."""
     values, whole = work.values, work.intervals
     part = whole if steps[1] - steps[0] == whole.steps.sum() else whole.slice(*steps)

@@ -13,7 +13,7 @@ from tenscasadi.integrators.events import build_switching
 from tenscasadi.integrators.stabilization import Correction, build_correction
 from tenscasadi.integrators.sundials import Sundials
 from tenscasadi.integrators.sundials_events import EventSteps
-from tenscasadi.simulation.engine.interpreted import Interpreted, Loop, Rows, Values
+from tenscasadi.simulation.engine.interpreted import Interpreted, Loop, StepRows, Values
 from tenscasadi.simulation.engine.request import STOPPED, UNSOLVED
 from tenscasadi.simulation.engine.step_code import (
     Account,
@@ -87,19 +87,19 @@ class SundialsRuns(Interpreted):
         if self._stop["stop"][0]:
             raise Stopped
 
-    def take(self, loop: Loop, length: float, most: int) -> Rows:
+    def take(self, loop: Loop, length: float, most: int) -> StepRows:
         """Take up to `most` steps of `length` s."""
         count = min(most, self.chunk - loop.step % self.chunk)
         try:
             rows = self._take(loop.z[0], loop.w[0], length, count)
         except Stopped:
-            return Rows(loop.z[None], None, STOPPED)
+            return StepRows(loop.z[None], None, STOPPED)
         except RuntimeError as error:
             self.failure = str(error)
-            return Rows(loop.z[None], None, UNSOLVED)
+            return StepRows(loop.z[None], None, UNSOLVED)
         corrected = np.arange(loop.step + 1, loop.step + count + 1) % self._every == 0
         self._correct(rows, loop.w[0], corrected)
-        return Rows(rows[:, None])
+        return StepRows(rows[:, None])
 
     def _take(self, z: Array, w: Array, length: float, count: int) -> Array:
         """Compute z after each of the next steps (count, nz)."""

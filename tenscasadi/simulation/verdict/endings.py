@@ -33,7 +33,7 @@ FAULTS = {
 }
 
 
-class Steps(NamedTuple):
+class StepSummary(NamedTuple):
     """Description of the steps of a run, their mean length [s], and their number with rejected ones."""
 
     text: str
@@ -41,7 +41,7 @@ class Steps(NamedTuple):
     computed: int
 
 
-def describe_steps(runs: Runs, k: int) -> Steps:
+def describe_steps(runs: Runs, k: int) -> StepSummary:
     """Describe the steps of run k."""
     request, memory, taken = runs.request, runs.rolled.memory(k), runs.last_step(k)
     grid, step = request.inputs.grid, request.inputs.grid.step
@@ -49,14 +49,14 @@ def describe_steps(runs: Runs, k: int) -> Steps:
         events, trials = runs.kernel.backend.located
         located = f", {trials} trials to locate {events} events" if events else ""
         name = type(request.scheme).__name__
-        return Steps(f"{taken} times {step:g} s apart, by {name}{located}", step, taken)
+        return StepSummary(f"{taken} times {step:g} s apart, by {name}{located}", step, taken)
     if not runs.kernel.trials:
-        return Steps(f"{taken} steps of {step:g} s", step, taken)
+        return StepSummary(f"{taken} steps of {step:g} s", step, taken)
     covered = float(grid.times(np.array(taken))) + (step - memory.rest if memory.rest > 0 else 0.0)
     mean = covered / memory.accepted if memory.accepted else step
     text = f"{memory.accepted:.0f} steps of {mean:.3g} s in the mean, {memory.rejected:.0f} more rejected"
     text += f", {memory.located:.0f} to locate {memory.events:.0f} events" if memory.events else ""
-    return Steps(text, mean, round(memory.accepted + memory.rejected + memory.located))
+    return StepSummary(text, mean, round(memory.accepted + memory.rejected + memory.located))
 
 
 def explain_end(runs: Runs, k: int) -> str:
@@ -120,7 +120,7 @@ def _explain_loss(runs: Runs, k: int) -> str:
     return explain_loss(request.inputs.model, request.scheme, step, sample_run(runs, k))
 
 
-class Samples(NamedTuple):
+class RunSamples(NamedTuple):
     """Times [s], states and stacked inputs at a few rows of a run."""
 
     times: Array
@@ -128,14 +128,14 @@ class Samples(NamedTuple):
     inputs: Array
 
 
-def sample_run(runs: Runs, k: int) -> Samples:
+def sample_run(runs: Runs, k: int) -> RunSamples:
     """Select a few rows of run k."""
     inputs, steps = runs.request.inputs, runs.saved_steps(k)
     rows = np.unique(np.linspace(0, len(steps) - 1, 9).astype(int))
-    return Samples(runs.times(steps[rows]), runs.saved[k, rows], inputs.stack(k, steps[rows]))
+    return RunSamples(runs.times(steps[rows]), runs.saved[k, rows], inputs.stack(k, steps[rows]))
 
 
-def explain_loss(model: Model, scheme: Scheme, step: float, samples: Samples) -> str:
+def explain_loss(model: Model, scheme: Scheme, step: float, samples: RunSamples) -> str:
     """Explain a divergence by the start and the linearized motion, with a cure."""
     name = type(scheme).__name__
     violation = constraint_violation(model, samples.states[0])
@@ -159,7 +159,7 @@ def explain_loss(model: Model, scheme: Scheme, step: float, samples: Samples) ->
 
 
 def find_stable_step(
-    model: Model, scheme: Scheme, samples: Samples, step: float = 0.0
+    model: Model, scheme: Scheme, samples: RunSamples, step: float = 0.0
 ) -> tuple[float, float]:
     """Find the smallest stable step at some rows, and its time [s].
 

@@ -38,7 +38,7 @@ _ACROSS = 1e-6  # of a load along a critical motion: a smaller share makes a bif
 _CRITICAL = 1e-6  # of the largest stiffness: that of a critical motion
 
 
-class Change(NamedTuple):
+class LoadChange(NamedTuple):
     """Change of loads and inputs per unit of the factor.
 
     Attributes
@@ -110,13 +110,15 @@ class Tracer:
     ----------
     system : NewtonSystem
         Newton systems of the scene.
-    change : Change
+    change : LoadChange
         What changes with the factor.
     factors : tuple of float
         Least and largest factor.
     """
 
-    def __init__(self, system: NewtonSystem, change: Change, factors: tuple[float, float]) -> None:
+    def __init__(
+        self, system: NewtonSystem, change: LoadChange, factors: tuple[float, float]
+    ) -> None:
         self.system, self.equations, self.change = system, system.equations, change
         self.factors, self.growth = factors, 1.0
         nodes = change.given.anchor

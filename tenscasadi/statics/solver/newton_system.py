@@ -16,7 +16,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from tenscasadi.statics.solver.static_equations import StaticEquations, StaticPoint
-from tenscasadi.util.sparse_pattern import Entries, SparsePattern, join_entries
+from tenscasadi.util.sparse_pattern import MatrixEntries, SparsePattern, join_entries
 from tenscasadi.util.validate import Array, Indices
 
 FLAT = 1e-12  # of the largest stiffness: a motion with less counts as one without stiffness
@@ -41,7 +41,7 @@ class NewtonSystem:
         self._first_load = 9 * len(pairs)
         self._first_direction = self._first_load + len(rows)
         self._sources = self._first_direction + 3 * self.rigid + 2  # then the shift and the slack
-        loads = Entries(rows, columns, np.arange(len(rows)), -np.ones(len(rows)))
+        loads = MatrixEntries(rows, columns, np.arange(len(rows)), -np.ones(len(rows)))
         self._members = member_entries(pairs).projected(equations.free)
         self._loads = loads.shifted(source=self._first_load).projected(equations.free)
         lengthening = direction_entries(equations.rigid_pairs).in_columns_of(equations.free)
@@ -201,7 +201,7 @@ class NewtonSystem:
     # --- patterns ---
 
     @cached_property
-    def _symmetric(self) -> Entries:
+    def _symmetric(self) -> MatrixEntries:
         half = self._loads.scaled(0.5)
         return join_entries(self._members, half, half.transposed())
 
@@ -234,7 +234,7 @@ class NewtonSystem:
             self._symmetric,
             bars,
             bars.transposed(),
-            Entries(diagonal, diagonal, source, np.ones(total)),
+            MatrixEntries(diagonal, diagonal, source, np.ones(total)),
         )
         order = elimination_order(self._tangent, self._jacobian)
         moved = entries._replace(row=order[entries.row], column=order[entries.column])
@@ -317,13 +317,13 @@ def member_blocks(gamma: Array, along: Array, vectors: Array) -> Array:
     return np.asarray(blocks)
 
 
-def member_entries(pairs: Indices) -> Entries:
+def member_entries(pairs: Indices) -> MatrixEntries:
     """Build the entries (3n × 3n) of members with blocks (3, 3), one after the other."""
     first, second = 3 * pairs.T[:, :, None, None]
     a, b = np.arange(3)[:, None], np.arange(3)
     source = np.broadcast_to(np.arange(9 * len(pairs)).reshape(-1, 3, 3), (len(pairs), 3, 3))
     parts = [
-        Entries(
+        MatrixEntries(
             *(
                 np.broadcast_to(value, source.shape).ravel()
                 for value in (row + a, column + b, source, np.array(sign))
@@ -339,14 +339,14 @@ def member_entries(pairs: Indices) -> Entries:
     return join_entries(*parts)
 
 
-def direction_entries(pairs: Indices) -> Entries:
+def direction_entries(pairs: Indices) -> MatrixEntries:
     """Build the entries (m × 3n) of the lengthening of members with unit vectors (3,)."""
     item = np.repeat(np.arange(len(pairs)), 3)
     source = np.arange(3 * len(pairs))
     axis = np.tile(np.arange(3), len(pairs))
     return join_entries(
         *(
-            Entries(item, 3 * pairs[item, end] + axis, source, np.full(len(source), sign))
+            MatrixEntries(item, 3 * pairs[item, end] + axis, source, np.full(len(source), sign))
             for end, sign in ((0, -1.0), (1, 1.0))
         )
     )

@@ -9,7 +9,7 @@ from tenscasadi.statics.solver.newton_system import NewtonSystem
 from tenscasadi.statics.solver.static_equations import Conditions
 from tenscasadi.statics.solver.trust_region import (
     ACCURACY,
-    Rest,
+    SearchResult,
     allowed_residual,
     find_rest,
     pull_to_bars,
@@ -21,7 +21,7 @@ ROUGH = 1e-4  # of the largest force: accuracy before the final Newton iteration
 NEWTON = 30  # iterations with the unsymmetric tangent
 
 
-def settle(system: NewtonSystem, nodes: Array, given: Conditions) -> Rest:
+def settle(system: NewtonSystem, nodes: Array, given: Conditions) -> SearchResult:
     """Find a stable equilibrium, also where loads have no energy.
 
     Contacts with friction slip from the start by no more than they must.
@@ -37,7 +37,7 @@ def settle(system: NewtonSystem, nodes: Array, given: Conditions) -> Rest:
 
     Returns
     -------
-    Rest
+    SearchResult
         The equilibrium, or the last iterate and the reason.
     """
     if system.equations.has_friction:
@@ -65,21 +65,21 @@ def structure_size(nodes: Array) -> float:
     return float(np.ptp(nodes, axis=0).max(initial=0.0)) or 1.0
 
 
-def finish(system: NewtonSystem, rest: Rest, given: Conditions) -> Rest:
+def finish(system: NewtonSystem, rest: SearchResult, given: Conditions) -> SearchResult:
     """Balance the forces near an equilibrium by Newton's method with the exact tangent.
 
     Parameters
     ----------
     system : NewtonSystem
         Newton systems of the scene.
-    rest : Rest
+    rest : SearchResult
         Start.
     given : Conditions
         Inputs, time and friction.
 
     Returns
     -------
-    Rest
+    SearchResult
         The equilibrium, or the start where the iterations do not converge.
     """
     equations = system.equations
@@ -92,7 +92,7 @@ def finish(system: NewtonSystem, rest: Rest, given: Conditions) -> Rest:
             point = equations.at(point.nodes, given._replace(pressing=point.nodes))
             stable = find_stable_factors(system, point, tension) is not None
             steps = rest.iterations + step
-            return Rest(point, tension, residual, True, stable, False, "", steps)
+            return SearchResult(point, tension, residual, True, stable, False, "", steps)
         try:
             p, change = system.solve_unsymmetric(
                 point, tension, residual, -equations.bar_errors(point.nodes)

@@ -31,7 +31,7 @@ _SHORTEST = 1e-14  # sizes of the structure: a shorter step changes nothing
 _BARS = 1e-13  # m per m: lengths of rigid bars
 
 
-class Rest(NamedTuple):
+class SearchResult(NamedTuple):
     """Result of a search for an equilibrium.
 
     Attributes
@@ -74,7 +74,7 @@ class StalledError(NoRestError):
 
 def find_rest(
     system: NewtonSystem, nodes: Array, given: Conditions, accuracy: float = ACCURACY
-) -> Rest:
+) -> SearchResult:
     """Find a stable equilibrium near some nodes.
 
     Friction is limited by the normal forces at the pressing nodes that are given, or else by those
@@ -93,10 +93,10 @@ def find_rest(
 
     Returns
     -------
-    Rest
+    SearchResult
         The equilibrium, or the last iterate and the reason.
     """
-    search = _Search(system, nodes, given, accuracy)
+    search = _SearchState(system, nodes, given, accuracy)
     try:
         search.run()
     except NoRestError as error:
@@ -106,7 +106,7 @@ def find_rest(
     return search.result("")
 
 
-class _Search:
+class _SearchState:
     """State of a search."""
 
     def __init__(
@@ -143,10 +143,10 @@ class _Search:
                 self._step()
         raise StalledError(f"the forces did not balance within {ITERATIONS} iterations")
 
-    def result(self, reason: str, stalled: bool = False) -> Rest:
+    def result(self, reason: str, stalled: bool = False) -> SearchResult:
         """Return the last iterate."""
         found, stable = not reason, self.stable and not reason
-        return Rest(
+        return SearchResult(
             self.point, self.tension, self.residual, found, stable, stalled, reason, self.steps
         )
 

@@ -17,7 +17,7 @@ from tenscasadi.simulation.engine.build import build_kernel
 from tenscasadi.simulation.engine.request import FINISHED, Intervals, Rolled
 from tenscasadi.simulation.engine.step_code import Account
 from tenscasadi.simulation.trajectory import Trajectory, observe_states, record_trajectory
-from tenscasadi.simulation.verdict.endings import FAULTS, Samples, explain_loss
+from tenscasadi.simulation.verdict.endings import FAULTS, RunSamples, explain_loss
 from tenscasadi.simulation.verdict.judge import find_doubts, measure_trajectory
 from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import SMALLEST, Array, finite_array, instance, node_index
@@ -245,7 +245,7 @@ class LiveSimulation:
         found = FAULTS.get(int(rolled.status[0]), "a step could not be computed")
         states = np.stack([self.start_state, self.state])
         held = np.tile(np.concatenate([self.control, self.model.parameters.nominal]), (2, 1))
-        samples = Samples(np.array([0.0, self.time]), states, held)
+        samples = RunSamples(np.array([0.0, self.time]), states, held)
         return f"{found}; {explain_loss(self.model, self.options.scheme, self.step, samples)}"
 
     def _inputs(self) -> Array:
