@@ -38,16 +38,22 @@ class Canvas3D:
         Figure that holds the axes.
     content : ViewContent
         Content, whose surroundings are drawn at once.
+    place : tuple of float
+        Left, bottom, width and height of the axes, relative to the figure.
     """
 
-    def __init__(self, figure: Figure, content: ViewContent) -> None:
+    def __init__(
+        self,
+        figure: Figure,
+        content: ViewContent,
+        place: tuple[float, float, float, float] = (0.05, 0.05, 0.9, 0.82),
+    ) -> None:
         self.figure = figure
-        self.axes: Any = cast(Any, figure).add_axes(
-            (0.05, 0.05, 0.9, 0.82), projection="3d", computed_zorder=False
-        )
+        self.axes: Any = cast(Any, figure).add_axes(place, projection="3d", computed_zorder=False)
         self._drawn: list[Any] = []
         low, high = content.corners
-        self._points_per_meter = 36 * min(figure.get_size_inches()) / (high - low).max()
+        inches = np.array(place[2:]) / [0.9, 0.82] * figure.get_size_inches()
+        self._points_per_meter = 36 * inches.min() / (high - low).max()
         thin = np.flatnonzero(high - low < 0.05 * (high - low).max())
         broadside = {0: (12, -20), 1: (12, -72), 2: (62, -80)}
         elevation, azimuth = broadside[int(thin[0])] if len(thin) else (18, -62)

@@ -1,0 +1,221 @@
+"""Cable domes and the bicycle wheel."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from tenscasadi.structure.shapes.family import (
+    LARGEST_COUNT,
+    build_structure,
+    place_ring,
+    polygon,
+    shape,
+)
+from tenscasadi.structure.structure import Structure
+from tenscasadi.util.validate import Array, Indices, positive_number, whole_number
+
+_MOST_HOOPS = 1000
+
+
+@shape
+def bicycle_wheel(
+    spokes: int = 12,
+    radius: float = 1.0,
+    axle: float = 0.4,
+    prestress: float | None = None,
+    **options: Any,
+) -> Structure:
+    """Build a bicycle wheel: a rim and an axle of bars, and spokes of strings (class 2).
+
+    ::
+
+        0 … p−1  rim, in the plane z = 0        rim ╲     ╱ rim
+        p        axle at z = −axle/2                 ╲ p+1╱
+        p+1      axle at z = +axle/2                   │ ── z ↑
+                                                       p
+
+    Bars: the rim i → i+1, then the axle. Strings: the spokes i → p, then i → p+1. Equal force
+    densities of all spokes are in equilibrium.
+
+    Parameters
+    ----------
+    spokes : int
+        Number p of spokes at each end of the axle, and of bars of the rim, at least 3.
+    radius : float
+        Radius of the rim, m.
+    axle : float
+        Length of the axle, m.
+    prestress : float, optional
+        Smallest force density, N/m, at which the strings hold the structure in equilibrium; it sets
+        the rest lengths. By default strings are as long as their rest lengths.
+    **options : array_like
+        Other keywords of `Structure`, such as `bar_mass`, `stiffness` and `pinned`.
+
+    Returns
+    -------
+    Structure
+        The wheel, its axle along z.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> tc.shapes.bicycle_wheel(spokes=8)
+    Structure(10 nodes, 9 bars, 16 strings, 0 pinned)
+    """
+    p = whole_number("spokes", spokes, 3, LARGEST_COUNT)
+    radius, half = positive_number("radius", radius), 0.5 * positive_number("axle", axle)
+    i = np.arange(p)
+    nodes = np.concatenate([place_ring(p, radius, 0.0, 0.0), [(0, 0, -half), (0, 0, half)]])
+    bars = {"rim": polygon(i), "axle": np.array([(p, p + 1)])}
+    strings = {"lower": np.c_[i, np.full(p, p)], "upper": np.c_[i, np.full(p, p + 1)]}
+    return build_structure(nodes, bars, strings, options, prestress=prestress)
+
+
+@shape
+def geiger_dome(
+    segments: int = 12,
+    hoops: int = 2,
+    radius: float = 10.0,
+    rise: float = 1.5,
+    post: float = 1.5,
+    prestress: float | None = None,
+    **options: Any,
+) -> Structure:
+    """Build a Geiger dome: radial ridges and diagonals over hoops (class 1).
+
+    Posts are bars. The outer ring of nodes is pinned.
+
+    ::
+
+               ╱ ─── ridge ─── top k ─── ridge ─── top 1 ──── top of the central post
+        pinned                 │ post               │                │
+               ╲ ── diagonal ─ bottom k  ╲ diagonal bottom 1  ╲ ──── bottom
+                               ○ hoop               ○ hoop
+
+    Nodes: top and bottom of the central post, then for each hoop from the inside its p tops and its
+    p bottoms, then the p pinned nodes. Bars: the central post, then those of each hoop. Strings: the
+    ridges, ring by ring from the inside, p each; the diagonals likewise; the hoops, p each.
+
+    Parameters
+    ----------
+    segments : int
+        Number p of radial planes, at least 3.
+    hoops : int
+        Number of hoops, at least 1.
+    radius : float
+        Radius of the pinned ring, m.
+    rise : float
+        Height of the central top above the pinned ring, m; all tops lie on a paraboloid.
+    post : float
+        Length of the posts, m.
+    prestress : float, optional
+        Smallest force density, N/m, at which the strings hold the structure in equilibrium; it sets
+        the rest lengths. By default strings are as long as their rest lengths.
+    **options : array_like
+        Other keywords of `Structure`, such as `bar_mass`, `stiffness` and `pinned`.
+
+    Returns
+    -------
+    Structure
+        The dome, its pinned ring in the plane z = 0.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> tc.shapes.geiger_dome(segments=8, hoops=1)
+    Structure(26 nodes, 9 bars, 40 strings, 8 pinned)
+    """
+    return _dome(segments, hoops, radius, rise, post, (0,), prestress, options)
+
+
+@shape
+def levy_dome(
+    segments: int = 12,
+    hoops: int = 2,
+    radius: float = 10.0,
+    rise: float = 1.5,
+    post: float = 1.5,
+    prestress: float | None = None,
+    **options: Any,
+) -> Structure:
+    """Build a Levy dome: triangles of ridges and diagonals over hoops (class 1).
+
+    It differs from `geiger_dome` outside the first hoop: each ring is turned by half a segment, and
+    two ridges and two diagonals lead from each post to the next ring. Rings of ridges and of
+    diagonals hold the strings i → i, then i → i−1.
+
+    Parameters
+    ----------
+    segments : int
+        Number p of posts of each hoop, at least 3.
+    hoops : int
+        Number of hoops, at least 1.
+    radius : float
+        Radius of the pinned ring, m.
+    rise : float
+        Height of the central top above the pinned ring, m; all tops lie on a paraboloid.
+    post : float
+        Length of the posts, m.
+    prestress : float, optional
+        Smallest force density, N/m, at which the strings hold the structure in equilibrium; it sets
+        the rest lengths. By default strings are as long as their rest lengths.
+    **options : array_like
+        Other keywords of `Structure`, such as `bar_mass`, `stiffness` and `pinned`.
+
+    Returns
+    -------
+    Structure
+        The dome, its pinned ring in the plane z = 0.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> tc.shapes.levy_dome(segments=8, hoops=1)
+    Structure(26 nodes, 9 bars, 56 strings, 8 pinned)
+    """
+    return _dome(segments, hoops, radius, rise, post, (0, -1), prestress, options)
+
+
+def _dome(
+    segments: int,
+    hoops: int,
+    radius: float,
+    rise: float,
+    post: float,
+    shifts: tuple[int, ...],
+    prestress: float | None,
+    options: dict[str, Any],
+) -> Structure:
+    """Build a dome; `shifts` are the neighbors on the next ring that strings lead to."""
+    count = whole_number("hoops", hoops, 1, _MOST_HOOPS)
+    p = whole_number("segments", segments, 3, LARGEST_COUNT // count)
+    size, rise = positive_number("radius", radius), positive_number("rise", rise)
+    nodes = _dome_nodes(p, count, size, rise, positive_number("post", post), len(shifts) > 1)
+    i = np.arange(p)
+    top = [np.zeros(p, dtype=int), *(2 + 2 * k * p + i for k in range(count + 1))]
+    bottom = [np.ones(p, dtype=int), *(2 + (2 * k + 1) * p + i for k in range(count))]
+    bars = {"center": np.array([(1, 0)])}
+    bars |= {f"post{k}": np.c_[bottom[k], top[k]] for k in range(1, count + 1)}
+    rays: dict[str, Indices] = {}
+    for name, inner in (("ridge", top), ("diagonal", bottom)):
+        for k in range(count + 1):
+            steps = shifts if k else (0,)
+            rays[f"{name}{k}"] = np.concatenate(
+                [np.c_[inner[k], np.roll(top[k + 1], -step)] for step in steps]
+            )
+    rings = {f"hoop{k}": polygon(bottom[k]) for k in range(1, count + 1)}
+    given = {"pinned": top[-1].tolist(), **options}
+    return build_structure(nodes, bars, rays | rings, given, prestress=prestress)
+
+
+def _dome_nodes(p: int, hoops: int, radius: float, rise: float, post: float, turned: bool) -> Array:
+    """Compute the nodes: the central post, tops and bottoms of each hoop, the pinned ring."""
+    nodes = [np.array([(0.0, 0.0, rise), (0.0, 0.0, rise - post)])]
+    for k in range(1, hoops + 2):
+        share = k / (hoops + 1)
+        start = turned * (k - 1) * np.pi / p
+        high = place_ring(p, share * radius, start, rise * (1 - share**2))
+        nodes += [high, high - [0, 0, post]] if k <= hoops else [high]
+    return np.concatenate(nodes)

@@ -1,0 +1,98 @@
+"""Family of shapes, and the parts that several of them need."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+
+from tenscasadi.schema.value import Value
+from tenscasadi.structure.equilibrium_matrix import equilibrium_matrix
+from tenscasadi.structure.names import name_members
+from tenscasadi.structure.structure import Structure
+from tenscasadi.util.validate import Array, Indices, positive_number
+
+LARGEST_COUNT = 10**5  # bars, rings or units; larger structures would take hours
+_ROUNDING = 1e-9  # relative singular value below which a symmetric self-stress exists
+
+Groups = Mapping[str, Indices]  # pairs of nodes (members, 2) by the name of their group
+
+
+class Shape(Value):
+    """Family of functions that build structures.
+
+    The name of each function is its kind in files.
+    """
+
+
+shape = Shape.maker
+
+
+def build_structure(
+    nodes: ArrayLike,
+    bars: Groups,
+    strings: Groups,
+    options: Mapping[str, Any],
+    stress: Array | None = None,
+    prestress: float | None = None,
+    node_groups: Iterable[tuple[str, int]] = (),
+) -> Structure:
+    """Build a structure from named groups of members.
+
+    Member k of a group is called ``name[k]``; a sole member has the name itself, and those of the
+    group "" have none. `prestress` is the smallest force density of the self-stress. It is
+    proportional to `stress` (α,) if that is given, else equal within groups.
+    """
+    members = [list(groups.values()) or [np.zeros((0, 2), dtype=int)] for groups in (bars, strings)]
+    named = {
+        "node_names": name_members(node_groups),
+        "bar_names": name_members((name, len(pairs)) for name, pairs in bars.items()),
+        "string_names": name_members((name, len(pairs)) for name, pairs in strings.items()),
+    }
+    given = {"bars": np.concatenate(members[0]), "strings": np.concatenate(members[1]), **named}
+    structure = Structure(nodes, **{**given, **options})
+    if prestress is None:
+        return structure
+    for name in ("rest_length", "bar_rest_length"):
+        if options.get(name) is not None:
+            raise ValueError(f"prestress and {name} are both given: leave one of them out")
+    if stress is None:
+        stress = symmetric_self_stress(structure, [*bars.values()], [*strings.values()])
+    return structure.prestressed(stress * (positive_number("prestress", prestress) / stress.min()))
+
+
+def symmetric_self_stress(
+    structure: Structure, bars: Sequence[Indices], strings: Sequence[Indices]
+) -> Array:
+    """Compute γ (α,) of the self-stress that is equal within groups [any scale].
+
+    Raises ValueError where the groups have no such self-stress, or more than one.
+    """
+    sizes = [len(pairs) for pairs in (*strings, *bars)]
+    count = sum(sizes)
+    members = sp.csc_array(
+        (np.ones(count), (np.arange(count), np.repeat(np.arange(len(sizes)), sizes)))
+    )
+    _, values, right = np.linalg.svd((equilibrium_matrix(structure) @ members).toarray())
+    rank = int(np.sum(values > _ROUNDING * values.max(initial=0.0)))
+    of_groups = right[-1][: len(strings)] * np.sign(right[-1][: len(strings)].sum())
+    if rank != len(sizes) - 1 or of_groups.min(initial=np.inf) <= 0.0:
+        raise ValueError(
+            "prestress: this geometry has no symmetric self-stress with all strings in tension: "
+            "leave prestress out or change the dimensions"
+        )
+    return np.repeat(of_groups, sizes[: len(strings)])
+
+
+def place_ring(count: int, radius: float, start: float, z: float) -> Array:
+    """Compute `count` points at equal angles around the z axis, from the angle `start`."""
+    angles = start + 2 * np.pi * np.arange(count) / count
+    return np.column_stack([radius * np.cos(angles), radius * np.sin(angles), np.full(count, z)])
+
+
+def polygon(nodes: Indices) -> Indices:
+    """Join nodes to a closed polygon."""
+    return np.column_stack([nodes, np.roll(nodes, -1)])
