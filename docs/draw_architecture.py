@@ -33,6 +33,7 @@ ROOMS = {
     "exchange": (5, 2, "MuJoCo, MATLAB,\nNTRT, ParaView"),
     "viewer": (6, 2, "motions in\na browser, live"),
     "statics": (3, 1, "equilibrium,\nself-stress"),
+    "design": (3, 2, "form, prestress,\nsections"),
     "schema": (1, 1, "fields of values,\nin files"),
     "util": (0, 1, "input, files,\ncompilation:\nused by all"),
 }

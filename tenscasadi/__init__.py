@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     )
     from tenscasadi.analysis.tradeoff import tradeoff
     from tenscasadi.analysis.tradeoff_table import Tradeoff, TradeoffRow
+    from tenscasadi.design.form_find import Form, form_find
     from tenscasadi.exchange.matlab.save import save_mat
     from tenscasadi.exchange.matlab.structures import load_mat
     from tenscasadi.exchange.matlab.trajectories import load_mat_trajectory
@@ -86,6 +87,7 @@ __getattr__ = find_attribute(
         "tenscasadi.analysis.recommend": ("NoSchemeError", "Recommendation", "recommend"),
         "tenscasadi.analysis.tradeoff": ("tradeoff",),
         "tenscasadi.analysis.tradeoff_table": ("TradeoffRow", "Tradeoff"),
+        "tenscasadi.design.form_find": ("Form", "form_find"),
         "tenscasadi.exchange.matlab.save": ("save_mat",),
         "tenscasadi.exchange.matlab.structures": ("load_mat",),
         "tenscasadi.exchange.matlab.trajectories": ("load_mat_trajectory",),
@@ -134,6 +136,9 @@ __all__ = [
     "BucklingFactor",
     "load_path",
     "LoadPath",
+    # design
+    "form_find",
+    "Form",
     # scene
     "Scene",
     "ForceDensity",

@@ -25,7 +25,7 @@ _MODEL = (
 TENSCASADI = (
     *_MODEL,
     {"statics", "sweeps", "drawing"},
-    {"exchange", "plots", "envs"},
+    {"design", "exchange", "plots", "envs"},
     "analysis",
     "viewer",
     "cli",

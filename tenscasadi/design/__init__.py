@@ -1,0 +1,1 @@
+"""Design of structures: their form, their prestress and the sections of their members."""

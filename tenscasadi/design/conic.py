@@ -1,0 +1,114 @@
+"""Conic programs: one call for linear, quadratic and semidefinite ones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import clarabel
+import numpy as np
+import scipy.sparse as sp
+
+from tenscasadi.util.validate import Array
+
+_ACCURATE = ("Solved", "AlmostSolved")
+_INFEASIBLE = ("PrimalInfeasible", "AlmostPrimalInfeasible")
+_UNBOUNDED = ("DualInfeasible", "AlmostDualInfeasible")
+
+
+class LinearRows(NamedTuple):
+    """Linear rows A x compared with b.
+
+    Attributes
+    ----------
+    A : sparse array (m, n)
+        Coefficients.
+    b : ndarray (m,)
+        Right-hand sides.
+    """
+
+    A: Any
+    b: Array
+
+
+class ConicSolution(NamedTuple):
+    """Solution of a conic program.
+
+    Attributes
+    ----------
+    x : ndarray (n,)
+        Unknowns; the last iterate where there is no solution.
+    status : str
+        "solved", "infeasible", "unbounded" or "failed".
+    """
+
+    x: Array
+    status: str
+
+
+def solve_conic(
+    cost: Array,
+    equal: LinearRows,
+    below: LinearRows,
+    quadratic: Any = None,
+    semidefinite: Sequence[LinearRows] = (),
+    tolerance: float = 1e-10,
+) -> ConicSolution:
+    """Minimize ½ xᵀ P x + costᵀ x under linear and semidefinite constraints.
+
+    Parameters
+    ----------
+    cost : ndarray, shape (n,)
+        Linear cost.
+    equal, below : LinearRows
+        A x = b, and A x ≤ b.
+    quadratic : sparse array, shape (n, n), optional
+        P, symmetric positive semidefinite.
+    semidefinite : sequence of LinearRows
+        b − A x are the scaled upper triangles of positive semidefinite matrices, see
+        `scaled_triangle`.
+    tolerance : float
+        Relative tolerance of residuals and of the duality gap.
+
+    Returns
+    -------
+    ConicSolution
+        Unknowns and status.
+    """
+    count = len(cost)
+    parts = [equal, below, *semidefinite]
+    A = sp.vstack([sp.csc_array(part.A) for part in parts], format="csc")
+    b = np.concatenate([part.b for part in parts])
+    cones = [clarabel.ZeroConeT(len(equal.b)), clarabel.NonnegativeConeT(len(below.b))]
+    cones += [clarabel.PSDTriangleConeT(_order(len(part.b))) for part in semidefinite]
+    kept = [cone for cone, part in zip(cones, parts, strict=True) if len(part.b)]
+    P = sp.csc_array((count, count)) if quadratic is None else sp.triu(quadratic, format="csc")
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.max_threads = 1
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
+    solution = clarabel.DefaultSolver(
+        sp.csc_matrix(P), cost, sp.csc_matrix(A), b, kept, settings
+    ).solve()
+    return ConicSolution(np.array(solution.x), _status(str(solution.status)))
+
+
+def scaled_triangle(matrix: Array) -> Array:
+    """Stack the upper triangle of a symmetric matrix by columns, √2 times off the diagonal."""
+    rows, columns = np.tril_indices(len(matrix))  # of the transpose: column by column
+    return np.asarray(matrix[columns, rows] * np.where(rows == columns, 1.0, np.sqrt(2.0)))
+
+
+def _order(entries: int) -> int:
+    return int(np.rint((np.sqrt(8 * entries + 1) - 1) / 2))
+
+
+def _status(text: str) -> str:
+    for status, names in (
+        ("solved", _ACCURATE),
+        ("infeasible", _INFEASIBLE),
+        ("unbounded", _UNBOUNDED),
+    ):
+        if text in names:
+            return status
+    return "failed"

@@ -1,0 +1,125 @@
+"""Force densities that are given, shared within groups, or to be found."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from tenscasadi.structure.structure import Structure
+from tenscasadi.util.validate import Array, Indices, as_tuple, node_index, real_array
+
+Groups = Iterable[Sequence[int]]  # members that share a value: strings first, then bars
+
+
+class ForceDensities(NamedTuple):
+    """Force densities q = given + basis · p of all members: strings first, then bars.
+
+    Tension is positive.
+
+    Attributes
+    ----------
+    given : ndarray (α + β,)
+        Given force densities [N/m]; 0 where they are to be found.
+    basis : csc_array (α + β, u)
+        One column for each force density that is to be found.
+    lower : ndarray (u,)
+        Lower limits of p [N/m]: 0 for strings, −inf for bars.
+    """
+
+    given: Array
+    basis: Any
+    lower: Array
+
+    def of(self, p: Array) -> Array:
+        """Compute the force densities of all members [N/m]."""
+        return np.asarray(self.given + self.basis @ p)
+
+    @property
+    def has_scale(self) -> bool:
+        """Return whether a given force density fixes the scale of the others."""
+        return bool(self.given.any())
+
+
+def read_force_densities(structure: Structure, given: Any, groups: Groups | None) -> ForceDensities:
+    """Read the force densities of strings (α,), NaN where they are to be found.
+
+    Those of bars are always found. Raises TypeError, ValueError.
+    """
+    strings = len(structure.strings)
+    members = strings + len(structure.bars)
+    values = np.full(members, np.nan)
+    if given is not None:
+        values[:strings] = _read_values(given, strings)
+    label = read_groups(groups, strings, members)
+    for group in range(label.max(initial=-1) + 1):
+        own = np.flatnonzero(label == group)
+        known = np.unique(values[own][~np.isnan(values[own])])
+        if len(known) > 1:
+            raise ValueError(
+                f"force_density: the group of member {own[0]} has {known[0]:g} and {known[1]:g} N/m: give its members one value"
+            )
+        if len(known):
+            values[own] = known
+    unknown = np.flatnonzero(np.isnan(values))
+    columns = np.unique(label[unknown], return_inverse=True)[1]
+    count = int(columns.max(initial=-1)) + 1
+    basis = sp.csc_array((np.ones(len(unknown)), (unknown, columns)), shape=(members, count))
+    lower = np.full(count, -np.inf)
+    lower[columns[unknown < strings]] = 0.0
+    return ForceDensities(np.where(np.isnan(values), 0.0, values), basis, lower)
+
+
+def read_groups(groups: Groups | None, strings: int, members: int) -> Indices:
+    """Read groups of members as a label (members,); members without a group have their own.
+
+    Raises TypeError, ValueError.
+    """
+    label = np.full(members, -1)
+    entries = [] if groups is None else as_tuple("groups", groups, "[[0, 1, 2], [3, 4, 5]]")
+    for k, group in enumerate(entries):
+        for i, entry in enumerate(as_tuple(f"groups[{k}]", group, "[0, 1, 2]")):
+            member = node_index(f"groups[{k}][{i}]", entry, members, "member")
+            if label[member] >= 0:
+                raise ValueError(f"groups: member {member} is named twice: leave one out")
+            label[member] = k
+        own = np.flatnonzero(label == k)
+        if np.any(own < strings) and np.any(own >= strings):
+            raise ValueError(
+                f"groups[{k}] has strings and bars: give groups of one kind; bars count from {strings}"
+            )
+    alone = np.flatnonzero(label < 0)
+    label[alone] = len(entries) + np.arange(len(alone))
+    return label
+
+
+def _read_values(given: Any, count: int) -> Array:
+    """Read numbers (count,), or one for all; NaN is allowed."""
+    values = real_array("force_density", given, f"an array of shape ({count},)")
+    if values.ndim and values.shape != (count,):
+        raise ValueError(
+            f"force_density has shape {values.shape}: give ({count},), NaN where unknown"
+        )
+    values = np.broadcast_to(values, (count,))
+    for i in np.flatnonzero(np.isinf(values)):
+        raise ValueError(
+            f"force_density of string {i} is {values[i]:g}: give N/m, or NaN where unknown"
+        )
+    return values
+
+
+def set_prestress(structure: Structure, gamma: Array, lam: Array) -> Structure:
+    """Set rest lengths for force densities γ (α,) and λ (β,), positive in compression.
+
+    Members whose stiffness does not attain their force density are left unstressed.
+    """
+    strings = (gamma > 0.0) & (gamma < structure.stiffness)
+    stretch = np.divide(gamma, structure.stiffness, out=np.zeros_like(gamma), where=strings)
+    bars = structure.elastic & (lam > -structure.bar_stiffness)
+    shortening = np.divide(lam, structure.bar_stiffness, out=np.zeros_like(lam), where=bars)
+    return structure.replace(
+        rest_length=structure.string_lengths * (1.0 - stretch),
+        bar_rest_length=structure.bar_lengths * (1.0 + shortening),
+    )

@@ -1,0 +1,143 @@
+"""Force-density method: forms of given force densities, and force densities that have a form.
+
+The equilibrium Cᵀ q̂ C X = P is linear in the nodes X (n, 3) for given force densities q [1]_. A
+free-standing structure has a form only if the force-density matrix D = Cᵀ q̂ C has rank n − d − 1,
+where d is the dimension of the structure [2]_.
+
+References
+----------
+.. [1] H.-J. Schek, The force density method for form finding and computation of general networks,
+   Computer Methods in Applied Mechanics and Engineering 3 (1974), 115-134.
+.. [2] J. Y. Zhang and M. Ohsaki, Adaptive force density method for form-finding problem of
+   tensegrity structures, International Journal of Solids and Structures 43 (2006), 5658-5673.
+"""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import MatrixRankWarning, spsolve
+
+from tenscasadi.design.conic import LinearRows, solve_conic
+from tenscasadi.design.force_densities import ForceDensities
+from tenscasadi.structure.class_one import connectivity
+from tenscasadi.structure.equilibrium_matrix import (
+    equilibrium_matrix,
+    free_directions,
+    member_pairs,
+)
+from tenscasadi.structure.structure import Structure
+from tenscasadi.util.validate import Array
+
+_ITERATIONS = 100
+_CONVERGED = 1e-9  # step relative to the force densities; the error is its square
+_SMALLEST = 0.05  # of unknown string force densities at the start, relative to their mean
+_PULL = 1e-3  # weight of equal force densities at the start, relative to that of equilibrium
+
+
+def force_density_matrix(structure: Structure, q: Array) -> Any:
+    """Compute the force-density matrix D = Cᵀ q̂ C (n, n) [N/m]."""
+    C = connectivity(member_pairs(structure), len(structure.nodes))
+    return sp.csc_array(C.T @ sp.diags_array(q) @ C)
+
+
+def solve_form(structure: Structure, q: Array, loads: Array) -> Array | None:
+    """Compute the nodes (n, 3) in equilibrium under loads (n, 3) for given force densities.
+
+    Returns None where the supports and force densities leave the nodes undetermined.
+    """
+    free = free_directions(structure)
+    D = sp.kron(force_density_matrix(structure, q), sp.eye_array(3), format="csr")
+    held = (structure.nodes.ravel() - free @ (free.T @ structure.nodes.ravel())).ravel()
+    matrix = sp.csc_array(free.T @ D @ free)
+    if not matrix.shape[0]:
+        return np.array(structure.nodes)
+    right = free.T @ (loads.ravel() - D @ held)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", MatrixRankWarning)
+        y = spsolve(matrix, right)
+    size = float(np.abs(structure.nodes).max(initial=0.0)) + float(np.abs(right).max(initial=0.0))
+    if not np.all(np.isfinite(y)) or np.abs(y).max(initial=0.0) > 1e9 * (size or 1.0):
+        return None
+    return np.asarray((held + free @ y).reshape(-1, 3))
+
+
+def estimate_force_densities(structure: Structure, densities: ForceDensities) -> Array:
+    """Estimate the unknown force densities p (u,) by the least unbalanced forces in the nodes.
+
+    Strings are in tension. Where several fit, the estimate is near equal force densities.
+    """
+    strings, unknown = len(structure.strings), len(densities.lower)
+    scale = np.abs(densities.given[densities.given != 0.0]).mean() if densities.has_scale else 1.0
+    A = equilibrium_matrix(structure) @ sp.diags_array(
+        np.where(np.arange(len(densities.given)) < strings, 1.0, -1.0)
+    )
+    B = sp.csc_array(A @ densities.basis)
+    target = np.where(np.isfinite(densities.lower), scale, -scale)
+    weight = _PULL * float(sp.linalg.norm(B)) ** 2 / max(unknown, 1)
+    P = sp.csc_array(B.T @ B + weight * sp.eye_array(unknown))
+    bounded = np.flatnonzero(np.isfinite(densities.lower))
+    below = LinearRows(
+        -sp.eye_array(unknown, format="csr")[bounded], np.full(len(bounded), -_SMALLEST * scale)
+    )
+    none = LinearRows(sp.csc_array((0, unknown)), np.zeros(0))
+    cost = B.T @ (A @ densities.given) - weight * target
+    p = solve_conic(cost, none, below, P).x
+    scaled = 1.0 if densities.has_scale else strings / densities.of(p)[:strings].sum()
+    return np.asarray(scaled * p)
+
+
+def adapt_force_densities(
+    structure: Structure, densities: ForceDensities, start: Array, near: bool
+) -> tuple[Array, Array] | None:
+    """Find force densities whose matrix D has the rank of a free-standing structure.
+
+    Newton's method makes d + 1 eigenvalues of D vanish, to first order on their eigenvectors. These
+    are the eigenvectors that come nearest to the structure's own coordinates (`near`), or those of
+    the smallest eigenvalues.
+
+    Returns
+    -------
+    tuple of ndarray, or None
+        The nodes (n, 3) nearest to those of the structure in the null space of D, and p (u,). None
+        where the method does not converge, or a string would be in compression.
+    """
+    members, strings = len(densities.given), len(structure.strings)
+    C = connectivity(member_pairs(structure), len(structure.nodes))
+    own = _coordinate_space(structure.nodes)
+    count = own.shape[1]
+    upper = np.triu_indices(count)
+    total = np.asarray(densities.basis.T @ (np.arange(members) < strings))
+    p = start
+    for _ in range(_ITERATIONS):
+        values, vectors = np.linalg.eigh(force_density_matrix(structure, densities.of(p)).toarray())
+        chosen = np.arange(count)
+        if near:
+            chosen = np.sort(np.argsort(-np.linalg.norm(own.T @ vectors, axis=0))[:count])
+        modes = C @ vectors[:, chosen]
+        by_member = modes[:, upper[0]] * modes[:, upper[1]]
+        rows, right = (densities.basis.T @ by_member).T, -np.diag(values[chosen])[upper]
+        if not densities.has_scale:
+            rows, right = np.vstack([rows, total]), np.append(right, strings - total @ p)
+        change = np.linalg.lstsq(rows, right, rcond=1e-9)[0]
+        p = p + change
+        if np.linalg.norm(change) <= _CONVERGED * (1.0 + np.linalg.norm(p)):
+            break
+    else:
+        return None
+    if np.any(p < densities.lower):
+        return None
+    values, vectors = np.linalg.eigh(force_density_matrix(structure, densities.of(p)).toarray())
+    space = vectors[:, np.argsort(np.abs(values))[:count]]
+    return np.asarray(space @ (space.T @ structure.nodes)), p
+
+
+def _coordinate_space(nodes: Array) -> Array:
+    """Compute an orthonormal basis (n, d + 1) of the constant and the coordinates of nodes."""
+    centered = nodes - nodes.mean(axis=0)
+    left, sizes, _ = np.linalg.svd(centered, full_matrices=False)
+    left = left[:, sizes > 1e-9 * sizes.max(initial=1e-300)]
+    return np.hstack([np.full((len(nodes), 1), len(nodes) ** -0.5), left])

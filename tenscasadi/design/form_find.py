@@ -1,0 +1,270 @@
+"""Form finding: nodes and force densities in equilibrium with prescribed properties."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tenscasadi.design.force_densities import (
+    ForceDensities,
+    Groups,
+    read_force_densities,
+    set_prestress,
+)
+from tenscasadi.design.force_density_method import (
+    adapt_force_densities,
+    estimate_force_densities,
+    solve_form,
+)
+from tenscasadi.design.form_program import FormProgram, Goals
+from tenscasadi.structure.equilibrium_matrix import balance_columns, free_directions, member_pairs
+from tenscasadi.structure.structure import Structure
+from tenscasadi.util.read_only import ReadOnlyArrays
+from tenscasadi.util.validate import (
+    Array,
+    as_tuple,
+    coordinates,
+    finite_array,
+    format_value,
+    instance,
+    item_mask,
+    node_index,
+    number,
+    positive_number,
+)
+
+_BALANCED = 1e-8  # unbalanced forces of a form, relative to its largest force
+_MET = 1e-8  # misses of goals, relative to the mean length or force
+_FLAT = 1e-6  # of the size of a form: smaller extents and lengths count as none
+
+
+@dataclass(frozen=True, eq=False)
+class Form(ReadOnlyArrays):
+    """Form of a structure, with its forces.
+
+    Attributes
+    ----------
+    structure : Structure
+        The structure in the found nodes. Its strings are prestressed by the force densities; one
+        whose stiffness is not above its force density is left unstressed.
+    force_density : ndarray (α,)
+        Force densities of strings [N/m].
+    bar_force : ndarray (β,)
+        Forces of bars [N], positive in tension.
+    success : bool
+        Whether the form is in equilibrium, with all strings in tension, and meets the goals.
+    message : str
+        The reason if it is not; else the residual.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> form = tc.form_find(tc.shapes.hyperbolic_paraboloid(cells=4), force_density=2.0)
+    >>> form.success, form.force_density.max().item(), len(form.bar_force)
+    (True, 2.0, 0)
+    """
+
+    structure: Structure
+    force_density: Array
+    bar_force: Array
+    success: bool
+    message: str
+
+
+def form_find(
+    structure: Structure,
+    force_density: ArrayLike | None = None,
+    lengths: Mapping[int, float] | None = None,
+    positions: Mapping[int, Sequence[float | None]] | None = None,
+    groups: Groups | None = None,
+    equal_tension: Iterable[Sequence[int]] | None = None,
+    loads: ArrayLike | None = None,
+) -> Form:
+    """Find nodes and force densities in equilibrium.
+
+    Pinned nodes stay where they are. Nets with given force densities take one linear solution. A
+    free-standing structure has a family of forms for given force densities; the one that best keeps
+    the lengths of bars is chosen, then the nearest to the structure's own nodes. Where a net leaves
+    force densities free, they become as equal as the goals allow.
+
+    Parameters
+    ----------
+    structure : Structure
+        Members, supports, and nodes to start from.
+    force_density : array_like, shape (α,), optional
+        Force densities of strings [N/m], NaN where they are to be found; None: all. Those of bars
+        are always found. If none is given and there are no loads, the mean is 1 N/m.
+    lengths : mapping of int to float, optional
+        Prescribed lengths of strings, ``{string: m}``.
+    positions : mapping of int to sequence, optional
+        Prescribed positions of nodes, ``{node: (x, y, None)}`` [m], None where a coordinate is free.
+        These nodes are in equilibrium without a support.
+    groups : sequence of sequence of int, optional
+        Groups of members that share their force density: strings first, then bars.
+    equal_tension : sequence of sequence of int, optional
+        Groups of strings whose tensions are equal.
+    loads : array_like, shape (n, 3), optional
+        Forces on the nodes [N]; by default none.
+
+    Returns
+    -------
+    Form
+        Structure, force densities and bar forces, with the reason if there is no form.
+
+    Raises
+    ------
+    TypeError, ValueError
+        An argument does not fit the structure, or contradicts another one.
+
+    Notes
+    -----
+    The linear solution is Schek's force-density method [1]_. For free-standing structures, the
+    adaptive force-density method [2]_ makes the force-density matrix singular, here by Newton's
+    method. Unknown force densities and prescribed properties lead to a nonlinear program, which
+    IPOPT solves from there.
+
+    References
+    ----------
+    .. [1] H.-J. Schek, The force density method for form finding and computation of general
+       networks, Computer Methods in Applied Mechanics and Engineering 3 (1974), 115-134.
+    .. [2] J. Y. Zhang and M. Ohsaki, Adaptive force density method for form-finding problem of
+       tensegrity structures, International Journal of Solids and Structures 43 (2006), 5658-5673.
+
+    Examples
+    --------
+    The force densities of a prism determine its twist and the forces of its bars:
+
+    >>> import tenscasadi as tc
+    >>> start = tc.shapes.prism(twist=2.3)
+    >>> form = tc.form_find(start, force_density=[1.0] * 6 + [3.0**0.5] * 3)
+    >>> form.success, (form.bar_force / start.bar_lengths).round(6).tolist()
+    (True, [-1.732051, -1.732051, -1.732051])
+    """
+    instance("structure", structure, Structure, "a tenscasadi.Structure")
+    densities = read_force_densities(structure, force_density, groups)
+    goals = _read_goals(structure, lengths, positions, equal_tension, loads)
+    forms = (
+        _assess(structure, nodes, q, goals.loads, misses)
+        for nodes, q, misses in _find_forms(structure, densities, goals)
+    )
+    first = next(forms)
+    return first if first.success else next((form for form in forms if form.success), first)
+
+
+def _find_forms(
+    structure: Structure, densities: ForceDensities, goals: Goals
+) -> Iterator[tuple[Array, Array, dict[str, float]]]:
+    """Yield nodes (n, 3), force densities (α + β,), and the misses of goals, from several starts."""
+    prescribed = bool(goals.lengths or goals.positions or goals.equal_tension)
+    if not len(densities.lower) and not prescribed:
+        nodes = solve_form(structure, densities.given, goals.loads)
+        if nodes is not None:
+            yield nodes, densities.given, {}
+            return
+    program = FormProgram(structure, densities, goals)
+    p = estimate_force_densities(structure, densities)
+    starts = [(structure.nodes, p)]
+    if goals.hold(structure):
+        nodes = solve_form(structure, densities.of(p), goals.loads)
+        starts = starts if nodes is None or len(structure.bars) else [(nodes, p), *starts]
+    else:
+        adapted = (adapt_force_densities(structure, densities, p, near) for near in (True, False))
+        starts = [*(found for found in adapted if found is not None), *starts]
+    for nodes, start in starts:
+        x, missed = program.solve(program.unknowns(nodes, start))
+        misses = dict(zip(program.names, np.abs(missed).tolist(), strict=True))
+        yield program.nodes(x), program.force_densities(x), misses
+
+
+def _read_goals(
+    structure: Structure, lengths: Any, positions: Any, equal_tension: Any, loads: Any
+) -> Goals:
+    """Read prescribed properties. Raises TypeError, ValueError."""
+    strings, count = len(structure.strings), len(structure.nodes)
+    for field, value in (("lengths", lengths), ("positions", positions)):
+        if value is not None and not isinstance(value, Mapping):
+            raise TypeError(f"{field} is {format_value(value)}: give a mapping, such as {{3: ...}}")
+    found_lengths = {
+        node_index("lengths", string, strings, "string"): positive_number(
+            f"lengths of string {string}", length
+        )
+        for string, length in (lengths or {}).items()
+    }
+    found_positions: dict[int, tuple[float | None, ...]] = {}
+    for key, place in (positions or {}).items():
+        node = node_index("positions", key, count)
+        found = coordinates(f"positions of node {node}", place, "a free coordinate", read=number)
+        for axis in range(3):
+            if found[axis] is not None and structure.held[node, axis]:
+                raise ValueError(
+                    f"positions of node {node} prescribes {'xyz'[axis]}, which a support fixes: leave one out"
+                )
+        found_positions[node] = found
+    tensions = [] if equal_tension is None else as_tuple("equal_tension", equal_tension, "[[0, 1]]")
+    groups = [
+        np.flatnonzero(item_mask(f"equal_tension[{k}]", group, strings, "string")).tolist()
+        for k, group in enumerate(tensions)
+    ]
+    forces = np.zeros((count, 3)) if loads is None else finite_array("loads", loads, (count, 3))
+    return Goals(
+        found_lengths, found_positions, tuple(tuple(group) for group in groups if group), forces
+    )
+
+
+def _assess(
+    structure: Structure, nodes: Array, q: Array, loads: Array, misses: Mapping[str, float]
+) -> Form:
+    """Judge a form by its unbalanced forces, its tensions and its goals."""
+    strings = len(structure.strings)
+    pairs = member_pairs(structure)
+    vectors = nodes[pairs[:, 1]] - nodes[pairs[:, 0]]
+    lengths = np.linalg.norm(vectors, axis=1)
+    forces = q * lengths
+    residual = free_directions(structure).T @ (
+        balance_columns(pairs, vectors, len(nodes)) @ q - loads.ravel()
+    )
+    unbalanced = float(np.abs(residual).max(initial=0.0))
+    short = bool(np.any(lengths <= _FLAT * np.ptp(nodes)))
+    fault = _find_fault(structure, nodes, forces, unbalanced, misses)
+    if short and not fault:
+        fault = (
+            "a member of the form has no length: change its force density or prescribe its length"
+        )
+    formed = structure
+    if not short:
+        formed = set_prestress(structure.replace(nodes=nodes), q[:strings], -q[strings:])
+    message = fault or f"in equilibrium, unbalanced forces below {max(unbalanced, 1e-16):.1g} N"
+    return Form(formed, q[:strings], forces[strings:], not fault, message)
+
+
+def _find_fault(
+    structure: Structure,
+    nodes: Array,
+    forces: Array,
+    unbalanced: float,
+    misses: Mapping[str, float],
+) -> str:
+    """Explain why a form is none; "" if it is one."""
+    strings = len(structure.strings)
+    largest = float(np.abs(forces).max(initial=0.0)) or 1.0
+    pushing = np.flatnonzero(forces[:strings] < -_BALANCED * largest)
+    missed = max(misses.items(), key=lambda item: item[1], default=("", 0.0))
+    if unbalanced > _BALANCED * largest:
+        return f"no form in equilibrium was found, {unbalanced:.3g} N are unbalanced: leave force densities free (NaN) or change the supports"
+    if missed[1] > _MET:
+        return f"the {missed[0]} cannot be as prescribed: leave it or force densities free"
+    if not structure.held.any() and _dimension(nodes) < _dimension(structure.nodes):
+        return f"forms of these force densities have {_dimension(nodes)} dimensions: leave some force densities free (NaN)"
+    if len(pushing):
+        return f"string {pushing[0]} would be in compression, {forces[pushing[0]]:.3g} N: give other force densities or make it a bar"
+    return ""
+
+
+def _dimension(nodes: Array) -> int:
+    """Count the dimensions that nodes span."""
+    sizes = np.linalg.svd(nodes - nodes.mean(axis=0), compute_uv=False)
+    return int(np.sum(sizes > _FLAT * sizes.max(initial=1e-300)))

@@ -1,0 +1,182 @@
+"""Form finding as a nonlinear program in nodes and force densities.
+
+Equilibrium and goals are constraints. Among the forms that satisfy them, the one that keeps the
+lengths of bars best is found. Among these it is the nearest to the start for free-standing
+structures, and that of most equal force densities for supported ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+from scipy.linalg import qr
+
+from tenscasadi.design.force_densities import ForceDensities
+from tenscasadi.statics.self_stress import rigid_body_motions
+from tenscasadi.structure.class_one import connectivity
+from tenscasadi.structure.equilibrium_matrix import free_directions, member_pairs
+from tenscasadi.structure.structure import Structure
+from tenscasadi.util.casadi_tools import sparse
+from tenscasadi.util.validate import Array, Indices
+
+FEASIBLE = 1e-8  # largest violation of a constraint, relative to the size of lengths and forces
+_NEARNESS = 1e-8  # weight of the distance from the start while the lengths of bars are fitted
+_MINOR = 1e-8  # weight of what decides between forms that are equally good
+_OPTIONS: dict[str, Any] = {
+    "print_time": False,
+    "ipopt.print_level": 0,
+    "ipopt.sb": "yes",
+    "ipopt.tol": 1e-11,
+    "ipopt.acceptable_tol": 1e-9,
+    "ipopt.max_iter": 300,
+    "ipopt.mumps_scaling": 0,
+    "ipopt.mumps_permuting_scaling": 0,
+    "ipopt.mumps_pivot_order": 5,  # METIS: a net of 3000 strings takes half of the time of AMD
+    "ipopt.bound_relax_factor": 0.0,
+}
+
+
+class Goals(NamedTuple):
+    """Prescribed properties of a form.
+
+    Attributes
+    ----------
+    lengths : mapping of int to float
+        Lengths of strings [m].
+    positions : mapping of int to tuple
+        Positions of nodes (x, y, z) [m]; None where a coordinate is free.
+    equal_tension : tuple of tuple of int
+        Groups of strings whose tensions are equal.
+    loads : ndarray (n, 3)
+        Forces on the nodes [N].
+    """
+
+    lengths: Mapping[int, float]
+    positions: Mapping[int, tuple[float | None, ...]]
+    equal_tension: tuple[tuple[int, ...], ...]
+    loads: Array
+
+    def hold(self, structure: Structure) -> bool:
+        """Return whether supports or loads determine the nodes for given force densities."""
+        return bool(structure.held.any() or self.loads.any())
+
+
+class FormProgram:
+    """Expressions of the program in unknowns x = (y, p), in units of a mean length and force.
+
+    y are displacements along the free directions, p the unknown force densities.
+    """
+
+    def __init__(self, structure: Structure, densities: ForceDensities, goals: Goals) -> None:
+        self.structure, self.densities = structure, densities
+        strings, count = len(structure.strings), len(structure.nodes)
+        pairs = member_pairs(structure)
+        lengths = np.concatenate([structure.string_lengths, structure.bar_lengths])
+        self.length = float(lengths.mean())
+        given = np.abs(densities.given[densities.given != 0.0])
+        self.density = float(given.mean()) if densities.has_scale else 1.0
+        self._free = free_directions(structure)
+        self._held = structure.nodes.ravel() / self.length
+        y, p = ca.SX.sym("y", self._free.shape[1]), ca.SX.sym("p", len(densities.lower))
+        N = ca.reshape(ca.DM(self._held) + sparse(self._free) @ y, 3, count)
+        S = N @ sparse(connectivity(pairs, count).T)
+        q = ca.DM(densities.given / self.density) + sparse(densities.basis) @ p
+        squared = ca.sum1(S**2).T
+        forces = (S * ca.repmat(q.T, 3, 1)) @ sparse(connectivity(pairs, count))
+        loads = ca.DM(goals.loads.ravel() / (self.density * self.length))
+        self.x = ca.vertcat(y, p)
+        balance = sparse(self._free.T) @ (ca.vec(forces) - loads)
+        self.equilibrium = balance[_independent_rows(structure).tolist()]
+        if not (densities.has_scale or goals.loads.any()):
+            self.equilibrium = ca.vertcat(self.equilibrium, ca.sum1(q[:strings]) / strings - 1)
+        bars = ca.DM(structure.bar_lengths / self.length)
+        self.bars = (squared[strings:] - bars**2) / (2 * bars)
+        self.goals, self.names = self._goal_rows(goals, N, squared, q)
+        uneven = ca.sumsqr(p - ca.DM(np.where(np.isfinite(densities.lower), 1.0, -1.0)))
+        first, then = (uneven, ca.sumsqr(y)) if goals.hold(structure) else (ca.sumsqr(y), uneven)
+        self.distance = first + _MINOR * then
+        self._lower = np.concatenate([np.full(y.numel(), -np.inf), densities.lower])
+
+    def _goal_rows(self, goals: Goals, N: Any, squared: Any, q: Any) -> tuple[Any, list[str]]:
+        """Build the rows that vanish where goals are met, and their names."""
+        rows, names = [], []
+        for string, length in goals.lengths.items():
+            target = length / self.length
+            rows.append((squared[string] - target**2) / (2 * target))
+            names.append(f"length of string {string}")
+        for node, place in goals.positions.items():
+            for axis, value in enumerate(place):
+                if value is not None:
+                    rows.append(N[axis, node] - value / self.length)
+                    names.append(f"{'xyz'[axis]} of node {node}")
+        for first, *others in goals.equal_tension:
+            for other in others:
+                rows.append((q[other] ** 2 * squared[other] - q[first] ** 2 * squared[first]) / 2)
+                names.append(f"tension of string {other} against string {first}")
+        return ca.vertcat(ca.SX(0, 1), *rows), names
+
+    def nodes(self, x: Array) -> Array:
+        """Compute the nodes (n, 3) [m]."""
+        return np.asarray(
+            self.length * (self._held + self._free @ x[: self._free.shape[1]]).reshape(-1, 3)
+        )
+
+    def force_densities(self, x: Array) -> Array:
+        """Compute the force densities of all members [N/m]."""
+        return self.densities.of(x[self._free.shape[1] :] * self.density)
+
+    def unknowns(self, nodes: Array, p: Array) -> Array:
+        """Compute x of nodes (n, 3) [m] and force densities p (u,) [N/m]."""
+        y = self._free.T @ (nodes.ravel() / self.length - self._held)
+        return np.concatenate([y, p / self.density])
+
+    def minimize(self, objective: Any, constraints: Any, start: Array) -> tuple[Array, bool]:
+        """Minimize an objective with constraints = 0; return x, and whether it satisfies them."""
+        rows = ca.vertcat(self.equilibrium, constraints)
+        program = {"x": self.x, "f": objective, "g": rows}
+        if rows.numel() > self.x.numel():
+            return start, False
+        solver = ca.nlpsol("form", "ipopt", program, _OPTIONS)
+        bounded = np.maximum(start, self._lower)
+        x = solver(x0=bounded, lbx=self._lower, lbg=0.0, ubg=0.0)["x"].full().ravel()
+        if not np.all(np.isfinite(x)):
+            return start, False
+        return x, bool(np.all(np.abs(self._evaluate(rows, x)) <= FEASIBLE))
+
+    def solve(self, start: Array) -> tuple[Array, Array]:
+        """Find the form: first the goals, then the lengths of bars, then the nearest one.
+
+        Returns x, and what the goals are missed by [in units of mean length and force].
+        """
+        x, feasible = self.minimize(self.distance, ca.vertcat(self.goals, self.bars), start)
+        if feasible:
+            return x, np.zeros(self.goals.numel())
+        fitted = ca.sumsqr(self.bars) + _NEARNESS * self.distance
+        x, feasible = self.minimize(fitted, self.goals, start)
+        missed = np.zeros(self.goals.numel())
+        if not feasible:
+            fitted = ca.sumsqr(self.goals) + _NEARNESS * fitted
+            x, feasible = self.minimize(fitted, ca.SX(0, 1), start)
+            missed = self._evaluate(self.goals, x)
+        attained = ca.vertcat(
+            self.goals - ca.DM(missed), self.bars - ca.DM(self._evaluate(self.bars, x))
+        )
+        nearest, feasible = self.minimize(self.distance, attained, x)
+        return (nearest if feasible else x), missed
+
+    def _evaluate(self, expression: Any, x: Array) -> Array:
+        return np.asarray(ca.Function("value", [self.x], [expression])(x).full().ravel())
+
+
+def _independent_rows(structure: Structure) -> Indices:
+    """Find rows of the equilibrium that imply the others, since no force moves a free structure.
+
+    One row is left out for each rigid-body motion that the supports allow.
+    """
+    free = free_directions(structure)
+    motions = free.T @ rigid_body_motions(structure)
+    pivots = qr(motions.T, pivoting=True)[2]
+    return np.sort(pivots[motions.shape[1] :])
