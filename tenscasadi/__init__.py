@@ -55,7 +55,9 @@ if TYPE_CHECKING:
     )
     from tenscasadi.analysis.tradeoff import tradeoff
     from tenscasadi.analysis.tradeoff_table import Tradeoff, TradeoffRow
+    from tenscasadi.design.find_prestress import PrestressDesign, find_prestress
     from tenscasadi.design.form_find import Form, form_find
+    from tenscasadi.design.prestress_goals import Even, Least, Stiffest
     from tenscasadi.exchange.matlab.save import save_mat
     from tenscasadi.exchange.matlab.structures import load_mat
     from tenscasadi.exchange.matlab.trajectories import load_mat_trajectory
@@ -87,7 +89,9 @@ __getattr__ = find_attribute(
         "tenscasadi.analysis.recommend": ("NoSchemeError", "Recommendation", "recommend"),
         "tenscasadi.analysis.tradeoff": ("tradeoff",),
         "tenscasadi.analysis.tradeoff_table": ("TradeoffRow", "Tradeoff"),
+        "tenscasadi.design.find_prestress": ("PrestressDesign", "find_prestress"),
         "tenscasadi.design.form_find": ("Form", "form_find"),
+        "tenscasadi.design.prestress_goals": ("Even", "Least", "Stiffest"),
         "tenscasadi.exchange.matlab.save": ("save_mat",),
         "tenscasadi.exchange.matlab.structures": ("load_mat",),
         "tenscasadi.exchange.matlab.trajectories": ("load_mat_trajectory",),
@@ -139,6 +143,11 @@ __all__ = [
     # design
     "form_find",
     "Form",
+    "find_prestress",
+    "PrestressDesign",
+    "Stiffest",
+    "Even",
+    "Least",
     # scene
     "Scene",
     "ForceDensity",

@@ -1,0 +1,171 @@
+"""Statics and design against jax-fdm and tnsgrt, in one run on the same structures.
+
+Each task is solved by both programs: once to warm up, then several times. Repeated calls count;
+the first call of jax-fdm compiles, and is told apart. Needs pip install 'tenscasadi[peers]'.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from statistics import median
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import tenscasadi as tc
+
+
+class Task(NamedTuple):
+    """Task of both programs: each call returns the result, `error` measures it."""
+
+    name: str
+    own: Callable[[], Any]
+    peer: Callable[[], Any]
+    error: Callable[[Any], float]
+
+
+class Row(NamedTuple):
+    """Seconds of repeated calls and of the peer's first one, and errors."""
+
+    name: str
+    own: float
+    peer: float
+    first: float
+    own_error: float
+    peer_error: float
+
+
+def main(quick: bool = False) -> list[Row]:
+    """Prints the table and returns its rows. `quick`: the smallest task of each program, once."""
+    rows = [measure(task, 1 if quick else 7) for task in tasks(quick)]
+    print(f"{'':44s}{'own':>10s}{'peer':>10s}{'ratio':>8s}{'first':>9s}   errors: own, peer")
+    for row in rows:
+        times = f"{1e3 * row.own:7.1f} ms{1e3 * row.peer:7.1f} ms{row.peer / row.own:8.1f}{row.first:7.1f} s"
+        print(f"{row.name:44s}{times}{row.own_error:11.1e}{row.peer_error:11.1e}")
+    return rows
+
+
+def measure(task: Task, repeats: int) -> Row:
+    """Run a task with both programs, in turns."""
+    own: list[float] = []
+    peer: list[float] = []
+    with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
+        warnings.simplefilter("ignore")
+        started = time.perf_counter()
+        theirs = task.peer()
+        first = time.perf_counter() - started
+        ours = task.own()
+        for _ in range(repeats):
+            for call, seconds in ((task.own, own), (task.peer, peer)):
+                started = time.perf_counter()
+                call()
+                seconds.append(time.perf_counter() - started)
+    errors = task.error(ours), task.error(theirs)
+    return Row(task.name, median(own), median(peer), first, *errors)
+
+
+def tasks(quick: bool) -> Iterator[Task]:
+    """Yield the tasks whose peer is installed."""
+    with contextlib.suppress(ImportError):
+        for cells in (8,) if quick else (10, 40):
+            yield from net_tasks(cells)
+    with contextlib.suppress(ImportError):
+        for stages in (2,) if quick else (3, 10):
+            yield self_stress_task(stages)
+
+
+def net_tasks(cells: int) -> Iterator[Task]:
+    """Yield form finding of a net by given force densities, and by prescribed lengths."""
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    from jax_fdm.datastructures import FDNetwork
+    from jax_fdm.equilibrium import constrained_fdm, fdm
+    from jax_fdm.goals import EdgeLengthGoal
+    from jax_fdm.losses import Loss, SquaredError
+    from jax_fdm.optimization import LBFGSB
+
+    net = tc.shapes.hyperbolic_paraboloid(cells)
+    edges = [(int(a), int(b)) for a, b in net.strings]
+    density = np.random.default_rng(0).uniform(0.5, 3.0, len(edges))
+
+    def network(values: Any) -> Any:
+        made = FDNetwork.from_nodes_and_edges(net.nodes.tolist(), edges)
+        for node in net.pinned:
+            made.node_support(node)
+        for edge, value in zip(edges, values, strict=True):
+            made.edge_forcedensity(edge, float(value))
+        return made
+
+    def nodes(found: Any) -> Any:
+        if isinstance(found, tc.Form):
+            return found.structure.nodes
+        return np.array([found.node_coordinates(node) for node in found.nodes()])
+
+    def unbalanced(found: Any) -> float:
+        C = net.C_s
+        force = C.T @ (density[:, None] * (C @ nodes(found)))
+        return float(np.abs(force[~net.fixed.all(axis=1)]).max())
+
+    given, same = network(density), network(np.ones(len(edges)))
+    name = f"net of {len(edges)} strings"
+    yield Task(
+        f"{name}: force densities",
+        lambda: tc.form_find(net, density),
+        lambda: fdm(given),
+        unbalanced,
+    )
+    lengths = {k: 1.1 * float(net.string_lengths[k]) for k in range(0, len(edges), 9)}
+    goals = [EdgeLengthGoal(edges[k], target=length) for k, length in lengths.items()]
+    loss = Loss(SquaredError(goals))
+
+    def missed(found: Any) -> float:
+        ends = nodes(found)[net.strings]
+        own = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+        return max(abs(float(own[k]) - length) for k, length in lengths.items())
+
+    yield Task(
+        f"{name}: {len(lengths)} lengths",
+        lambda: tc.form_find(net, lengths=lengths),
+        lambda: constrained_fdm(same, LBFGSB(), loss, maxiter=500, tol=1e-12),
+        missed,
+    )
+
+
+def self_stress_task(stages: int) -> Task:
+    """Build the task of a tower's least self-stress, by linear programs."""
+    vars(np).setdefault("float_", np.float64)  # which tnsgrt 0.6 names
+    from tnsgrt.structure import Structure
+
+    tower = tc.shapes.prism_tower(stages, joint_class=1)
+    members = np.concatenate([tower.strings, tower.bars])
+    vectors = tower.nodes[members[:, 1]] - tower.nodes[members[:, 0]]
+    peer = Structure(tower.nodes.T)
+    peer.add_members(members.T, number_of_strings=len(tower.strings))
+
+    def solve() -> Any:
+        peer.equilibrium()
+        return peer.member_properties["lambda_"].to_numpy()
+
+    def unbalanced(found: Any) -> float:
+        strings = len(tower.strings)
+        if isinstance(found, tc.PrestressDesign):
+            bars = found.bar_force / tower.bar_lengths
+            q = np.concatenate([found.force_density, bars])
+        else:
+            q = np.concatenate([found[:strings], -found[strings:]])
+        force = np.zeros(tower.nodes.shape)
+        np.add.at(force, members[:, 0], q[:, None] * vectors)
+        np.subtract.at(force, members[:, 1], q[:, None] * vectors)
+        return float(np.abs(force).max() / np.abs(q).max())
+
+    name = f"tower of {len(members)} members: self-stress"
+    return Task(name, lambda: tc.find_prestress(tower, tc.Least(), minimum=1.0), solve, unbalanced)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,280 @@
+"""Prestress design: the self-stress of a structure that serves a goal best."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+
+from tenscasadi.design.conic import ConicSolution, LinearRows
+from tenscasadi.design.force_densities import Groups, read_force_densities, set_prestress
+from tenscasadi.design.prestress_goals import (
+    Even,
+    Least,
+    PrestressGoal,
+    PrestressProgram,
+    Stiffest,
+)
+from tenscasadi.design.tangent_stiffness import TangentStiffness
+from tenscasadi.statics.self_stress import self_stress
+from tenscasadi.structure.equilibrium_matrix import equilibrium_matrix
+from tenscasadi.structure.structure import Structure
+from tenscasadi.util.read_only import ReadOnlyArrays
+from tenscasadi.util.validate import Array, as_tuple, finite_array, instance, nonnegative, per_item
+
+_ROUNDS = 30  # of the iteration between prestress and its response to loads
+_SMALLEST = 1e-6  # of the limits: tensions below it are the rounding of a solver
+_SETTLED = 1e-9  # change of the tensions from round to round, relative
+
+
+@dataclass(frozen=True, eq=False)
+class PrestressDesign(ReadOnlyArrays):
+    """Prestress of a structure.
+
+    Attributes
+    ----------
+    tension : ndarray (α,)
+        Tensions of strings [N].
+    bar_force : ndarray (β,)
+        Forces of bars [N], positive in tension.
+    force_density : ndarray (α,)
+        Force densities of strings [N/m].
+    least_stiffness : float
+        Least eigenvalue of the tangent stiffness [N/m] on motions that keep rigid bars; rigid-body
+        motions are left out.
+    structure : Structure
+        The structure with rest lengths for this prestress.
+    success : bool
+        Whether the prestress satisfies all limits.
+    message : str
+        The reason if it does not.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> pre = tc.find_prestress(tc.shapes.prism(stiffness=1e4), tc.Least(), minimum=10.0)
+    >>> pre.success, pre.tension.round(3).tolist()[:2], pre.least_stiffness > 0.0
+    (True, [10.0, 10.0], True)
+    """
+
+    tension: Array
+    bar_force: Array
+    force_density: Array
+    least_stiffness: float
+    structure: Structure
+    success: bool
+    message: str
+
+
+def find_prestress(
+    structure: Structure,
+    goal: Stiffest | Even | Least = Stiffest(),
+    load_cases: Sequence[ArrayLike] = (),
+    minimum: ArrayLike = 0.0,
+    maximum: ArrayLike | None = None,
+    groups: Groups | None = None,
+) -> PrestressDesign:
+    """Find the self-stress that serves a goal best.
+
+    Parameters
+    ----------
+    structure : Structure
+        The structure in its nodes.
+    goal : Stiffest, Even or Least
+        Largest stiffness of the softest motion, most uniform tensions, or least tensions.
+    load_cases : sequence of array_like, shape (n, 3)
+        Forces on the nodes [N]. The limits hold under each of them, too.
+    minimum : array_like, shape (α,)
+        Least tension of strings [N], or one number for all. `Even` and `Least` need one above 0, or
+        load cases, for the scale.
+    maximum : array_like, shape (α,), optional
+        Largest tension of strings [N], or one number for all.
+    groups : sequence of sequence of int, optional
+        Groups of members that share their force density: strings first, then bars.
+
+    Returns
+    -------
+    PrestressDesign
+        Tensions and bar forces, with the reason if there is no admissible prestress.
+
+    Raises
+    ------
+    TypeError, ValueError
+        An argument does not fit the structure, or no limit fixes the scale.
+
+    Notes
+    -----
+    The response to a load is linear about the prestressed state, with the tangent stiffness of that
+    state. The program is repeated until prestress and response agree.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> pre = tc.find_prestress(tc.shapes.prism(), tc.Even(), minimum=10.0)
+    >>> pre.success, pre.tension.round(3).tolist()[-1]
+    (True, 20.659)
+    """
+    instance("structure", structure, Structure, "a tenscasadi.Structure")
+    instance("goal", goal, (Stiffest, Even, Least), "Stiffest(), Even() or Least()")
+    count = len(structure.strings)
+    least = nonnegative("minimum", per_item("minimum", minimum, count), "string")
+    most = np.full(count, np.inf) if maximum is None else _read_maximum(maximum, least)
+    cases = read_load_cases(load_cases, structure)
+    if goal.needs_minimum and count and not least.any() and not len(cases):
+        raise ValueError(
+            f"minimum is 0: {type(goal).__name__} needs a minimum above 0 N, which fixes the scale"
+        )
+    search = _PrestressSearch(TangentStiffness(structure), groups, least, most, cases)
+    return search.run(goal)
+
+
+class _PrestressSearch:
+    """Iteration between a prestress and the response of the structure to its load cases.
+
+    Attributes
+    ----------
+    tangent : TangentStiffness
+        Tangent stiffness of the structure.
+    basis : csc_array (α + β, u)
+        Columns of members that share a force density.
+    least, most : ndarray (α,)
+        Limits of tensions [N].
+    cases : ndarray (cases, n, 3)
+        Loads [N].
+    """
+
+    def __init__(
+        self,
+        tangent: TangentStiffness,
+        groups: Groups | None,
+        least: Array,
+        most: Array,
+        cases: Array,
+    ) -> None:
+        self.tangent, self.least, self.most, self.cases = tangent, least, most, cases
+        structure = tangent.structure
+        strings = len(structure.strings)
+        signs = np.where(np.arange(len(tangent.lengths)) < strings, 1.0, -1.0)
+        self.basis = read_force_densities(structure, None, groups).basis
+        self.balance = equilibrium_matrix(structure) @ sp.diags_array(signs) @ self.basis
+        finite = np.concatenate([least, most[np.isfinite(most)]])
+        force = float(finite.max(initial=0.0)) or float(np.abs(cases).max(initial=0.0)) or 1.0
+        self.scale = force / float(tangent.lengths.mean())
+
+    def run(self, goal: PrestressGoal) -> PrestressDesign:
+        """Find the prestress of a goal."""
+        strings = len(self.least)
+        response = np.zeros((strings, 1))
+        if len(self.cases):
+            moved = np.abs(
+                self.tangent.rigid_body.T
+                @ (self.tangent.free.T @ self.cases.reshape(len(self.cases), -1).T)
+            ).max(axis=0, initial=0.0)
+            for case in np.flatnonzero(moved > _SETTLED * np.abs(self.cases).max(initial=0.0)):
+                return self.fail(f"load case {case} moves the structure as a whole: pin some nodes")
+            first = Even().solve(self.program(response, np.maximum(self.least, self.scale)))
+            q = (
+                self.basis @ first.x
+                if first.status == "solved"
+                else np.zeros(len(self.tangent.lengths))
+            )
+        found, tension = ConicSolution(np.zeros(0), "failed"), np.full(strings, np.inf)
+        for _ in range(_ROUNDS if len(self.cases) else 1):
+            if len(self.cases):
+                try:
+                    response = self.tangent.tension_change(q, self.cases)[:strings]
+                except np.linalg.LinAlgError:
+                    return self.fail(
+                        "a load case drives a mechanism that no prestress stiffens: add members or supports"
+                    )
+            found = goal.solve(self.program(response, self.least))
+            if found.status != "solved":
+                return self.fail(self.explain(found.status))
+            q, last = self.basis @ found.x, tension
+            tension = q[:strings] * self.tangent.lengths[:strings]
+            if np.abs(tension - last).max(initial=0.0) <= _SETTLED * np.abs(tension).max(
+                initial=0.0
+            ):
+                break
+        else:
+            if len(self.cases):
+                return self.fail(
+                    "prestress and response to the loads do not settle: reduce the loads"
+                )
+        return self.report(q)
+
+    def program(self, response: Array, least: Array) -> PrestressProgram:
+        """Build the program for changes of tensions (α, cases) under the loads."""
+        strings = len(least)
+        T = sp.csc_array(sp.diags_array(self.tangent.lengths[:strings]) @ self.basis[:strings])
+        low = least - np.minimum(response.min(axis=1, initial=0.0), 0.0)
+        high = self.most - np.maximum(response.max(axis=1, initial=0.0), 0.0)
+        bounded = np.flatnonzero(np.isfinite(high))
+        below = LinearRows(
+            sp.vstack([-T, T[bounded]], format="csc"), np.concatenate([-low, high[bounded]])
+        )
+        equal = LinearRows(sp.csc_array(self.balance), np.zeros(self.balance.shape[0]))
+        return PrestressProgram(self.tangent, self.basis, equal, below, self.scale)
+
+    def explain(self, status: str) -> str:
+        """Explain why a program has no solution."""
+        if status == "unbounded":
+            return "the least stiffness grows with the prestress without limit: give a maximum"
+        if status == "infeasible" and not len(self_stress(self.tangent.structure)):
+            return "the structure has no self-stress: add members or change the nodes"
+        if status == "infeasible":
+            return "no self-stress keeps all strings within the limits: lower the minimum, raise the maximum, or change the nodes"
+        return "the solver did not converge: scale the limits to the stiffness of the structure"
+
+    def fail(self, message: str) -> PrestressDesign:
+        """Return an unsuccessful result without prestress."""
+        structure = self.tangent.structure
+        strings, bars = np.zeros(len(structure.strings)), np.zeros(len(structure.bars))
+        return PrestressDesign(strings, bars, strings, 0.0, structure, False, message)
+
+    def report(self, q: Array) -> PrestressDesign:
+        """Return the result for force densities q (α + β,)."""
+        structure, strings = self.tangent.structure, len(self.least)
+        forces = q * self.tangent.lengths
+        if (
+            np.abs(forces[:strings]).max(initial=0.0)
+            <= _SMALLEST * self.scale * self.tangent.lengths.mean()
+        ):
+            if not len(self_stress(structure)):
+                return self.fail(
+                    "the structure has no self-stress: add members or change the nodes"
+                )
+            q, forces = np.zeros_like(q), np.zeros_like(q)
+        values = self.tangent.softest(q, 1)[0]
+        softest = float(values[0]) if len(values) else np.inf
+        message = "within all limits"
+        if softest <= 0.0:
+            message += f", but unstable: the least stiffness is {softest:.3g} N/m"
+        prestressed = set_prestress(structure, q[:strings], -q[strings:])
+        return PrestressDesign(
+            forces[:strings], forces[strings:], q[:strings], softest, prestressed, True, message
+        )
+
+
+def read_load_cases(load_cases: Any, structure: Structure) -> Array:
+    """Read load cases (cases, n, 3) [N]. Raises TypeError, ValueError."""
+    entries = as_tuple("load_cases", load_cases, "[loads], with loads of shape (n, 3)")
+    cases = [
+        finite_array(f"load_cases[{k}]", case, structure.nodes.shape)
+        for k, case in enumerate(entries)
+    ]
+    return np.array(cases).reshape(len(cases), *structure.nodes.shape)
+
+
+def _read_maximum(maximum: ArrayLike, least: Array) -> Array:
+    """Read the largest tensions (α,). Raises TypeError, ValueError."""
+    most = nonnegative("maximum", per_item("maximum", maximum, len(least)), "string")
+    for i in np.flatnonzero(most < least):
+        raise ValueError(
+            f"maximum of string {i} is {most[i]:g} N: it must be at least its minimum, {least[i]:g} N"
+        )
+    return most

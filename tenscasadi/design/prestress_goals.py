@@ -1,0 +1,237 @@
+"""Goals of a prestress: stiffest, most even, least."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+import scipy.sparse as sp
+
+from tenscasadi.design.conic import ConicSolution, LinearRows, scaled_triangle, solve_conic
+from tenscasadi.design.tangent_stiffness import TangentStiffness, extend_basis
+from tenscasadi.schema.value import Value
+from tenscasadi.util.validate import Array
+
+_MODES = 12  # softest motions that the first semidefinite program sees
+_ROUNDS = 50  # of the search for motions that the last program did not see
+_EXACT = 1e-9  # difference of the bounds of the least stiffness, relative
+
+
+class PrestressProgram(NamedTuple):
+    """Force densities q = basis · p with linear constraints.
+
+    Attributes
+    ----------
+    stiffness : TangentStiffness
+        Tangent stiffness of the structure.
+    basis : csc_array (α + β, u)
+        Columns of members that share p.
+    equal, below : LinearRows
+        Equilibrium, and limits of tensions.
+    scale : float
+        Typical force density [N/m].
+    """
+
+    stiffness: TangentStiffness
+    basis: sp.csc_array
+    equal: LinearRows
+    below: LinearRows
+    scale: float
+
+    def minimize(self, cost: Array, quadratic: sp.csc_array | None = None) -> ConicSolution:
+        """Minimize ½ pᵀ P p + costᵀ p [in units of `scale`]."""
+        equal, below = self.in_units()
+        found = solve_conic(cost, equal, below, quadratic)
+        return found._replace(x=found.x * self.scale)
+
+    def fit(self, p: Array, up: bool) -> Array:
+        """Scale p to the limits: down until one is active, or (`up`) to where the last one is met.
+
+        This removes the rounding of a solver, and the freedom that a goal without scale leaves.
+        """
+        values, limits = self.below.A @ p, self.below.b
+        ratio = np.divide(
+            limits, values, out=np.full(len(values), np.nan), where=values * limits > 0
+        )
+        ratio = ratio[limits < 0.0] if up else ratio[limits > 0.0]
+        ratio = ratio[~np.isnan(ratio)]
+        if not len(ratio):
+            return p
+        return p * float(ratio.max() if up else min(ratio.min(), 1.0))
+
+    def in_units(self) -> tuple[LinearRows, LinearRows]:
+        """Divide right-hand sides by the typical force density."""
+        equal, below = self.equal, self.below
+        return LinearRows(equal.A, equal.b / self.scale), LinearRows(below.A, below.b / self.scale)
+
+
+class PrestressGoal(Protocol):
+    """Choice among the admissible prestresses."""
+
+    needs_minimum: bool
+
+    def solve(self, program: PrestressProgram) -> ConicSolution:
+        """Find force densities within the limits.
+
+        Parameters
+        ----------
+        program : PrestressProgram
+            Equilibrium and limits.
+
+        Returns
+        -------
+        ConicSolution
+            Force densities p (u,) [N/m] and status.
+        """
+
+
+@dataclass(frozen=True)
+class Stiffest(Value, kind="Stiffest"):
+    """The largest stiffness of the softest motion.
+
+    It maximizes the least eigenvalue of the tangent stiffness on motions that keep rigid bars: a
+    semidefinite program.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> pre = tc.find_prestress(tc.shapes.prism(), tc.Stiffest(), maximum=10.0)
+    >>> pre.success, round(float(pre.tension.max()), 6)
+    (True, 10.0)
+    """
+
+    needs_minimum = False
+
+    def solve(self, program: PrestressProgram) -> ConicSolution:
+        """Find force densities by programs that see ever more motions.
+
+        They end when the softest motion is among those seen.
+
+        Parameters
+        ----------
+        program : PrestressProgram
+            Equilibrium and limits.
+
+        Returns
+        -------
+        ConicSolution
+            Force densities p (u,) [N/m] and status.
+        """
+        tangent = program.stiffness
+        found = program.minimize(np.zeros(program.basis.shape[1]))
+        seen, bound = np.zeros((tangent.J.shape[1], 0)), np.inf
+        for _ in range(_ROUNDS):
+            if found.status != "solved":
+                return found
+            values, motions = tangent.softest(program.basis @ found.x, _MODES)
+            enough = bound - _EXACT * max(abs(bound), program.scale) if seen.shape[1] else np.inf
+            if not len(values) or values[0] >= enough:
+                return found._replace(x=program.fit(found.x, up=False))
+            seen = extend_basis(seen, np.asarray(motions[:, values < bound]))
+            found, bound = _maximize_least(program, seen)
+        return found._replace(status="failed")
+
+
+@dataclass(frozen=True)
+class Even(Value, kind="Even"):
+    """The most uniform string tensions.
+
+    It minimizes the sum of squared deviations of the string tensions from their mean: a quadratic
+    program.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> pre = tc.find_prestress(tc.shapes.six_bar_ball(), tc.Even(), minimum=5.0)
+    >>> pre.tension.round(6).min().item(), pre.tension.round(6).max().item()
+    (5.0, 5.0)
+    """
+
+    needs_minimum = True
+
+    def solve(self, program: PrestressProgram) -> ConicSolution:
+        """Find force densities of the least deviations.
+
+        Parameters
+        ----------
+        program : PrestressProgram
+            Equilibrium and limits.
+
+        Returns
+        -------
+        ConicSolution
+            Force densities p (u,) [N/m] and status.
+        """
+        T = _string_tensions(program)
+        mean = sp.csc_array(-np.ones((T.shape[0], 1)))
+        deviation = sp.hstack([T, mean], format="csc")
+        equal, below = program.in_units()
+        wider = [
+            LinearRows(sp.hstack([rows.A, sp.csc_array((len(rows.b), 1))], format="csc"), rows.b)
+            for rows in (equal, below)
+        ]
+        found = solve_conic(
+            np.zeros(deviation.shape[1]), wider[0], wider[1], deviation.T @ deviation
+        )
+        return found._replace(x=program.fit(found.x[:-1] * program.scale, up=True))
+
+
+@dataclass(frozen=True)
+class Least(Value, kind="Least"):
+    """The least sum of string tensions: a linear program.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> pre = tc.find_prestress(tc.shapes.prism(), tc.Least(), minimum=5.0)
+    >>> round(float(pre.tension.min()), 6)
+    5.0
+    """
+
+    needs_minimum = True
+
+    def solve(self, program: PrestressProgram) -> ConicSolution:
+        """Find force densities of the least sum.
+
+        Parameters
+        ----------
+        program : PrestressProgram
+            Equilibrium and limits.
+
+        Returns
+        -------
+        ConicSolution
+            Force densities p (u,) [N/m] and status.
+        """
+        found = program.minimize(np.asarray(_string_tensions(program).sum(axis=0)).ravel())
+        return found._replace(x=program.fit(found.x, up=True))
+
+
+def _string_tensions(program: PrestressProgram) -> sp.csc_array:
+    """Build the string tensions per p (α, u)."""
+    lengths = program.stiffness.structure.string_lengths
+    return sp.csc_array(sp.diags_array(lengths) @ program.basis[: len(lengths)])
+
+
+def _maximize_least(program: PrestressProgram, motions: Array) -> tuple[ConicSolution, float]:
+    """Maximize the least eigenvalue of the stiffness on some orthonormal motions.
+
+    Returns p and that eigenvalue.
+    """
+    materials, slopes = program.stiffness.reduce(motions)
+    material = np.einsum("k,kij->ij", program.stiffness.stiffness, materials)
+    count, unknown = motions.shape[1], program.basis.shape[1]
+    by_member = np.stack([scaled_triangle(slope) for slope in slopes], axis=1)
+    by_p = (program.basis.T @ by_member.T).T
+    rows = np.column_stack([-by_p, scaled_triangle(np.eye(count))])
+    cone = LinearRows(sp.csc_array(rows), scaled_triangle(material) / program.scale)
+    wider = [
+        LinearRows(sp.hstack([part.A, sp.csc_array((len(part.b), 1))], format="csc"), part.b)
+        for part in program.in_units()
+    ]
+    cost = np.zeros(unknown + 1)
+    cost[-1] = -1.0
+    found = solve_conic(cost, wider[0], wider[1], semidefinite=[cone])
+    p, least = found.x[:-1] * program.scale, float(found.x[-1]) * program.scale
+    return found._replace(x=p), least

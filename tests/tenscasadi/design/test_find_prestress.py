@@ -1,0 +1,185 @@
+"""Prestress design: optima, limits under load cases, and clear failures."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from equilibrium import gamma_of, unbalanced
+from scipy.optimize import minimize_scalar
+
+import tenscasadi as tc
+
+
+def stiffness(s: tc.Structure, q: np.ndarray) -> float:
+    """Least tangent stiffness on motions that keep rigid bars, with dense matrices."""
+    pairs = np.concatenate([s.strings, s.bars])
+    n = len(s.nodes)
+    K, J = np.zeros((3 * n, 3 * n)), []
+    for k, (a, b) in enumerate(pairs):
+        d = np.zeros((3, 3 * n))
+        d[:, 3 * a : 3 * a + 3], d[:, 3 * b : 3 * b + 3] = -np.eye(3), np.eye(3)
+        u = s.nodes[b] - s.nodes[a]
+        u = u / np.linalg.norm(u)
+        K += q[k] * d.T @ d
+        if k < len(s.strings):
+            K += (s.stiffness[k] - q[k]) * np.outer(u @ d, u @ d)
+        else:
+            J.append(u @ d)
+    free = np.flatnonzero(~s.fixed.ravel())
+    rows = [row[free] for row in J]
+    if not s.fixed.any():
+        arms = s.nodes - s.nodes.mean(axis=0)
+        rows += [np.tile(axis, n) for axis in np.eye(3)]
+        rows += [np.cross(axis, arms).ravel() for axis in np.eye(3)]
+    Z = np.linalg.svd(np.array(rows).reshape(-1, len(free)))[2]
+    Z = Z[np.linalg.matrix_rank(np.array(rows)) if rows else 0 :].T
+    return float(np.linalg.eigvalsh(Z.T @ K[np.ix_(free, free)] @ Z)[0])
+
+
+@pytest.mark.parametrize("goal", [tc.Stiffest(), tc.Even(), tc.Least()])
+def test_prism_has_one_prestress(goal) -> None:
+    s = tc.shapes.prism(stiffness=1000.0)
+    pre = tc.find_prestress(s, goal, minimum=20.0, maximum=60.0)
+    assert pre.success, pre.message
+    np.testing.assert_allclose(pre.force_density[6:] / pre.force_density[0], np.sqrt(3), rtol=1e-7)
+    np.testing.assert_allclose(pre.tension, pre.force_density * s.string_lengths)
+    np.testing.assert_allclose(pre.bar_force / s.bar_lengths, -pre.force_density[6:], rtol=1e-7)
+    end = 60.0 if isinstance(goal, tc.Stiffest) else 20.0
+    reached = pre.tension.max() if isinstance(goal, tc.Stiffest) else pre.tension.min()
+    assert reached == pytest.approx(end, rel=1e-9)
+    q = np.concatenate([pre.force_density, pre.bar_force / s.bar_lengths])
+    assert pre.least_stiffness == pytest.approx(stiffness(s, q), rel=1e-7)
+    np.testing.assert_allclose(gamma_of(pre.structure), pre.force_density, rtol=1e-9)
+    assert unbalanced(pre.structure, pre.force_density) < 1e-7
+
+
+def test_stiffest_prestress_beats_all_others_of_a_tower() -> None:
+    s = tc.shapes.prism_tower(2, height=0.6, stiffness=300.0)
+    maximum = np.where(np.arange(15) < 6, 40.0, 100.0)
+    pre = tc.find_prestress(s, tc.Stiffest(), maximum=maximum)
+    assert pre.success, pre.message
+    basis = tc.self_stress(s) * np.repeat([1.0, -1.0], [15, 6])
+    assert len(basis) == 2
+
+    def least(angle: float) -> float:
+        q = np.array([np.cos(angle), np.sin(angle)]) @ basis
+        tension = q[:15] * s.string_lengths
+        if tension.max() <= 0.0 or tension.min() < -1e-9:
+            return 0.0
+        return -stiffness(s, q * np.min(maximum / np.maximum(tension, 1e-9)))
+
+    grid = np.linspace(-np.pi, np.pi, 721)
+    start = grid[np.argmin([least(angle) for angle in grid])]
+    best = minimize_scalar(least, bounds=(start - 0.01, start + 0.01), method="bounded")
+    assert pre.least_stiffness >= -best.fun * (1 - 1e-6)
+
+
+def test_even_prestress_has_least_deviation() -> None:
+    s = tc.shapes.prism_tower(3, stiffness=1000.0)
+    pre = tc.find_prestress(s, tc.Even(), minimum=10.0)
+    basis = tc.self_stress(s)[:, : len(s.strings)] * s.string_lengths
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        other = pre.tension + 0.5 * rng.normal(size=len(basis)) @ basis
+        if other.min() >= 10.0:
+            assert np.var(other) >= np.var(pre.tension) * (1 - 1e-9)
+    assert pre.tension.min() == pytest.approx(10.0)
+
+
+def test_even_prestress_of_a_net_is_uniform_in_the_least_scale() -> None:
+    pre = tc.find_prestress(tc.shapes.hyperbolic_paraboloid(5), tc.Even(), minimum=3.0)
+    np.testing.assert_allclose(pre.tension, 3.0, rtol=1e-9)
+
+
+def test_least_prestress_keeps_strings_taut_under_loads() -> None:
+    s = tc.Structure(
+        [(0, 0, 0), (1, 0, 0), (3, 0, 0)],
+        strings=[(0, 1), (1, 2)],
+        pinned=[0, 2],
+        node_mass=1.0,
+        stiffness=[300.0, 100.0],
+    )
+    push = np.zeros((3, 3))
+    push[1, 0] = 40.0
+    pre = tc.find_prestress(s, tc.Least(), [push, -push])
+    assert pre.success, pre.message
+    np.testing.assert_allclose(pre.tension, 30.0)  # what the stiffer string unloads by
+    pre = tc.find_prestress(s, tc.Least(), [push], minimum=5.0)
+    np.testing.assert_allclose(pre.tension, 15.0)  # the softer string unloads by 10 N
+    pre = tc.find_prestress(s, tc.Stiffest(), [push, -push], minimum=5.0, maximum=100.0)
+    np.testing.assert_allclose(pre.tension, 70.0)  # 30 N are left for the load
+
+
+def test_limits_hold_at_the_equilibrium_under_load() -> None:
+    s = tc.shapes.prism(diagonals=True, stiffness=1e5, pinned=[0, 1, 2])
+    load = np.zeros((6, 3))
+    load[3:] = (3.0, -5.0, -10.0)
+    pre = tc.find_prestress(s, tc.Least(), [load, -load], minimum=2.0)
+    assert pre.success, pre.message
+    lowest = np.inf
+    for sign in (1, -1):
+        eq = tc.find_equilibrium(tc.Scene(pre.structure, forces=tc.NodalForce(sign * load)))
+        assert eq.success, eq.message
+        lowest = min(lowest, float(eq.tension.min()))
+    free = [k for k, pair in enumerate(s.strings.tolist()) if not set(pair) <= {0, 1, 2}]
+    assert lowest == pytest.approx(2.0, abs=0.01)
+    assert pre.tension[free].min() > 2.5
+
+
+def test_groups_share_their_force_density() -> None:
+    s = tc.shapes.prism(diagonals=True, stiffness=1000.0)
+    groups = [range(6), range(6, 9), range(9, 12)]
+    pre = tc.find_prestress(s, tc.Even(), minimum=1.0, groups=groups)
+    assert pre.success, pre.message
+    for group in groups:
+        np.testing.assert_allclose(pre.force_density[group], pre.force_density[group[0]], rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("make", "given", "message"),
+    [
+        (tc.shapes.membrane, {"goal": tc.Even(), "minimum": 1.0}, "no self-stress: add members"),
+        (tc.shapes.membrane, {"maximum": 1.0}, "no self-stress: add members"),
+        (
+            tc.shapes.prism,
+            {"goal": tc.Least(), "minimum": 5.0, "maximum": 6.0},
+            "no self-stress keeps all strings within the limits",
+        ),
+        (tc.shapes.geiger_dome, {}, "without limit: give a maximum"),
+        (
+            tc.shapes.prism,
+            {"goal": tc.Least(), "minimum": 1.0, "load_cases": [np.eye(6)[:, :3]]},
+            "load case 0 moves the structure as a whole",
+        ),
+    ],
+)
+def test_prestress_that_does_not_exist_has_a_reason(make, given, message: str) -> None:
+    pre = tc.find_prestress(make(stiffness=1000.0), **given)
+    assert not pre.success
+    assert message in pre.message
+    assert np.all(np.isfinite(pre.tension))
+    assert np.isfinite(pre.least_stiffness)
+
+
+def test_unstable_prestress_says_so() -> None:
+    pre = tc.find_prestress(tc.shapes.d_bar(), tc.Even(), minimum=1.0)
+    assert pre.success
+    assert pre.least_stiffness < 0
+    assert "unstable" in pre.message
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"goal": tc.Even()}, "minimum is 0: Even needs a minimum above 0 N"),
+        ({"goal": "Even"}, r"goal is 'Even': give Stiffest\(\), Even\(\) or Least\(\)"),
+        ({"minimum": -1.0}, "minimum of string 0 is -1: it must be at least 0"),
+        ({"minimum": 3.0, "maximum": 2.0}, "maximum of string 0 is 2 N: it must be at least"),
+        ({"load_cases": [np.zeros((5, 3))]}, r"load_cases\[0\] has shape \(5, 3\)"),
+        ({"load_cases": 3}, "load_cases is 3: give a list"),
+        ({"minimum": np.nan}, "minimum is nan"),
+    ],
+)
+def test_wrong_input_is_named(given, message: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=message):
+        tc.find_prestress(tc.shapes.prism(), **given)
