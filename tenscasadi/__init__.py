@@ -58,6 +58,9 @@ if TYPE_CHECKING:
     from tenscasadi.design.find_prestress import PrestressDesign, find_prestress
     from tenscasadi.design.form_find import Form, form_find
     from tenscasadi.design.prestress_goals import Even, Least, Stiffest
+    from tenscasadi.design.sizing.material import Material
+    from tenscasadi.design.sizing.size import size
+    from tenscasadi.design.sizing.sized import Sized
     from tenscasadi.exchange.matlab.save import save_mat
     from tenscasadi.exchange.matlab.structures import load_mat
     from tenscasadi.exchange.matlab.trajectories import load_mat_trajectory
@@ -92,6 +95,9 @@ __getattr__ = find_attribute(
         "tenscasadi.design.find_prestress": ("PrestressDesign", "find_prestress"),
         "tenscasadi.design.form_find": ("Form", "form_find"),
         "tenscasadi.design.prestress_goals": ("Even", "Least", "Stiffest"),
+        "tenscasadi.design.sizing.material": ("Material",),
+        "tenscasadi.design.sizing.size": ("size",),
+        "tenscasadi.design.sizing.sized": ("Sized",),
         "tenscasadi.exchange.matlab.save": ("save_mat",),
         "tenscasadi.exchange.matlab.structures": ("load_mat",),
         "tenscasadi.exchange.matlab.trajectories": ("load_mat_trajectory",),
@@ -148,6 +154,9 @@ __all__ = [
     "Stiffest",
     "Even",
     "Least",
+    "size",
+    "Sized",
+    "Material",
     # scene
     "Scene",
     "ForceDensity",

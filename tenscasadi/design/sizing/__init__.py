@@ -1,0 +1,1 @@
+"""Least mass of members under load cases."""

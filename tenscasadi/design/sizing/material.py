@@ -1,0 +1,114 @@
+"""Materials and cross-sections of members."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from tenscasadi.schema.value import Value
+from tenscasadi.structure.structure import Structure
+from tenscasadi.util.validate import Array, positive_number
+
+
+@dataclass(frozen=True)
+class Material(Value, kind="Material"):
+    """Elastic material with an allowable stress.
+
+    Parameters
+    ----------
+    modulus : float
+        Young's modulus [Pa].
+    density : float
+        Mass per volume [kg/m³].
+    strength : float
+        Allowable stress in tension and compression [Pa].
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> tc.Material(modulus=60e9, density=2700.0, strength=110e6)
+    Material(modulus=60000000000.0, density=2700.0, strength=110000000.0)
+    """
+
+    modulus: float
+    density: float
+    strength: float
+
+    def __post_init__(self) -> None:
+        for name in ("modulus", "density", "strength"):
+            object.__setattr__(self, name, positive_number(f"Material.{name}", getattr(self, name)))
+
+
+class Sections(NamedTuple):
+    """Material and shape of the sections of all members: strings first, then bars.
+
+    Attributes
+    ----------
+    lengths : ndarray (α + β,)
+        Lengths [m].
+    modulus, density, strength : ndarray (α + β,)
+        Properties of the materials, in SI units.
+    buckling : ndarray (α + β,)
+        c of Euler's load c · area² [N/m⁴]; inf for strings, which carry no compression.
+    minimum : ndarray (α + β,)
+        Least areas [m²].
+    solidity : ndarray (α + β,)
+        Area relative to that of a solid section of the same outer radius.
+    """
+
+    lengths: Array
+    modulus: Array
+    density: Array
+    strength: Array
+    buckling: Array
+    minimum: Array
+    solidity: Array
+
+    @property
+    def mass_per_area(self) -> Array:
+        """Mass of each member per area [kg/m²]."""
+        return self.density * self.lengths
+
+    def needed_for_yield(self, force: Array) -> Array:
+        """Compute the areas (..., α + β) that forces need for the allowable stress [m²]."""
+        return np.asarray(np.abs(force) / self.strength)
+
+    def needed_for_buckling(self, force: Array) -> Array:
+        """Compute the areas (..., α + β) that forces need for Euler's load [m²]."""
+        return np.asarray(np.sqrt(np.maximum(-force, 0.0) / self.buckling))
+
+    def needed(self, forces: Array) -> Array:
+        """Compute the areas (α + β,) that several states of forces (states, α + β) need [m²]."""
+        both = np.maximum(self.needed_for_yield(forces), self.needed_for_buckling(forces))
+        return np.asarray(np.maximum(both.max(axis=0, initial=0.0), self.minimum))
+
+    def outer_radius(self, area: Array) -> Array:
+        """Compute the outer radii [m] of areas [m²]."""
+        return np.asarray(np.sqrt(area / (np.pi * self.solidity)))
+
+
+def build_sections(
+    structure: Structure, string: Material | None, bar: Material | None, tube: float, minimum: Array
+) -> Sections:
+    """Collect the sections of a structure's members.
+
+    `tube` is the inner over the outer radius of bars. Their second moment of area is κ area², with
+    κ = (1 + tube²) / (4π (1 − tube²)), and Euler's load π² modulus κ area² / length².
+    """
+    strings, bars = len(structure.strings), len(structure.bars)
+    lengths = np.concatenate([structure.string_lengths, structure.bar_lengths])
+
+    def spread(name: str) -> Array:
+        own = [1.0 if each is None else getattr(each, name) for each in (string, bar)]
+        return np.repeat(own, [strings, bars])
+
+    modulus = spread("modulus")
+    kappa = (1.0 + tube**2) / (4.0 * np.pi * (1.0 - tube**2))
+    buckling = np.pi**2 * modulus * kappa / lengths**2
+    buckling[:strings] = np.inf
+    solidity = np.repeat([1.0, 1.0 - tube**2], [strings, bars])
+    return Sections(
+        lengths, modulus, spread("density"), spread("strength"), buckling, minimum, solidity
+    )

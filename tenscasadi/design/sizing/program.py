@@ -1,0 +1,187 @@
+"""Least mass of members as a linear program.
+
+Unknowns are the areas a and, for each load case, tensions f⁺ and compressions f⁻ of members in
+equilibrium. Any such forces within the limits are admissible (lower-bound theorem of plasticity).
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.optimize import linprog
+
+from tenscasadi.design.sizing.material import Sections
+from tenscasadi.structure.equilibrium_matrix import equilibrium_matrix, free_directions
+from tenscasadi.structure.structure import Structure
+from tenscasadi.util.validate import Array, Indices
+
+
+class BucklingRows(NamedTuple):
+    """Linear rows f⁻ ≤ slope · a + constant of some bars.
+
+    Attributes
+    ----------
+    members : ndarray of int (k,)
+        The bars.
+    slope : ndarray (k,)
+        [N/m²].
+    constant : ndarray (k,)
+        [N].
+    """
+
+    members: Indices
+    slope: Array
+    constant: Array
+
+
+class SizedForces(NamedTuple):
+    """Solution of the linear program.
+
+    Attributes
+    ----------
+    mass : float
+        Objective [kg]; inf where there is no solution.
+    area : ndarray (α + β,)
+        Areas [m²].
+    force : ndarray (cases, α + β)
+        Forces [N], positive in tension.
+    """
+
+    mass: float
+    area: Array
+    force: Array
+
+
+class SizingProgram:
+    """Linear program of a structure under load cases.
+
+    Attributes
+    ----------
+    sections : Sections
+        Sections of the members.
+    balance : csc_array (free coordinates, α + β)
+        Forces that members of unit tension resist.
+    weight : csc_array (free coordinates, α + β)
+        Weights of members per area [N/m²].
+    loads : ndarray (cases, free coordinates)
+        Loads [N].
+    """
+
+    def __init__(
+        self, structure: Structure, sections: Sections, cases: Array, gravity: Array | None
+    ) -> None:
+        self.sections = sections
+        self.strings, self.members = len(structure.strings), len(sections.lengths)
+        signs = np.where(np.arange(self.members) < self.strings, 1.0, -1.0)
+        self.balance = sp.csc_array(
+            equilibrium_matrix(structure) @ sp.diags_array(signs / sections.lengths)
+        )
+        free = free_directions(structure)
+        self.loads = cases.reshape(len(cases), structure.nodes.size) @ free
+        acceleration = np.zeros(3) if gravity is None else gravity
+        self._end_weights = _end_weights(structure, sections, acceleration)
+        self.weight = sp.csc_array(free.T @ self._end_weights)
+        self._units, self._rows = self._build()
+
+    def nodal_weight(self, area: Array) -> Array:
+        """Compute the weight (n, 3) of the members on the nodes [N]."""
+        return np.asarray((self._end_weights @ area).reshape(-1, 3))
+
+    def _build(self) -> tuple[_Units, _Rows]:
+        """Build the constant rows, in units of the largest load and the areas that it needs."""
+        cases, members, bars = len(self.loads), self.members, self.members - self.strings
+        force = float(np.abs(self.loads).max(initial=0.0)) or 1.0
+        units = _Units(force, force / self.sections.strength)
+        each = sp.eye_array(cases, format="csr")
+        equal = [
+            sp.kron(np.ones((cases, 1)), -self.weight @ sp.diags_array(units.area / units.force)),
+            sp.kron(each, self.balance),
+            sp.kron(each, -self.balance[:, self.strings :]),
+        ]
+        pull = sp.eye_array(members, format="csr")
+        below = [
+            sp.kron(np.ones((cases, 1)), -pull),
+            sp.kron(each, pull),
+            sp.kron(each, pull[:, self.strings :]),
+        ]
+        mass = self.sections.mass_per_area * units.area
+        cost = np.concatenate([mass / mass.max(initial=1e-300), np.zeros(cases * (members + bars))])
+        return units, _Rows(sp.hstack(equal, format="csc"), sp.hstack(below, format="csr"), cost)
+
+    def solve(self, rows: BucklingRows | None = None, most: Array | None = None) -> SizedForces:
+        """Minimize the mass.
+
+        `rows` bound compressions by areas, beside the allowable stress; `most` (α + β,) bounds them
+        by numbers [N].
+        """
+        cases, members, bars = len(self.loads), self.members, self.members - self.strings
+        units, fixed = self._units, self._rows
+        pushes = members + cases * members  # the first of the compressions
+        below, limits = fixed.below, np.zeros(cases * members)
+        if rows is not None and len(rows.members):
+            more, limit = self._buckling_rows(rows)
+            below, limits = sp.vstack([below, more]), np.concatenate([limits, limit])
+        upper = np.full(len(fixed.cost), np.inf)
+        if most is not None:
+            upper[pushes:] = np.tile(most[self.strings :] / units.force, cases)
+        lower = np.zeros(len(fixed.cost))
+        lower[:members] = self.sections.minimum / units.area
+        found = linprog(
+            fixed.cost,
+            below,
+            limits,
+            fixed.equal,
+            self.loads.ravel() / units.force,
+            bounds=np.column_stack([lower, upper]),
+            method="highs-ipm",
+        )
+        if found.status != 0:
+            return SizedForces(np.inf, np.zeros(members), np.zeros((cases, members)))
+        area = found.x[:members] * units.area
+        forces = found.x[members:pushes].reshape(cases, members) * units.force
+        forces[:, self.strings :] -= found.x[pushes:].reshape(cases, bars) * units.force
+        return SizedForces(float(self.sections.mass_per_area @ area), area, forces)
+
+    def _buckling_rows(self, rows: BucklingRows) -> tuple[Any, Array]:
+        """Build f⁻ / slope − a ≤ constant / slope for each case, bar by bar [in units]."""
+        cases, members, bars = len(self.loads), self.members, self.members - self.strings
+        count = len(rows.members)
+        slope = rows.slope * (self._units.area[rows.members] / self._units.force)
+        push = members + cases * members + bars * np.arange(cases)[:, None]
+        columns = [np.tile(rows.members, cases), (push + rows.members - self.strings).ravel()]
+        values = [np.full(cases * count, -1.0), np.tile(1.0 / slope, cases)]
+        index = np.tile(np.arange(cases * count), 2)
+        matrix = sp.csr_array(
+            (np.concatenate(values), (index, np.concatenate(columns))),
+            shape=(cases * count, len(self._rows.cost)),
+        )
+        return matrix, np.tile(rows.constant / self._units.force / slope, cases)
+
+
+class _Units(NamedTuple):
+    """Units of the program: force [N], and the area that it needs of each member [m²]."""
+
+    force: float
+    area: Array
+
+
+class _Rows(NamedTuple):
+    """Constant rows: equilibrium, allowable stress; and the cost."""
+
+    equal: Any
+    below: Any
+    cost: Array
+
+
+def _end_weights(structure: Structure, sections: Sections, gravity: Array) -> Any:
+    """Build the nodal weights (3n, α + β) of members per area: one half at each end."""
+    pairs = np.concatenate([structure.strings, structure.bars])
+    half = 0.5 * sections.mass_per_area[:, None] * gravity
+    rows = 3 * pairs[:, :, None] + np.arange(3)
+    values = np.stack([half, half], axis=1)
+    columns = np.repeat(np.arange(len(pairs)), 6)
+    return sp.csc_array(
+        (values.ravel(), (rows.ravel(), columns)), shape=(structure.nodes.size, len(pairs))
+    )

@@ -1,0 +1,245 @@
+"""Sizing: the sections of least mass that carry load cases."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+
+from tenscasadi.design.conic import LinearRows, solve_conic
+from tenscasadi.design.find_prestress import read_load_cases
+from tenscasadi.design.sizing.elastic_forces import (
+    ROUNDING,
+    elastic_response,
+    fit_prestress,
+    superpose_prestress,
+)
+from tenscasadi.design.sizing.material import Material, Sections, build_sections
+from tenscasadi.design.sizing.program import SizedForces, SizingProgram
+from tenscasadi.design.sizing.search import Design, find_least_mass
+from tenscasadi.design.sizing.sized import Sized, report_failure, report_sections
+from tenscasadi.design.sizing.stable import StableSizing
+from tenscasadi.design.tangent_stiffness import TangentStiffness
+from tenscasadi.scene.loads import Gravity
+from tenscasadi.structure.structure import Structure
+from tenscasadi.util.validate import (
+    Array,
+    finite_array,
+    flag,
+    instance,
+    nonnegative,
+    number,
+    per_item,
+)
+
+_BALANCED = 1e-9  # unbalanced forces of a given prestress, relative to its largest force
+
+
+def size(
+    structure: Structure,
+    load_cases: Sequence[ArrayLike] = (),
+    string: Material | None = None,
+    bar: Material | None = None,
+    tube: float = 0.0,
+    self_weight: Gravity | None = None,
+    minimum_area: ArrayLike = 0.0,
+    prestress: ArrayLike | None = None,
+    stable: bool = False,
+) -> Sized:
+    """Find the sections of least mass that carry all load cases.
+
+    Strings are limited by the allowable stress, bars by it and by Euler's load over their own
+    length between hinges. Bars side by side do not brace each other.
+
+    Parameters
+    ----------
+    structure : Structure
+        The structure in its nodes.
+    load_cases : sequence of array_like, shape (n, 3)
+        Forces on the nodes [N], without those of other cases.
+    string, bar : Material
+        Materials of strings and of bars.
+    tube : float
+        Inner over outer radius of bars, at least 0 and below 1.
+    self_weight : Gravity, optional
+        Adds the weight of the members to each case, one half at each end. Point masses are loads.
+    minimum_area : array_like, shape (α + β,)
+        Least areas [m²], or one number for all.
+    prestress : array_like, shape (α + β,), optional
+        Forces without loads [N], positive in tension. None: they are chosen. ``()``: none.
+    stable : bool
+        Whether a factor of at least 1 for global buckling is imposed in each case.
+
+    Returns
+    -------
+    Sized
+        Areas, forces, and a structure to simulate, with the reason if no sections carry the loads.
+
+    Raises
+    ------
+    TypeError, ValueError
+        An argument does not fit the structure, or a given prestress is not in equilibrium.
+
+    Notes
+    -----
+    By the lower-bound theorem of plasticity, areas carry the loads if any forces within the limits
+    are in equilibrium with them. Least mass is then a linear program where yield governs. Euler's
+    load makes it nonconvex: branch and bound over linear programs finds the least mass within
+    1e-6, or reports the gap. The reported forces are the elastic ones with the reported prestress
+    if these are within the limits, too; a single load case always allows that where no string
+    would be compressed. A given prestress is superposed with the elastic response to the loads.
+
+    Examples
+    --------
+    A bar of 2 m in compression is lighter alone than braced by a D-bar at 45°:
+
+    >>> import numpy as np
+    >>> import tenscasadi as tc
+    >>> aluminum = tc.Material(modulus=60e9, density=2700.0, strength=110e6)
+    >>> load = np.zeros((4, 3))
+    >>> load[[0, 2], 0] = 1e4, -1e4
+    >>> sized = tc.size(tc.shapes.d_bar(2**0.5), [load], aluminum, aluminum)
+    >>> round(sized.mass, 4), sized.governs[1:3]
+    (8.858, ('yield', 'buckling'))
+    """
+    instance("structure", structure, Structure, "a tenscasadi.Structure")
+    sections = _read_sections(structure, string, bar, tube, minimum_area)
+    flag("stable", stable)
+    cases = read_load_cases(load_cases, structure)
+    if self_weight is not None:
+        instance("self_weight", self_weight, Gravity, "a tenscasadi.Gravity, or None")
+    gravity = None if self_weight is None else np.array(self_weight.at(0.0)).ravel()
+    program = SizingProgram(structure, sections, cases, gravity)
+    given = _read_prestress(program, prestress)
+    design = find_least_mass(program)
+    if not np.isfinite(design.best.mass):
+        return report_failure(structure, cases, _explain(program))
+    if not stable:
+        if given is not None and given.any():
+            return _superpose(structure, program, cases, given)
+        message = f"within {_gap(design):.1e} of the least mass" if len(cases) else "no loads"
+        chosen = _choose_forces(program, design.best, given)
+        return report_sections(structure, program, cases, chosen, message)
+    elastic = structure.replace(bar_stiffness=1.0)  # any: areas give the stiffness
+    search = StableSizing(program, TangentStiffness(elastic), given)
+    found = search.search(sections.needed(design.best.force))
+    if found.message:
+        return report_failure(structure, cases, found.message)
+    more = float(found.area @ sections.mass_per_area) / design.bound - 1.0
+    message = f"stable, {max(more, 0.0):.1e} above the least mass without that"
+    sized = report_sections(structure, program, cases, found[:3], message)
+    least = float(sized.buckling.min(initial=np.inf))
+    if least < 1.0 - ROUNDING:
+        reason = f"a load case buckles at {least:.6g} times its load: give a minimum area"
+        return replace(sized, success=False, message=reason)
+    return sized
+
+
+def _gap(design: Design) -> float:
+    """Compute how much lighter a design could be, relative to its bound."""
+    return max(design.best.mass / design.bound - 1.0, 0.0) if design.bound > 0.0 else 0.0
+
+
+def _read_sections(
+    structure: Structure,
+    string: Material | None,
+    bar: Material | None,
+    tube: float,
+    minimum_area: ArrayLike,
+) -> Sections:
+    """Read materials and shapes of sections. Raises TypeError, ValueError."""
+    for name, given, members in (
+        ("string", string, structure.strings),
+        ("bar", bar, structure.bars),
+    ):
+        if given is not None or len(members):
+            example = "a tenscasadi.Material, such as Material(200e9, 7850.0, 235e6)"
+            instance(name, given, Material, example)
+    ratio = number("tube", tube)
+    if not 0.0 <= ratio < 1.0:
+        raise ValueError(
+            f"tube is {ratio:g}: it must be at least 0 and below 1, inner over outer radius"
+        )
+    count = len(structure.strings) + len(structure.bars)
+    minimum = nonnegative("minimum_area", per_item("minimum_area", minimum_area, count), "member")
+    return build_sections(structure, string, bar, ratio, minimum)
+
+
+def _read_prestress(program: SizingProgram, prestress: ArrayLike | None) -> Array | None:
+    """Read forces without loads (α + β,), zero for (); None if they are chosen.
+
+    Raises TypeError, ValueError.
+    """
+    if prestress is None:
+        return None
+    if np.size(prestress) == 0:
+        return np.zeros(program.members)
+    forces = finite_array("prestress", prestress, (program.members,))
+    left = float(np.abs(program.balance @ forces).max(initial=0.0))
+    if left > _BALANCED * np.abs(forces).max(initial=0.0):
+        raise ValueError(
+            f"prestress leaves {left:.3g} N unbalanced: give forces in equilibrium, such as those of find_prestress"
+        )
+    nonnegative("prestress", forces[: program.strings], "string")
+    return forces
+
+
+def _superpose(structure: Structure, program: SizingProgram, cases: Array, given: Array) -> Sized:
+    """Size members for a given prestress and the elastic response to the loads."""
+    sections = program.sections
+    area, forces = superpose_prestress(program, given, sections.needed(given[None]))
+    needed = sections.needed(np.vstack([forces, given]))
+    if not np.all(needed <= area + ROUNDING * area.max(initial=0.0)):
+        reason = "areas and response to the loads do not settle: give a minimum area"
+        return report_failure(structure, cases, reason)
+    message = "each member is as thin as the given prestress allows"
+    return report_sections(structure, program, cases, (area, forces, given), message)
+
+
+def _choose_forces(
+    program: SizingProgram, best: SizedForces, given: Array | None
+) -> tuple[Array, Array, Array]:
+    """Choose the areas, the forces of the load cases, and the prestress."""
+    sections = program.sections
+    area = sections.needed(best.force)
+    none = np.zeros(program.members)
+    if not len(program.loads):
+        return area, best.force, none
+    response = elastic_response(program, area)
+    own = none if given is not None else fit_prestress(program, area, best.force - response)
+    elastic = own + response
+    largest = float(np.abs(elastic).max(initial=0.0))
+    taut = elastic[:, : program.strings].min(initial=0.0) >= -ROUNDING * largest
+    needed = sections.needed(np.vstack([elastic, own]))
+    if taut and np.all(needed <= area + ROUNDING * area.max()):
+        same = np.abs(elastic - best.force) <= ROUNDING * largest
+        return area, np.where(same, best.force, elastic), own
+    return area, best.force, none
+
+
+def _explain(program: SizingProgram) -> str:
+    """Explain why no sections carry the loads."""
+    for case, load in enumerate(program.loads):
+        left = unbalanced_load(program, load)
+        if left > ROUNDING * float(np.abs(load).max(initial=0.0)):
+            return f"no forces with strings in tension balance load case {case}, {left:.3g} N stay unbalanced: change supports, members or the load"
+    if program.weight.nnz:
+        return "no sections carry their own weight: use a stronger material or shorter members"
+    return "the linear program was not solved: scale loads and materials to SI units"
+
+
+def unbalanced_load(program: SizingProgram, load: Array) -> float:
+    """Compute the least unbalanced force [N] that member forces leave of a load (free,)."""
+    scale = float(np.abs(load).max(initial=0.0)) or 1.0
+    B = program.balance
+    count, members = B.shape
+    unknown = members + count
+    equal = LinearRows(sp.hstack([B, sp.eye_array(count)], format="csc"), load / scale)
+    eye = sp.eye_array(unknown, format="csr")
+    below = LinearRows(sp.csc_array(-eye[: program.strings]), np.zeros(program.strings))
+    weights = np.repeat([1e-9, 1.0], [members, count])
+    found = solve_conic(np.zeros(unknown), equal, below, sp.diags_array(weights, format="csc"))
+    return float(np.abs(found.x[members:]).max(initial=0.0)) * scale

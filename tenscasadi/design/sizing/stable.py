@@ -1,0 +1,221 @@
+"""Least mass with global stability in each load case: semidefinite programs.
+
+The tangent stiffness is linear in areas and prestress for given responses to the loads. It is kept
+positive semidefinite on the motions that earlier programs did not see to be unstable. Responses and
+tangents of Euler's loads follow from the areas of the last program, until both agree.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from tenscasadi.design.conic import LinearRows, scaled_triangle, solve_conic
+from tenscasadi.design.sizing.elastic_forces import (
+    ROUNDING,
+    elastic_response,
+    response_slopes,
+)
+from tenscasadi.design.sizing.program import SizingProgram
+from tenscasadi.design.tangent_stiffness import TangentStiffness, extend_basis
+from tenscasadi.util.validate import Array
+
+_ROUNDS = 60
+_SETTLED = 1e-8  # change of the mass from round to round, relative
+_FACTOR = 10.0  # by which areas change in a round at most, until they go back and forth
+_LARGEST_FACTOR = 1e6
+_FLOOR = 1e-9  # of the largest area: what counts as none
+_START = 1e-3  # least area at the start, relative to the largest: no area grows from zero
+_ROUNDING = 1e-8  # of the largest stiffness of a member: eigenvalues above its negative are stable
+_MODES = 6  # softest motions of a state that a program takes up
+
+
+class StableDesign(NamedTuple):
+    """Areas and prestress.
+
+    Attributes
+    ----------
+    area : ndarray (α + β,)
+        Areas [m²].
+    force : ndarray (cases, α + β)
+        Forces in each load case [N].
+    prestress : ndarray (α + β,)
+        Forces without loads [N].
+    message : str
+        The reason if there is no design, else empty.
+    """
+
+    area: Array
+    force: Array
+    prestress: Array
+    message: str
+
+
+class _Response(NamedTuple):
+    """Change of forces as a linear function of areas: constant + slope · area."""
+
+    constant: Array
+    slope: Array
+
+    def at(self, area: Array) -> Array:
+        """Compute the change of forces (α + β,) [N]."""
+        return np.asarray(self.constant + self.slope @ area)
+
+
+class StableSizing:
+    """Search for areas and prestress of least mass with all states stable.
+
+    Attributes
+    ----------
+    program : SizingProgram
+        Sections, equilibrium and loads.
+    tangent : TangentStiffness
+        Tangent stiffness with elastic bars.
+    given : ndarray (α + β,) or None
+        Prestress [N], if it is not to be chosen.
+    """
+
+    def __init__(
+        self, program: SizingProgram, tangent: TangentStiffness, given: Array | None
+    ) -> None:
+        self.program, self.tangent, self.given = program, tangent, given
+        self._seen = np.zeros((tangent.free.shape[1], 0))
+        self._factor = _FACTOR
+
+    def search(self, start: Array) -> StableDesign:
+        """Repeat the program with the response linearized about its last areas."""
+        area = np.maximum(start, _START * start.max(initial=0.0))
+        own, last = np.zeros_like(area), np.zeros_like(area)
+        weight = self.program.sections.mass_per_area
+        self._factor = _FACTOR
+        for _ in range(_ROUNDS):
+            found = self._stabilize(area, self._linearize(area))
+            if found is None and self._factor < _LARGEST_FACTOR:
+                self._factor *= _FACTOR
+                continue
+            if found is None:
+                reason = "no areas and prestress keep all load cases stable: add members or supports, or let the prestress be chosen"
+                return self._design(area, own, reason)
+            step, own = found[0] - area, found[1]
+            area = np.maximum(found[0], _FLOOR * found[0].max(initial=0.0))
+            if abs(weight @ step) <= _SETTLED * (weight @ area):
+                return self._design(area, own, "")
+            if step @ last < 0.0:  # there and back
+                self._factor = self._factor**0.5
+            last = step
+        return self._design(
+            area, own, "areas and response to the loads do not settle: give a minimum area"
+        )
+
+    def _design(self, area: Array, own: Array, message: str) -> StableDesign:
+        response = elastic_response(self.program, area)
+        if np.abs(own).max(initial=0.0) <= ROUNDING * np.abs(response).max(initial=0.0):
+            own = np.zeros_like(own)
+        return StableDesign(area, own + response, own, message)
+
+    def _linearize(self, area: Array) -> list[_Response]:
+        """Linearize the changes of forces in all states; the first is without loads."""
+        members = len(area)
+        slopes = response_slopes(self.program, area)
+        values = elastic_response(self.program, area)
+        none = _Response(np.zeros(members), np.zeros((members, members)))
+        pairs = zip(values, slopes, strict=True)
+        return [none, *(_Response(value - slope @ area, slope) for value, slope in pairs)]
+
+    def _stabilize(self, area: Array, states: list[_Response]) -> tuple[Array, Array] | None:
+        """Solve the program until its solution has no unstable motion that it did not see."""
+        sections = self.program.sections
+        for _ in range(_ROUNDS):
+            found = self._minimize(area, states)
+            if found is None:
+                return None
+            k = sections.modulus * found[0] / sections.lengths
+            known = self._seen.shape[1]
+            for state in states:
+                q = (found[1] + state.at(found[0])) / sections.lengths
+                values, motions = self.tangent.softest(q, _MODES, k)
+                unstable = motions[:, values < -_ROUNDING * k.max(initial=0.0)]
+                self._seen = extend_basis(self._seen, unstable)
+            if self._seen.shape[1] == known:
+                return found
+        return None
+
+    def _minimize(self, area: Array, states: list[_Response]) -> tuple[Array, Array] | None:
+        """Minimize the mass over areas and prestress for given responses."""
+        sections, members = self.program.sections, self.program.members
+        known = [state.at(area) for state in states] + [
+            np.zeros(members) if self.given is None else self.given
+        ]
+        force = float(np.abs(known).max(initial=0.0)) or 1.0
+        unit = force / sections.strength
+        units = [
+            _Response(state.constant / force, state.slope * (unit / force)) for state in states
+        ]
+        balance = self.program.balance
+        equal = [LinearRows(_beside(np.zeros(balance.shape), balance), np.zeros(balance.shape[0]))]
+        if self.given is not None:
+            zeros = np.zeros((members, members))
+            equal.append(LinearRows(_beside(zeros, np.eye(members)), self.given / force))
+        cones = []
+        if self._seen.shape[1]:
+            material, geometric = self.tangent.reduce(self._seen)
+            by_area = _triangles(material * (sections.modulus / sections.lengths)[:, None, None])
+            by_force = _triangles(geometric / sections.lengths[:, None, None])
+            cones = [
+                LinearRows(
+                    -_beside(by_area * (unit / force) + by_force @ each.slope, by_force),
+                    by_force @ each.constant,
+                )
+                for each in units
+            ]
+        mass = sections.mass_per_area * unit
+        found = solve_conic(
+            np.concatenate([mass / mass.max(initial=1e-300), np.zeros(members)]),
+            _stack(equal),
+            _stack(self._limits(area / unit, units, unit)),
+            semidefinite=cones,
+        )
+        if found.status != "solved":
+            return None
+        return np.maximum(found.x[:members], 0.0) * unit, found.x[members:] * force
+
+    def _limits(self, at: Array, states: list[_Response], unit: Array) -> list[LinearRows]:
+        """Build the limits of areas and forces [in units]; Euler's loads are tangents at areas."""
+        sections, strings = self.program.sections, self.program.strings
+        eye = np.eye(self.program.members)
+        c = (sections.buckling * unit / sections.strength)[strings:]
+        euler = 2.0 * (c * at[strings:])[:, None] * eye[strings:]
+        rows = [LinearRows(_beside(-eye, 0.0 * eye), -sections.minimum / unit)]
+        for sign, bound in ((1.0, at * self._factor), (-1.0, -at / self._factor)):
+            rows.append(LinearRows(_beside(sign * eye, 0.0 * eye), bound))
+        for constant, slope in states:
+            push = -slope[strings:], -eye[strings:]
+            rows += [
+                LinearRows(_beside(slope - eye, eye), -constant),
+                LinearRows(_beside(-slope[:strings], -eye[:strings]), constant[:strings]),
+                LinearRows(_beside(push[0] - eye[strings:], push[1]), constant[strings:]),
+                LinearRows(
+                    _beside(push[0] - euler, push[1]), constant[strings:] - c * at[strings:] ** 2
+                ),
+            ]
+        return rows
+
+
+def _triangles(matrices: Array) -> Array:
+    """Stack the scaled triangles of matrices (k, r, r) as columns."""
+    return np.stack([scaled_triangle(each) for each in matrices], axis=1)
+
+
+def _beside(of_areas: Array, of_prestress: Any) -> sp.csc_array:
+    """Put the columns of areas and of prestress side by side."""
+    return sp.hstack([sp.csc_array(of_areas), sp.csc_array(of_prestress)], format="csc")
+
+
+def _stack(rows: list[LinearRows]) -> LinearRows:
+    """Stack rows."""
+    return LinearRows(
+        sp.vstack([each.A for each in rows], format="csc"),
+        np.concatenate([each.b for each in rows]),
+    )
