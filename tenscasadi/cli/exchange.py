@@ -46,7 +46,8 @@ def _import_mat(path: str, strict: bool, **_: Any) -> Scene:
     return Scene(structure, ends="lumped" if structure.string_mass.any() else "interior")
 
 
-_FOREIGN: dict[str, Callable[..., Scene]] = {
+# readers of other programs' files by their endings
+FOREIGN: dict[str, Callable[..., Scene]] = {
     ".xml": lambda path, strict, **_: import_mjcf(path, strict=strict),
     ".mat": _import_mat,
     **dict.fromkeys((".yaml", ".yml"), lambda path, **own: Scene(load_ntrt(path, **own))),
@@ -113,7 +114,7 @@ def import_file(
     lenient : bool
         Leave out parts that a scene cannot have, and list them.
     """
-    read = _find_by_ending(_FOREIGN, Path(source), "scenes")
+    read = _find_by_ending(FOREIGN, Path(source), "scenes")
     _find_by_ending(_OWN, out, "scene files")
     check_file("OUT", out)
     options = {"length_unit": length_unit, "ball_joints": ball_joints, "strict": not lenient}

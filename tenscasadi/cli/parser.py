@@ -13,7 +13,7 @@ from pathlib import Path
 from types import NoneType
 from typing import Any, Literal, NamedTuple, NoReturn, get_args, get_origin, get_type_hints
 
-from tenscasadi.cli import commands, exchange, plan, texts, view
+from tenscasadi.cli import analyse, commands, exchange, plan, texts, view
 from tenscasadi.cli.report import BAD_INPUT, CommandReport
 from tenscasadi.cli.source import TEMPLATES, read_title
 from tenscasadi.io.document import Change
@@ -33,6 +33,7 @@ class Command(NamedTuple):
 COMMANDS = {
     "new": Command(texts.print_template),
     "info": Command(commands.describe),
+    "analyse": Command(analyse.analyze_scene),
     "simulate": Command(commands.simulate_scene, "simulation", commands.find_fields),
     "plan": Command(plan.plan_motion, "plan", plan.find_fields),
     "view": Command(view.show),

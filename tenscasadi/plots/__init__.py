@@ -15,6 +15,7 @@ from tenscasadi.plots.histories import (
 from tenscasadi.plots.load_paths import load_path
 from tenscasadi.plots.robustness import ReplayErrors, robustness
 from tenscasadi.plots.rollouts import fan, histogram
+from tenscasadi.plots.statics import forces, mode_shapes
 
 __all__ = [
     "Convergence",
@@ -24,8 +25,10 @@ __all__ = [
     "errors",
     "fan",
     "force_densities",
+    "forces",
     "histogram",
     "load_path",
+    "mode_shapes",
     "node_histories",
     "phase_portrait",
     "robustness",
