@@ -130,7 +130,7 @@ def find_fault(draw: Callable[[Any], Any], calls: dict[str, Call]) -> str:
 HINTS: dict[str, tuple[str, ...]] = {  # fields that are asked about in place of those given
     "Structure.replace": ("bars", "strings"),
     "SupportMotion": ("SupportMotion.positions",),
-    **dict.fromkeys(("six_bar_ball", "prism", "d_bar", "t_bar", "membrane"), ("force_density",)),
+    **dict.fromkeys(tc.shapes.Shape.members, ("force_density",)),
     "ParameterLayout.values": ("parameters",),
     "Plan.robustness": ("Parameters",),
     "Parameters": ("Parameters",),
@@ -152,10 +152,12 @@ NO_INPUT = {
     "RungeKutta4",
     "Single",
     "Equilibrium",
+    *("Stiffest", "Even", "Least"),
 }
 FILLED_IN = {
     *("ClassOne", "Energy", "Multipliers", "Constraints", "Linearization", "Modes"),
     *("Recommendation", "Sensitivities", "Duals", "Report", "ClosedLoop"),
+    *("Stability", "BucklingFactor", "LoadPath", "Form", "PrestressDesign", "Sized"),
 }
 RESULTS_AND_MODELS = [
     *("Structure", "Model", "ParameterLayout", "Trajectory", "Tradeoff", "Rollouts", "Sweep"),

@@ -236,9 +236,9 @@ def drawing_calls() -> dict[str, Call]:
         "Rollouts.path": (many.path, {"node": 1}),
         "plots.structure": (
             plots.structure,
-            {"what": motion, "tension": np.ones(9), "time": 0.01, "labels": True, **named},
+            {"data": motion, "tension": np.ones(9), "time": 0.01, "labels": True, **named},
         ),
-        "plots.time_lapse": (plots.time_lapse, {"trajectory": motion, "instants": 2, **named}),
+        "plots.time_lapse": (plots.time_lapse, {"data": motion, "instants": 2, **named}),
         "plots.node_histories": (
             plots.node_histories,
             {"trajectory": motion, "nodes": [0, 1], **named},
@@ -275,7 +275,7 @@ def drawing_calls() -> dict[str, Call]:
         "animate": (
             animate,
             {
-                "trajectory": motion,
+                "data": motion,
                 "path": "motion.gif",
                 "speed": 0.5,
                 "frames_per_second": 20,

@@ -11,6 +11,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from statics_calls import statics_calls
 
 import ocp
 import tenscasadi as tc
@@ -131,7 +132,7 @@ SIMULATION = {
 @cache
 def quick_calls() -> dict[str, Call]:
     """Each public name whose call takes milliseconds, with input that is right."""
-    return dynamics_calls() | file_calls() | planning_calls() | shape_calls()
+    return dynamics_calls() | statics_calls() | file_calls() | planning_calls() | shape_calls()
 
 
 def dynamics_calls() -> dict[str, Call]:
@@ -191,7 +192,7 @@ def dynamics_calls() -> dict[str, Call]:
         "load_mat": (tc.load_mat, {"path": "missing.mat", "name": "task"}),
         "load_mat_trajectory": (tc.load_mat_trajectory, {"path": "missing.mat", "model": m, "parameters": None}),
         "load_ntrt": (tc.load_ntrt, {"path": "missing.yaml", "length_unit": 0.1, "ball_joints": False, "folder": "."}),
-        "save_mat": (tc.save_mat, {"what": SEGMENTED, "path": "run.mat", "class_one": False}),
+        "save_mat": (tc.save_mat, {"data": SEGMENTED, "path": "run.mat", "class_one": False}),
         "export_vtk": (tc.export_vtk, {"trajectory": trajectory(), "path": "run.pvd", "model": m, "every": 2}),
         "Trajectory.to_csv": (trajectory().to_csv, {"path": "run.csv"}),
         "Trajectory.load": (tc.Trajectory.load, {"path": "missing.npz"}),
@@ -300,16 +301,7 @@ def planning_calls() -> dict[str, Call]:
 def shape_calls() -> dict[str, Call]:
     """Ready-made structures with their defaults."""
     found: dict[str, Call] = {}
-    for name in (
-        "pendulum",
-        "double_pendulum",
-        "prism",
-        "d_bar",
-        "t_bar",
-        "six_bar_ball",
-        "membrane",
-    ):
-        make = getattr(tc.shapes, name)
+    for name, make in tc.shapes.Shape.members.items():
         given = {
             k: p.default
             for k, p in inspect.signature(make).parameters.items()
