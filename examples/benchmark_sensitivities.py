@@ -93,7 +93,7 @@ def measure(
     for _ in range(9):  # one after the other, so that what else the machine does slows all three
         one = run(start).seconds
         forward = derivatives(mode="forward").seconds / one
-        times.append((one, forward, derivatives(of=squares, mode="adjoint").seconds / one))
+        times.append((one, forward, derivatives(output=squares, mode="adjoint").seconds / one))
     differ = float(np.abs(central - exact).max() / np.abs(exact).max())
     seconds, tangents, gradient = np.median(times, axis=0).tolist()
     return Row(name, model.nx, seconds, tangents, gradient, differ)

@@ -33,6 +33,7 @@ from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.compile import CompileError, compile_function
 from tenscasadi.util.read_only import ReadOnlyArrays
+from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import (
     Array,
     Indices,
@@ -101,6 +102,7 @@ class Sensitivities(ReadOnlyArrays):
         return f"Sensitivities({len(self.value)} outputs by {inputs} inputs, {self.mode}, success={self.success})"
 
 
+@rename_keywords(of="output")
 def sensitivities(  # noqa: PLR0913  options of the run and of the derivatives
     model: Model,
     start: Any = None,
@@ -110,7 +112,7 @@ def sensitivities(  # noqa: PLR0913  options of the run and of the derivatives
     control: ControlInput = None,
     correction: Correction | None = None,
     *,
-    of: Output = None,
+    output: Output = None,
     over: Literal["end", "run"] = "end",
     by: By = "state",
     parameters: Any = None,
@@ -139,7 +141,7 @@ def sensitivities(  # noqa: PLR0913  options of the run and of the derivatives
         Control, as for `simulate`.
     correction : Projection or BarLengthCorrection, optional
         Correction after every `correction.every`-th step; of a trajectory: its own.
-    of : casadi.Function or callable, optional
+    output : casadi.Function or callable, optional
         Output (m,): a Function (x), (x, u) or (x, u, p), or a Python function of these CasADi
         columns that returns an expression. They are x (nx), u (nu), and p (np) if the model has
         parameters. Default: the state.
@@ -204,7 +206,7 @@ def sensitivities(  # noqa: PLR0913  options of the run and of the derivatives
 
     >>> import tenscasadi as tc
     >>> model = tc.Model(tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity()))
-    >>> found = tc.sensitivities(model, t_end=1.0, step=0.01, of=lambda x, u: model.nodes(x)[1, 0], compiled=False)
+    >>> found = tc.sensitivities(model, t_end=1.0, step=0.01, output=lambda x, u: model.nodes(x)[1, 0], compiled=False)
     >>> found.mode, found.jacobian.shape
     ('adjoint', (1, 6))
     >>> round(float(found.jacobian[0] @ [0, 0, 0, 1, 0, 1]), 4)
@@ -212,9 +214,9 @@ def sensitivities(  # noqa: PLR0913  options of the run and of the derivatives
     """
     request = _read(model, start, t_end, step, control, parameters)
     _check(model, scheme, over, by, mode, compiled)
-    output = _output(model, of)
-    if over == "run" and output.size1_out(0) != 1:
-        raise ValueError(f'of has {output.size1_out(0)} entries: give one for over="run"')
+    observed = _read_output(model, output)
+    if over == "run" and observed.size1_out(0) != 1:
+        raise ValueError(f'output has {observed.size1_out(0)} entries: give one for over="run"')
     common: dict[str, Any] = {"scheme": scheme, "correction": correction}
     run = simulate(
         model, state=request.start, control=request.control, t_end=request.t_end, step=request.step,
@@ -230,8 +232,8 @@ def sensitivities(  # noqa: PLR0913  options of the run and of the derivatives
         request.parameters,
         many=False,
     )
-    grid, output = inputs.grid, inputs.include_schedule(output)
-    steps = TangentSteps(inputs.model, scheme, correction, output if over == "run" else None)
+    grid, observed = inputs.grid, inputs.include_schedule(observed)
+    steps = TangentSteps(inputs.model, scheme, correction, observed if over == "run" else None)
     owner = (
         _owners(request.control, inputs) if by == "control" else np.zeros(grid.steps, dtype=np.intp)
     )
@@ -241,7 +243,7 @@ def sensitivities(  # noqa: PLR0913  options of the run and of the derivatives
         "parameters": slice(model.nu, model.nw),
     }[by]
     task = PassSetup(steps, inputs.append_clock(run.time, run.states), inputs, owner, entries)
-    rows, columns = output.size1_out(0), int(np.prod(task.shape))
+    rows, columns = observed.size1_out(0), int(np.prod(task.shape))
     # A gradient costs about as much as two tangents.
     chosen = mode or ("forward" if columns <= 2.0 * rows else "adjoint")
     if run.time[-1] < request.t_end * (1 - 1e-9):
@@ -251,7 +253,7 @@ def sensitivities(  # noqa: PLR0913  options of the run and of the derivatives
         )
     else:
         _compare(request, run)
-        found = _differentiate(task, output, run, chosen, compiled)
+        found = _differentiate(task, observed, run, chosen, compiled)
     if by == "control":
         return found
     inside = found.jacobian[:, : model.nx] if by == "state" else found.jacobian[:, 0]
@@ -342,7 +344,7 @@ def _check(model: Model, scheme: Any, over: Any, by: Any, mode: Any, compiled: A
         )
 
 
-def _output(model: Model, of: Any) -> ca.Function:
+def _read_output(model: Model, output: Any) -> ca.Function:
     """Build the output Function (x, w) → dense column.
 
     Raises TypeError, ValueError.
@@ -354,25 +356,25 @@ def _output(model: Model, of: Any) -> ca.Function:
         f"give a casadi.Function of {' and '.join(map(str, sizes))} entries or the first of them, "
         "or a function that returns an expression of them"
     )
-    if of is None:
+    if output is None:
         value: Any = x
-    elif isinstance(of, ca.Function):
+    elif isinstance(output, ca.Function):
         if (
-            of.n_out() != 1
-            or not of.n_in()
-            or [of.size_in(k) for k in range(of.n_in())]
-            != [(size, 1) for size in sizes[: of.n_in()]]
+            output.n_out() != 1
+            or not output.n_in()
+            or [output.size_in(k) for k in range(output.n_in())]
+            != [(size, 1) for size in sizes[: output.n_in()]]
         ):
-            raise ValueError(f"of is {of}: {wanted}")
-        value = of(*arguments[: of.n_in()])
-    elif callable(of):
-        value = call_user_function("of", lambda given: of(*given), arguments, wanted)
+            raise ValueError(f"output is {output}: {wanted}")
+        value = output(*arguments[: output.n_in()])
+    elif callable(output):
+        value = call_user_function("output", lambda given: output(*given), arguments, wanted)
     else:
-        raise TypeError(f"of is {format_value(of)}: {wanted}")
+        raise TypeError(f"output is {format_value(output)}: {wanted}")
     try:
         return ca.Function("output", [x, w], [ca.vec(ca.densify(ca.MX(value)))])
     except (RuntimeError, NotImplementedError, TypeError):
-        raise TypeError(f"of returns {format_value(value)}: {wanted}") from None
+        raise TypeError(f"output returns {format_value(value)}: {wanted}") from None
 
 
 def _owners(control: Any, inputs: RunInputs) -> Indices:

@@ -79,7 +79,7 @@ def measuring_calls() -> dict[str, Call]:
         "controls": tracker().feedback,
     }
     derivatives = {"model": timed(), "start": timed().initial_state, "t_end": 0.01, "step": 0.01, "scheme": tc.RungeKutta4(), "control": None,
-                   "correction": tc.Projection(), "of": lambda x, u: x[0], "by": "state", "mode": "forward", "compiled": False}  # fmt: skip
+                   "correction": tc.Projection(), "output": lambda x, u: x[0], "by": "state", "mode": "forward", "compiled": False}  # fmt: skip
     return {
         "rollouts": (tc.rollouts, many),
         "rollouts, controls": (tc.rollouts, {**driven, "controls": np.full((2, 3, 2), 10.0)}),

@@ -117,7 +117,7 @@ def ensemble_calls() -> dict[str, Call]:
         "seed": 0,
     }
     derived = {"model": opened, "start": opened.initial_state, "t_end": 0.02, "step": 0.01, "scheme": tc.RungeKutta4(), "control": None, "correction": None,
-               "of": None, "over": "end", "by": "parameters", "parameters": p, "mode": "forward", "compiled": False}  # fmt: skip
+               "output": None, "over": "end", "by": "parameters", "parameters": p, "mode": "forward", "compiled": False}  # fmt: skip
     return {
         **environment_calls(m),
         "Terrain": (

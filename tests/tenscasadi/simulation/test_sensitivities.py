@@ -121,7 +121,7 @@ def test_by_the_control_as_finite_differences_say(seed, intervals, mode, over):
         draw.normal(size=(intervals, 1)),
     )
     weight = ca.DM(draw.normal(size=model.nx))
-    options = {"of": lambda x, u: ca.dot(weight, x) ** 2 + ca.sumsqr(u), "over": over, **STEPS}
+    options = {"output": lambda x, u: ca.dot(weight, x) ** 2 + ca.sumsqr(u), "over": over, **STEPS}
 
     found = tc.sensitivities(model, start, 0.2, control=table, by="control", mode=mode, **options)
     expected = difference(
@@ -148,7 +148,7 @@ def test_by_the_parameters_as_finite_differences_say(scheme):
         {
             "scheme": scheme,
             "correction": tc.Projection(),
-            "of": lambda x, u, p: ca.vertcat(x, p[0]),
+            "output": lambda x, u, p: ca.vertcat(x, p[0]),
             **STEPS,
         },
     )
@@ -195,7 +195,7 @@ def test_by_a_mass_and_a_stiffness_as_the_formula_says():
         model.state([(-1, 0, 0), (a, 0, 0), (1, 0, 0)]),
         t,
         1e-3,
-        of=lambda x, u, p: x[0],
+        output=lambda x, u, p: x[0],
         by="parameters",
         compiled=False,
     )
@@ -252,7 +252,7 @@ def test_momentum_at_the_end_is_that_of_the_start():
         model,
         moving(model),
         0.2,
-        of=lambda x, u: ca.sum1(ca.mtimes(M, model.velocities(x))).T,
+        output=lambda x, u: ca.sum1(ca.mtimes(M, model.velocities(x))).T,
         **STEPS,
     )
     by_node = np.asarray(M).sum(axis=0)
@@ -311,7 +311,7 @@ def test_through_slack_and_impact_the_steps_are_differentiated():
         tc.simulate(model, 0.4, 2e-3, state=x + side * 1e-7 * move, compiled=False).states[-1]
         for side in (1, -1)
     ]
-    found = tc.sensitivities(model, run, of=None, compiled=False)
+    found = tc.sensitivities(model, run, output=None, compiled=False)
     expected = (ends[0] - ends[1]) / 2e-7
     np.testing.assert_allclose(found.jacobian @ move, expected, atol=1e-6 * np.abs(expected).max())
 
@@ -320,12 +320,17 @@ def test_integrals_over_the_run():
     model = prism()
     for mode in MODES:
         found = tc.sensitivities(
-            model, None, 0.3, of=lambda x, u: ca.MX(1), over="run", mode=mode, **STEPS
+            model, None, 0.3, output=lambda x, u: ca.MX(1), over="run", mode=mode, **STEPS
         )
         assert found.value == pytest.approx([0.3])
         assert not found.jacobian.any()
     fall = tc.sensitivities(
-        model, None, 0.3, of=lambda x, u: ca.sum1(model.velocities(x)[:, 2]), over="run", **STEPS
+        model,
+        None,
+        0.3,
+        output=lambda x, u: ca.sum1(model.velocities(x)[:, 2]),
+        over="run",
+        **STEPS,
     )
     run = tc.simulate(model, 0.3, **STEPS)
     assert fall.value[0] == pytest.approx(
@@ -337,7 +342,13 @@ def test_integrals_over_the_run():
 @pytest.mark.parametrize("mode", MODES)
 def test_machine_code_gives_the_same(mode):
     model = tc.Model(tc.Scene(LINE, control=tc.RestLength(), gravity=tc.Gravity()))
-    options = {"t_end": 0.6, "step": 1e-3, "of": lambda x, u: x[:2], "by": "control", "mode": mode}
+    options = {
+        "t_end": 0.6,
+        "step": 1e-3,
+        "output": lambda x, u: x[:2],
+        "by": "control",
+        "mode": mode,
+    }
     code, virtual = (tc.sensitivities(model, compiled=way, **options) for way in (True, False))
     assert (code.compiled, virtual.compiled) == (True, False)
     np.testing.assert_allclose(
@@ -417,15 +428,15 @@ def test_runs_that_fail_say_so():
             "chooses its steps: give one with fixed steps",
         ),
         ({"scheme": tc.Cvodes()}, ValueError, "chooses its steps: give one with fixed steps"),
-        ({"of": 3}, TypeError, r"of is 3: give a casadi.Function"),
+        ({"output": 3}, TypeError, r"output is 3: give a casadi.Function"),
         (
-            {"of": ca.Function("f", [ca.MX.sym("x", 3)], [ca.MX(1)])},
+            {"output": ca.Function("f", [ca.MX.sym("x", 3)], [ca.MX(1)])},
             ValueError,
-            r"of is f:.*: give a casadi.Function of 36 and 9 entries",
+            r"output is f:.*: give a casadi.Function of 36 and 9 entries",
         ),
-        ({"of": lambda x, u: "height"}, TypeError, "of returns 'height'"),
-        ({"of": lambda x: x}, ValueError, "of fails with TypeError"),
-        ({"over": "run"}, ValueError, 'of has 36 entries: give one for over="run"'),
+        ({"output": lambda x, u: "height"}, TypeError, "output returns 'height'"),
+        ({"output": lambda x: x}, ValueError, "output fails with TypeError"),
+        ({"over": "run"}, ValueError, 'output has 36 entries: give one for over="run"'),
         ({"over": "all"}, ValueError, "over is 'all'"),
         ({"by": "mass"}, ValueError, "by is 'mass'"),
         ({"mode": "backward"}, ValueError, "mode is 'backward'"),
@@ -449,9 +460,9 @@ def test_memory_does_not_grow_with_the_steps():
     import resource
 
     model = tc.Model(tc.Scene(tc.shapes.pendulum(), gravity=tc.Gravity()))
-    tc.sensitivities(model, t_end=1.0, step=1e-3, of=lambda x, u: x[0])
+    tc.sensitivities(model, t_end=1.0, step=1e-3, output=lambda x, u: x[0])
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    found = tc.sensitivities(model, t_end=1000.0, step=1e-3, of=lambda x, u: x[0])
+    found = tc.sensitivities(model, t_end=1000.0, step=1e-3, output=lambda x, u: x[0])
     assert found.success, found.message
     assert (
         resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 50_000
