@@ -40,10 +40,11 @@ static const Model own = OWN_MODEL;
 struct Request {
   // strides of states, inputs and parameters, 0 if all runs share one row; width of a row of inputs
   int64_t state_stride, input_stride, parameter_stride, width;
-  // intervals: row of the inputs, number and length of steps; whether feedback is updated at the start
+  // intervals: row of the inputs, number and length of steps, clock at the start (NaN: unknown) for models with a clock;
+  // whether feedback is updated at the start
   int64_t intervals;
   const int64_t *row, *count;
-  const double *length;
+  const double *length, *clock;
   const int64_t *decides;
   const double *states, *inputs, *parameters;  // without parameters, inputs contain them
   // feedback: controls, states and gains of each update, and limits; none without gains
@@ -330,6 +331,7 @@ static void roll_group(const Request &q, Group &g, Room &room) {
   lanes cost = 0.0, value;
   int64_t step = q.begin;
   for (int64_t interval = 0; interval < q.intervals && !g.all_lost(); ++interval) {
+    if (q.clock && q.clock[interval] == q.clock[interval]) room.z[MODEL.nx - 1] = lanes(q.clock[interval]);  // without rounding
     if (interval == 0 || q.gains || q.row[interval] != q.row[interval - 1]) hold(q, g, room, interval, MODEL.jumps && step);
     for (int64_t j = 0; j < q.count[interval]; ++j) {
       observe(q, g, room, step, false);

@@ -173,6 +173,9 @@ class Loop:
         for interval in range(q["intervals"]):
             if self.status.all():
                 break
+            if q.get("clock") is not None and np.isfinite(q["clock"][interval]):
+                self.z = self.z.copy()
+                self.z[:, self.sizes["nx"] - 1] = q["clock"][interval]
             changed = interval == 0 or q["row"][interval] != q["row"][interval - 1]
             if changed or q.get("gains") is not None:
                 self._hold(interval)
@@ -278,7 +281,8 @@ class Loop:
         if not self.measures:
             return np.zeros((*shape, 0))
         w = np.tile(self.w, (len(z), 1))
-        found = self.backend.evaluate("measure", self._x(z.reshape(-1, z.shape[2])), w)[0]
+        rows = z.reshape(shape[0] * shape[1], z.shape[2])
+        found = self.backend.evaluate("measure", self._x(rows), w)[0]
         return np.asarray(found.reshape(*shape, -1))
 
     def _find_faults(self, z: Array, measure: Array, steps: Indices) -> Any:

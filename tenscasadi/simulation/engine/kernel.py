@@ -391,6 +391,7 @@ def _select(work: _KernelArrays, steps: tuple[int, int]) -> dict[str, Any]:
         "row": np.ascontiguousarray(part.row, dtype=np.int64),
         "count": np.ascontiguousarray(part.steps, dtype=np.int64),
         "length": np.ascontiguousarray(part.length, dtype=float),
+        "clock": None if part.clock is None else np.ascontiguousarray(part.clock, dtype=float),
     }
     if steps[0]:  # the runs continue
         given |= {"states": values["last"], "state_stride": values["last"].shape[1]}

@@ -35,7 +35,7 @@ CARRIED = ("energy", "bars", "work", "jumps", *Memory._fields)  # then the stack
 # Fields of the struct by kind: whole number, real number, pointer
 _FIELDS = (
     ("q", "state_stride", "input_stride", "parameter_stride", "width", "intervals"),
-    ("P", "row", "count", "length", "decides", "states", "inputs", "parameters"),
+    ("P", "row", "count", "length", "clock", "decides", "states", "inputs", "parameters"),
     ("P", "decision", "given", "reference", "gains", "lower", "upper"),
     ("q", "referred"),
     ("P", "numbers"),
@@ -67,19 +67,25 @@ def pack_request(values: Mapping[str, Any]) -> bytes:
 class Intervals(NamedTuple):
     """Time intervals with constant input.
 
-    Entries (K,): row of the inputs, number of steps, and length of a step [s].
+    Entries (K,): row of the inputs, number of steps, and length of a step [s]. The clock of the
+    model starts at `clock` [s], without the rounding of the steps before; it continues if that is
+    None or NaN.
     """
 
     row: Integers
     steps: Integers
     length: Array
+    clock: Array | None = None
 
     def slice(self, first: int, last: int) -> Intervals:
         """Select the steps from `first` to before `last`."""
         ends = np.cumsum(self.steps)
         inside = (ends > first) & (ends - self.steps < last) & (first < last)
         steps = np.minimum(ends, last) - np.maximum(ends - self.steps, first)
-        return Intervals(self.row[inside], steps[inside], self.length[inside])
+        if self.clock is None:
+            return Intervals(self.row[inside], steps[inside], self.length[inside])
+        clock = np.where(ends - self.steps >= first, self.clock, np.nan)
+        return Intervals(self.row[inside], steps[inside], self.length[inside], clock[inside])
 
 
 class Rolled(NamedTuple):

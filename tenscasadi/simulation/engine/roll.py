@@ -108,6 +108,8 @@ def roll(request: Request, progress: bool = False) -> Runs:
     controls = inputs.controls
     feedback = None if inputs.feedback is None else _feedback_arrays(inputs)
     intervals = inputs.grid.intervals
+    if inputs.model.has_clock:
+        intervals = intervals._replace(clock=inputs.first + inputs.grid.edges[:-1])
     if feedback is not None:
         intervals = intervals._replace(row=np.zeros_like(intervals.row))
     with contextlib.ExitStack() as stack:
