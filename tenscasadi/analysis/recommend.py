@@ -334,7 +334,7 @@ def _find_option(case: Case, speed: float, goal: _AccuracyTarget, most: float) -
     if promising is None:
         return None
     goal.check_time(0.0, None)
-    return _measure(case, promising.step, clock, goal, False)
+    return _measure(case.with_code(), promising.step, clock, goal, False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -355,11 +355,10 @@ class _Choice:
 
     def time_loop(self) -> float:
         """Measure the time loop, s."""
-        if not self.case.even or self.steps <= 2048:
-            return min(
-                self.case.run(self.step, energy_balance=False).seconds for _ in range(_REPEATS)
-            )
-        return self.case.seconds_per_step(self.step, _REPEATS) * self.steps
+        case = self.case.with_code()
+        if not case.even or self.steps <= 2048:
+            return min(case.run(self.step, energy_balance=False).seconds for _ in range(_REPEATS))
+        return case.seconds_per_step(self.step, _REPEATS) * self.steps
 
 
 def _measure(

@@ -26,11 +26,12 @@ from tenscasadi.dynamics.instruction_count import count_instructions
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import Scheme, check_scheme
 from tenscasadi.integrators.stabilization import BarLengthCorrection, Correction, Projection
+from tenscasadi.integrators.sundials import Sundials
 from tenscasadi.scene.control_function import ControlFunction
 from tenscasadi.simulation.inputs.controls import ControlInput
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
-from tenscasadi.util.compile import Compiled, CompileError, Single
+from tenscasadi.util.compile import Compiled, CompileError, Single, find_compiler
 from tenscasadi.util.validate import (
     Array,
     call_user_function,
@@ -165,7 +166,7 @@ def tradeoff(
                     control,
                     way,
                     parameters,
-                )
+                ).with_code()
                 for row in _measure_rows(case, name, lengths, known, repeats):
                     rows.append(row)
                     bar.update()
@@ -188,6 +189,15 @@ class Case:
     control: ControlInput
     compiled: Compiled
     parameters: Any = None
+
+    def with_code(self) -> Case:
+        """Choose machine code, which takes over late in short runs, for times that are measured.
+
+        SUNDIALS and machines without a compiler have none.
+        """
+        if self.compiled is not None or isinstance(self.scheme, Sundials):
+            return self
+        return replace(self, compiled=find_compiler() is not None)
 
     def run(self, step: float, **options: Any) -> Trajectory:
         """Simulate the motion; raise KeyboardInterrupt after an interrupted run."""

@@ -120,8 +120,10 @@ def test_equal_to_simulate(name, lanes):
             save_every=7,
             compiled=False,
         )
-        np.testing.assert_array_equal(result.saved[k], run.states)
-        np.testing.assert_array_equal(result.states[k], run.states[-1])
+        # the clock of simulate starts each interval without rounding
+        rounding = 1e-14 if name == "clock" else 0.0
+        np.testing.assert_allclose(result.saved[k], run.states, rounding, rounding)
+        np.testing.assert_allclose(result.states[k], run.states[-1], rounding, rounding)
         energy = result.measured[k, :, 2:5].sum(axis=1)
         np.testing.assert_allclose(
             energy - energy[0] - result.measured[k, :, 5],
