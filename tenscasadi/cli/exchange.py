@@ -65,7 +65,7 @@ def export_file(source: Annotated[str, FILE], out: Annotated[Path, FILE]) -> int
     source : str
         Template, scene file (.toml, .json), trajectory or plan (.npz).
     out : Path
-        File to write; its ending tells the format.
+        File to write; its ending selects the format.
     """
     if source.endswith(".npz"):
         write = _find_by_ending(_MOTIONS, out, "motions and plans")
@@ -104,7 +104,7 @@ def import_file(
     Parameters
     ----------
     source : str
-        File of another program; its ending tells which.
+        File of another program; its ending selects the program.
     out : Path
         Scene file to write (.toml, .json).
     length_unit : float

@@ -20,10 +20,10 @@ def load_result(path: str) -> Any:
         return load_ocp().Plan.load(path)
     loaders = {"tenscasadi trajectory": Trajectory.load, "tenscasadi rollouts": Rollouts.load}
     if kind not in loaders:
-        told = (
+        reason = (
             f"it holds a {kind.split()[-1]}"
             if kind.startswith("tenscasadi ")
             else "tenscasadi did not save it, or it is damaged"
         )
-        raise ValueError(f"{path} is no trajectory, rollouts or plan: {told}")
+        raise ValueError(f"{path} is no trajectory, rollouts or plan: {reason}")
     return loaders[kind](path)

@@ -137,5 +137,5 @@ def _describe(field: str, value: Any) -> Any:
         " other values in the function"
     )
     raise TypeError(
-        f"{field} is {format_value(value)}, whose content a folder of results cannot tell: {cure}"
+        f"{field} is {format_value(value)}, which cannot identify a case in a folder: {cure}"
     )

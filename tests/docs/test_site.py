@@ -102,7 +102,7 @@ def test_tutorials_come_as_notebooks(site):
         assert f'href="{book.name}"' in book.with_suffix(".html").read_text(encoding="utf-8")
 
 
-def test_what_can_be_played_is_there(site):
+def test_playable_pages_are_built(site):
     named = re.findall(
         r'href="viewer/(\w+)\.html"', (site / "gallery.html").read_text(encoding="utf-8")
     )

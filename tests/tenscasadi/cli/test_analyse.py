@@ -47,7 +47,7 @@ def test_a_matlab_file_is_prestressed_and_analyzed(tmp_path, capsys):
         (["nothing.mat"], "nothing.mat: No such file"),
     ],
 )
-def test_wrong_input_is_told_in_one_line(options, told, tmp_path, capsys):
+def test_wrong_input_gives_one_line(options, told, tmp_path, capsys):
     assert main(["analyse", *options, "--output", str(tmp_path)]) == 2
     error = capsys.readouterr().err
     assert told in error

@@ -54,7 +54,7 @@ def test_zsh_gets_a_script_with_all_shapes(capsys):
     assert " ".join(TEMPLATES) in out
 
 
-def test_without_shtab_it_says_what_to_install(monkeypatch, capsys):
+def test_missing_shtab_is_named_with_its_install_command(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "shtab", None)
     assert main(["completion", "bash"]) == 2
     assert (

@@ -93,7 +93,7 @@ def folder(tmp_path_factory):
     return inside
 
 
-def test_wrong_scene_files_are_one_line_each(folder, monkeypatch, capsys):
+def test_wrong_scene_files_give_one_line_each(folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     for slow in ("fastest_rate", "stable_step"):
         monkeypatch.setattr(f"tenscasadi.cli.commands.{slow}", lambda *_, **__: 1.0)

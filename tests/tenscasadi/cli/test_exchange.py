@@ -44,7 +44,7 @@ def test_a_scene_file_is_not_written_over_itself(here, capsys):
     assert (here / "p.toml").read_text() == text
 
 
-def test_what_an_exported_scene_does_not_hold_is_told(here, capsys):
+def test_export_lists_sections_left_out(here, capsys):
     assert main(["export", "prism", "out.toml"]) == 0
     assert capsys.readouterr().err == "tenscasadi: left out: [start], [simulation], [plan]\n"
     assert main(["export", "pendulum", "out.mat"]) == 0
@@ -53,7 +53,7 @@ def test_what_an_exported_scene_does_not_hold_is_told(here, capsys):
     assert capsys.readouterr().err == ""
 
 
-def test_what_came_in_is_simulated_once_it_is_told_until_when(here, capsys):
+def test_imported_scene_is_simulated_with_t_end(here, capsys):
     assert main(["export", "prism", "out.mat"]) == 0
     assert main(["import", "out.mat", "back.toml"]) == 0
     assert main(["simulate", "back.toml", "--t-end", "0.01", "--uncompiled"]) == 0
@@ -133,7 +133,7 @@ def test_lenient_import_leaves_out_unknown_entries(here, capsys):
         (["import", "gone.mat", "out.txt"], "give one of .json, .toml"),
     ],
 )
-def test_what_cannot_be_exchanged_is_told_in_a_line(arguments, named, here, capsys):
+def test_impossible_exchange_gives_one_line(arguments, named, here, capsys):
     np.savez("other.npz", x=np.ones(2))
     table().save("table.npz")
     before = sorted(here.iterdir())

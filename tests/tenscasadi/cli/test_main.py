@@ -115,7 +115,7 @@ def test_gravity_zero_builds_none(tmp_path):
     )
 
 
-def test_divergence_is_told_and_kept(tmp_path, capsys):
+def test_divergence_is_reported_and_written(tmp_path, capsys):
     assert (
         run("simulate", "prism", "--step", 0.1, "--t-end", 20, "--uncompiled", "--output", tmp_path)
         == 1
@@ -236,7 +236,7 @@ def test_tradeoff(tmp_path, capsys):
     assert not any(row.compiled for row in table.rows)
 
 
-def test_a_tradeoff_that_serves_nobody_is_told_and_kept(tmp_path, capsys):
+def test_tradeoff_without_accurate_run_is_reported_and_written(tmp_path, capsys):
     options = [
         "--t-end",
         0.1,
@@ -255,7 +255,7 @@ def test_a_tradeoff_that_serves_nobody_is_told_and_kept(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("rows", [0, 3])
-def test_ctrl_c_in_a_tradeoff_keeps_what_there_is(rows, tmp_path, capsys, monkeypatch):
+def test_ctrl_c_in_a_tradeoff_keeps_finished_rows(rows, tmp_path, capsys, monkeypatch):
     module = importlib.import_module("tenscasadi.analysis.tradeoff")
     original, cases = module._measure_rows, []
 
@@ -291,7 +291,7 @@ def test_single_precision_is_measured_too_when_asked(tmp_path, monkeypatch):
     assert ways == [(None, tc.Single()), (False, tc.Single()), (None,)]
 
 
-def test_a_plan_that_fails_is_told_and_kept(tmp_path, capsys):
+def test_failed_plan_is_reported_and_written(tmp_path, capsys):
     options = ["--intervals", 5, "--duration", 0.02, "--upper", 20, "--lower", 5]
     assert run("plan", "prism", *options, "--output", tmp_path) == 1
     assert "no plan" in capsys.readouterr().out
@@ -350,7 +350,7 @@ def test_a_plan_that_fails_is_told_and_kept(tmp_path, capsys):
         (["plan", "prism", "--lower", "20", "--upper", "10"], "lower"),
     ],
 )
-def test_bad_input_is_told_in_one_line(arguments, named, tmp_path, monkeypatch, capsys):
+def test_invalid_input_gives_one_line(arguments, named, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     try:
         code = main(arguments)
@@ -365,7 +365,7 @@ def test_bad_input_is_told_in_one_line(arguments, named, tmp_path, monkeypatch, 
 
 
 @pytest.mark.parametrize("command", ["simulate", "tradeoff", "info", "plan"])
-def test_output_that_no_folder_can_be_is_refused_at_once(command, tmp_path, capsys, monkeypatch):
+def test_output_that_is_a_file_is_rejected_first(command, tmp_path, capsys, monkeypatch):
     for module in ("commands", "plan"):
         monkeypatch.delattr(f"tenscasadi.cli.{module}.find_source")  # nothing is built
     (tmp_path / "file").write_text("")
@@ -378,7 +378,7 @@ def test_output_that_no_folder_can_be_is_refused_at_once(command, tmp_path, caps
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
-def test_output_that_cannot_be_written_to_is_refused_at_once(tmp_path, capsys, monkeypatch):
+def test_unwritable_output_is_rejected_first(tmp_path, capsys, monkeypatch):
     tmp_path.chmod(0o500)
     if os.access(tmp_path, os.W_OK):
         pytest.skip("the superuser may write everywhere")
@@ -517,7 +517,7 @@ def test_warnings_are_one_line_each(capsys, monkeypatch):
     assert capsys.readouterr().err == "tenscasadi: warning: two lines\n"
 
 
-def test_help_is_told_without_loading_matplotlib():
+def test_help_does_not_import_matplotlib():
     code = "import sys; from tenscasadi.cli.parser import command_parser; command_parser().format_help(); sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False).returncode == 0
 

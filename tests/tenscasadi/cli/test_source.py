@@ -118,7 +118,7 @@ def test_files_without_their_part_say_so(here, capsys):
     assert run("info", "bare.toml") == 0
 
 
-def test_plans_that_cannot_be_are_refused_in_a_line(here, capsys):
+def test_invalid_plans_give_one_line(here, capsys):
     new("reach", here / "reach.toml", capsys)
     text = (here / "reach.toml").read_text()
     (here / "far.toml").write_text(text.replace("side = 0.4", "side = 4.0"))
@@ -129,7 +129,7 @@ def test_plans_that_cannot_be_are_refused_in_a_line(here, capsys):
     assert not list(here.glob("*.npz"))
 
 
-def test_one_that_names_a_terminal_code_is_told_without_it(here, capsys):
+def test_message_omits_terminal_codes(here, capsys):
     (here / "odd.toml").write_text(
         'format = 1\nunits = "SI"\n[structure]\nshape = "\\u001b[31mprism"\n'
     )

@@ -31,7 +31,7 @@ def test_a_page_is_written(here, capsys):
     assert {path.name for path in here.iterdir()} == {"run.npz", "page.html"}
 
 
-def test_what_is_given_is_handed_on(here, monkeypatch):
+def test_options_are_passed_to_the_viewer(here, monkeypatch):
     asked = {}
     monkeypatch.setattr(
         importlib.import_module("tenscasadi.viewer"),
@@ -98,7 +98,7 @@ def test_live_takes_the_parameters_of_the_scene(here, monkeypatch):
         (["view", "run.txt"], "run.txt"),
     ],
 )
-def test_what_cannot_be_shown_is_told_in_a_line(arguments, named, here, capsys):
+def test_impossible_view_gives_one_line(arguments, named, here, capsys):
     assert main(arguments) == 2
     error = capsys.readouterr().err
     assert named in error
@@ -106,7 +106,7 @@ def test_what_cannot_be_shown_is_told_in_a_line(arguments, named, here, capsys):
     assert [path.name for path in here.iterdir()] == ["run.npz"]
 
 
-def test_without_viser_it_says_what_to_install(here, capsys, monkeypatch):
+def test_missing_viser_is_named_with_its_install_command(here, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "viser", None)
     assert main(["view", "run.npz", "--html", "page.html"]) == 2
     assert "pip install 'tenscasadi[view]'" in capsys.readouterr().err

@@ -134,7 +134,7 @@ def test_an_episode_whose_bars_break_is_terminated():
     assert (reward, info) == (0.0, {"diverged": True})
 
 
-def test_many_episodes_are_those_of_one_by_one():
+def test_batched_episodes_equal_single_ones():
     task = driven(start=0.0, parameters={})
     envs, env = TensegrityVectorEnv(task, 5), TensegrityEnv(task)
     actions = np.random.default_rng(1).uniform(-1, 1, (3, 5, DRIVEN.nu)).astype(np.float32)
@@ -193,7 +193,7 @@ def test_an_episode_that_begins_anew_is_not_rewarded():
     assert abs(seen[:, : 3 * len(PRISM.nodes)] - PRISM.nodes.ravel()).max() < 0.05  # near the start
 
 
-def test_episodes_differ_in_start_and_parameters_within_their_spreads():
+def test_episodes_vary_start_and_parameters_within_spreads():
     envs = TensegrityVectorEnv(driven(), 200)
     envs.reset(seed=0)
     p = envs._episodes.parameters
@@ -229,7 +229,7 @@ def test_the_same_seed_draws_the_same():
     assert not np.array_equal(runs[0], runs[2])
 
 
-def test_what_is_seen_and_when_it_ends_are_functions():
+def test_observation_and_termination_are_functions():
     task = driven(
         observation=lambda nodes, velocities, control: nodes[:, :2, 2],
         terminated=lambda now: now.time > 0.12,
@@ -260,7 +260,7 @@ def test_an_observation_cannot_change_the_motion():
         TensegrityEnv(driven(observation=lambda nodes, velocities, control: overwrite(nodes)[:, 0]))
 
 
-def test_an_observation_that_grows_is_refused():
+def test_observation_of_changing_size_is_rejected():
     seen = []
 
     def more(nodes, velocities, control):
@@ -352,13 +352,13 @@ BAD = {
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_bad_arguments_are_refused_by_name(name):
+def test_invalid_arguments_are_rejected_by_name(name):
     make, error, message = BAD[name]
     with pytest.raises(error, match=message):
         make()
 
 
-def test_the_package_needs_no_gymnasium_and_the_room_says_what_it_needs():
+def test_envs_name_gymnasium_if_it_is_missing():
     code = "import sys, tenscasadi, ocp; assert 'gymnasium' not in sys.modules; sys.modules['gymnasium'] = None; import tenscasadi.envs"
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False

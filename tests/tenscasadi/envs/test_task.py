@@ -142,7 +142,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_bad_arguments_are_refused_by_name(name):
+def test_invalid_arguments_are_rejected_by_name(name):
     make, error, message = BAD[name]
     with pytest.raises(error, match=message):
         make()

@@ -177,7 +177,7 @@ def _modules() -> None:
 
 @settings(max_examples=300, deadline=None, suppress_health_check=list(HealthCheck))
 @given(damaged())
-def test_damaged_files_are_refused_in_one_line_or_read(tmp_path, text):
+def test_damaged_files_give_one_line_or_are_read(tmp_path, text):
     path = tmp_path / "scene.toml"
     path.write_bytes(text.encode("utf-8", "surrogatepass"))
     began = time.process_time()

@@ -42,7 +42,7 @@ def test_numbers_are_computed_in_any_order(write):
     assert read.numbers == {"height": 0.5, "radius": 0.25, "angle": math.radians(30.0)}
 
 
-def test_included_files_come_first_and_this_one_over_them(write):
+def test_file_overrides_its_includes(write):
     write(
         '[numbers]\nheight = 1\nradius = "height / 4"\n[scene]\ngravity = {kind = "A", x = 1}\nends = "lumped"\n',
         "parts/base.toml",
@@ -89,7 +89,7 @@ def test_includes_cannot_leave_the_folder(name, write, tmp_path):
     assert (found.line, found.key) in {(3, "include[0]"), (None, "")}
 
 
-def test_links_out_of_the_folder_are_refused(write, tmp_path):
+def test_links_out_of_the_folder_are_rejected(write, tmp_path):
     write("", "outside.toml")
     (tmp_path / "inner").mkdir()
     os.symlink(tmp_path / "outside.toml", tmp_path / "inner/link.toml")
@@ -102,7 +102,7 @@ def test_links_out_of_the_folder_are_refused(write, tmp_path):
     )
 
 
-def test_circles_and_floods_of_includes_are_refused(write, monkeypatch):
+def test_circular_and_too_many_includes_are_rejected(write, monkeypatch):
     write('include = ["b.toml"]\n', "a.toml")
     found = fault(write('include = ["a.toml"]\n', "b.toml"))
     assert (found.file, found.line) == ("a.toml", 3)
@@ -116,14 +116,14 @@ def test_circles_and_floods_of_includes_are_refused(write, monkeypatch):
     assert "MB" in str(fault(write('include = ["half.toml"]\n#' + "#" * 600)))
 
 
-def test_a_flood_of_entries_is_refused_also_where_includes_share_it(write, monkeypatch):
+def test_too_many_entries_are_rejected_also_over_includes(write, monkeypatch):
     monkeypatch.setattr(document, "MOST_VALUES", 100)
     write("x = [" + "1," * 60 + "]", "half.toml")
     assert "more than" in str(fault(write("x = [" + "1," * 100 + "]")))
     assert fault(write('include = ["half.toml"]\nx = [' + "1," * 60 + "]")).file == "half.toml"
 
 
-def test_pipes_and_folders_are_refused(tmp_path):
+def test_pipes_and_folders_are_rejected(tmp_path):
     os.mkfifo(tmp_path / "pipe.toml")
     assert "no regular file" in str(fault(tmp_path / "pipe.toml"))
     assert "no regular file" in str(fault(tmp_path))
@@ -164,7 +164,7 @@ def test_format_and_units_are_stated(head, words, write):
     assert words.replace("'", '"') in str(fault(write("", head=head))).replace("'", '"')
 
 
-def test_what_is_no_text_is_refused(tmp_path):
+def test_invalid_text_is_rejected(tmp_path):
     (tmp_path / "x.toml").write_bytes(b"format = 1\n\xff")
     found = fault(tmp_path / "x.toml")
     assert found.line == 2

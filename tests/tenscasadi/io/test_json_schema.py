@@ -32,7 +32,7 @@ def test_it_is_a_schema():
 
 @settings(max_examples=30, deadline=None, suppress_health_check=list(HealthCheck))
 @given(scenes())
-def test_what_is_written_is_valid(tmp_path_factory, scene):
+def test_written_files_are_valid(tmp_path_factory, scene):
     path = tc.save_scene(tc.Simulation(scene, 1.0), tmp_path_factory.getbasetemp() / "schema.toml")
     VALIDATOR.validate(tomllib.loads(path.read_text(encoding="utf-8")))
 

@@ -142,7 +142,7 @@ def test_every_term_comes_back(tmp_path):
         ),
     ],
 )
-def test_what_files_cannot_hold_is_refused_by_name(scene, words, tmp_path):
+def test_unwritable_fields_are_rejected_by_name(scene, words, tmp_path):
     with pytest.raises(ValueError, match=words):
         written(scene(), tmp_path)
     assert not list(tmp_path.iterdir())
@@ -306,7 +306,7 @@ t_end = 0.5
 )
 
 
-def test_names_groups_and_formulas_mean_what_they_say(tmp_path):
+def test_names_groups_and_formulas_are_resolved(tmp_path):
     (tmp_path / "mast.toml").write_text(FILE, encoding="utf-8")
     found = tc.load_simulation(tmp_path / "mast.toml")
     c, s = np.cos(np.pi / 3), np.sin(np.pi / 3)

@@ -113,7 +113,7 @@ def test_functions_of_symbols_are_those_of_numbers(name):
         ),
     ],
 )
-def test_what_is_no_formula_is_refused_at_once(text):
+def test_invalid_formula_is_rejected_at_once(text):
     began = time.process_time()
     with pytest.raises(FormulaError):
         Formula(text).value(NUMBERS)

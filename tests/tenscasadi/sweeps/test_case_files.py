@@ -87,10 +87,10 @@ def test_structures_scenes_models_and_options():
     ],
     ids=lambda v: type(v).__name__,
 )
-def test_what_has_no_content_to_tell_is_refused(value):
+def test_value_without_identity_is_rejected(value):
     with pytest.raises(
         TypeError,
-        match=r"case(\['a'\]\[0\])(\.values)? is .* whose content a folder of results cannot tell: give numbers, text",
+        match=r"case(\['a'\]\[0\])(\.values)? is .* which cannot identify a case in a folder: give numbers, text",
     ):
         key({"a": [value]})
 
@@ -113,7 +113,7 @@ def test_results_are_numbers_text_and_arrays():
 
 
 @pytest.mark.parametrize("value", [None, {1: 2}, [[1], [2, 3]], 10**30], ids=str)
-def test_other_results_are_refused(value):
+def test_invalid_results_are_rejected(value):
     with pytest.raises(
         TypeError,
         match=r"result 'a' is of type .*: return numbers, text, or arrays of them \(NaN for None\)",
@@ -123,7 +123,7 @@ def test_other_results_are_refused(value):
         check_results({1: 2.0})
 
 
-def test_files_give_back_what_they_were_given(tmp_path):
+def test_files_restore_written_values(tmp_path):
     values = {
         "number": 0.1,
         "whole": 3,
@@ -220,7 +220,7 @@ def test_a_file_of_another_case_is_not_taken_for_this_one(tmp_path):
     assert "1 computed, 1 read" in table.message
 
 
-def test_what_is_in_files_never_runs(tmp_path):
+def test_no_code_in_files_is_run(tmp_path):
     sweep_of(tmp_path / "results")
     for file in (tmp_path / "results").glob("*.npz"):
         with np.load(file) as stored:

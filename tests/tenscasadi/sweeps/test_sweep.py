@@ -30,7 +30,7 @@ def one_thread():
 # --- processes of this machine ---
 
 
-def test_processes_outlive_what_raises_and_what_dies(monkeypatch):
+def test_sweep_outlives_exceptions_and_dead_workers(monkeypatch):
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "7")
     cases = [{"x": x} for x in (3, "raise", 4.5, "die", -2, "odd", 7, "interrupt", lambda t: t)]
     table = tc.sweep(jobs.square, cases)
@@ -51,7 +51,7 @@ def test_processes_outlive_what_raises_and_what_dies(monkeypatch):
     assert table.message == "9 cases: 9 computed, 5 failed"
 
 
-def test_ctrl_c_keeps_what_is_done(tmp_path, keyboard):
+def test_ctrl_c_keeps_finished_cases(tmp_path, keyboard):
     table = tc.sweep(
         jobs.interrupt, [{"number": k, "folder": str(tmp_path)} for k in range(6)], folder=tmp_path
     )
@@ -86,7 +86,7 @@ def test_functions_that_processes_cannot_import():
         tc.sweep(lambda case: case, [1])
 
 
-def test_a_script_without_guard_is_told(tmp_path):
+def test_script_without_main_guard_is_rejected(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(
         "import tenscasadi as tc\n\n\ndef job(case):\n    return case\n\n\ntc.sweep(job, [1, 2])\n"
@@ -135,7 +135,7 @@ def lives(process):
 # --- folder ---
 
 
-def test_a_restart_computes_what_is_missing_alone(tmp_path, one_thread):
+def test_restart_computes_missing_cases_only(tmp_path, one_thread):
     computed, broken = [], {2}
 
     def job(case):
@@ -196,7 +196,7 @@ def test_files_that_are_damaged_are_computed_again(tmp_path, one_thread):
     )
 
 
-def test_results_of_an_older_function_are_told(tmp_path, one_thread):
+def test_results_of_an_older_function_are_reported(tmp_path, one_thread):
     for text in ("return 1", "return 2"):
         space: dict = {}
         path = tmp_path / "module.py"
@@ -210,7 +210,7 @@ def test_results_of_an_older_function_are_told(tmp_path, one_thread):
     assert "1 results are of an older text of job: take a new folder" in table.message
 
 
-def test_a_folder_of_another_script_is_refused(tmp_path, one_thread):
+def test_folder_of_another_script_is_rejected(tmp_path, one_thread):
     """Functions of one name and of other text: one is an older version of the other only in the same script."""
     found = []
     for module, text in (
@@ -269,14 +269,14 @@ def closure_of(factor):
     ],
     ids=["partial", "partial of a partial", "object", "method", "closure", "default"],
 )
-def test_what_a_function_holds_tells_its_results_apart(tmp_path, one_thread, make):
+def test_content_of_a_function_identifies_its_results(tmp_path, one_thread, make):
     for k, read in ((2, 0), (3, 0), (2, 2)):
         table = tc.sweep(make(k), [1, 10], one_thread, tmp_path)
         assert table["result"].tolist() == [k, 10 * k]
         assert table.message == f"2 cases: {2 - read} computed, {read} read from {tmp_path}"
 
 
-def test_a_function_whose_content_a_folder_cannot_tell_is_refused(tmp_path, one_thread):
+def test_function_without_identity_is_rejected_with_a_folder(tmp_path, one_thread):
     with pytest.raises(
         TypeError, match=r"function\['keywords'\]\['factor'\] is <object .*: give numbers, text"
     ):
@@ -316,9 +316,7 @@ def test_wrong_arguments(arguments, message):
         tc.sweep(*arguments)
 
 
-def test_cases_that_a_folder_cannot_tell_are_refused_before_the_first_is_computed(
-    tmp_path, one_thread
-):
+def test_cases_without_identity_are_rejected_before_computing(tmp_path, one_thread):
     with pytest.raises(
         TypeError, match=r"cases\[1\]\['f'\] is <function .*: give numbers, text, arrays"
     ):
@@ -337,7 +335,7 @@ def test_progress_is_shown(capsys, one_thread):
 
 
 @pytest.mark.slow
-def test_what_a_broken_pool_leaves_is_computed_by_the_next_sweep(tmp_path):
+def test_next_sweep_computes_the_cases_of_a_broken_pool(tmp_path):
     cases = [{"x": x} for x in (1, 2, "die", *range(5, 25))]
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as executor:
         first = tc.sweep(jobs.square, cases, executor, tmp_path)

@@ -41,7 +41,7 @@ def test_columns_are_arrays_of_their_kind():
     assert made["path"][1].tolist() == np.ones((2, 3)).tolist()
 
 
-def test_what_is_missing_is_nan_or_empty():
+def test_missing_results_are_nan_or_empty():
     made = table(
         [{"k": 1}, {"m": "x"}, {}],
         [{"whole": 3, "text": "t", "row": [1, 2]}, {}, {}],
