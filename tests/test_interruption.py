@@ -40,7 +40,7 @@ def control(t):
 for text in sys.argv[2:]:
     scheme, compiled = eval("tc." + text), sys.argv[1] == "True"
     # makes the code: Ctrl-C during compilation raises KeyboardInterrupt
-    tc.simulate(model, 1e6, 0.01, scheme, control=control, compiled=compiled, seconds=0.01)
+    tc.simulate(model, 1e6, 0.01, scheme, control=control, compiled=compiled, time_limit=0.01)
     print("begun", flush=True)
     run = tc.simulate(model, 1e6, 0.01, scheme, control=control, compiled=compiled)
     found = run.interrupted and not run.success and run.message.startswith("interrupted from the keyboard")

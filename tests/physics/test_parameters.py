@@ -212,7 +212,7 @@ def test_modes_of_large_structures_follow_the_parameters():
 
 def test_studies_follow_the_parameters():
     given, p, built = pair(tc.shapes.double_pendulum(), ("bar_mass", "gravity"), ground=None)
-    options = {"t_end": 0.2, "enough": 1e-8, "compiled": False}
+    options = {"t_end": 0.2, "target_difference": 1e-8, "compiled": False}
     reference = tc.reference_solution(given, parameters=p, **options)
     assert np.allclose(reference.nodes, tc.reference_solution(built, **options).nodes, atol=1e-7)
     row, *_ = tc.tradeoff(
