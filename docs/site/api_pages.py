@@ -47,7 +47,7 @@ def _exports(package: str) -> dict[str, str]:
     """What `__all__` of a package names, and the module that each comes from."""
     module = _syntax(package)
     found = {}
-    for node in module.body:
+    for node in ast.walk(module):  # names that are loaded late stand under TYPE_CHECKING
         if isinstance(node, ast.ImportFrom) and node.module:
             found |= {
                 alias.asname or alias.name: f"{node.module}.{alias.name}" for alias in node.names
