@@ -40,8 +40,8 @@ from tenscasadi.util.linear_algebra import solve_semidefinite
 class RedundantConstraints(UserWarning):
     """Redundant constraints of bars and joints in the initial shape.
 
-    It is warned of when a `Model` is built. The motion is exact if the constraints remain
-    consistent, but their multipliers are not unique. The message names the bars or joints.
+    `Model` warns of them. The motion is exact if the constraints remain consistent, but their
+    multipliers are not unique. The message names the bars or joints.
     """
 
 
@@ -73,7 +73,7 @@ def assemble_system(mech: Mechanism, B: Any, r: Any, R: Any) -> tuple[Any, Any]:
         return _bar_matrix(mech, B), -r.T
     h = bar_scale(mech, B)
     bars = ca.mtimes(B * ca.repmat(r / h, 3, 1), sparse(mech.K.T))
-    rhs = ca.vec(mech.project_constrained(bars - R))  # 3c
+    rhs = ca.vec(mech.project_onto_constraints(bars - R))  # 3c
     matrix = _joint_matrix(mech, B / ca.repmat(ca.sqrt(h), 3, 1))
     if mech.frames is None:
         return matrix, rhs

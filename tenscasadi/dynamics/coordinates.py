@@ -54,7 +54,7 @@ def choose_coordinates(scene: Scene, bar_length: BarLength = "current") -> Coord
 
 
 def is_full_cheaper(structure: Structure) -> bool:
-    """Return whether full coordinates are cheaper by a factor of four.
+    """Return whether full coordinates are four times cheaper.
 
     In chains of 40 to 400 bars, an operation in full coordinates takes up to three times as long,
     because sparse routines perform it.

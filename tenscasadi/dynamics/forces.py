@@ -122,7 +122,7 @@ def sum_forces(elements: list[ForceElement], mech: Mechanism, at: NodeMotion) ->
 def total(
     scene: Scene, mech: Mechanism, N: Any, V: Any, w: Any, time: Any, mode: Any = None
 ) -> Any:
-    """Compute the sum F (3×n) of all forces of a scene [N]."""
+    """Compute the sum F (3×n) of all forces [N]."""
     return sum_forces(build_elements(scene, mech, w, mode), mech, NodeMotion(N, V, time))
 
 
@@ -300,7 +300,10 @@ class ElasticBars(ForceElement):
     mech: Mechanism
 
     def law_density(self, squared: Any) -> Any:
-        """Compute γ (1×bars) [N/m], positive in tension, from squared lengths [m²]."""
+        """Compute γ (1×bars) [N/m] from squared lengths [m²].
+
+        It is positive in tension.
+        """
         stiffness, rest = self._constants()
         return Linear().force_density(squared, rest, stiffness, None, rest)
 

@@ -14,14 +14,12 @@ from tenscasadi.scene.strings import ForceDensity
 
 
 class TermCounts(dict[str, int]):
-    """Instruction counts by the name of a term.
-
-    It prints as a table.
+    """Instruction counts by term, which print as a table.
 
     Attributes
     ----------
     advice : str
-        Recommended coordinates, see `compare_coordinates`; "" if the present ones are cheaper.
+        Cheaper coordinates, see `compare_coordinates`, or "".
     """
 
     advice: str = ""
@@ -62,13 +60,10 @@ def count_terms(space: StateSpace, ode: ca.Function) -> TermCounts:
     outputs: dict[str, Any] = {}
     before = 0
     for name, expression in built.items():
-        if (
-            name == "string damping"
-        ):  # the entire string law, so that the difference to elasticity is the damping
+        if name == "string damping":  # counted as the difference of the whole law to elasticity
             outputs.pop("string elasticity")
-        outputs[name] = mech.local(ca.vec(expression))[
-            mech.free_index.tolist()
-        ]  # forces on pinned nodes are not needed
+        # forces on pinned nodes are not needed
+        outputs[name] = mech.local(ca.vec(expression))[mech.free_index.tolist()]
         count = ca.Function("terms", [x, u], ca.cse(list(outputs.values()))).n_instructions()
         counts[name] = count - before
         before = count

@@ -19,11 +19,10 @@ def linear_steps(
 ) -> Iterator[tuple[Array, Array]]:
     """Yield linearized steps of K intervals.
 
-    A step is L δx⁺ = R (δx, δu), with L (nx, nx) and R (nx, nx + nu).
-
-    They run from states `starts` (K, nx) to `ends` (K, nx) under controls (K, nu) in `lengths` (K,)
-    [s]. Each is linearized exactly in its middle. The step is the (2, 2) Padé approximation of the
-    exponential, of order 4, and stable wherever the linear motion is.
+    A step is L δx⁺ = R (δx, δu), with L (nx, nx) and R (nx, nx + nu). Intervals run from states
+    `starts` (K, nx) to `ends` (K, nx) under controls (K, nu) in `lengths` (K,) [s]. Each is
+    linearized at its midpoint. The step is the (2, 2) Padé approximation of the exponential. It has
+    order 4 and preserves stability.
     """
     nx, eye = model.nx, np.eye(model.nx)
     at = EquationDerivatives.of(model).at(_middles(model, starts, ends, lengths), controls)
@@ -39,9 +38,8 @@ def transitions(
 ) -> tuple[Array, Array]:
     """Compute the state-transition matrices of K spans.
 
-    They are ∂x⁺/∂x (K, nx, nx) and ∂x⁺/∂u (K, nx, nu), from `substeps` linear steps each.
-
-    The control is constant in a span.
+    They are ∂x⁺/∂x (K, nx, nx) and ∂x⁺/∂u (K, nx, nu), from `substeps` linear steps each. The
+    control is constant in a span.
     """
     nx = model.nx
     steps = np.array(

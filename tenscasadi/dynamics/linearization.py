@@ -1,6 +1,6 @@
 """First derivatives of the equation of motion.
 
-It reads M q̈ = F + Jᵀ μ, J q̈ + c = 0.
+The equation is M q̈ = F + Jᵀ μ, J q̈ + c = 0.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class LinearDynamics:
     Attributes
     ----------
     model : Model
-        The model of nx states, nq coordinates and nw = nu + np inputs.
+        Model with nx states, nq coordinates and nw = nu + np inputs.
     rates : ndarray (K, nx)
         Rates of the states.
     inverse_mass : array (nq, nq)
@@ -81,7 +81,7 @@ class LinearDynamics:
     def jacobian(self, k: int) -> Array:
         """Compute the Jacobian (nx, nx + nw) of the rates.
 
-        It is with respect to state and input.
+        The derivatives are with respect to state and input.
         """
         return self.adjoint(k, np.eye(self.model.nx)).T
 
@@ -89,15 +89,15 @@ class LinearDynamics:
         """Compute the control Jacobians (K, nq, nu) of the accelerations."""
         model, nq = self.model, self.model.nq
         controls = np.eye(model.nx + model.nw)[:, model.nx : model.nx + model.nu]
-        ways = [self.tangent(k, controls)[nq : 2 * nq] for k in range(len(self.rates))]
-        return np.reshape(ways, (len(ways), nq, model.nu))
+        found = [self.tangent(k, controls)[nq : 2 * nq] for k in range(len(self.rates))]
+        return np.reshape(found, (len(found), nq, model.nu))
 
 
 class EquationDerivatives:
     """Equation of motion of a model and its first derivatives.
 
-    The system of the multipliers is solved in numbers, as expressions of the accelerations'
-    derivatives would be dense.
+    The system of the multipliers is solved in numbers, because expressions of the derivatives of
+    accelerations would be dense.
     """
 
     def __init__(self, model: Model) -> None:
@@ -135,14 +135,11 @@ class EquationDerivatives:
 
     @staticmethod
     def of(model: Model) -> EquationDerivatives:
-        """Return the derivatives of a model, which keeps them."""
+        """Return the derivatives of a model, built once."""
         return model.keep("equation derivatives", lambda: EquationDerivatives(model))
 
     def at(self, states: Array, controls: Array, parameters: Any = None) -> LinearDynamics:
-        """Linearize at states (K, nx).
-
-        Controls are (K, nu) and parameters (np,).
-        """
+        """Linearize at states (K, nx) with controls (K, nu)."""
         K, nq, c = len(states), self.model.nq, self.constraints
         p = self.model.parameters.values(parameters)
         inputs = np.column_stack([controls, np.tile(p, (K, 1))])
@@ -167,9 +164,9 @@ class EquationDerivatives:
         return LinearDynamics(self.model, rates, inverse_mass, weighted, inverse, slopes, pattern)
 
     def system_at(self, state: Array, inputs: Array) -> tuple[Any, Any, Array, Array]:
-        """Compute sparse M and J, and F and c.
+        """Compute M, J, F and c at a state with inputs.
 
-        They are those of one state (nx,) and its inputs (nw,).
+        M and J are sparse.
         """
         values = self._values(state, inputs)
         force, bias, _, entries = (np.asarray(value.full()).ravel() for value in values)
@@ -179,17 +176,14 @@ class EquationDerivatives:
     def slopes_at(self, state: Array, inputs: Array, mu: Array, accelerations: Array) -> Any:
         """Compute the sparse derivative of the equations.
 
-        It is (nq + c, nx + nw), for F + Jᵀ μ − M q̈ and J q̈ + c.
+        It is the derivative (nq + c, nx + nw) of F + Jᵀ μ − M q̈ and J q̈ + c.
         """
         pattern = self._pattern.copy()
         pattern.data = self._slopes(state, inputs, mu, accelerations).full().ravel()
         return sp.csc_array(pattern.T)
 
     def mass(self, p: Array) -> Any:
-        """Compute the sparse mass matrix (nq, nq) [kg].
-
-        It belongs to the free coordinates at parameters p.
-        """
+        """Compute the sparse mass matrix (nq, nq) [kg]."""
         w = ca.DM(np.append(np.zeros(self.model.nu), p))
         M = self.model.with_masses(w, inverse=False).free_mass
         return sp.csc_array(M.sparse() if is_expression(M) else M)
@@ -214,9 +208,7 @@ class EquationDerivatives:
 def tangents(model: Model, state: Array) -> Array:
     """Compute an orthonormal basis (nx, d) of admissible state changes.
 
-    Bars and joints allow these changes.
-
-    The clock does not change.
+    They satisfy the constraints of bars and joints, and do not change the clock.
     """
     return _free_directions(_constraint_jacobian(model, state))
 
@@ -224,17 +216,14 @@ def tangents(model: Model, state: Array) -> Array:
 def displacements(model: Model, state: Array) -> Array:
     """Compute an orthonormal basis (nq, d) of admissible displacements.
 
-    Bars and joints allow these displacements.
+    They satisfy the constraints of bars and joints.
     """
     count = model.mechanism.bars + int(model.mechanism.active.sum())
     return _free_directions(_constraint_jacobian(model, state)[:count, : model.nq])
 
 
 def _free_directions(J: Array) -> Array:
-    """Compute the null space of constraints.
-
-    Smaller singular values belong to redundant rows.
-    """
+    """Compute the null space of constraints with redundant rows."""
     return null_space(J, 1e-9 * float(np.linalg.norm(J)))
 
 
@@ -254,10 +243,7 @@ def _constraint_jacobian(model: Model, state: Array) -> Array:
 
 
 def _symbol_kind(model: Model) -> Any:
-    """Return SX if all forces are scalar code, else MX.
-
-    Functions of time may not be scalar code.
-    """
+    """Return SX, or MX if functions of time need it."""
     return ca.SX if not model.has_clock or model.ode.is_a("SXFunction") else ca.MX
 
 

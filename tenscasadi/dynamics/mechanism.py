@@ -22,9 +22,9 @@ from tenscasadi.util.casadi_tools import (
 from tenscasadi.util.read_only import ReadOnlyArrays, read_only
 from tenscasadi.util.validate import Array, Indices
 
-# members above which expressions remain MX, so that generated C does not grow with the structure
+# members and unknowns of multipliers above which expressions remain MX, to limit the generated C
 UNROLL_MEMBERS = 300
-UNROLL_UNKNOWNS = 60  # the same limit for the unknowns of the multipliers' system
+UNROLL_UNKNOWNS = 60
 
 Coordinates = Literal["reduced", "full"]
 BarLength = Literal["current", "constant"]
@@ -36,9 +36,9 @@ class Multipliers(NamedTuple):
     Attributes
     ----------
     bar_force_density : ndarray, shape (β,)
-        λ̂, the force density of each bar, N/m; positive in compression (Eq. 87).
+        Force density λ̂ of each bar [N/m], positive in compression (Eq. 87).
     joint_force : ndarray, shape (3, c)
-        Ω, the forces in joints and pins, N (Eq. 85).
+        Forces Ω in joints and pins [N] (Eq. 85).
 
     Examples
     --------
@@ -60,8 +60,7 @@ class Mechanism(ReadOnlyArrays):
     """Constant matrices of a structure in one coordinate set.
 
     Columns are physical nodes in reduced coordinates, and class-one nodes in full coordinates. If
-    masses are parameters, M and M⁻ have nominal values, and are CasADi expressions in the result of
-    `with_masses`.
+    masses are parameters, M and M⁻ have nominal values. `with_masses` replaces them by expressions.
     """
 
     N: Array  # 3×n initial nodes
@@ -74,23 +73,16 @@ class Mechanism(ReadOnlyArrays):
     bar_ends: Indices  # columns of the ends of all bars, two each
     rigid: Indices  # (β,) rigid ones among all bars
     M: Any  # n×n
-    inverse: tuple[
-        Any, ...
-    ]  # M⁻ (n×n), one for all axes, one per axis, or one per pair of axes coupled by rollers
+    inverse: tuple[Any, ...]  # M⁻ (n×n) for all axes, per axis, or per pair of axes with rollers
     P: sp.csr_array  # n×c, no columns in reduced coordinates
     D: Array  # 3×c
-    # 3×c bool: axes that a column of P constrains, or directions of its frame
-    active: Any
+    active: Any  # 3×c bool: directions of the frame that a column of P constrains
     lengths: Array  # (β,) of rigid bars
-    constant_length: bool  # λ̂ divides by l² as in Eqs. 46-87, not by the current bᵀb
-    # (c, 3, 3): frame of each column, whose `active` directions are constrained; None: the axes
-    frames: Any = None
-    turn: sp.csr_array | None = (
-        # 3n×3n: from local coordinates, along and across rollers, to those of N; None: identity
-        None
-    )
+    constant_length: bool  # λ̂ divides by l² as in Eqs. 46-87 instead of bᵀb
+    frames: Any = None  # (c, 3, 3) frame of each column of P; None: x, y, z
+    turn: sp.csr_array | None = None  # 3n×3n, local coordinates to those of N; None: identity
     masses: Masses | None = None  # dependence of M and M⁻ on parameters; None: constant
-    weights: Any = None  # entries of M and M⁻, a CasADi column, where they are expressions
+    weights: Any = None  # CasADi column of the entries of M and M⁻, if they are expressions
 
     @property
     def bars(self) -> int:
@@ -109,7 +101,7 @@ class Mechanism(ReadOnlyArrays):
 
     @property
     def large(self) -> bool:
-        """Whether expressions remain vector operations instead of scalar code."""
+        """Whether expressions are vector operations, not scalar code."""
         return bool(
             self.bars + self.C_e.shape[0] + self.C_s.shape[0] > UNROLL_MEMBERS
             or self.system_size > UNROLL_UNKNOWNS
@@ -122,9 +114,7 @@ class Mechanism(ReadOnlyArrays):
 
     @cached_property
     def free_index(self) -> Indices:
-        """Indices (nq,) of the free coordinates.
-
-        An index is 3 · column + axis.
+        """Indices 3 · column + axis of the free coordinates.
 
         They refer to N, or to its `local` coordinates.
         """
@@ -213,7 +203,7 @@ class Mechanism(ReadOnlyArrays):
             )
         )
 
-    def project_constrained(self, vectors: Any) -> Any:
+    def project_onto_constraints(self, vectors: Any) -> Any:
         """Project vectors (3×c) onto the constrained directions."""
         if self.frames is None:
             return vectors * self.active_mask

@@ -41,16 +41,16 @@ class Model(Value, Observations, kind="Model"):
         operations, as in chains of 40 bars or more.
     bar_length : {"current", "constant"}
         Squared length in the denominator of λ̂. "current": bᵀb. "constant": l² as in the paper, for
-        comparison; length errors then grow exponentially.
+        comparison. Length errors then grow exponentially.
 
     Raises
     ------
     TypeError
-        If `scene` is no `Scene`.
+        If `scene` is not a `Scene`.
     ValueError
         If an option is unknown, a bar is more than 1e12 times as heavy as another, or a parameter
-        has no effect; or if `bar_length` is "constant" in reduced coordinates and bars meet or are
-        pinned.
+        has no effect. Also if `bar_length` is "constant" in reduced coordinates, and bars share
+        nodes or are pinned.
 
     Warns
     -----
@@ -208,9 +208,8 @@ class Model(Value, Observations, kind="Model"):
     def multiplier_function(self) -> ca.Function:
         """CasADi Function of the multipliers.
 
-        "multipliers" (x, u) → λ (β) [N/m] and Ω (3×c) [N].
-
-        λ belongs to bars, Ω to joints; see `multipliers`.
+        Function "multipliers" (x, u) → λ (β) [N/m] of bars and Ω (3×c) [N] of joints, see
+        `multipliers`.
         """
         x, u = self.symbols(self.mechanism.unrolled)
         N, V, time = self.unpack(x)
@@ -236,16 +235,16 @@ class Model(Value, Observations, kind="Model"):
         x : array_like, shape (nx,), or CasADi column
             State.
         u : array_like, shape (nu,), or CasADi column, optional
-            Control; the initial control if None.
+            Control. Default: the initial control.
         parameters : array_like, shape (np,), mapping, or CasADi column, optional
-            Parameters, see `ParameterLayout.values`; nominal if None.
+            Parameters, see `ParameterLayout.values`. Default: nominal.
 
         Returns
         -------
         Multipliers
-            λ̂ and Ω in the paper's signs (Eqs. 85, 87). The columns of Ω are those of
-            `structure.class_one().P`, then one for each node that is pinned along some axes only,
-            then one for each inclined roller. They are CasADi (MX) if x or u is.
+            λ̂ and Ω in the paper's signs (Eqs. 85, 87). Ω has the columns of
+            `structure.class_one().P`, then those of nodes pinned along some axes, then those of
+            inclined rollers. They are CasADi (MX) if x or u is.
 
         Notes
         -----
@@ -257,7 +256,8 @@ class Model(Value, Observations, kind="Model"):
             isinstance(value, ca.SX) for value in arguments
         ) and not self.multiplier_function.is_a("SXFunction"):
             raise TypeError(
-                "multipliers got SX for x, u or parameters: give MX, as the system is solved by a routine that has no SX"
+                "multipliers got SX for x, u or parameters: give MX, "
+                "because the linear solver has no SX"
             )
         lam, omega = self.multiplier_function(*arguments)
         return (
@@ -317,12 +317,12 @@ def _check_parameters(model: Model) -> None:
             elif name == "string_mass":
                 reason = " (strings have mass where segments= cuts them)"
             raise ValueError(
-                f"Parameters has {name!r}, on which no motion of this scene depends{reason}: leave the name out"
+                f"Parameters has {name!r}, which has no effect on this scene{reason}: remove the name"
             )
     for name in unused:
         warnings.warn(
-            f"Parameters has {name!r}, which sets the default control alone: under {control} {commanded} are commanded, and motions "
-            "under a control that is given do not depend on it",
+            f"Parameters has {name!r}, which only sets the default control: under {control} "
+            f"{commanded} are commanded, and motions with a given control do not depend on it",
             UserWarning,
             stacklevel=3,
         )

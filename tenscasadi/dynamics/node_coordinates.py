@@ -106,13 +106,15 @@ class NodeCoordinates:
         for name, (vectors, least) in moves.items():
             for node, axis in np.argwhere((abs(vectors) > least) & fixed)[:1]:
                 raise ValueError(
-                    f"{name}[{node}, {axis}] moves a pinned coordinate: keep node {node} at {structure.nodes[node]}, at rest"
+                    f"{name}[{node}, {axis}] moves a pinned coordinate: "
+                    f"keep node {node} at {structure.nodes[node]}, at rest"
                 )
         for node, normals in structure.rollers.items():
             for name, (vectors, least) in moves.items():
                 if np.any(abs(np.array(normals) @ vectors[node]) > least):
                     raise ValueError(
-                        f"{name}[{node}] moves node {node} off its roller: keep it where it is along {normals}"
+                        f"{name}[{node}] moves node {node} off its roller: "
+                        f"do not move it along {normals}"
                     )
 
     def nodes(self, x: Any) -> Any:
@@ -171,20 +173,17 @@ class NodeCoordinates:
         return N, V, time
 
     def targets(self, time: Any) -> tuple[Any, Any, Any]:
-        """Compute D of N P = D and its rates.
+        """Compute D of N P = D and its rates (3×c).
 
-        Units are m, m/s and m/s².
-
-        They are (3×c), for joints, pins, and moving supports in full coordinates.
+        Units are m, m/s and m/s². In full coordinates they include moving supports.
         """
         mech = self.mechanism
         still = ca.DM.zeros(*mech.D.shape)
         if self._supports is None or not mech.joints:
             return ca.DM(mech.D), still, still
         held = mech.P.toarray()
-        alone = (np.count_nonzero(held, axis=0) == 1) & mech.active.all(
-            axis=0
-        )  # columns of P that pin a single copy of a node
+        # columns of P that pin a single copy of a node
+        alone = (np.count_nonzero(held, axis=0) == 1) & mech.active.all(axis=0)
         pinned = mech.physical[abs(held).argmax(axis=0)]
         columns = [int(np.flatnonzero(alone & (pinned == node))[0]) for node in self._moved]
         sign = ca.DM(held[:, columns].sum(axis=0)).T
@@ -207,9 +206,7 @@ class NodeCoordinates:
         return ca.reshape(self.mechanism.world(vector), 3, len(elsewhere))
 
     def pack(self, upper: Any, lower: Any, clock: Any) -> Any:
-        """Build the state (nx) of two matrices and clock.
-
-        The matrices are 3×n.
+        """Build a state from two matrices (3×n) and the clock.
 
         It is the inverse of `unpack`, also for rates of change.
         """
@@ -225,7 +222,7 @@ class NodeCoordinates:
     def support_accelerations(self, time: Any) -> Any:
         """Compute the accelerations (3×n) of moving supports [m/s²].
 
-        They are zero in full coordinates, where P holds the supports.
+        They are zero in full coordinates, where supports are columns of P.
         """
         if self._supports is None or self.coordinates == "full":
             return ca.DM(*self.mechanism.N.shape)  # sparse zero: adds no instructions

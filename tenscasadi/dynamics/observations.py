@@ -23,7 +23,7 @@ class Energy(NamedTuple):
     elastic : float
         Energy of taut strings, elastic bars and the ground's springs [J].
     gravity : float
-        Potential energy of gravity [J]; zero with all mass at the origin, or if gravity varies.
+        Potential energy of gravity [J]. It is 0 with all mass at the origin, or if gravity varies.
 
     Examples
     --------
@@ -55,9 +55,9 @@ class Observations(StateSpace):
     def observe(self) -> ca.Function:
         """Function "observe" (x, u) → seven observable quantities.
 
-        They are ``nodes`` [m] and ``velocities`` [m/s] (3n, node by node), ``force_density`` [N/m]
-        and ``tension`` [N] of the modeled strings (α), ``energy`` (kinetic, elastic, gravity [J]),
-        ``bar_length_error``, and ``joint_error`` [m].
+        ``nodes`` [m] and ``velocities`` [m/s] are (3n), node by node. ``force_density`` [N/m] and
+        ``tension`` [N] of the modeled strings are (α). ``energy`` [J] is kinetic, elastic and
+        gravity energy. ``bar_length_error`` [1] and ``joint_error`` [m] are scalars.
         """
         x, u = self.symbols(not self.mechanism.large)
         N, V, time = self.unpack(x)
@@ -143,8 +143,7 @@ class Observations(StateSpace):
         Returns
         -------
         Energy
-            The three energies [J]; CasADi if x or u is. Strings under force-density control store
-            no energy.
+            Energies [J], CasADi if x or u is. Strings with force-density control store no energy.
         """
         return Energy(*self._scalars("energy", x, u, parameters))
 
@@ -174,7 +173,7 @@ class Observations(StateSpace):
         Returns
         -------
         float, or CasADi scalar
-            Maximum of | N P − D | [m]; 0 in reduced coordinates.
+            Maximum of | N P − D | [m], 0 in reduced coordinates.
         """
         return self._scalars("joint_error", x)[0]
 
@@ -194,7 +193,7 @@ class Observations(StateSpace):
     def _joint_error(self, N: Any, time: Any) -> Any:
         if not self.mechanism.joints:
             return ca.DM(0)
-        gap = self.mechanism.project_constrained(
+        gap = self.mechanism.project_onto_constraints(
             ca.mtimes(N, sparse(self.mechanism.P)) - self.targets(time)[0]
         )
         return ca.mmax(ca.fabs(gap))

@@ -39,11 +39,11 @@ class Constraints(NamedTuple):
     bars : ndarray, shape (β,), or CasADi column
         (bᵀb − l²)/(2 l) of each bar [m]: its excess length to first order.
     bar_rates : ndarray, shape (β,), or CasADi column
-        bᵀḃ/l of each bar, m/s.
+        bᵀḃ/l of each bar [m/s].
     joints : ndarray, shape (k,), or CasADi column
-        N P − D along each constrained axis of joints and pins [m]; empty in reduced coordinates.
+        N P − D along each constrained axis of joints and pins [m], empty in reduced coordinates.
     joint_rates : ndarray, shape (k,), or CasADi column
-        V P − Ḋ along the same axes, m/s.
+        V P − Ḋ along the same axes [m/s].
 
     Examples
     --------
@@ -79,7 +79,8 @@ class StateSpace(NodeCoordinates):
         check_mass_ratio("Structure.bar_mass", s, s.bar_mass, s.node_mass)
         if bar_length == "constant" and self.mechanism.system_size and not self.mechanism.joints:
             raise ValueError(
-                'Model.bar_length is "constant": bars that meet or are pinned need coordinates="full" for it'
+                'Model.bar_length is "constant": give coordinates="full", '
+                "because bars share nodes or are pinned"
             )
         self.nu = scene.nu
         self.parameters = scene.layout
@@ -154,9 +155,8 @@ class StateSpace(NodeCoordinates):
 
         Notes
         -----
-        In a tool for optimal control, impose ``ca.vertcat(*model.constraints(x))`` on a free
-        initial state only. The dynamics preserve these constraints. At later times they are
-        redundant, and their gradients depend linearly on those of the dynamics.
+        In optimal control, impose ``ca.vertcat(*model.constraints(x)) == 0`` only on a free initial
+        state. The dynamics preserve these constraints, so they are redundant at later times.
         """
         value = self.arguments(x, None)[0]
         N, V, time = self.unpack(value)
@@ -178,15 +178,13 @@ class StateSpace(NodeCoordinates):
     def arguments(self, x: Any, u: Any, parameters: Any = None) -> tuple[Any, ...]:
         """Convert state, control and parameters to CasADi values.
 
-        Their sizes are nx, nu and np.
-
-        If they are None, the initial control and nominal parameters are used; p is omitted in
-        models without parameters. Raises TypeError, ValueError.
+        Their sizes are nx, nu and np. Defaults are the initial control and nominal parameters.
+        Models without parameters have no p. Raises TypeError or ValueError.
         """
         symbolic = isinstance(parameters, (ca.SX, ca.MX))
         p = parameters if symbolic else self.parameters.values(parameters)
         if u is None and symbolic and self.nu:
-            raise ValueError("u is None: give the control, too, where parameters are CasADi's")
+            raise ValueError("u is None: give the control, too, because parameters are CasADi's")
         given = [
             ("x", x, self.nx),
             (

@@ -248,7 +248,7 @@ def _newton(mech: Mechanism, free: Any, B: Any, D: Any, iterations: int) -> Any:
             gap,
             ca.norm_inf(
                 ca.vertcat(
-                    (excess / ca.DM(mech.lengths).T).T, ca.vec(mech.project_constrained(gap))
+                    (excess / ca.DM(mech.lengths).T).T, ca.vec(mech.project_onto_constraints(gap))
                 )
             ),
         )

@@ -321,7 +321,7 @@ def _close_joints(mech: Mechanism, Z: Any, change: Any, target: Any) -> Any:
     spread = sp.csr_array(
         sp.vstack([ends, sp.csr_array(sp.eye_array(Z.shape[1]))[strings]])
     )  # from centers and string nodes to nodes
-    gap = mech.project_constrained(target - ca.mtimes(Z, sparse(mech.P)))
+    gap = mech.project_onto_constraints(target - ca.mtimes(Z, sparse(mech.P)))
     return Z + ca.mtimes(
         ca.mtimes(gap, ca.DM(np.linalg.pinv((spread @ mech.P).toarray()))), sparse(spread)
     )

@@ -325,9 +325,9 @@ class Idas(Sundials, kind="Idas"):
         A = mech.with_inverse(F + nodal_forces(mech, B, lam, Omega)) + moved
         stretching = ca.sum1(Bd * Bd) + ca.sum1(B * mech.bar_vectors(A))  # Eq. 28
         gaping = (
-            mech.project_constrained(ca.mtimes(A, sparse(mech.P)) - model.targets(time)[2])
+            mech.project_onto_constraints(ca.mtimes(A, sparse(mech.P)) - model.targets(time)[2])
             + Omega
-            - mech.project_constrained(Omega)
+            - mech.project_onto_constraints(Omega)
         )
         xdot = [model.pack(V, A, 1)] + (
             [] if power is None else [power(state[: power.size1_in(0)], w)[-1]]

@@ -34,7 +34,7 @@ def with_fields(value: Value, **fields: Any) -> Value:
 
 
 def bind(scene: Any, w: Any) -> tuple[Any, Any]:
-    """Replace the constants of a scene by expressions of its parameters.
+    """Replace constants of a scene by expressions of parameters.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def bind(scene: Any, w: Any) -> tuple[Any, Any]:
 
 
 def initial_control(scene: Any, p: Array) -> Array:
-    """Compute the control (nu,) that keeps the structure's rest lengths, for parameters (np,).
+    """Compute the control (nu,) that keeps the rest lengths.
 
     It consists of rest lengths [m], or of the corresponding force densities [N/m].
     """

@@ -27,7 +27,7 @@ _MAX_PIECES = 20_000
 
 @dataclass(frozen=True, eq=False)
 class ControlFunction:
-    """Control function of time, evaluated at each stage of a step.
+    """Control function of time, evaluated at each stage.
 
     A function that CasADi cannot trace, as with Python's ``if``, is interpolated by piecewise
     cubics. Pieces are halved until they agree with the function. Steps of a simulation end at the

@@ -277,9 +277,9 @@ class Ground(Surface, kind="Ground"):
 
 @dataclass(frozen=True, eq=False)
 class Terrain(ReadOnlyArrays, Surface, kind="Terrain"):
-    """Height field z = h(x, y) with penalty contact and Coulomb friction.
+    """Height field with penalty contact and Coulomb friction.
 
-    Heights are bilinear between the points of a regular grid. The normal force on a node at
+    Heights z = h(x, y) are bilinear between the points of a regular grid. The normal force on a node at
     penetration depth d with normal velocity v is k d − c v, and at least 0.
 
     Parameters

@@ -86,7 +86,7 @@ class Gravity(OverTime, kind="Gravity", short="acceleration"):
         return ca.mtimes(self.at(time), row)
 
     def energy(self, N: Any, node_weight: Any) -> Any:
-        """Compute the potential energy −Σ mᵢ gᵀnᵢ, 0 if gravity varies.
+        """Compute the potential energy −Σ mᵢ gᵀnᵢ of constant gravity.
 
         Parameters
         ----------

@@ -19,7 +19,7 @@ class Control(Value):
 
 @dataclass(frozen=True)
 class ForceDensity(Control, kind="ForceDensity"):
-    """Force-density control: the input is γ [N/m] of each parent string.
+    """Control by force densities γ [N/m] of parent strings.
 
     Strings then have neither stiffness nor damping nor slack.
 
@@ -33,7 +33,7 @@ class ForceDensity(Control, kind="ForceDensity"):
 
 @dataclass(frozen=True)
 class RestLength(Control, kind="RestLength"):
-    """Rest-length control: the input is ρ [m] of each parent string.
+    """Control by rest lengths ρ [m] of parent strings.
 
     Rest lengths are greater than 0. The string law (`Clip`, `Smooth` or `Linear`) converts them to
     force densities.
@@ -48,7 +48,7 @@ class RestLength(Control, kind="RestLength"):
 
 
 class StringLaw(Value):
-    """Law of a string: force density and energy of its stretch."""
+    """Law of force density and energy of a string."""
 
     switches: ClassVar[bool]  # between taut and slack, as an event
     pushes: ClassVar[bool]  # compression-capable
@@ -113,9 +113,9 @@ class Clip(StringLaw, kind="Clip"):
     def force_density(
         self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any, taut: Any = None
     ) -> Any:
-        """Build the force densities γ = k (s − ρ)/s + c sᵀṡ/s² (Eq. 99).
+        """Build the force densities of strings (Eq. 99).
 
-        They are 0 for slack strings.
+        They are γ = k (s − ρ)/s + c sᵀṡ/s² of taut strings, and 0 of slack ones.
 
         Parameters
         ----------
@@ -308,7 +308,9 @@ class Linear(StringLaw, kind="Linear"):
     def force_density(
         self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any, taut: Any = None
     ) -> Any:
-        """Build the force densities γ = k (s − ρ)/s + c sᵀṡ/s².
+        """Build the force densities of strings.
+
+        They are γ = k (s − ρ)/s + c sᵀṡ/s².
 
         Parameters
         ----------
@@ -359,7 +361,7 @@ class Linear(StringLaw, kind="Linear"):
 
 
 def read_slack(given: Any, strings: int) -> StringLaw | tuple[StringLaw, ...]:
-    """Convert the field `slack` to one law, or one per string.
+    """Convert the field `slack` to one law or several.
 
     Strings that a mapping does not name have `Clip()`. Raises TypeError or ValueError.
     """
@@ -389,7 +391,9 @@ def read_slack(given: Any, strings: int) -> StringLaw | tuple[StringLaw, ...]:
 
 
 def rest_length(force_density: Array, length: Array, stiffness: Array) -> Array:
-    """Compute the rest lengths ρ = s (1 − γ/k) of force densities (Eq. 99).
+    """Compute the rest lengths of force densities (Eq. 99).
+
+    They are ρ = s (1 − γ/k).
 
     Parameters
     ----------

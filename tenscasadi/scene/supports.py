@@ -33,7 +33,7 @@ _JUMPS = {
 @accept_breaks
 @dataclass(frozen=True, eq=False)
 class SupportMotion(Value, kind="SupportMotion"):
-    """Motion of pinned nodes, such as a shaking base or a driven hinge.
+    """Prescribed motion of pinned nodes, such as a shaking base.
 
     Each function is called with a CasADi symbol: write it with NumPy's or CasADi's mathematics,
     without ``if`` on the time. Velocity and acceleration are its exact derivatives. They must be

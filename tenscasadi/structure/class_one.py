@@ -13,9 +13,9 @@ from scipy.sparse import csr_array, diags_array, issparse
 
 from tenscasadi.util.validate import SMALLEST, Array, Indices, finite_array, per_item
 
-SHORTEST = 1e-12  # relative to the largest coordinate: shorter members have no direction
+MIN_LENGTH = 1e-12  # × largest coordinate; the direction of shorter members is rounding
 
-Matrix = Any  # ndarray, or scipy csr_array where the caller asks for sparse matrices
+Matrix = Any  # ndarray, or csr_array on request
 
 
 class ClassOne(NamedTuple):
@@ -30,7 +30,7 @@ class ClassOne(NamedTuple):
     Attributes
     ----------
     N : ndarray, shape (3, n')
-        Positions of bar ends and string nodes, m.
+        Positions of bar ends and string nodes [m].
     C_b : ndarray or csr_array, shape (β, 2β)
         Connectivity of bars.
     C_s : ndarray or csr_array, shape (α, n')
@@ -44,7 +44,7 @@ class ClassOne(NamedTuple):
     P : ndarray or csr_array, shape (n', c)
         Joints and pins (Eq. 84).
     D : ndarray, shape (3, c)
-        Right-hand side of N P = D, m.
+        Right-hand side of N P = D [m].
     M_s : ndarray or csr_array, shape (n', n')
         Mass matrix [kg]: Eq. 81 plus the point masses on bar ends.
     physical : ndarray of int, shape (n',)
@@ -112,12 +112,16 @@ def connectivity(pairs: Indices, count: int) -> csr_array:
 
 
 def member_lengths(field: str, nodes: Array, pairs: Indices, item: str) -> Array:
-    """Compute member lengths [m]; raise ValueError if one is zero."""
+    """Compute member lengths [m].
+
+    Raises ValueError if one is zero.
+    """
     lengths = np.linalg.norm(nodes[pairs[:, 1]] - nodes[pairs[:, 0]], axis=1)
-    for i in np.flatnonzero(lengths < max(SHORTEST * np.abs(nodes).max(), SMALLEST)):
+    for i in np.flatnonzero(lengths < max(MIN_LENGTH * np.abs(nodes).max(), SMALLEST)):
         a, b = pairs[i]
         raise ValueError(
-            f"{field}: {item} {i} joins nodes {a} and {b}, which lie {lengths[i]:g} m apart: move one or leave the {item} out"
+            f"{field}: {item} {i} joins nodes {a} and {b}, which lie {lengths[i]:g} m apart: "
+            f"move one or remove the {item}"
         )
     return np.asarray(lengths)
 
@@ -130,11 +134,9 @@ def selection_matrix(columns: Indices, count: int) -> csr_array:
 
 
 def bar_mass_matrix(bars: Indices, inertia: Array, mass: Array, count: int) -> csr_array:
-    """Compute the mass matrix of bars (Eq. 59).
+    """Compute the mass matrix of bars (Eq. 59) [kg].
 
-    It is C_bᵀ Ĵ C_b + C_rᵀ m̂ C_r [kg], (count, count).
-
-    C_r is ½|C_b|. `bars` may share nodes.
+    It is C_bᵀ Ĵ C_b + C_rᵀ m̂ C_r with C_r = ½|C_b|. Bars can share nodes.
     """
     C_b = connectivity(bars, count)
     C_r = 0.5 * abs(C_b)
@@ -144,15 +146,12 @@ def bar_mass_matrix(bars: Indices, inertia: Array, mass: Array, count: int) -> c
 def default_layout(count: int, bars: Indices, strings: Indices, pinned: Indices) -> Layout:
     """Build the default column layout.
 
-    N consists of [N₁ N₂] and the string nodes.
-
-    N₁ are the first ends of bars and N₂ the second ends. In P the ties come first, in node order,
-    then the pins.
+    N consists of the first ends of bars, their second ends, and the string nodes. In P the ties
+    come first, in node order, then the pins.
     """
     physical = np.concatenate([bars[:, 0], bars[:, 1], np.setdiff1d(np.arange(count), bars)])
-    first = np.unique(physical, return_index=True)[
-        1
-    ]  # first copy of each node, to which strings, masses and pins are attached
+    # strings, masses and pins are attached to the first copy of a node
+    first = np.unique(physical, return_index=True)[1]
     share = np.zeros(len(physical))
     share[first] = 1.0
     copies = np.flatnonzero(share == 0.0)
@@ -169,8 +168,8 @@ def default_layout(count: int, bars: Indices, strings: Indices, pinned: Indices)
 def extend_layout(layout: Layout, count: int, strings: Indices, parent: Indices) -> Layout:
     """Extend the `layout` of `count` nodes after subdividing strings.
 
-    `strings` (segments, 2) are the segments, and new nodes get the last columns. An end at an old
-    node keeps the column of the `parent` string.
+    `strings` (segments, 2) are the segments. New nodes have the last columns. An end at an old node
+    keeps the column of the `parent` string.
     """
     columns = len(layout.physical)
     new = max(int(strings.max(initial=-1)) + 1 - count, 0)
@@ -189,7 +188,7 @@ def class_one(
 ) -> ClassOne:
     """Compute the class-one matrices of a layout.
 
-    The input are nodes (n, 3), bar inertia J and mass m (β,), and point masses (n,).
+    Inputs are nodes (n, 3), bar inertia J and mass m (β,), and point masses (n,).
     """
     count = len(layout.physical)
     N = nodes[layout.physical].T
@@ -218,7 +217,7 @@ def class_one(
 def read_matrices(N: ArrayLike, C_b: Any, C_s: Any, P: Any, D: Any, node_mass: Any) -> MatrixInput:
     """Read the paper's matrices as a physical structure.
 
-    See `Structure.from_matrices`. Raises TypeError, ValueError.
+    See `Structure.from_matrices`. Raises TypeError or ValueError.
     """
     columns = finite_array("N", N, (3, None)).T
     count = len(columns)
@@ -232,7 +231,8 @@ def read_matrices(N: ArrayLike, C_b: Any, C_s: Any, P: Any, D: Any, node_mass: A
         and 0 < shape[1] < count
     ):  # the paper's C_b, which refers to N_b
         raise ValueError(
-            f"C_b has shape {shape}, a column for each end of a bar: give C_b @ C_nb, of shape ({shape[0]}, {count})"
+            f"C_b has shape {shape}, a column for each end of a bar: "
+            f"give C_b @ C_nb, of shape ({shape[0]}, {count})"
         )
     bars = _member_columns("C_b", C_b, count, "bar")
     strings = _member_columns("C_s", C_s, count, "string")
@@ -253,11 +253,11 @@ def read_matrices(N: ArrayLike, C_b: Any, C_s: Any, P: Any, D: Any, node_mass: A
         for column in (end for tie in ties for end in tie):
             if not on_bar[column] and mass[column] == 0.0:
                 raise ValueError(
-                    f"node_mass of column {column} is 0: it is no bar end and P ties it to another column, so M_s is singular; "
-                    "give it a mass, or attach its strings to the column it is tied to"
+                    f"node_mass of column {column} is 0, but P ties it and no bar ends there, "
+                    "so M_s is singular: give a mass, or attach its strings to the tied column"
                 )
         share = np.divide(mass, total[physical], out=np.zeros(count), where=total[physical] > 0.0)
-        share[first[total == 0.0]] = 1.0  # a mass added later goes to the first column
+        share[first[total == 0.0]] = 1.0  # masses that are added later
         layout = Layout(physical, bars, strings, share, P_matrix)
     return MatrixInput(columns[first], physical[bars], physical[strings], pinned, total, layout)
 
@@ -288,7 +288,8 @@ def _member_columns(field: str, value: Any, count: int, item: str) -> Indices:
     if not good.all():
         row = int(np.flatnonzero(~good)[0])
         raise ValueError(
-            f"{field}: row {row} ({item} {row}) is {matrix[row].tolist()}: give one −1, one +1 and zeros"
+            f"{field}: row {row} ({item} {row}) is {matrix[row].tolist()}: "
+            "give one −1, one +1 and zeros"
         )
     return np.column_stack(
         [np.argmax(matrix == -1.0, axis=1), np.argmax(matrix == 1.0, axis=1)]
@@ -300,9 +301,7 @@ def _read_joints(
 ) -> tuple[list[tuple[int, int]], list[int], csr_array]:
     """Read ties, pins and P of N P = D.
 
-    They are in column order.
-
-    Columns must be independent.
+    Ties and pins are in column order. Columns must be independent.
     """
     count = len(columns)
     P = _dense("P", P, (count, None))
@@ -322,15 +321,17 @@ def _read_joints(
         values = sorted(P[ends, c].tolist())
         if values not in ([-1.0, 1.0], [1.0], [-1.0]):
             raise ValueError(
-                f"P: column {c} has entries {values}: give +1 and −1 to tie two nodes, or a single ±1 to pin one"
+                f"P: column {c} has entries {values}: "
+                "give +1 and −1 to tie two nodes, or a single ±1 to pin one"
             )
         if len(ends) == 2 and np.any(D[:, c] != 0.0):
             raise ValueError(
-                f"D: column {c} is {D[:, c].tolist()}: it must be 0 where P ties nodes {ends[0]} and {ends[1]}"
+                f"D: column {c} is {D[:, c].tolist()}: "
+                f"give 0, because P ties nodes {ends[0]} and {ends[1]}"
             )
         if error[c] > tolerance:
             raise ValueError(
-                f"P: N P differs from D by {error[c]:g} in column {c}: move the nodes of N or correct D"
+                f"P: N P differs from D by {error[c]:g} in column {c}: move nodes of N or correct D"
             )
         if len(ends) == 2:
             ties.append((int(ends[0]), int(ends[1])))
@@ -339,7 +340,7 @@ def _read_joints(
         # The ground is an additional node. A column is redundant if it joins nodes that are already
         # connected.
         if not _link(linked, int(ends[0]), int(ends[-1]) if len(ends) == 2 else count):
-            raise ValueError(f"P: column {c} repeats what the columns before it say: leave it out")
+            raise ValueError(f"P: column {c} depends on the columns before it: remove it")
     return ties, pins, csr_array(P)
 
 

@@ -30,9 +30,9 @@ def write_derived(structure: Any) -> dict[str, Array]:
 
 
 def read_derived(given: Mapping[str, Any], structure: Any) -> dict[str, Any]:
-    """Check derived attributes of a structure; those that are empty may be missing.
+    """Check derived attributes of a structure.
 
-    Raises ValueError.
+    Empty ones can be missing. Raises ValueError.
     """
     columns = len(np.atleast_1d(given.get("physical", ())))
     bars, strings = len(structure.bars), len(structure.strings)
@@ -63,5 +63,5 @@ def _read_indices(name: str, value: Any, shape: tuple[int, ...], count: int) -> 
     array = np.asarray(value)
     wrong = array.size and (array.dtype.kind != "i" or array.shape != shape)
     if wrong or np.any((array < 0) | (array >= count)) or array.size != np.prod(shape):
-        raise ValueError(f"derived.{name} does not hold indices below {count} in the shape {shape}")
+        raise ValueError(f"derived.{name} is wrong: give indices below {count} of shape {shape}")
     return array.reshape(shape).astype(np.intp)

@@ -42,7 +42,8 @@ def read_elastic_bars(stiffness: Any, rest_length: Any, lengths: Array) -> dict[
     k = _read_entries("bar_stiffness", stiffness, len(lengths), np.inf)
     for bar in np.flatnonzero(~(k >= SMALLEST)):
         raise ValueError(
-            f"bar_stiffness of bar {bar} is {k[bar]:g} N/m: it must be greater than 0; give inf or None for a rigid bar"
+            f"bar_stiffness of bar {bar} is {k[bar]:g} N/m: "
+            "give a number greater than 0, or inf for a rigid bar"
         )
     elastic = np.isfinite(k)
     finite_array("bar_stiffness", np.where(elastic, k, 0.0), lengths.shape)  # none is too large
@@ -55,7 +56,7 @@ def read_elastic_bars(stiffness: Any, rest_length: Any, lengths: Array) -> dict[
 
 
 def _read_entries(field: str, given: Any, count: int, absent: float) -> Array:
-    """Read one number for each bar; None stands for `absent`."""
+    """Read one number for each bar, `absent` for None."""
     if given is None:
         return np.full(count, absent)
     if not nesting(given):

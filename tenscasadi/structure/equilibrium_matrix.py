@@ -15,7 +15,7 @@ from tenscasadi.util.validate import Array, Indices
 
 
 def member_pairs(structure: Any) -> Indices:
-    """Return the nodes (α + β, 2) of strings and bars."""
+    """Return the end nodes of strings and bars."""
     return np.concatenate([structure.strings, structure.bars])
 
 
@@ -70,7 +70,9 @@ def balance_bars(structure: Any, gamma: Array, loads: Array | None = None) -> Ar
 
 
 def balance_columns(pairs: Indices, vectors: Array, count: int) -> sp.csc_array:
-    """Build columns with −vector at the first and +vector at the second node.
+    """Build columns of vectors at the ends of members.
+
+    They have −vector at the first node and +vector at the second.
 
     Parameters
     ----------

@@ -8,7 +8,7 @@ import numpy as np
 
 from tenscasadi.util.validate import SMALLEST, Array, Indices
 
-MAX_MASS_RATIO = 1e12  # between bars; beyond, rounding exceeds the force that holds the heavier one
+MAX_MASS_RATIO = 1e12  # between bars; above, rounding exceeds the forces on the lighter bar
 
 
 def check_node_masses(node_mass: Array, fixed: Any, bars: Indices, heavy_strings: Indices) -> None:
@@ -20,14 +20,19 @@ def check_node_masses(node_mass: Array, fixed: Any, bars: Indices, heavy_strings
     heavy[bars] = True
     heavy[heavy_strings] = True
     for node in np.flatnonzero(~heavy):
-        cure = "give it a mass, pin it in all axes, or give its strings a string_mass, which the scene lumps there with ends='lumped'"
+        cure = (
+            "give it a mass, pin it in all axes, or give its strings a string_mass, "
+            "which the scene lumps there with ends='lumped'"
+        )
         raise ValueError(
             f"node_mass of node {node} is {node_mass[node]:g} and no bar ends there: {cure}"
         )
 
 
 def check_mass_ratio(field: str, structure: Any, bar_mass: Array, node_mass: Array) -> None:
-    """Raise ValueError if a moving bar, with the nodes at its ends, is too heavy for another.
+    """Check the mass ratio of moving bars with end nodes.
+
+    Raises ValueError if it is too large.
 
     Parameters
     ----------
@@ -47,6 +52,6 @@ def check_mass_ratio(field: str, structure: Any, bar_mass: Array, node_mass: Arr
     for row in np.flatnonzero(ratios > MAX_MASS_RATIO)[:1]:
         heavy, light = moving[weights[row].argmax()], moving[weights[row].argmin()]
         raise ValueError(
-            f"{field}: bar {heavy} is {ratios[row]:.1g} times as heavy as bar {light}, with the nodes at their ends: rounding leaves no room "
-            f"above {MAX_MASS_RATIO:g}, pin what is so heavy or give masses nearer to each other"
+            f"{field}: bar {heavy} is {ratios[row]:.1g} times as heavy as bar {light}, with the "
+            f"nodes at their ends: pin the heavy bar, or give a ratio below {MAX_MASS_RATIO:g}"
         )

@@ -13,9 +13,10 @@ _MEMBER = re.compile(r"(.*)\[\d+\]")  # name of a member of a group, such as "gu
 
 
 def read_names(field: str, value: Any, count: int) -> tuple[str, ...]:
-    """Check the names of items; "" for unnamed ones, none for unnamed items only.
+    """Check the names of items, "" for unnamed ones.
 
-    Raises TypeError or ValueError, also for names that could be indices and names given twice.
+    The result is empty if no item has a name. Raises TypeError or ValueError, also for numbers and
+    duplicate names.
     """
     names = tuple(text(field, name) for name in as_tuple(field, value, '["foot", "top"]'))
     if names and len(names) != count:
@@ -25,7 +26,7 @@ def read_names(field: str, value: Any, count: int) -> tuple[str, ...]:
         if re.fullmatch(r"[0-9]*", name) and name:
             raise ValueError(f"{field}[{k}] is {format_value(name)}, an index, too: give letters")
         if name and first.setdefault(name, k) < k:
-            raise ValueError(f"{field}[{k}] is {format_value(name)}, as another: give each its own")
+            raise ValueError(f"{field}[{k}] is {format_value(name)} again: give unique names")
     return names if any(names) else ()
 
 

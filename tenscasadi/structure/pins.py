@@ -16,9 +16,9 @@ _PARALLEL = 1e-6  # sine of the angle below which two directions count as parall
 
 
 def read_pins(pinned: Any, count: int) -> Mapping[int, str]:
-    """Read {node: axes} in node order. Raises TypeError, ValueError.
+    """Read the pinned axes by node.
 
-    The axes are in the order x, y, z.
+    Nodes and axes are in order. Raises TypeError or ValueError.
     """
     try:
         entries = list(
@@ -26,21 +26,22 @@ def read_pins(pinned: Any, count: int) -> Mapping[int, str]:
         )
     except Exception as error:  # each kind of matrix raises its own error
         raise TypeError(
-            f"pinned is {format_value(pinned)}: give node indices, such as [0, 3], or a mapping such as {{0: 'xyz', 3: 'z'}}"
+            f"pinned is {format_value(pinned)}: "
+            "give node indices, such as [0, 3], or a mapping such as {0: 'xyz', 3: 'z'}"
         ) from error
     pins: dict[int, str] = {}
     for key, axes in entries:
         node = node_index("pinned", key, count)
         if not isinstance(axes, str):
             raise TypeError(
-                f"pinned of node {node} is {format_value(axes)}: give the axes as text, such as 'xyz' or 'z'"
+                f"pinned of node {node} is {format_value(axes)}: give axes such as 'xyz' or 'z'"
             )
         if not axes or len(set(axes)) != len(axes) or not set(axes) <= set("xyz"):
             raise ValueError(
                 f"pinned of node {node} is {format_value(axes)}: give some of x, y, z, each once"
             )
         if node in pins:
-            raise ValueError(f"pinned: node {node} is given twice: leave one out")
+            raise ValueError(f"pinned: node {node} is given twice: remove one")
         pins[node] = "".join(sorted(axes))
     return MappingProxyType(dict(sorted(pins.items())))
 
@@ -50,21 +51,23 @@ def read_rollers(
 ) -> tuple[Mapping[int, str], Mapping[int, Normals]]:
     """Split rollers into pinned axes and inclined directions.
 
-    Returns the pins with the rollers along axes among them, and {node: one or two orthonormal
-    directions} for the others. Raises TypeError, ValueError.
+    Returns the pins including rollers along axes, and one or two orthonormal directions of other
+    rollers by node. Raises TypeError or ValueError.
     """
     if not isinstance(rollers, Mapping):
         raise TypeError(
-            f"rollers is {format_value(rollers)}: give a mapping from nodes to normals, such as {{3: (1, 0, 1)}}"
+            f"rollers is {format_value(rollers)}: "
+            "give a mapping from nodes to normals, such as {3: (1, 0, 1)}"
         )
     held, found = dict(pins), {}
     for key, given in rollers.items():
         node = node_index("rollers", key, count)
         if node in pins:
             raise ValueError(
-                f"rollers: node {node} is pinned along {pins[node]}, too: give all its directions in rollers"
+                f"rollers: node {node} is pinned along {pins[node]}, too: "
+                "give all its directions in rollers"
             )
-        normals = _orthonormal(f"rollers of node {node}", given)
+        normals = _orthonormalize(f"rollers of node {node}", given)
         if np.count_nonzero(normals) == len(normals):
             held[node] = "".join(
                 sorted("xyz"[int(np.argmax(np.abs(normal)))] for normal in normals)
@@ -90,8 +93,8 @@ def read_axes(
     return fixed, held
 
 
-def _orthonormal(field: str, given: Any) -> Array:
-    """Compute orthonormal directions (k, 3) spanning one or two directions.
+def _orthonormalize(field: str, given: Any) -> Array:
+    """Orthonormalize one or two directions (k, 3).
 
     Orthonormal input is returned unchanged.
     """
@@ -104,7 +107,7 @@ def _orthonormal(field: str, given: Any) -> Array:
         )
     sizes = np.linalg.norm(directions, axis=1)
     if not sizes.all():
-        raise ValueError(f"{field} is {format_value(given)}: give directions of some length")
+        raise ValueError(f"{field} is {format_value(given)}: give directions other than 0")
     units = np.where(abs(sizes - 1) < 1e-15, 1.0, sizes)[:, None]
     normals = directions / units
     for k in range(1, len(normals)):
@@ -113,7 +116,7 @@ def _orthonormal(field: str, given: Any) -> Array:
             rest = normals[k] - along * normals[0]
             if np.linalg.norm(rest) < _PARALLEL:
                 raise ValueError(
-                    f"{field} is {format_value(given)}: its directions are parallel, leave one out"
+                    f"{field} is {format_value(given)}, parallel directions: give one of them"
                 )
             normals[k] = rest / np.linalg.norm(rest)
     return np.asarray(normals)

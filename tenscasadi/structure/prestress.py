@@ -22,7 +22,9 @@ from tenscasadi.util.validate import (
 def find_rest_lengths(
     structure: Any, force_density: Any, compression_strings: Iterable[int]
 ) -> dict[str, Array]:
-    """Compute ρ = s (1 − γ/k) of strings, and ρ = l (1 + λ/k) of elastic bars.
+    """Compute the rest lengths of strings and elastic bars.
+
+    They are ρ = s (1 − γ/k) and ρ = l (1 + λ/k).
 
     Parameters
     ----------
@@ -31,7 +33,7 @@ def find_rest_lengths(
     force_density : array_like, shape (α,) or (α + β,)
         γ of strings [N/m], then λ of bars, positive in compression.
     compression_strings : iterable of int
-        Strings whose γ may be negative.
+        Strings whose γ can be negative.
 
     Returns
     -------
@@ -41,7 +43,7 @@ def find_rest_lengths(
     Raises
     ------
     TypeError, ValueError
-        If the force densities are wrong, or no positive rest length attains them.
+        If the force densities are wrong, or no positive rest length gives them.
     """
     gamma, lam = read_force_densities(structure, force_density)
     k = structure.stiffness
@@ -49,11 +51,13 @@ def find_rest_lengths(
     nonnegative("force_density", np.where(either, 0.0, gamma), "string")
     for i in np.flatnonzero((gamma != 0.0) & (gamma >= k)):
         raise ValueError(
-            f"force_density of string {i} is {gamma[i]:g} N/m: it must be below its stiffness, {k[i]:g} N/m"
+            f"force_density of string {i} is {gamma[i]:g} N/m: "
+            f"it must be below its stiffness, {k[i]:g} N/m"
         )
     for i in np.flatnonzero((gamma < 0.0) & (k == 0.0)):
         raise ValueError(
-            f"force_density of string {i} is {gamma[i]:g} N/m: its stiffness is 0, so it carries no compression"
+            f"force_density of string {i} is {gamma[i]:g} N/m: "
+            "its stiffness is 0, so it carries no compression"
         )
     ratio = np.divide(gamma, k, out=np.zeros_like(gamma), where=gamma != 0.0)
     rest = {"rest_length": structure.string_lengths * (1.0 - ratio)}
@@ -62,13 +66,14 @@ def find_rest_lengths(
     lam, k = balance_bars(structure, gamma) if lam is None else lam, structure.bar_stiffness
     for bar in np.flatnonzero(structure.elastic & (lam <= -k)):
         raise ValueError(
-            f"force_density of bar {bar} is {lam[bar]:g} N/m: it must be above −{k[bar]:g} N/m, where a stretched bar would have no rest length"
+            f"force_density of bar {bar} is {lam[bar]:g} N/m: "
+            f"it must be above −{k[bar]:g} N/m, where the rest length is 0"
         )
     return rest | {"bar_rest_length": structure.bar_lengths * (1.0 + lam / k)}
 
 
 def read_force_densities(structure: Any, given: Any) -> tuple[Array, Array | None]:
-    """Read force densities of strings (α,), and of bars (β,) where they are given.
+    """Read force densities of strings (α,) and bars (β,).
 
     Parameters
     ----------
@@ -94,6 +99,7 @@ def read_force_densities(structure: Any, given: Any) -> tuple[Array, Array | Non
     if nesting(given) and bars and np.shape(given) != (strings,):
         real_array("force_density", given, f"({strings},) or ({strings + bars},) numbers")
         raise ValueError(
-            f"force_density has shape {np.shape(given)}: give ({strings},) for strings or ({strings + bars},) for strings, then bars"
+            f"force_density has shape {np.shape(given)}: "
+            f"give ({strings},) for strings or ({strings + bars},) for strings, then bars"
         )
     return per_item("force_density", given, strings), None

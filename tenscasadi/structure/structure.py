@@ -45,31 +45,30 @@ from tenscasadi.util.validate import (
 )
 from tenscasadi.util.viewable import Viewable
 
-THICKEST = 1e3  # radius over length: above it M is not positive definite after rounding
+MAX_THICKNESS = 1e3  # radius / length of a bar; above, rounding makes M indefinite
 
 
 class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
     """Nodes, rigid bars and strings, with masses, stiffness and pins.
 
-    A structure is immutable and its arrays are read-only; `replace` makes a modified copy. A scalar
-    given for an array applies to every item. Bars that meet share a node: a node of k bars is a
-    class-k joint.
+    A structure is immutable, and `replace` makes a changed copy. A scalar given for an array applies
+    to every item. A node of k bars is a class-k joint.
 
     Parameters
     ----------
     nodes : array_like, shape (n, 3)
-        Positions, m.
+        Positions [m].
     bars : sequence of pairs of int
         End nodes of each of the β bars, zero-based.
     strings : sequence of pairs of int
-        End nodes of each of the α strings, zero-based. Several strings may join the same two nodes,
-        but bars may not.
+        End nodes of each of the α strings, zero-based. Several strings can join the same two nodes,
+        but bars cannot.
     bar_mass : array_like, shape (β,)
-        Mass of each bar, kg, greater than 0.
+        Mass of each bar [kg], greater than 0.
     bar_radius : array_like, shape (β,)
-        Radius of each bar, m; it enters the inertia J = m/12 + m r²/(4 l²) only (Eq. 19).
+        Radius of each bar [m], for its inertia J = m/12 + m r²/(4 l²) (Eq. 19).
     node_mass : array_like, shape (n,)
-        Point mass on each node, kg.
+        Point mass on each node [kg].
     pinned : iterable of int or mapping of int to str
         Fixed nodes, or the fixed axes of nodes, such as ``{0: "xyz", 3: "z"}``.
     stiffness : array_like, shape (α,)
@@ -84,11 +83,11 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         Fixed directions of nodes, such as ``{3: (1, 0, 1)}``: the normal of the plane on which a
         node rolls, or two normals of its line.
     bar_stiffness : array_like, shape (β,), optional
-        Force of each bar per elongation [N/m]; inf or None for rigid bars, the default.
+        Force of each bar per elongation [N/m], inf for rigid bars. Default: all bars are rigid.
     bar_rest_length : array_like, shape (β,), optional
-        Unstressed length of each elastic bar [m]; by default, and for rigid bars, that in `nodes`.
+        Unstressed length of each elastic bar [m]. Default: its length in `nodes`.
     node_names, string_names, bar_names : sequence of str, optional
-        Names, "" for unnamed ones. ``"guys[0]"`` and ``"guys[1]"`` are members of the group
+        Names, "" for unnamed items. ``"guys[0]"`` and ``"guys[1]"`` are members of the group
         ``"guys"``.
 
     Attributes
@@ -98,24 +97,24 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
     fixed : ndarray of bool, shape (n, 3)
         Whether a node is fixed along x, y and z.
     held : ndarray of bool, shape (n, 3)
-        The same, including each axis in which the normal of a roller has a component.
+        Whether a node is fixed along x, y and z, or the normal of its roller has such a component.
     bar_lengths, string_lengths : ndarray, shape (β,) and (α,)
-        Lengths in `nodes`, m.
+        Lengths in `nodes` [m].
     elastic : ndarray of bool, shape (β,)
         Whether a bar is elastic.
     bar_inertia : ndarray, shape (β,)
-        J of each bar, kg (Eq. 19).
+        J of each bar [kg] (Eq. 19).
     string_parent : ndarray of int, shape (α,)
-        The string from which `subdivide` made each segment, or the string itself.
+        Parent string of each segment.
     string_fraction : ndarray, shape (α,)
         Length of each string relative to its parent.
     coupled_mass : ndarray, shape (α,)
-        Mass of each string that couples its ends, as `subdivide` makes it "consistent" [kg].
+        Consistent mass of each string, which couples its ends [kg].
 
     Raises
     ------
     TypeError, ValueError
-        A field is wrong, or the mass matrix would be singular at a node without bars.
+        If a field is wrong, or the mass matrix would be singular at a node without bars.
 
     Examples
     --------
@@ -209,8 +208,8 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         own["string_names"] = read_names("string_names", string_names, alpha)
         own["bar_names"] = read_names("bar_names", bar_names, beta)
         slenderness = self.bar_radius / self.bar_lengths
-        for i in np.flatnonzero(slenderness > THICKEST):
-            most = f"{THICKEST:g} times its length, {self.bar_lengths[i]:g} m"
+        for i in np.flatnonzero(slenderness > MAX_THICKNESS):
+            most = f"{MAX_THICKNESS:g} times its length, {self.bar_lengths[i]:g} m"
             raise ValueError(
                 f"bar_radius of bar {i} is {self.bar_radius[i]:g} m: it must be at most {most}"
             )
@@ -222,7 +221,7 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
             self.strings[self.string_mass > SMALLEST],
         )
         layout = default_layout(n, self.bars, self.strings, np.flatnonzero(self.fixed.all(axis=1)))
-        self._derived(
+        self._finish(
             string_parent=np.arange(alpha),
             string_fraction=np.ones(alpha),
             coupled_mass=np.zeros(alpha),
@@ -234,14 +233,14 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         """Restore a structure from the result of `to_fields`."""
         derived = given.pop("derived", None)
         structure = cls(**given)
-        return structure._derived(**read_derived(derived, structure)) if derived else structure
+        return structure._finish(**read_derived(derived, structure)) if derived else structure
 
     def to_fields(self) -> dict[str, Any]:
         """Return the keywords and the derived attributes."""
         own = {name: getattr(self, name) for name in PARAMETERS}
         plain, derived = write_derived(Structure(**own)), write_derived(self)
         own |= {name: dict(own[name]) for name in ("pinned", "rollers")}
-        if not self.elastic.any():  # rigid bars have no properties of their own
+        if not self.elastic.any():  # the defaults, for rigid bars
             own |= {"bar_stiffness": None, "bar_rest_length": None}
         same = derived.keys() == plain.keys() and all(
             np.array_equal(derived[name], value) for name, value in plain.items()
@@ -261,32 +260,32 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
     ) -> Structure:
         """Build a structure from the paper's matrices.
 
-        A column of P with +1 and −1 ties two nodes, which are merged; D is 0 there. A single ±1
+        A column of P with +1 and −1 ties two nodes, which are merged. D is 0 there. A single ±1
         pins a node at ±D. Physical nodes keep the order of their first appearance. `class_one`
-        restores the same matrices, with C_b as C_b C_nb. Bars that share columns are split there.
+        restores the same matrices, with C_b as C_b C_nb, except for bars that share columns.
 
         Parameters
         ----------
         N : array_like, shape (3, n')
-            Positions, one column for each node, m.
+            Positions, one column for each node [m].
         C_b, C_s : array_like or sparse array, shape (β, n') and (α, n'), optional
             Connectivity of bars and of strings, −1 at the first node and +1 at the second.
         P, D : array_like or sparse array, shape (n', c) and (3, c), optional
             Joints and pins as N P = D (Eq. 84).
         node_mass : array_like, shape (n',)
-            Point mass of each column of N [kg]; those of one physical node are added.
+            Point mass of each column of N [kg]. Those of one physical node are added.
         **options : array_like
             Other keywords of `Structure`.
 
         Returns
         -------
         Structure
-            The physical structure, its nodes merged and pinned.
+            Structure with merged and pinned nodes.
 
         Raises
         ------
         TypeError, ValueError
-            A matrix has another shape, or a column of P has other entries or depends on the others.
+            If a matrix has another shape, or a column of P has other entries or is redundant.
         """
         read = read_matrices(N, C_b, C_s, P, D, node_mass)
         structure = cls(
@@ -297,7 +296,7 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
             pinned=read.pinned,
             **options,
         )
-        return structure if read.layout is None else structure._derived(_layout=read.layout)
+        return structure if read.layout is None else structure._finish(_layout=read.layout)
 
     @property
     def C_b(self) -> Array:
@@ -395,7 +394,7 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
                 and np.array_equal(new.fixed, self.fixed)
             ):
                 kept.update(_layout=self._layout)
-        return new._derived(**kept)
+        return new._finish(**kept)
 
     @rename_keywords(pushing="compression_strings")
     def prestressed(
@@ -409,21 +408,21 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         Parameters
         ----------
         force_density : array_like, shape (α,) or (α + β,)
-            γ of each string at these nodes [N/m], at least 0 and below its stiffness; then λ of
-            each bar, positive in compression, as in a row of `self_stress`. Without λ, bars balance
-            the strings by least squares.
+            γ of each string at these nodes [N/m], at least 0 and below its stiffness. λ of each bar
+            can follow, positive in compression, as in a row of `self_stress`. By default bars
+            balance the strings by least squares.
         compression_strings : sequence of int
-            Compression-capable strings, whose γ may be negative (law `Linear`).
+            Compression-capable strings, whose γ can be negative (law `Linear`).
 
         Returns
         -------
         Structure
-            The copy with these rest lengths.
+            Copy with these rest lengths.
 
         Raises
         ------
         ValueError
-            γ ≥ k, which no positive rest length attains.
+            If γ ≥ k, which no positive rest length gives.
         """
         return self.replace(**find_rest_lengths(self, force_density, compression_strings))
 
@@ -435,8 +434,6 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
     ) -> Structure:
         """Divide strings into segments (Sect. 5).
 
-        Together the segments have the stiffness of the string.
-
         A segment with fraction f of the length has k/f, c/f and rest length ρ f. New nodes follow
         the existing ones, string by string. Segments are ordered from the string's first node to
         its second.
@@ -447,24 +444,24 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
             Number of segments of each string.
         ends : {"interior", "lumped", "consistent"}
             Distribution of a string's mass m. "interior": m/(segments−1) on each inner node, as in
-            the paper; a string with one segment then has no mass. "lumped": half of each segment's
-            mass on each of its ends, which is more accurate. "consistent": m/6 [[2, 1], [1, 2]] of
-            each segment, as finite elements have it; it couples the ends.
+            the paper. A string with one segment then has no mass. "lumped": half of each segment's
+            mass on each of its ends, which is more accurate. "consistent": the finite-element mass
+            matrix m/6 [[2, 1], [1, 2]] of each segment.
         fractions : array_like, shape (segments,), optional
             Fractions of each string's length, with sum 1. Default: equal.
 
         Returns
         -------
         Structure
-            The structure whose strings are the segments.
+            Structure whose strings are the segments.
 
         Raises
         ------
         ValueError
-            A subdivided string has no mass, or the fractions do not sum to 1.
+            If a subdivided string has no mass, or the fractions do not sum to 1.
         """
         found = divide_strings(self, segments, ends, fractions)
-        return self if found is None else self.replace(**found.fields)._derived(**found.derived)
+        return self if found is None else self.replace(**found.fields)._finish(**found.derived)
 
     def parent_mean(self, values: ArrayLike) -> Array:
         """Average a quantity over the segments of each parent string.
@@ -479,7 +476,7 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         Returns
         -------
         ndarray, shape (..., parents)
-            The means, in the order of the original strings.
+            Means, in the order of the parent strings.
         """
         array = rows_of_size("values", values, len(self.strings), "values of strings")
         weight = np.zeros((len(self.strings), int(self.string_parent.max(initial=-1)) + 1))
@@ -487,10 +484,11 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         return np.asarray(array @ (weight / weight.sum(axis=0)))
 
     def __repr__(self) -> str:
-        return f"Structure({len(self.nodes)} nodes, {len(self.bars)} bars, {len(self.strings)} strings, {len(self.pinned)} pinned)"
+        parts = f"{len(self.nodes)} nodes, {len(self.bars)} bars, {len(self.strings)} strings"
+        return f"Structure({parts}, {len(self.pinned)} pinned)"
 
     def __setattr__(self, name: str, value: Any) -> None:
-        raise AttributeError(f"a Structure does not change: use structure.replace({name}=...)")
+        raise AttributeError(f"a Structure is immutable: use structure.replace({name}=...)")
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "pinned": dict(self.pinned), "rollers": dict(self.rollers)}
@@ -500,7 +498,7 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
             {**state, **{name: MappingProxyType(state[name]) for name in ("pinned", "rollers")}}
         )  # a mapping proxy cannot be pickled
 
-    def _derived(self, **attributes: Any) -> Structure:
+    def _finish(self, **attributes: Any) -> Structure:
         """Set derived attributes of a new structure and freeze it."""
         self.__dict__.update(attributes)
         self.__post_init__()

@@ -22,7 +22,7 @@ from tenscasadi.util.validate import (
 )
 
 ENDS = ("interior", "lumped", "consistent")
-LARGEST_COUNT = 200_000  # segments of all strings
+LARGEST_COUNT = 200_000  # segments of all strings; more would exhaust the memory
 
 
 class Division(NamedTuple):
@@ -49,7 +49,7 @@ def divide_strings(structure: Any, segments: Any, ends: Any, fractions: Any) -> 
     Returns
     -------
     Division or None
-        The changes; None if there are none.
+        Changes, or None if there are none.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def divide_strings(structure: Any, segments: Any, ends: Any, fractions: Any) -> 
         return None
     for i in np.flatnonzero((np.array(counts) > 1) & (s.string_mass == 0.0)):
         raise ValueError(
-            f"string_mass of string {i} is 0: give it a mass, as segments meet in nodes that need one"
+            f"string_mass of string {i} is 0: give a mass, which the nodes between segments need"
         )
     nodes, strings, spread = cut_strings(s.nodes, s.strings, shares, ends != "interior")
     fields = {
@@ -105,13 +105,13 @@ def cut_strings(
     fractions : sequence of ndarray
         Fractions of each string's length that its segments have.
     lumped : bool
-        Whether half of each segment's mass is on each of its ends, else the mass is on inner nodes.
+        Whether half of each segment's mass is on each of its ends. Otherwise inner nodes have it.
 
     Returns
     -------
     tuple
-        All nodes (m, 3), node pairs of the segments, and the fraction (m, α) of each string's mass
-        that is on each node.
+        Nodes (m, 3), node pairs of the segments, and the fraction (m, α) of each string's mass on
+        each node.
     """
     counts = np.array([len(own) for own in fractions], dtype=np.intp)
     parent, fraction = np.repeat(np.arange(len(counts)), counts), np.concatenate([[], *fractions])
@@ -134,14 +134,18 @@ def cut_strings(
 
 
 def segment_counts(segments: int | Sequence[int] | Indices, strings: int) -> list[int]:
-    """Read the number of segments per string. Raises TypeError, ValueError."""
+    """Read the number of segments of each string.
+
+    Raises TypeError or ValueError.
+    """
     if not isinstance(segments, (Sequence, np.ndarray)):
         most = max(LARGEST_COUNT // max(strings, 1), 1)
         return [whole_number("segments", segments, 1, most)] * strings
     counts = as_tuple("segments", segments, "[2, 2, 1]")
     if len(counts) != strings:
         raise ValueError(
-            f"segments has {len(counts)} entries: give one number, or one for each of {strings} strings"
+            f"segments has {len(counts)} entries: give one number, or one for each of "
+            f"{strings} strings"
         )
     found = [
         whole_number(f"segments[{i}]", count, 1, LARGEST_COUNT) for i, count in enumerate(counts)
@@ -152,9 +156,9 @@ def segment_counts(segments: int | Sequence[int] | Indices, strings: int) -> lis
 
 
 def segment_shares(count: int, fractions: ArrayLike | None) -> Array:
-    """Read the length fractions of segments. Raises TypeError, ValueError.
+    """Read the length fractions of segments, equal by default.
 
-    They are equal unless `fractions` are given.
+    Raises TypeError or ValueError.
     """
     if fractions is None:
         return np.full(count, 1.0 / count)

@@ -104,7 +104,7 @@ def _choose_folder() -> Path:
 
 
 def _explain_distrust(path: Path) -> str:
-    """Explain why a file must not be used, "" if safe."""
+    """Explain why a file is untrusted, "" if trusted."""
     if sys.platform == "win32":
         return "" if os.access(path, os.W_OK) else f"{path} cannot be written"
     status = path.stat()
@@ -140,7 +140,7 @@ def _compute_seal(code: bytes, key: str) -> bytes:
 
 
 def _read_library(library: Path, key: str) -> bytes:
-    """Read a library, b"" if it is missing, untrusted or damaged."""
+    """Read a library, b"" if missing, untrusted or damaged."""
     if not library.is_file() or _explain_distrust(library):
         return b""
     code = library.read_bytes()

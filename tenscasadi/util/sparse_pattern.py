@@ -18,21 +18,21 @@ class MatrixEntries(NamedTuple):
     source: Indices
     weight: Array
 
-    def transposed(self) -> MatrixEntries:
-        """Return the entries of the transposed matrix."""
+    def transpose(self) -> MatrixEntries:
+        """Transpose the matrix."""
         return MatrixEntries(self.column, self.row, self.source, self.weight)
 
-    def shifted(self, row: int = 0, column: int = 0, source: int = 0) -> MatrixEntries:
-        """Return the entries with offsets of rows, columns and sources."""
+    def shift(self, row: int = 0, column: int = 0, source: int = 0) -> MatrixEntries:
+        """Add offsets to rows, columns and sources."""
         return MatrixEntries(
             self.row + row, self.column + column, self.source + source, self.weight
         )
 
-    def scaled(self, factor: float) -> MatrixEntries:
-        """Return the entries with all weights multiplied by a factor."""
+    def scale(self, factor: float) -> MatrixEntries:
+        """Multiply all weights by a factor."""
         return self._replace(weight=factor * self.weight)
 
-    def in_columns_of(self, basis: sp.csr_array) -> MatrixEntries:
+    def multiply_basis(self, basis: sp.csr_array) -> MatrixEntries:
         """Compute the entries of the product with a basis.
 
         `basis` (columns × new columns) multiplies from the right.
@@ -48,9 +48,9 @@ class MatrixEntries(NamedTuple):
             self.weight[which] * basis.data[place],
         )
 
-    def projected(self, basis: sp.csr_array) -> MatrixEntries:
-        """Return the entries of basisᵀ · matrix · basis."""
-        return self.in_columns_of(basis).transposed().in_columns_of(basis).transposed()
+    def project(self, basis: sp.csr_array) -> MatrixEntries:
+        """Compute the entries of basisᵀ · matrix · basis."""
+        return self.multiply_basis(basis).transpose().multiply_basis(basis).transpose()
 
 
 def join_entries(*parts: MatrixEntries) -> MatrixEntries:

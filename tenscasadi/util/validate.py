@@ -172,7 +172,7 @@ def per_item(field: str, value: Any, count: int) -> Array:
 
 
 def nonnegative(field: str, array: Array, item: str, strict: bool = False) -> Array:
-    """Check that entries are at least 0, or positive if `strict`."""
+    """Check that entries are nonnegative, or positive if `strict`."""
     bad = np.flatnonzero(array < (SMALLEST if strict else 0.0))
     if bad.size:
         relation = "greater than" if strict else "at least"

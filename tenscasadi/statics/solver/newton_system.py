@@ -42,10 +42,10 @@ class NewtonSystem:
         self._first_direction = self._first_load + len(rows)
         self._sources = self._first_direction + 3 * self.rigid + 2  # then the shift and the slack
         loads = MatrixEntries(rows, columns, np.arange(len(rows)), -np.ones(len(rows)))
-        self._members = member_entries(pairs).projected(equations.free)
-        self._loads = loads.shifted(source=self._first_load).projected(equations.free)
-        lengthening = direction_entries(equations.rigid_pairs).in_columns_of(equations.free)
-        self._lengthening = lengthening.shifted(source=self._first_direction)
+        self._members = member_entries(pairs).project(equations.free)
+        self._loads = loads.shift(source=self._first_load).project(equations.free)
+        lengthening = direction_entries(equations.rigid_pairs).multiply_basis(equations.free)
+        self._lengthening = lengthening.shift(source=self._first_direction)
 
     # --- matrices in numbers ---
 
@@ -202,8 +202,8 @@ class NewtonSystem:
 
     @cached_property
     def _symmetric(self) -> MatrixEntries:
-        half = self._loads.scaled(0.5)
-        return join_entries(self._members, half, half.transposed())
+        half = self._loads.scale(0.5)
+        return join_entries(self._members, half, half.transpose())
 
     @cached_property
     def _tangent(self) -> SparsePattern:
@@ -215,8 +215,8 @@ class NewtonSystem:
 
     @cached_property
     def _load_tangent(self) -> SparsePattern:
-        half = self._loads.scaled(0.5)
-        entries = join_entries(half, half.transposed().scaled(-1.0))
+        half = self._loads.scale(0.5)
+        entries = join_entries(half, half.transpose().scale(-1.0))
         return SparsePattern(entries, (self.size, self.size), self._sources)
 
     @cached_property
@@ -227,13 +227,13 @@ class NewtonSystem:
     def _ordered(self) -> tuple[Indices, SparsePattern]:
         """Order of elimination, and the system's pattern in this order."""
         size, total = self.size, self.size + self.rigid
-        bars = self._lengthening.shifted(row=size)
+        bars = self._lengthening.shift(row=size)
         diagonal = np.arange(total)
         source = np.where(diagonal < size, self._sources - 2, self._sources - 1)
         entries = join_entries(
             self._symmetric,
             bars,
-            bars.transposed(),
+            bars.transpose(),
             MatrixEntries(diagonal, diagonal, source, np.ones(total)),
         )
         order = elimination_order(self._tangent, self._jacobian)

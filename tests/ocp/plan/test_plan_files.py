@@ -189,7 +189,7 @@ def test_rounding_is_no_difference():
 def test_indices_that_point_nowhere_are_rejected(name):
     fields = structure(string_mass=0.1).subdivide(2).to_fields()
     fields["derived"][name] = fields["derived"][name] + 100
-    with pytest.raises(ValueError, match=f"derived.{name} does not hold indices below"):
+    with pytest.raises(ValueError, match=f"derived.{name} is wrong: give indices below"):
         Structure.from_fields(**fields)
 
 

@@ -26,12 +26,12 @@ WEIGHT = tc.Structure(
         (
             {"structure": PRISM, "control": tc.ForceDensity()},
             ("bar_mass", "damping"),
-            r"'damping', on which no motion .* \(under ForceDensity\(\)",
+            r"'damping', which has no effect on this scene \(under ForceDensity\(\)",
         ),
         (
             {"structure": MASSIVE},
             ("string_mass",),
-            r"'string_mass', on which .* \(strings have mass where segments= cuts them\): leave the name out",
+            r"'string_mass', which has no effect on this scene \(strings have mass where segments= cuts them\): remove the name",
         ),
     ],
     ids=["damping of commanded force densities", "mass of strings in one piece"],
@@ -53,7 +53,7 @@ def test_what_nothing_depends_on_is_refused(scene, names, message, coordinates):
 def test_what_sets_the_default_control_alone_is_warned_of(control, names, commanded):
     with pytest.warns(
         UserWarning,
-        match=f"has '{names[1]}', which sets the default control alone: .* {commanded} are commanded",
+        match=f"has '{names[1]}', which only sets the default control: .* {commanded} are commanded",
     ) as told:
         model = tc.Model(tc.Scene(PRISM, control=control, parameters=tc.Parameters(*names)))
     assert len(told) == 1

@@ -20,7 +20,7 @@ def mast(**names):
     [
         ({"node_names": ["foot", "top"]}, "node_names has 2 entries: give 3"),
         ({"node_names": ["foot", "top", "7"]}, "an index, too"),
-        ({"node_names": ["foot", "top", "foot"]}, "as another"),
+        ({"node_names": ["foot", "top", "foot"]}, "again: give unique names"),
         ({"bar_names": [3]}, "bar_names is 3: give text"),
         ({"string_names": "guys"}, "give a list"),
     ],
