@@ -235,7 +235,7 @@ class NodeCoordinates:
             columns = self.unpack(check_column("x", x, self.nx))[part]
             return columns[:, self.mechanism.first.tolist()].T
         states = x
-        if not isinstance(x, np.ndarray) or x.dtype != float or x.shape[-1:] != (self.nx,):
+        if type(x) is not np.ndarray or x.dtype != float or x.shape[-1:] != (self.nx,):
             states = rows_of_size("x", x, self.nx, "states")
         mech, entries, shape = self.mechanism, self.entries, states.shape[:-1]
         nodes = np.empty((*shape, *entries.shape))

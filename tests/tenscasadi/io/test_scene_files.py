@@ -354,7 +354,7 @@ def test_names_groups_and_formulas_are_resolved(tmp_path):
         ('"Linear"', '"Liner"', "scene.slack.guys", "did you mean 'Linear'?"),
         ("{ guys", "{ guy", "scene.slack.guy", "did you mean 'guys'?"),
         ('"foot", "a"', '"fot", "a"', "structure.pinned[0]", "did you mean 'foot'?"),
-        ('["top", "b"]', '["top"]', "structure.strings", "give a pair"),
+        ('["top", "b"]', '["top"]', "structure.strings", "give the two nodes"),
         ('["top", "b"]', '["top", 17]', "structure.strings.guys.members[0][1]", "run from 0 to 4"),
         ('["top", "b"]', '["top", 1.5]', "structure.strings.guys.members[0][1]", "name or index"),
         ("foot = [0, 0, 0]", "foot = [0, 0]", "structure.nodes.foot", "a list of 3 numbers"),
