@@ -61,6 +61,7 @@ if TYPE_CHECKING:
     from tenscasadi.design.sizing.material import Material
     from tenscasadi.design.sizing.size import size
     from tenscasadi.design.sizing.sized import Sized
+    from tenscasadi.exchange.gltf import export_gltf
     from tenscasadi.exchange.matlab.save import save_mat
     from tenscasadi.exchange.matlab.structures import load_mat
     from tenscasadi.exchange.matlab.trajectories import load_mat_trajectory
@@ -98,6 +99,7 @@ __getattr__ = find_attribute(
         "tenscasadi.design.sizing.material": ("Material",),
         "tenscasadi.design.sizing.size": ("size",),
         "tenscasadi.design.sizing.sized": ("Sized",),
+        "tenscasadi.exchange.gltf": ("export_gltf",),
         "tenscasadi.exchange.matlab.save": ("save_mat",),
         "tenscasadi.exchange.matlab.structures": ("load_mat",),
         "tenscasadi.exchange.matlab.trajectories": ("load_mat_trajectory",),
@@ -204,6 +206,7 @@ __all__ = [
     "Sensitivities",
     "CompileError",
     # other programs' files
+    "export_gltf",
     "export_mjcf",
     "export_vtk",
     "import_mjcf",

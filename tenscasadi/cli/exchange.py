@@ -10,6 +10,7 @@ from typing import Annotated, Any
 from tenscasadi.cli.report import check_file
 from tenscasadi.cli.results import load_result
 from tenscasadi.cli.source import find_source
+from tenscasadi.exchange.gltf import export_gltf
 from tenscasadi.exchange.matlab.save import save_mat
 from tenscasadi.exchange.matlab.structures import load_mat
 from tenscasadi.exchange.mjcf import export_mjcf, import_mjcf
@@ -27,11 +28,13 @@ FILE: dict[str, Any] = {
 }
 _OWN = dict.fromkeys(ENDINGS, save_scene)
 _SCENES: dict[str, Callable[..., object]] = {
+    ".glb": export_gltf,
     ".xml": export_mjcf,
     ".mat": lambda scene, path: save_mat(scene.structure, path),
     **_OWN,
 }
 _MOTIONS: dict[str, Callable[..., object]] = {
+    ".glb": export_gltf,
     ".csv": lambda motion, path: motion.to_csv(path),
     ".mat": lambda motion, path: save_mat(_find_trajectory(motion), path),
     ".pvd": lambda motion, path: export_vtk(
@@ -57,8 +60,8 @@ FOREIGN: dict[str, Callable[..., Scene]] = {
 def export_file(source: Annotated[str, FILE], out: Annotated[Path, FILE]) -> int:
     """Export a scene, trajectory or plan to other programs.
 
-    Scenes: .xml (MuJoCo), .mat (MATLAB: MOTES), .toml or .json (a scene file without formulas).
-    Trajectories and plans (.npz): .csv, .mat (MATLAB), .pvd (ParaView).
+    Scenes: .xml (MuJoCo), .mat (MATLAB: MOTES), .glb (a 3-D picture), .toml or .json (a scene file
+    without formulas). Trajectories and plans (.npz): .csv, .mat (MATLAB), .pvd (ParaView), .glb.
 
     Parameters
     ----------

@@ -12,6 +12,7 @@ from tenscasadi.drawing.style import STYLE, Bytes, Rgb
 from tenscasadi.drawing.view_content import Frame, NodeForces, ViewContent
 from tenscasadi.util.validate import Array, Indices
 
+PARTS = ("bars", "strings", "nodes", "supports")  # of a motion, in the order of their shapes
 # kinds of forces on nodes, with their names in legends
 FORCES = {"load": "loads", "contact": "contact forces", "reaction": "reactions"}
 

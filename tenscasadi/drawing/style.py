@@ -92,3 +92,10 @@ def curve_color(index: int) -> Rgb:
 def format_css(color: Rgb | Bytes) -> str:
     """Format a color for HTML and matplotlib."""
     return "#" + "".join(f"{int(part):02x}" for part in color)
+
+
+def linearize_colors(colors: Bytes | Rgb) -> Bytes:
+    """Convert sRGB colors to linear light, which shaded pictures expect."""
+    fractions = np.asarray(colors, dtype=float) / 255
+    linear = np.where(fractions <= 0.04045, fractions / 12.92, ((fractions + 0.055) / 1.055) ** 2.4)
+    return np.asarray(np.round(255 * linear), dtype=np.uint8)

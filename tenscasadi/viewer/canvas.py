@@ -25,15 +25,14 @@ from tenscasadi.drawing.scenery import (
     find_view,
     grid_spacing,
 )
-from tenscasadi.drawing.shapes import DrawnShape, MotionShapes, choose_tint
-from tenscasadi.drawing.style import STYLE, Bytes, Rgb
+from tenscasadi.drawing.shapes import PARTS, DrawnShape, MotionShapes, choose_tint
+from tenscasadi.drawing.style import STYLE, Bytes, Rgb, linearize_colors
 from tenscasadi.drawing.view_content import Frame, ViewContent
 from tenscasadi.util.validate import Array
 
 if TYPE_CHECKING:
     import viser
 
-PARTS = ("bars", "strings", "nodes", "supports")  # shapes of a motion, in their order
 _FIELD_OF_VIEW = np.radians(40.0)
 _SHADOW = 0.25  # opacity of shadows on grounds
 
@@ -280,13 +279,6 @@ def add_arrows(
     )
 
 
-def linearize_colors(colors: Bytes | Rgb) -> Bytes:
-    """Convert sRGB colors to linear light, which viser expects of copies."""
-    fractions = np.asarray(colors, dtype=float) / 255
-    linear = np.where(fractions <= 0.04045, fractions / 12.92, ((fractions + 0.055) / 1.055) ** 2.4)
-    return np.asarray(np.round(255 * linear), dtype=np.uint8)
-
-
 def _add_surroundings(
     scene: viser.SceneApi, root: str, content: ViewContent, margin: float, shaded: bool
 ) -> None:
@@ -370,7 +362,7 @@ def _place_camera(server: viser.ViserServer, content: ViewContent, more: float) 
     direction = broadside[int(np.argmin(extent))] if flat else (0.45, -1.0, 0.35)
     distance = 0.7 * size / np.tan(_FIELD_OF_VIEW / 2)  # fits the upright page of a phone, too
     aside = np.cross(direction, (0.0, 0.0, 1.0))  # the panel is at the right
-    middle = (low + high) / 2 - 0.05 * size * aside / np.linalg.norm(aside)
+    middle = (low + high) / 2 - 0.08 * size * aside / np.linalg.norm(aside)
     camera = server.initial_camera
     camera.fov = float(_FIELD_OF_VIEW)
     camera.look_at = middle

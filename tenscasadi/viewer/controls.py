@@ -7,8 +7,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from tenscasadi.drawing.color_scale import QUANTITIES
-from tenscasadi.drawing.shapes import FORCES
-from tenscasadi.viewer.canvas import PARTS, Canvas
+from tenscasadi.drawing.shapes import FORCES, PARTS
+from tenscasadi.viewer.canvas import Canvas
 from tenscasadi.viewer.labels import KINDS, Labels
 from tenscasadi.viewer.legend import build_legend
 from tenscasadi.viewer.pictures import send_screenshot

@@ -193,6 +193,7 @@ def dynamics_calls() -> dict[str, Call]:
         "load_mat_trajectory": (tc.load_mat_trajectory, {"path": "missing.mat", "model": m, "parameters": None}),
         "load_ntrt": (tc.load_ntrt, {"path": "missing.yaml", "length_unit": 0.1, "ball_joints": False, "folder": "."}),
         "save_mat": (tc.save_mat, {"data": SEGMENTED, "path": "run.mat", "class_one": False}),
+        "export_gltf": (tc.export_gltf, {"data": trajectory(), "path": "run.glb", "time": 0.1}),
         "export_vtk": (tc.export_vtk, {"trajectory": trajectory(), "path": "run.pvd", "model": m, "every": 2}),
         "Trajectory.to_csv": (trajectory().to_csv, {"path": "run.csv"}),
         "Trajectory.load": (tc.Trajectory.load, {"path": "missing.npz"}),

@@ -66,7 +66,7 @@ def test_imported_scene_is_simulated_with_t_end(here, capsys):
 
 def test_motions_go_out(here):
     pytest.importorskip("meshio", reason="ParaView's files need meshio")
-    for name in ("run.csv", "run.mat", "run.pvd"):
+    for name in ("run.csv", "run.mat", "run.pvd", "run.glb"):
         assert main(["export", "run.npz", name]) == 0
         assert (here / name).exists()
     assert np.loadtxt("run.csv", delimiter=",", skiprows=1)[:, 0] == pytest.approx(
@@ -118,9 +118,9 @@ def test_lenient_import_leaves_out_unknown_entries(here, capsys):
     [
         (
             ["export", "prism", "out.csv"],
-            "out.csv does not end as the files of scenes do: give one of .json, .mat, .toml, .xml",
+            "out.csv does not end as the files of scenes do: give one of .glb, .json, .mat, .toml, .xml",
         ),
-        (["export", "run.npz", "out.xml"], "give one of .csv, .mat, .pvd"),
+        (["export", "run.npz", "out.xml"], "give one of .csv, .glb, .mat, .pvd"),
         (["export", "gone.npz", "out.csv"], "gone.npz"),
         (["export", "other.npz", "out.csv"], "other.npz is no trajectory, rollouts or plan"),
         (
