@@ -72,6 +72,12 @@ def build_cone(sides: int = 12) -> Mesh:
     return Mesh(vertices, np.vstack([np.column_stack([a, b, tip]), np.column_stack([b, a, base])]))
 
 
+def build_arrowhead() -> Mesh:
+    """Build a cone of radius 1 along z, from −1/2 to its tip at 1/2."""
+    cone = build_cone()
+    return Mesh(0.5 * cone.vertices * (2.0, 2.0, 1.0) + (0.0, 0.0, 0.5), cone.faces)
+
+
 def build_ball(rings: int = 6, sides: int = 10) -> Mesh:
     """Build a sphere of radius 1 from rings of quadrangles."""
     theta, phi = np.pi * np.arange(rings + 1) / rings, _build_ring(sides)

@@ -11,11 +11,11 @@ from tenscasadi.drawing.color_scale import ColorScale
 from tenscasadi.drawing.meshes import (
     Mesh,
     Poses,
+    build_arrowhead,
     build_ball,
     build_cone,
     build_cylinder,
     place_balls,
-    round_floats,
     stretch_cylinders,
 )
 from tenscasadi.drawing.scenery import (
@@ -45,9 +45,7 @@ class Layer:
     Attributes
     ----------
     batches : dict of str to viser handle
-        Batches by the name of the part.
-    arrows : dict of str to viser handle
-        Arrows by the kind of force.
+        Batches by the name of the part, such as "bars", "load shafts" and "load heads".
     frame : Frame
         Last drawn frame.
     """
@@ -66,11 +64,9 @@ class Layer:
             "supports": build_cone(),
         }
         self._scene, self.grain = scene, 0.0
-        radius = 0.5 * content.bar_radius
-        self.arrows = {
-            kind.name: add_arrows(scene, f"{name}/{kind.name}", getattr(STYLE, kind.name), radius)
-            for kind in motion.forces
-        }
+        for forces in motion.forces:
+            self._meshes[f"{forces.name} shafts"] = build_cylinder(8)
+            self._meshes[f"{forces.name} heads"] = build_arrowhead()
         self.frame = motion.frame_at(motion.start)
         self.draw(self.frame, None)
 
@@ -112,11 +108,26 @@ class Layer:
             batch.batched_colors = colors
 
     def _draw_arrows(self, kind: str, shape: DrawnShape) -> None:
-        arrows, is_shown = self.arrows[kind], bool(len(shape.points))
-        if arrows.visible != is_shown:
-            arrows.visible = is_shown
-        if is_shown:
-            arrows.points = round_floats(shape.points.astype(np.float32), self.grain or 1e-12)
+        """Draw arrows as two batches, which have a copy of no size for each node without one.
+
+        Arrows of viser take much more time on pages that draw in software.
+        """
+        count, shown = len(self.frame.nodes), len(shape.points)
+        ends, radius = np.zeros((count, 2, 3)), np.zeros(count)
+        ends[:shown], radius[:shown] = shape.points, shape.radius
+        along = ends[:, 1] - ends[:, 0]
+        lengths = np.linalg.norm(along, axis=1)
+        heads = np.minimum(6 * radius, 0.5 * lengths) / np.where(lengths > 0, lengths, 1.0)
+        necks = ends[:, 1] - heads[:, None] * along
+        colors = np.tile(np.array(getattr(STYLE, kind), dtype=np.uint8), (count, 1))
+        shafts = np.stack([ends[:, 0], necks], axis=1)
+        tips = np.stack([necks, ends[:, 1]], axis=1)
+        for part, members, size in (("shafts", shafts, radius), ("heads", tips, 2.5 * radius)):
+            name = f"{kind} {part}"
+            if shown or name not in self.batches:
+                self._draw_part(name, DrawnShape("member", members, size, colors))
+            if self.batches[name].visible != bool(shown):
+                self.batches[name].visible = bool(shown)
 
 
 class Canvas:
@@ -264,21 +275,6 @@ def add_batch(
     )
 
 
-def add_arrows(
-    scene: viser.SceneApi, name: str, color: Rgb, radius: float, points: Array | None = None
-) -> Any:
-    """Add arrows (m, 2, 3) of one color, by default hidden ones."""
-    return scene.add_arrows(
-        name,
-        np.zeros((1, 2, 3)) if points is None else points,
-        linearize_colors(color),
-        shaft_radius=radius,
-        head_radius=2.5 * radius,
-        head_length=6.0 * radius,
-        visible=points is not None,
-    )
-
-
 def _add_surroundings(
     scene: viser.SceneApi, root: str, content: ViewContent, margin: float, shaded: bool
 ) -> None:
@@ -333,7 +329,7 @@ def _add_axes(scene: viser.SceneApi, root: str, content: ViewContent) -> None:
     corner = corner + [0.0, 0.0, 0.02 * content.size]  # above a ground
     tips = corner + length * np.eye(3)
     ends = np.stack([np.tile(corner, (3, 1)), tips], axis=1)
-    add_arrows(scene, root, STYLE.node, 0.3 * content.bar_radius, ends)
+    scene.add_line_segments(root, ends, STYLE.node, thickness=2.0, thickness_units="screen")
     for name, tip in zip("xyz", tips, strict=True):
         text = f"{name}, {length:g} m" if name == "x" else name
         scene.add_label(

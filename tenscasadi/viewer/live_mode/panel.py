@@ -10,10 +10,10 @@ import numpy as np
 
 from tenscasadi.drawing.color_scale import ColorScale
 from tenscasadi.drawing.describe import describe_content
-from tenscasadi.drawing.style import STYLE
+from tenscasadi.drawing.style import STYLE, linearize_colors
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import RestLength
-from tenscasadi.viewer.canvas import Canvas, add_arrows
+from tenscasadi.viewer.canvas import Canvas
 from tenscasadi.viewer.controls import ViewControls, add_speed
 from tenscasadi.viewer.live_mode.pace import Pace
 from tenscasadi.viewer.live_mode.simulation import LiveSimulation
@@ -64,7 +64,15 @@ class LivePanel:
         self.running, self._said = False, _HINT
         self._inputs: list[tuple[Slider, Any]] = []
         radius = 0.6 * self.canvas.content.bar_radius
-        self._arrow = add_arrows(server.scene, "/shown/pull", STYLE.load, radius)
+        self._arrow = server.scene.add_arrows(
+            "/shown/pull",
+            np.zeros((1, 2, 3)),
+            linearize_colors(STYLE.load),
+            shaft_radius=radius,
+            head_radius=2.5 * radius,
+            head_length=6.0 * radius,
+            visible=False,
+        )
         gui = server.gui
         self._status = gui.add_html("")
         self._play = gui.add_button("Start")

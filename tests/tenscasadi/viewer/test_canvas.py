@@ -123,18 +123,21 @@ def test_forces_are_arrows_that_can_be_hidden():
         player = found.player
         player.play(False)
         player.show(0.1)
-        arrows = player.canvas.layers[0].arrows
-        assert set(arrows) == {"load", "contact"}
-        assert arrows["load"].visible
-        assert arrows["contact"].visible
-        assert len(arrows["load"].points) == 6
-        ends = np.array(arrows["load"].points)
-        along = ends[:, 1] - ends[:, 0]
-        np.testing.assert_allclose(along[:, 1:], 0.0, atol=1e-6)
+        loads, contacts = batch(found, "load shafts"), batch(found, "contact heads")
+        assert loads.visible
+        assert contacts.visible
+        assert (loads.batched_scales[:, 2] > 0).all()
+        assert 0 < (contacts.batched_scales[:, 2] > 0).sum() <= 3
+        nodes = player.canvas.frames[0].nodes
+        tips = nodes + (0.25 * player.canvas.content.size, 0.0, 0.0)
+        middle = loads.batched_positions
+        np.testing.assert_allclose(middle[:, 1:], nodes[:, 1:], atol=1e-5)
+        assert (middle[:, 0] > nodes[:, 0]).all()
+        assert (batch(found, "load heads").batched_positions[:, 0] < tips[:, 0]).all()
         assert "loads, 1 N as 0.25 m" in player.controls._legend.content
         player.controls.show_forces("load", False)
         player.show(0.1)
-        assert not arrows["load"].visible
+        assert not loads.visible
         assert "loads" not in player.controls._legend.content
 
 
