@@ -1,4 +1,4 @@
-"""Command that reports on a scene at rest: forces, stability, soft motions, utilization."""
+"""Command that reports on a scene at rest."""
 
 from __future__ import annotations
 
@@ -96,7 +96,10 @@ def _read_material(modulus: float | None, strength: float | None) -> Material | 
 
 
 def _load_scene(source: str, changes: Sequence[Change]) -> tuple[Scene, str]:
-    """Load a template, a scene file, or a file of another program, and the stem of its name."""
+    """Load a scene and the stem of its name.
+
+    The source is a template, a scene file, or a file of another program.
+    """
     read = FOREIGN.get(Path(source).suffix.lower())
     if read is None:
         found = find_source(source, changes)
@@ -107,7 +110,10 @@ def _load_scene(source: str, changes: Sequence[Change]) -> tuple[Scene, str]:
 
 
 def _prestress(scene: Scene, least: float) -> Scene:
-    """Prestress a scene as evenly as possible with a least tension [N]. Raises ValueError."""
+    """Prestress a scene evenly with a least tension [N].
+
+    Raises ValueError.
+    """
     found = find_prestress(scene.structure, Even(), minimum=least)
     if not found.success:
         raise ValueError(f"prestress is {least:g} N: {found.message}")

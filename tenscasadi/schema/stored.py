@@ -34,9 +34,9 @@ _KINDS = {bool: "b", int: "i", float: "f", str: "U"}  # NumPy's letters
 class Stored(ReadOnlyArrays):
     """Base of results that files hold.
 
-    A field that is annotated as in ``Annotated[Array, "Tn3", "f"]`` is an array whose dimensions
-    have the sizes T, n and 3 and whose numbers are of NumPy's kind "f". Subclasses convert fields of
-    other types than numbers, text, arrays and results by `_write_values` and `_read_values`.
+    Arrays are annotated by their sizes and NumPy's letter of their kind:
+    ``Annotated[Array, "Tn3", "f"]`` is a float array (T, n, 3). Subclasses convert fields of other
+    types by `_write_values` and `_read_values`.
     """
 
     _form: ClassVar[str] = ""  # the field "format" of files
@@ -54,8 +54,7 @@ class Stored(ReadOnlyArrays):
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write to a compressed .npz file.
 
-        Functions of Python in values, such as loads over time, are stored as samples at the saved
-        times, or left out.
+        Python functions, such as loads over time, are sampled at the saved times or left out.
 
         Parameters
         ----------

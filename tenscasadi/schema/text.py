@@ -84,8 +84,7 @@ def _parse_json(text: str) -> Any:
 def find_line(text: str, key: Key) -> tuple[int, int]:
     """Find the line of a key in a valid text.
 
-    Returns the number of leading words of `key` that the text has, and the position of the last of
-    them, as a line from 1 on.
+    Returns how many leading words of `key` the text has, and the line of the last of them.
     """
     count = best = at = 0
     frames: list[list[Any]] = [[(), "", None]]  # key, closing bracket, index in a list

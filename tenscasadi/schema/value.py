@@ -12,8 +12,8 @@ T = TypeVar("T", bound=Callable[..., Any])
 class Value:
     """Base of values that files hold.
 
-    A class right below this one begins a family. Every class that names its `kind` becomes a member
-    of its family, and files, their JSON Schema and their reference page know it.
+    A direct subclass begins a family. A class with a `kind` is a member of its family. Files, their
+    JSON Schema and their reference page include all members.
 
     Attributes
     ----------
