@@ -52,28 +52,29 @@ def judge(runs: Runs, verify: bool) -> Verdict:
     With `verify`, a repetition estimates the step-size error.
     """
     status, scheme = runs.rolled.status, runs.request.scheme
-    success = status == FINISHED
-    inputs, step = runs.request.inputs, describe_steps(runs, 0).step if len(status) else 0.0
-    unresolved = describe_unresolved(
-        inputs.model.over_time, inputs.grid, inputs.first, step, scheme.order
-    )
+    success, finished = status == FINISHED, np.flatnonzero(status == FINISHED)
     message = [
         f"finished {describe_steps(runs, k).text}" if ended else explain_end(runs, k)
         for k, ended in enumerate(success.tolist())
     ]
     doubts = find_doubts(_measure_runs(runs))
     success &= ~doubts.failed
-    for k in np.flatnonzero(status == FINISHED).tolist():
+    for k in finished.tolist():
         message[k] += doubts.text[k]
     error, finer = np.full(len(status), np.nan), np.ones(len(status))
-    finished = np.flatnonzero(status == FINISHED)
-    if verify and len(finished):
+    if not len(finished):  # runs that are stopped answer at once, however many steps are left
+        return Verdict(success, message, error, finer)
+    if verify:
         found = estimate_errors(runs, finished, THRESHOLDS["position"].reported)
         error = found.error
         doubts, finer = _check_errors(runs, found)
         success &= ~doubts.failed
         message = [text + more for text, more in zip(message, doubts.text, strict=True)]
-    for k in np.flatnonzero(status == FINISHED).tolist():
+    inputs, step = runs.request.inputs, describe_steps(runs, 0).step
+    unresolved = describe_unresolved(
+        inputs.model.over_time, inputs.grid, inputs.first, step, scheme.order
+    )
+    for k in finished.tolist():
         message[k] += unresolved
     if unresolved and not scheme.adaptive:  # error control may have resolved it
         success[:] = False
