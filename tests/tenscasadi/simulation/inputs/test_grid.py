@@ -250,7 +250,9 @@ def test_tables_on_the_grid_leave_steps_equal() -> None:
 
 
 def test_breakpoints_belong_to_functions() -> None:
-    with pytest.raises(ValueError, match=r"NodalForce\.breakpoints is .*only with a function of time"):
+    with pytest.raises(
+        ValueError, match=r"NodalForce\.breakpoints is .*only with a function of time"
+    ):
         replace(TABLE, breakpoints=[0.5])
     with pytest.raises(TypeError, match=r"NodalForce\.breakpoints"):
         replace(SWITCH, breakpoints="soon")
