@@ -46,14 +46,16 @@ def build_structure(
     group "" have none. `prestress` is the smallest force density of the self-stress. It is
     proportional to `stress` (α,) if that is given, else equal within groups.
     """
-    members = [list(groups.values()) or [np.zeros((0, 2), dtype=int)] for groups in (bars, strings)]
-    named = {
+    bar_pairs, string_pairs = (
+        np.concatenate([*groups.values()] or [np.zeros((0, 2), dtype=int)])
+        for groups in (bars, strings)
+    )
+    names = {
         "node_names": name_members(node_groups),
-        "bar_names": name_members((name, len(pairs)) for name, pairs in bars.items()),
-        "string_names": name_members((name, len(pairs)) for name, pairs in strings.items()),
+        "bar_names": name_members((name, len(own)) for name, own in bars.items()),
+        "string_names": name_members((name, len(own)) for name, own in strings.items()),
     }
-    given = {"bars": np.concatenate(members[0]), "strings": np.concatenate(members[1]), **named}
-    structure = Structure(nodes, **{**given, **options})
+    structure = Structure(nodes, bar_pairs, string_pairs, **{**names, **options})
     if prestress is None:
         return structure
     for name in ("rest_length", "bar_rest_length"):
