@@ -147,7 +147,7 @@ def read_masses(
     if not scene.layout.quantities.keys() & set(MASSES):
         return None
     structure, n, beta = scene.modelled, len(physical), len(scene.modelled.bars)
-    own_masses = _affine(scene, "bar_mass"), _node_masses(scene), _coupled_masses(scene)
+    own_masses = _affine(scene, "bar_mass"), _node_masses(scene), _compute_coupled_masses(scene)
     given = Affine(
         np.concatenate([part.constant for part in own_masses]),
         sp.csr_array(sp.vstack([part.matrix for part in own_masses])),
@@ -202,7 +202,7 @@ def _node_masses(scene: Any) -> Affine:
     return Affine(points.constant + strings.constant, sp.csr_array(points.matrix + strings.matrix))
 
 
-def _coupled_masses(scene: Any) -> Affine:
+def _compute_coupled_masses(scene: Any) -> Affine:
     """Compute the consistent masses of segments."""
     s = scene.modelled
     count = len(s.strings)

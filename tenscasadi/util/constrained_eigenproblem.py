@@ -1,6 +1,7 @@
 """Lowest eigenvalues of large sparse constrained problems.
 
-K v = λ M v among the v with J v = 0: shift-invert Lanczos, counted by inertia.
+The problem is K v = λ M v with J v = 0. The method is shift-invert Lanczos, and the inertia counts
+the eigenvalues below the shift.
 """
 
 from __future__ import annotations
@@ -17,9 +18,8 @@ from tenscasadi.util.validate import Array
 class SaddlePoint:
     """Factors of the symmetric matrix [[A, Jᵀ], [J, 0]].
 
-    They solve A v + Jᵀ μ = f, J v = g, also with redundant rows of J.
-
-    Raises LinAlgError where the factors are too far off for the refinement.
+    They solve A v + Jᵀ μ = f, J v = g, also with redundant rows of J. Raises LinAlgError if the
+    factors are too inaccurate for the refinement.
     """
 
     def __init__(self, A: Any, J: Any) -> None:
@@ -32,13 +32,12 @@ class SaddlePoint:
         D = sp.diags_array(self.scale)
         self.exact = sp.csc_array(D @ sp.block_array([[A, J.T], [J, None]]) @ D)
         unit = self.exact[self.size :, : self.size]
-        # A + ρ JᵀJ does the same where J v = 0, and is definite more often: its pivots are larger
+        # A + ρ JᵀJ is equivalent for J v = 0, and has larger pivots because it is closer to definite
         self.added = sp.csc_array(10.0 * unit.T)
         upper = self.exact[: self.size, : self.size] + self.added @ unit
-        # a constraint's compliance: redundant rows do no harm, and the refinement removes it
+        # a compliance of constraints allows redundant rows, and the refinement removes it
         slack = sp.diags_array(np.full(self.rows, -1e-8))
-        # pivots on the diagonal keep the symmetry, by which their signs are those of the
-        # eigenvalues
+        # diagonal pivots keep the symmetry, so that they have the signs of the eigenvalues
         options = {"SymmetricMode": True}
         try:
             self.factors = splu(
@@ -47,7 +46,7 @@ class SaddlePoint:
                 0.0,
                 options=options,
             )
-        except RuntimeError as error:  # SciPy's word for a pivot that is zero
+        except RuntimeError as error:  # a pivot is zero
             raise np.linalg.LinAlgError(str(error)) from None
 
     def solve(self, f: Array, g: Array | None = None) -> tuple[Array, Array]:
@@ -71,7 +70,7 @@ class SaddlePoint:
     def count_negative(self) -> int:
         """Count the negative constrained eigenvalues of A.
 
-        The v satisfy J v = 0. Sylvester's law of inertia.
+        By Sylvester's law of inertia they have the signs of the pivots.
         """
         if not np.array_equal(self.factors.perm_r, self.factors.perm_c):
             raise np.linalg.LinAlgError("a pivot left the diagonal")
@@ -81,49 +80,46 @@ class SaddlePoint:
 def lowest_eigenpairs(K: Any, M: Any, J: Any, left_out: Array, count: int) -> tuple[Array, Array]:
     """Compute the lowest constrained eigenvalues and their vectors.
 
-    K v = λ M v with J v = 0 and v orthogonal to `left_out`.
+    They solve K v = λ M v with J v = 0 and v orthogonal to `left_out`.
 
     Parameters
     ----------
     K, M : sparse array (n, n)
-        Symmetric; M is positive definite where J v = 0.
+        Symmetric matrices. M is positive definite for J v = 0.
     J : sparse array (m, n)
         Constraints.
     left_out : ndarray (n, r)
-        M-orthonormal eigenvectors of eigenvalue zero that are not asked for.
+        M-orthonormal eigenvectors of eigenvalue zero, which are excluded.
     count : int
-        How many eigenvalues, well below n − m.
+        Number of eigenvalues, well below n − m.
 
     Returns
     -------
     tuple of ndarray
-        Eigenvalues (count,) in increasing order; M-orthonormal eigenvectors (n, count).
+        Eigenvalues (count,) in increasing order, and M-orthonormal eigenvectors (n, count).
 
     Raises
     ------
     LinAlgError
-        If the matrices are too badly conditioned for it.
+        If the matrices are too ill-conditioned.
     """
-    # relative to the largest |λ|: a smaller shift would drown in rounding over the compliance
+    # relative to the largest |λ|; a smaller shift would vanish in rounding beside the compliance
     shift = -1e-6 * fastest_rate(K, M)
     system = SaddlePoint(K - shift * M, J)
     below = system.count_negative()
-    while below > count:  # very unstable: nearer to the lowest
+    while below > count:  # very unstable: move the shift towards the lowest
         shift *= 4.0
         system = SaddlePoint(K - shift * M, J)
         below = system.count_negative()
     mass = M @ left_out
 
     def solve(f: Array) -> Array:
-        v, _ = system.solve(
-            f - mass @ (left_out.T @ f)
-        )  # else the shift would magnify what is left out
+        # without this projection the shift would amplify the excluded vectors
+        v, _ = system.solve(f - mass @ (left_out.T @ f))
         return np.asarray(v - left_out @ (mass.T @ v))
 
     inverse = LinearOperator(K.shape, matvec=lambda f: solve(f.ravel()), dtype=float)
-    start = inverse @ np.random.default_rng(0).normal(
-        size=K.shape[0]
-    )  # fixed: the same answer every time
+    start = inverse @ np.random.default_rng(0).normal(size=K.shape[0])  # reproducible
 
     def nearest(number: int, side: str) -> Array:
         if not number:
@@ -145,7 +141,7 @@ def lowest_eigenpairs(K: Any, M: Any, J: Any, left_out: Array, count: int) -> tu
         basis: Array = np.hstack([nearest(below, "SA"), nearest(count - below, "LA")])
     except ArpackError as error:
         raise np.linalg.LinAlgError(str(error)) from None
-    # Rayleigh and Ritz: eigenvalues next to the shift are not spoilt by it
+    # the Rayleigh-Ritz method keeps the accuracy of eigenvalues next to the shift
     L = np.linalg.cholesky(basis.T @ (M @ basis))
     basis = np.asarray(np.linalg.solve(L, basis.T).T)
     values, vectors = np.linalg.eigh(basis.T @ (K @ basis))
@@ -155,7 +151,7 @@ def lowest_eigenpairs(K: Any, M: Any, J: Any, left_out: Array, count: int) -> tu
 def fastest_rate(K: Any, M: Any) -> float:
     """Estimate the largest |λ| without constraints.
 
-    K v = λ M v with the diagonal of M; 1 if K is zero.
+    The problem is K v = λ M v with the diagonal of M. The result is 1 if K is zero.
     """
     weight = (
         M.diagonal() ** -0.5

@@ -274,6 +274,8 @@ def test_functions_of_a_model_with_parameters_take_them_after_the_control() -> N
 def test_without_parameters_functions_stay_as_they_are() -> None:
     model = Model(Scene(Structure(**PRISM)))
     assert model.with_stacked_input(model.ode) is model.ode
+    with pytest.warns(DeprecationWarning, match="use with_stacked_input"):
+        assert model.stacked(model.ode) is model.ode
     assert model.with_parameters() is model
     assert model.np == 0
     assert model.ode.n_in() == 2

@@ -308,7 +308,7 @@ def test_ctrl_c_before_anything_is_done_gives_a_table(keyboard):
         ((abs, {"k": 1}), "cases is {'k': 1}: give a list"),
         ((abs, 5), "cases is 5: give a list"),
         ((abs, [1], "dask"), "executor is 'dask': give a concurrent.futures.Executor"),
-        ((abs, [1], None, 7), "folder is 7: give the name"),
+        ((abs, [1], None, 7), "folder is 7: give a file or folder"),
     ],
 )
 def test_wrong_arguments(arguments, message):
