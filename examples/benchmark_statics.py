@@ -152,12 +152,11 @@ def self_stress_task(stages: int) -> Task:
         return peer.member_properties["lambda_"].to_numpy()
 
     def unbalanced(found: Any) -> float:
-        strings = len(tower.strings)
         if isinstance(found, tc.PrestressDesign):
             bars = found.bar_force / tower.bar_lengths
             q = np.concatenate([found.force_density, bars])
         else:
-            q = np.concatenate([found[:strings], -found[strings:]])
+            q = found  # in tension, as that of bars
         force = np.zeros(tower.nodes.shape)
         np.add.at(force, members[:, 0], q[:, None] * vectors)
         np.subtract.at(force, members[:, 1], q[:, None] * vectors)
