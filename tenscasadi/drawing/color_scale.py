@@ -58,7 +58,7 @@ class ColorScale:
 
     @property
     def label(self) -> str:
-        """Quantity and unit, with the meaning of gray and green if they occur."""
+        """Quantity and unit, with the meaning of gray and green."""
         parts = [f"{self.quantity} ({self.unit})"]
         if self.slack:
             parts.append("gray: slack")

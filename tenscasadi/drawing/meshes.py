@@ -48,7 +48,7 @@ class Poses(NamedTuple):
 
 
 def build_cylinder(sides: int) -> Mesh:
-    """Build an open cylinder of radius 1 along z, from −1/2 to 1/2."""
+    """Build an open cylinder of radius 1 and length 1."""
     ring = _build_ring(sides)
     vertices = np.vstack([np.column_stack([ring, np.full(sides, end)]) for end in (-0.5, 0.5)])
     a = np.arange(sides)
@@ -73,7 +73,7 @@ def build_cone(sides: int = 12) -> Mesh:
 
 
 def build_arrowhead() -> Mesh:
-    """Build a cone of radius 1 along z, from −1/2 to its tip at 1/2."""
+    """Build a cone of radius 1 and length 1."""
     cone = build_cone()
     return Mesh(0.5 * cone.vertices * (2.0, 2.0, 1.0) + (0.0, 0.0, 0.5), cone.faces)
 

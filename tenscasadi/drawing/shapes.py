@@ -104,7 +104,7 @@ class MotionShapes:
         ]
 
     def _build_arrows(self, frame: Frame, kinds: Iterable[str]) -> list[DrawnShape]:
-        """Build the arrows of forces on nodes, one shape for each of the motion's kinds.
+        """Build the arrows of forces, one shape for each kind.
 
         Kinds that are not wanted have no arrows.
         """
@@ -124,7 +124,7 @@ class MotionShapes:
         return found
 
     def force_scale(self, forces: NodeForces) -> float:
-        """Compute the force of an arrow of length `reach` [N]; 0 without forces.
+        """Compute the force of an arrow of length `reach` [N].
 
         It is a quantile over the motion, so that an impact does not shrink all other arrows.
         """

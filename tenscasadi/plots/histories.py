@@ -223,7 +223,7 @@ def force_densities(
 
 
 def errors(trajectory: Trajectory, *, title: str = "", path: FilePath | None = None) -> Figure:
-    """Draw the errors of bar lengths, joints and energy on a logarithmic scale.
+    """Draw the errors of bar lengths, joints and energy.
 
     Errors below 1e-18, and exact zeros, lie on the bottom edge. An error that was not computed has
     no curve.

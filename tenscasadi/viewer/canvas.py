@@ -71,7 +71,10 @@ class Layer:
         self.draw(self.frame, None)
 
     def paint(self, tint: Rgb | None) -> None:
-        """Choose the color of all shapes, which are then transparent; None for their own."""
+        """Choose the color of all shapes; None for their own.
+
+        Shapes of one color are transparent.
+        """
         self.tint = tint
         self.shapes = MotionShapes(self._content, self._index, tint)
         copies = self.shapes.motion.copies
@@ -108,9 +111,9 @@ class Layer:
             batch.batched_colors = colors
 
     def _draw_arrows(self, kind: str, shape: DrawnShape) -> None:
-        """Draw arrows as two batches, which have a copy of no size for each node without one.
+        """Draw arrows as a batch of shafts and one of heads.
 
-        Arrows of viser take much more time on pages that draw in software.
+        Nodes without an arrow have copies of no size. Arrows of viser take much more time on pages that draw in software.
         """
         count, shown = len(self.frame.nodes), len(shape.points)
         ends, radius = np.zeros((count, 2, 3)), np.zeros(count)
@@ -195,7 +198,10 @@ class Canvas:
         return float(high[0] - low[0])
 
     def arrange(self, apart: bool) -> None:
-        """Show the motions side by side along x, each with its surroundings, or superimposed."""
+        """Show the motions side by side along x, or superimposed.
+
+        Side by side each has its surroundings.
+        """
         self.apart, self._sun.cast_shadow = apart, self.shaded
         for k, layer in enumerate(self.layers):
             offset = np.array([k * self._distance if apart else 0.0, 0.0, 0.0])
@@ -242,11 +248,11 @@ class Canvas:
                 layer.draw(frame._replace(nodes=frame.nodes + self._shift), self.scale, self.kinds)
 
     def locate(self, seen: Any) -> Array:
-        """Convert a position on the page to the coordinates of the motion [m]."""
+        """Convert a position on the page to the motion's [m]."""
         return np.asarray(seen, dtype=float) - np.asarray(self.root.position) - self._shift
 
     def shift(self, position: Any) -> Array:
-        """Convert a position of the motion to the coordinates of the layers [m]."""
+        """Convert a position of the motion to the layers' [m]."""
         return np.asarray(position, dtype=float) + self._shift
 
 
@@ -324,7 +330,7 @@ def _add_surroundings(
 
 
 def _add_axes(scene: viser.SceneApi, root: str, content: ViewContent) -> None:
-    """Add labeled axes of a round length at the lower corner of the motions."""
+    """Add labeled axes at the lower corner of the motions."""
     corner, length = content.corners[0], grid_spacing(content.size, 4)
     corner = corner + [0.0, 0.0, 0.02 * content.size]  # above a ground
     tips = corner + length * np.eye(3)
@@ -342,7 +348,7 @@ def _add_axes(scene: viser.SceneApi, root: str, content: ViewContent) -> None:
 
 
 def _place_camera(server: viser.ViserServer, content: ViewContent, more: float) -> None:
-    """Look at the middle from the front, slightly from above and the side.
+    """Place the camera in front, slightly above and aside.
 
     Flat content is seen from its broad side. `more` is the width of further motions [m].
     """

@@ -63,7 +63,7 @@ class ViewControls:
         self._add_box("Shadows", self.canvas.shaded, self.canvas.cast_shadows, hint)
 
     def add_visibility(self) -> None:
-        """Add a box for each of several motions, and one that moves them apart."""
+        """Add the boxes that show and arrange several motions."""
         if len(self.canvas.layers) > 1:
             hint = "show the motions beside each other"
             self._add_box("Side by side", self.canvas.apart, self._arrange, hint)

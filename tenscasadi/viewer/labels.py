@@ -1,4 +1,4 @@
-"""Labels of nodes and members: their numbers, and the quantities of clicked ones."""
+"""Labels of nodes and members."""
 
 from __future__ import annotations
 

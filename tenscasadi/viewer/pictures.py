@@ -26,7 +26,7 @@ def send_screenshot(client: Any, name: str) -> None:
 def send_film(
     client: Any, name: str, times: Iterable[float], show: Callable[[float], None], rate: int
 ) -> None:
-    """Let a page save a film of a motion as an mp4 file.
+    """Let a page save a film as an mp4 file.
 
     Parameters
     ----------
