@@ -96,7 +96,7 @@ def test_runs_are_those_of_a_model_built_with_the_values(scheme, correction, rto
     [(tc.RestLength(), STRINGS), (tc.ForceDensity(), ("stiffness", "rest_length"))],
 )
 def test_the_initial_control_follows_the_parameters(control, names, coordinates):
-    with pytest.warns(UserWarning, match="sets the default control alone"):
+    with pytest.warns(UserWarning, match="only sets the default control"):
         given, p, built = pair(prism(), (*names, "bar_mass"), coordinates, control=control)
     assert np.allclose(given.control_at(p), built.initial_control, rtol=1e-14, atol=0)
     assert_same(
