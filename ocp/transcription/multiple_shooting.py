@@ -8,8 +8,7 @@ from typing import Annotated
 import numpy as np
 
 from ocp.transcription.runge_kutta import RungeKuttaTranscription
-from tenscasadi.integrators.collocation import Collocation
-from tenscasadi.integrators.runge_kutta import ExplicitRungeKutta, RungeKutta4, select_stages
+from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import NamedScheme, Scheme, check_scheme
 from tenscasadi.schema.definitions import OneOf
 from tenscasadi.util.validate import Array, format_value, whole_number
@@ -28,7 +27,8 @@ class MultipleShooting(RungeKuttaTranscription, kind="MultipleShooting"):
     intervals : int or sequence of float
         Number of equal intervals, or their lengths relative to each other.
     scheme : RungeKutta4, DormandPrince54, DormandPrince853 or Collocation
-        Scheme of `tenscasadi` that integrates an interval.
+        Scheme that integrates an interval, or one of your own with `coefficients`: A (s, s) and b
+        (s,) of its s stages.
     substeps : int
         Number of its steps in each interval.
     control : PiecewiseConstant or PiecewiseLinear
@@ -40,7 +40,7 @@ class MultipleShooting(RungeKuttaTranscription, kind="MultipleShooting"):
     Raises
     ------
     TypeError, ValueError
-        If a value has another type or is out of bounds, or the scheme has no stages.
+        If a value has another type or is out of bounds, or the scheme has no `coefficients`.
 
     Notes
     -----
@@ -72,10 +72,10 @@ class MultipleShooting(RungeKuttaTranscription, kind="MultipleShooting"):
         super().__post_init__()
         whole_number("MultipleShooting.substeps", self.substeps, 1, 10_000)
         check_scheme(self.scheme, "MultipleShooting.scheme")
-        if not isinstance(self.scheme, ExplicitRungeKutta | Collocation):
+        if not hasattr(self.scheme, "coefficients"):
             raise ValueError(
                 f"MultipleShooting.scheme is {format_value(self.scheme)}: give RungeKutta4(), "
-                "DormandPrince54(), DormandPrince853() or Collocation()"
+                "DormandPrince54(), DormandPrince853(), Collocation() or a scheme with coefficients"
             )
 
     @property
@@ -86,12 +86,8 @@ class MultipleShooting(RungeKuttaTranscription, kind="MultipleShooting"):
     @property
     def coefficients(self) -> tuple[Array, Array]:
         """Coefficients A (s, s) and b (s,) of the scheme."""
-        if isinstance(self.scheme, Collocation):
-            return self.scheme.coefficients
-        tableau = self.scheme.tableau  # type: ignore[attr-defined]
-        kept, s = sorted(select_stages(tableau)), len(tableau.b)
-        A = np.array([[*row, *[0.0] * (s - len(row))] for row in tableau.a]).reshape(s, s)
-        return A[np.ix_(kept, kept)], np.array(tableau.b)[kept]
+        A, b = self.scheme.coefficients  # type: ignore[attr-defined]
+        return np.asarray(A, dtype=float), np.asarray(b, dtype=float)
 
     def longest_step(self, duration: float) -> float:
         """Compute the longest step of a motion.

@@ -25,7 +25,7 @@ from tenscasadi.integrators.tableaux import (
     DORMAND_PRINCE_853,
     Tableau,
 )
-from tenscasadi.util.validate import format_value, positive_number, whole_number
+from tenscasadi.util.validate import Array, format_value, positive_number, whole_number
 
 SEVERAL = 3  # weights: more are faster as one product of matrices, in building and in running
 
@@ -40,6 +40,15 @@ class ExplicitRungeKutta(NamedScheme):
     def adaptive(self) -> bool:
         """Whether steps are of the scheme's own size."""
         return False
+
+    @property
+    def coefficients(self) -> tuple[Array, Array]:
+        """Coefficients A (s, s) and b (s,) of the stages that the result depends on."""
+        tableau, kept = self.tableau, sorted(select_stages(self.tableau))
+        A = np.zeros((len(tableau.b),) * 2)
+        for row, weights in zip(A, tableau.a, strict=True):
+            row[: len(weights)] = weights
+        return A[np.ix_(kept, kept)], np.array(tableau.b)[kept]
 
     def _build_step(self, ode: ca.Function) -> ca.Function:
         return build_step(self.tableau, ode)

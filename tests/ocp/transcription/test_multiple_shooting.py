@@ -37,6 +37,19 @@ def test_plan_is_the_motion_of_the_scheme(scheme, control):
     assert np.abs(run.states - plan.trajectory.states).max() < 1e-6
 
 
+class Midpoint(tc.RungeKutta4):
+    """The explicit midpoint rule."""
+
+    coefficients = np.array([[0.0, 0.0], [0.5, 0.0]]), np.array([0.0, 1.0])
+
+
+def test_schemes_of_ones_own_give_their_coefficients():
+    plan = ocp.solve(raising(), ocp.MultipleShooting(10, Midpoint()), tolerance=0.1)
+    assert plan.success, plan.message
+    dynamics = [name for name in plan.duals.names if "acceleration, interval 9, stage" in name]
+    assert len(dynamics) == 2 * plan.model.nq
+
+
 @pytest.mark.parametrize(
     ("changes", "error", "words"),
     [
