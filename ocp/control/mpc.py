@@ -25,7 +25,6 @@ from ocp.targets.find_target import find_target
 from ocp.transcription.inverse_dynamics import inverse_dynamics
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
-from tenscasadi.integrators.tableaux import CLASSICAL
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.validate import Array, finite_array, instance, positive_number, whole_number
 
@@ -290,22 +289,17 @@ class Mpc:
         )
 
     def _horizon(self, state: Any, gamma: Any, earlier: Any, last: Any) -> Horizon:
-        """Return the motion under γ (α, intervals) in steps of RK4, and its exact derivatives, stage by stage."""
-        kind: Any = ca.SX if self.model.ode.is_a("SXFunction") else ca.MX
-        z, c = kind.sym("z", self.model.nx), kind.sym("c", self.model.nu)
-        rate = self.model.ode(z, c)
-        slopes = ca.Function(
-            "slopes", [z, c], [rate, ca.jacobian(rate, z), ca.jacobian(rate, c)], {"cse": True}
-        )
+        """Return the motion under γ (α, intervals) in steps of RK4, and its exact derivatives."""
         (nx, nu), count = (self.model.nx, self.model.nu), self.intervals
+        slopes, h = _build_slopes(self.model), self.period / self._substeps
         x, effect = state, ca.DM(nx, 0)  # by the γ of intervals so far
         states, effects = [earlier, state], [ca.DM(nx, count * nu)] * 2
         for k in range(count):
-            effect = ca.horzcat(effect, ca.DM.zeros(nx, nu))
+            effect = ca.horzcat(effect, ca.DM(nx, nu))
+            step = RungeKutta4().step(_build_variational(slopes, effect.shape[1]))
             for _ in range(self._substeps):
-                x, effect = _sensitive_step(
-                    slopes, x, gamma[:, k], effect, self.period / self._substeps
-                )
+                z = step(ca.vertcat(x, ca.vec(effect)), gamma[:, k], h)
+                x, effect = z[:nx], ca.reshape(z[nx:], *effect.shape)
             states.append(x)
             effects.append(ca.horzcat(effect, ca.DM(nx, (count - k - 1) * nu)))
         own = ca.sparsify(ca.DM.eye(count * nu))
@@ -362,24 +356,23 @@ class _MpcDecision(NamedTuple):
     state: Array
 
 
-def _sensitive_step(slopes: ca.Function, x: Any, u: Any, effect: Any, h: float) -> tuple[Any, Any]:
-    """Return the end of a step of RK4 and its derivative, from that of its beginning, by parameters the last of which are γ itself."""
-    rates: list[Any] = []
-    turns: list[Any] = []
-    end, turned = x, effect
-    for weights, weight in zip(CLASSICAL.a, CLASSICAL.b, strict=True):
-        point, moved = x, effect
-        for a, k, turn in zip(weights, rates, turns, strict=True):
-            if a:
-                point, moved = point + h * a * k, moved + h * a * turn
-        k, by_state, by_control = slopes(point, u)
-        turn = by_state @ moved + ca.horzcat(
-            ca.DM(x.shape[0], effect.shape[1] - u.shape[0]), by_control
-        )
-        rates.append(k)
-        turns.append(turn)
-        end, turned = end + h * weight * k, turned + h * weight * turn
-    return end, turned
+def _build_slopes(model: Model) -> ca.Function:
+    """Build the Function (x, u) → ẋ, and its derivatives by x and by u."""
+    kind: Any = ca.SX if model.ode.is_a("SXFunction") else ca.MX
+    x, u = kind.sym("x", model.nx), kind.sym("u", model.nu)
+    rate = model.ode(x, u)
+    outputs = [rate, ca.jacobian(rate, x), ca.jacobian(rate, u)]
+    return ca.Function("slopes", [x, u], outputs, {"cse": True})
+
+
+def _build_variational(slopes: ca.Function, width: int) -> ca.Function:
+    """Build the equation of motion of x and of its derivatives by parameters, the last of which are u."""
+    nx, nu = slopes.size1_in(0), slopes.size1_in(1)
+    z, u = ca.MX.sym("z", nx * (1 + width)), ca.MX.sym("u", nu)
+    rate, by_state, by_control = slopes(z[:nx], u)
+    turn = by_state @ ca.reshape(z[nx:], nx, width)
+    turn += ca.horzcat(ca.DM(nx, width - nu), by_control)
+    return ca.Function("variational", [z, u], [ca.vertcat(rate, ca.vec(turn))])
 
 
 def _reference(
