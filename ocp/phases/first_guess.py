@@ -10,8 +10,8 @@ from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.results.result import PlanResult
 from ocp.targets.target import Target
-from ocp.transcription.initial_guess import NOISE, Guess
-from ocp.transcription.mesh import held_values
+from ocp.transcription.initial_guess import NOISE
+from ocp.transcription.mesh import Guess, held_values
 from tenscasadi.util.validate import Array, format_value
 
 PULLS = 3.0  # times the weight, over the structure's size: force densities of the guess, N/m

@@ -18,8 +18,7 @@ from ocp.solvers.monitor import STOPPED, TIME_UP
 from ocp.solvers.relaxation import TOO_SLOW, rate_rows, widening
 from ocp.targets.control_sensitivities import ControlSensitivities
 from ocp.targets.target import Target
-from ocp.transcription.initial_guess import Guess
-from ocp.transcription.mesh import hermite_state, locate_share
+from ocp.transcription.mesh import Guess, hermite_state, locate_share
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stability import fastest_rate

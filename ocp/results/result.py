@@ -17,7 +17,8 @@ from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.multipliers import Duals
 from ocp.targets.target import Target
 from ocp.transcription.base import Transcription
-from ocp.transcription.initial_guess import Guess, resampled
+from ocp.transcription.initial_guess import resampled
+from ocp.transcription.mesh import Guess
 from tenscasadi.dynamics.model import Model
 from tenscasadi.schema.stored import Stored
 from tenscasadi.simulation.trajectory import Trajectory

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ocp.sampling.motions import Motions
-from ocp.sampling.search import Watcher
+from ocp.sampling.motions import Motions, Watcher
 from tenscasadi.util.validate import Array
 
 MOST_UNKNOWNS = 500

@@ -19,8 +19,7 @@ from ocp.sampling.spline_noise import SplineNoise
 from ocp.solvers.base import Outcome
 from ocp.solvers.monitor import STOPPED, TIME_UP, Monitor, Progress
 from ocp.transcription.base import Transcription
-from ocp.transcription.initial_guess import Guess
-from ocp.transcription.mesh import held_values
+from ocp.transcription.mesh import Guess, held_values
 from tenscasadi.integrators.stability import contact_rate, contact_step
 from tenscasadi.util.validate import Array
 

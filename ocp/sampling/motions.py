@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -24,6 +25,8 @@ from tenscasadi.simulation.engine.build import build_kernel
 from tenscasadi.simulation.engine.request import STOPPED, Intervals
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.validate import Array
+
+Watcher = Callable[[str], bool]  # function of a line of progress; returns whether to stop
 
 COST_SHARE = 0.1  # what the problem's costs weigh beside a goal that is missed by the tolerance
 

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ocp.sampling.motions import Motions
+from ocp.sampling.motions import Motions, Watcher
 from ocp.sampling.spline_noise import SplineNoise
 from tenscasadi.util.validate import Array
-
-Watcher = Callable[[str], bool]  # told how it goes, says whether to stop
 
 SPEED = 50.0  # times their tolerance by which speeds may be off while places are looked for
 # tolerances squared that changes as large as the spread cost: of motions that meet the goals the

@@ -41,9 +41,10 @@ from ocp.solvers.relaxation import find_rate_relaxation
 from ocp.targets.control_sensitivities import ControlSensitivities
 from ocp.targets.controllable_rows import drop_uncontrollable_rows
 from ocp.targets.target import Target
+from ocp.transcription.assemble import build_program
 from ocp.transcription.base import Transcription
-from ocp.transcription.initial_guess import Guess, InitialGuess, evaluate_guess, on_mesh
-from ocp.transcription.mesh import group_matrix, held_values, spans
+from ocp.transcription.initial_guess import InitialGuess, evaluate_guess
+from ocp.transcription.mesh import Guess, group_matrix, held_values, on_mesh, spans
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.integrators.stability import fastest_rate
 from tenscasadi.util.validate import instance
@@ -74,7 +75,9 @@ def run_method(
         known = (
             None
             if guess is None
-            else evaluate_guess(guess, problem, target, transcription.count).disturbed(problem)
+            else evaluate_guess(guess, problem, target, transcription.count).perturb(
+                *problem.control_limits
+            )
         )
         return solve_sampled(problem, transcription, known, solver, monitor, tolerance), target
     first = evaluate_guess(guess, problem, target, transcription.count)
@@ -128,10 +131,10 @@ def solve_program(
     problem = _smooth(problem)
     _check(problem, transcription, target)
     task = _Task(problem, transcription, target, scales, _reach(problem, transcription), solver)
-    disturbed = guess.disturbed(problem)
-    imposed = drop_uncontrollable_rows(target, task.reach, disturbed.force_density, guess.duration)
-    guess = guess if isinstance(solver, Ipopt) and not problem.free_start else disturbed
-    program = transcription.program(problem, imposed, scales, guess)
+    perturbed = guess.perturb(*problem.control_limits)
+    imposed = drop_uncontrollable_rows(target, task.reach, perturbed.force_density, guess.duration)
+    guess = guess if isinstance(solver, Ipopt) and not problem.free_start else perturbed
+    program = build_program(transcription, problem, imposed, scales, guess)
     known = program if duals is None else warm_started(program, imposed, duals)
     return _outcome(task, _solved(task, imposed, known, monitor))
 
@@ -153,11 +156,13 @@ def program_of(
         raise TypeError("Problem.phases are no part of one program: leave them out")
     problem = _smooth(problem)
     _check(problem, transcription, target)
-    first = evaluate_guess(guess, problem, target, transcription.count).disturbed(problem)
+    first = evaluate_guess(guess, problem, target, transcription.count).perturb(
+        *problem.control_limits
+    )
     imposed = drop_uncontrollable_rows(
         target, _reach(problem, transcription), first.force_density, first.duration
     )
-    return transcription.program(problem, imposed, scales, first)
+    return build_program(transcription, problem, imposed, scales, first)
 
 
 def _smooth(problem: Problem) -> Problem:

@@ -22,11 +22,11 @@ from ocp.solvers.ipopt import Ipopt
 from ocp.transcription.base import Transcription
 from ocp.transcription.initial_guess import (
     NOISE,
-    Guess,
     InitialGuess,
     InverseDynamics,
     evaluate_guess,
 )
+from ocp.transcription.mesh import Guess
 from ocp.transcription.multiple_shooting import MultipleShooting
 from ocp.transcription.variational import Variational
 from tenscasadi.integrators.stability import fastest_rate

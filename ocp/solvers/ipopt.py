@@ -167,7 +167,7 @@ class Ipopt(NamedSolver, kind="Ipopt", earlier="Fatrop"):
         even = run(program, monitor, leaves_saddles=True)
         if even.status != SADDLE or not self.restart:
             return even
-        solution = run(program.disturbed(), monitor)
+        solution = run(program.perturb_guess(), monitor)
         return solution._replace(iterations=even.iterations + solution.iterations)
 
     def prepared(self, program: Program) -> Callable[..., Solution]:

@@ -7,7 +7,7 @@ directions that bars and momenta leave free, only Zᵀ (x − x₀) is imposed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -19,29 +19,8 @@ from ocp.problem.scaling import Scales
 from ocp.targets.infeasible_goal import InfeasibleGoalError
 from ocp.targets.invariants import invariants
 from ocp.targets.row_reduction import Reduction, RowFunction, reduce_rows
+from ocp.targets.target import FreeStartRows
 from tenscasadi.util.validate import Array
-
-
-@dataclass(frozen=True, eq=False)
-class FreeStartRows:
-    """Rows of a free start x₀ and end x.
-
-    Attributes
-    ----------
-    start : casadi.Function
-        x₀ → independent rows of bars and initial goals.
-    repeats : casadi.Function
-        (x₀, x) → independent rows, zero if the end repeats the start.
-    misfit : casadi.Function
-        (x₀, x) → (distance [m], speed [m/s]) of each goal row.
-    reduction : Reduction
-        Composition of `repeats`.
-    """
-
-    start: ca.Function
-    repeats: ca.Function
-    misfit: ca.Function
-    reduction: Reduction
 
 
 def find_free_start(problem: Problem, scales: Scales) -> FreeStartRows | None:

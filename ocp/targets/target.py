@@ -9,7 +9,6 @@ import casadi as ca
 import numpy as np
 import scipy.linalg
 
-from ocp.targets.free_start import FreeStartRows
 from ocp.targets.row_reduction import Reduction
 from tenscasadi.util.validate import Array
 
@@ -149,3 +148,25 @@ class WaypointTarget(NamedTuple):
     def label(self) -> str:
         """Prefix of the names of its goals."""
         return f"waypoint at {self.share:.3g} of the duration, "
+
+
+@dataclass(frozen=True, eq=False)
+class FreeStartRows:
+    """Rows of a free start x₀ and end x.
+
+    Attributes
+    ----------
+    start : casadi.Function
+        x₀ → independent rows of bars and initial goals.
+    repeats : casadi.Function
+        (x₀, x) → independent rows, zero if the end repeats the start.
+    misfit : casadi.Function
+        (x₀, x) → (distance [m], speed [m/s]) of each goal row.
+    reduction : Reduction
+        Composition of `repeats`.
+    """
+
+    start: ca.Function
+    repeats: ca.Function
+    misfit: ca.Function
+    reduction: Reduction

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -14,7 +14,11 @@ from ocp.problem.control import winds
 from ocp.problem.costs import ControlTerm, InstantTerm, cost_terms
 from ocp.problem.instant import symbolic
 from ocp.problem.path_constraints import ScaledRows, scaled_rows
-from ocp.transcription.mesh import hermite_state, locate_share
+from ocp.problem.problem import Problem
+from ocp.problem.scaling import Scales
+from ocp.targets.target import Target
+from ocp.transcription.base import Defects, Transcription
+from ocp.transcription.mesh import Guess, hermite_state, locate_share
 from ocp.transcription.sparse_nlp import (
     Block,
     Program,
@@ -36,17 +40,6 @@ class ProblemBlocks(NamedTuple):
 
     rows: list[Block]
     costs: list[Block]
-
-
-class Defects(NamedTuple):
-    """Blocks of what makes a motion of the variables: rows that vanish where the discretised equations of motion hold.
-
-    states: None, or, where not all states are unknowns, from the column of all entries (in the
-    order of `Variables.entries`) to all states (nx, K + 1).
-    """
-
-    rows: list[Block]
-    states: Callable[[Any], Any] | None = None
 
 
 class Stage(NamedTuple):
@@ -72,9 +65,20 @@ class Stage(NamedTuple):
         return self.defects.states(entries)
 
 
-def problem_blocks(v: Variables) -> ProblemBlocks:
-    """Build the blocks of path constraints, goals and costs."""
-    return ProblemBlocks([*path_blocks(v), *waypoint_blocks(v), *end_blocks(v)], cost_blocks(v))
+def build_program(
+    transcription: Transcription, problem: Problem, target: Target, scales: Scales, guess: Guess
+) -> Program:
+    """Build the nonlinear program of a problem, scaled about a guess."""
+    own = transcription.fractions, transcription.control
+    return assemble([build_stage(transcription, Variables(problem, target, scales, guess, *own))])
+
+
+def build_stage(transcription: Transcription, v: Variables, *contact: Any) -> Stage:
+    """Build all blocks in variables; `contact` is that of `Variational.defects`."""
+    rows = [*path_blocks(v), *waypoint_blocks(v), *end_blocks(v)]
+    costs = cost_blocks(v)
+    used = v.entries.used_by([*rows, *costs])
+    return Stage(v, ProblemBlocks(rows, costs), transcription.defects(v, used, *contact))
 
 
 def assemble(stages: Sequence[Stage], linkage: Sequence[Block] = ()) -> Program:

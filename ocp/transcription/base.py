@@ -5,17 +5,11 @@ A transcription is a subclass of `Transcription` that gives `defects`.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
-import casadi as ca
-
-from ocp.problem.problem import Problem
-from ocp.problem.scaling import Scales
-from ocp.targets.target import Target
-from ocp.transcription.assemble import Defects, Stage, assemble, problem_blocks
 from ocp.transcription.fine_steps import Measure, measure_ends
-from ocp.transcription.initial_guess import Guess
 from ocp.transcription.mesh import (
     Intervals,
     NamedProfile,
@@ -25,7 +19,7 @@ from ocp.transcription.mesh import (
     check_intervals,
     fractions,
 )
-from ocp.transcription.sparse_nlp import Program
+from ocp.transcription.sparse_nlp import Block, Program
 from ocp.transcription.variables import Variables
 from tenscasadi.dynamics.model import Model
 from tenscasadi.schema.containers import Either
@@ -33,6 +27,22 @@ from tenscasadi.schema.definitions import OneOf
 from tenscasadi.schema.field_types import TIMES, WHOLE
 from tenscasadi.schema.value import Value
 from tenscasadi.util.validate import Array, instance, positive_number
+
+
+class Defects(NamedTuple):
+    """Blocks of rows that vanish where the discretized equations of motion hold.
+
+    Attributes
+    ----------
+    rows : list of Block
+        The blocks.
+    states : callable or None
+        Function of the column of all entries (in the order of `Variables.entries`) that returns all
+        states (nx, K + 1). None if all states are unknowns.
+    """
+
+    rows: list[Block]
+    states: Callable[[Any], Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -83,17 +93,6 @@ class Transcription(Value):
         """Return the longest step, s, of a motion of `duration` s."""
         return duration * float(self.fractions.max())
 
-    def program(self, problem: Problem, target: Target, scales: Scales, guess: Guess) -> Program:
-        """Build the nonlinear program, scaled about the guess."""
-        variables = Variables(problem, target, scales, guess, self.fractions, self.control)
-        return assemble([self.stage(variables)])
-
-    def stage(self, variables: Variables, *contact: Any) -> Stage:
-        """Build all blocks in variables; contact: what `defects` takes beside them."""
-        blocks = problem_blocks(variables)
-        used = variables.entries.used_by([*blocks.rows, *blocks.costs])
-        return Stage(variables, blocks, self.defects(variables, used, *contact))
-
     def measure_residual(self, program: Program, model: Model) -> Measure:
         """Prepare the residual of solutions against fine steps: gaps between intervals."""
         return measure_ends(program, model, self.fractions)
@@ -104,11 +103,3 @@ class Transcription(Value):
         used: which entries bounds, costs and goals depend on.
         """
         raise NotImplementedError
-
-
-def scalar_code(function: ca.Function) -> ca.Function:
-    """Expand a function, if it has no calls that cannot be: its derivatives take a fraction of the time."""
-    try:
-        return function.expand()
-    except RuntimeError:  # CasADi's word for such a call
-        return function

@@ -9,10 +9,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ocp.transcription.base import scalar_code
 from ocp.transcription.contact_set import ContactSet, reaction_names
 from ocp.transcription.equations import build_constraints, constraint_names, evaluate_multipliers
-from ocp.transcription.sparse_nlp import Block, gathered, split_symbol, symbol_kind
+from ocp.transcription.sparse_nlp import Block, gathered, scalar_code, split_symbol, symbol_kind
 from ocp.transcription.variables import Variables, interval_names, state_names
 from tenscasadi.dynamics import forces
 from tenscasadi.integrators.stabilization import build_projection

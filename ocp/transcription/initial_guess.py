@@ -13,13 +13,11 @@ from ocp.problem.control import winds
 from ocp.problem.problem import Problem
 from ocp.targets.target import Target
 from ocp.transcription.inverse_dynamics import inverse_dynamics
-from ocp.transcription.mesh import Profile, node_values, profile_at
+from ocp.transcription.mesh import Guess, profile_at, project_states
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stability import fastest_rate
-from tenscasadi.integrators.stabilization import build_projection
 from tenscasadi.schema.field_types import PATH, TABLE
 from tenscasadi.schema.value import Value
-from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import (
     Array,
     finite_array,
@@ -30,29 +28,6 @@ from tenscasadi.util.validate import (
 
 NOISE = 0.3  # of the strongest force density
 NOISY = 16.0  # rad of the fastest vibration: along longer motions there is less noise
-
-
-@dataclass(frozen=True, eq=False)
-class Guess(ReadOnlyArrays):
-    """states (intervals + 1, nx), force_density (intervals, α) N/m and duration s.
-
-    noise: None, or what is to be added to the force densities (α,), N/m, where a solver meets a
-    saddle.
-    """
-
-    states: Array
-    force_density: Array
-    duration: float
-    noise: Array | None = None
-
-    def disturbed(self, problem: Problem) -> Guess:
-        """Return the guess with its noise, within the limits."""
-        if self.noise is None:
-            return self
-        lower, upper = problem.control_limits
-        return replace(
-            self, force_density=np.clip(self.force_density + self.noise, lower, upper), noise=None
-        )
 
 
 class NamedGuess(Value):
@@ -155,7 +130,11 @@ class InverseDynamics(NamedGuess, kind="InverseDynamics"):
             else self._along_path(problem, target, intervals, self.path)
         )
         noisy = _with_noise(problem, guess, NOISE if self.noise is None else self.noise, self.seed)
-        return noisy if self.noise is None and self.seed == 0 else noisy.disturbed(problem)
+        return (
+            noisy
+            if self.noise is None and self.seed == 0
+            else noisy.perturb(*problem.control_limits)
+        )
 
     @staticmethod
     def _along_path(problem: Problem, target: Target, intervals: int, given: ArrayLike) -> Guess:
@@ -324,7 +303,7 @@ def resampled(
 ) -> Guess:
     """Return states and force densities at shares of the duration, moved to equal intervals, within the limits, from the problem's start."""
     shares = np.linspace(0.0, 1.0, intervals + 1)
-    moved = _projected(
+    moved = project_states(
         problem.model,
         np.column_stack([np.interp(shares, state_shares, column) for column in states.T]),
         3,
@@ -340,19 +319,6 @@ def resampled(
     lower, upper = problem.control_limits
     held = np.clip(profile_at(gamma, gamma_shares, (shares[:-1] + shares[1:]) / 2), lower, upper)
     return Guess(moved, held, float(np.clip(duration, problem.shortest, problem.longest)))
-
-
-def on_mesh(model: Model, guess: Guess, fractions: Array, profile: Profile) -> Guess:
-    """Return a guess on equal intervals, moved to another mesh and another profile."""
-    intervals, nodes = len(guess.states) - 1, np.append(0.0, np.cumsum(fractions))
-    if intervals == len(fractions) and np.ptp(fractions) < 1e-12:
-        states, held = guess.states, guess.force_density
-    else:
-        before = np.linspace(0.0, 1.0, intervals + 1)
-        states = np.column_stack([np.interp(nodes, before, column) for column in guess.states.T])
-        states[1:-1] = _projected(model, states, 3)[1:-1]
-        held = profile_at(guess.force_density, before, (nodes[:-1] + nodes[1:]) / 2)
-    return Guess(states, node_values(held, fractions) if profile.linear else held, guess.duration)
 
 
 def _with_noise(problem: Problem, guess: Guess, share: float, seed: int) -> Guess:
@@ -415,23 +381,16 @@ def _motion(problem: Problem, target: Target, q: Array, duration: float) -> Arra
         model.split(start)[2]
         + np.linspace(0.0, duration, intervals + 1)[:, None][:, : model.nx - 2 * model.nq]
     )
-    q, _, _ = model.split(_projected(model, np.column_stack([q, np.zeros_like(q), clock]), 10))
+    q, _, _ = model.split(project_states(model, np.column_stack([q, np.zeros_like(q), clock]), 10))
     v = np.empty_like(q)
     v[0], v[-1] = (
         model.split(state)[1] for state in (start, start if target.state is None else target.state)
     )
     v[1:-1] = (q[2:] - q[:-2]) * (intervals / (2 * duration))
-    states = _projected(model, np.column_stack([q, v, clock]), 10)
+    states = project_states(model, np.column_stack([q, v, clock]), 10)
     states[0] = start
     if target.state is not None:
         states[-1] = target.state
     if not np.all(np.isfinite(states)):  # a bar vanished on the way
         return np.repeat(start[None], intervals + 1, axis=0)
     return states
-
-
-def _projected(model: Model, states: Array, iterations: int) -> Array:
-    """Return states (P, nx) on bars and joints."""
-    if not model.mechanism.constrained:
-        return states
-    return np.asarray(build_projection(model, iterations).map(len(states))(states.T).full()).T

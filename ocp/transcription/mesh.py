@@ -1,19 +1,21 @@
-"""The mesh of a plan, how force densities run over its intervals, and states between its nodes."""
+"""Mesh of a plan: intervals, profiles of the controls over them, and states at and between nodes."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Protocol
 
 import casadi as ca
 import numpy as np
 
 from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.stabilization import build_projection
 from tenscasadi.schema.containers import ListOf
 from tenscasadi.schema.field_types import Members
 from tenscasadi.schema.value import Value
 from tenscasadi.util.casadi_tools import hermite_cubic
+from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import (
     Array,
     Indices,
@@ -217,3 +219,52 @@ def hermite_state(model: Model, x: Any, y: Any, h: Any, share: float) -> Any:
     change = (q1 - q0) / h
     v = 6 * s * (1 - s) * change + (1 - s) * (1 - 3 * s) * v0 + s * (3 * s - 2) * v1
     return ca.vertcat(q, v, (1 - s) * clock0 + s * clock1)
+
+
+@dataclass(frozen=True, eq=False)
+class Guess(ReadOnlyArrays):
+    """Motion that a solver starts from, on equal intervals.
+
+    Attributes
+    ----------
+    states : ndarray, shape (K + 1, nx)
+        States [m, m/s].
+    force_density : ndarray, shape (K, α)
+        Controls: force densities [N/m], or rest lengths [m].
+    duration : float
+        Duration [s].
+    noise : ndarray, shape (α,), or None
+        Change of the controls that leads away from a saddle.
+    """
+
+    states: Array
+    force_density: Array
+    duration: float
+    noise: Array | None = None
+
+    def perturb(self, lower: Array, upper: Array) -> Guess:
+        """Add the noise to the controls, within their limits."""
+        if self.noise is None:
+            return self
+        noisy = np.clip(self.force_density + self.noise, lower, upper)
+        return replace(self, force_density=noisy, noise=None)
+
+
+def on_mesh(model: Model, guess: Guess, fractions: Array, profile: Profile) -> Guess:
+    """Move a guess from equal intervals to a mesh and a profile."""
+    intervals, nodes = len(guess.states) - 1, np.append(0.0, np.cumsum(fractions))
+    if intervals == len(fractions) and np.ptp(fractions) < 1e-12:
+        states, held = guess.states, guess.force_density
+    else:
+        before = np.linspace(0.0, 1.0, intervals + 1)
+        states = np.column_stack([np.interp(nodes, before, column) for column in guess.states.T])
+        states[1:-1] = project_states(model, states, 3)[1:-1]
+        held = profile_at(guess.force_density, before, (nodes[:-1] + nodes[1:]) / 2)
+    return Guess(states, node_values(held, fractions) if profile.linear else held, guess.duration)
+
+
+def project_states(model: Model, states: Array, iterations: int) -> Array:
+    """Project states (P, nx) onto bars and joints."""
+    if not model.mechanism.constrained:
+        return states
+    return np.asarray(build_projection(model, iterations).map(len(states))(states.T).full()).T

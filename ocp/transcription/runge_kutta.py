@@ -8,8 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ocp.transcription.assemble import Defects
-from ocp.transcription.base import Transcription, scalar_code
+from ocp.transcription.base import Defects, Transcription
 from ocp.transcription.equations import (
     build_constraints,
     build_residuals,
@@ -17,7 +16,7 @@ from ocp.transcription.equations import (
     evaluate_multipliers,
 )
 from ocp.transcription.mesh import held_values
-from ocp.transcription.sparse_nlp import Block, Kind, split_symbol, symbol_kind
+from ocp.transcription.sparse_nlp import Block, Kind, scalar_code, split_symbol, symbol_kind
 from ocp.transcription.variables import Variables, state_names
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.validate import Array, Indices

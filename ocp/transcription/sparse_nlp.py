@@ -220,8 +220,8 @@ class Program:
     noise: Array | None = None
     decided: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
-    def disturbed(self) -> Program:
-        """Return the program that begins with its noise, within the limits."""
+    def perturb_guess(self) -> Program:
+        """Add the noise to the start, within the limits."""
         if self.noise is None:
             return self
         return replace(
@@ -279,6 +279,14 @@ def gathered(y: Any, index: Indices) -> Any:
 def symbol_kind(function: ca.Function) -> Any:
     """Return SX for a Function that is scalar code, else MX."""
     return ca.SX if function.is_a("SXFunction") else ca.MX
+
+
+def scalar_code(function: ca.Function) -> ca.Function:
+    """Expand a function, if it has no calls that cannot be: its derivatives take a fraction of the time."""
+    try:
+        return function.expand()
+    except RuntimeError:  # CasADi's word for such a call
+        return function
 
 
 def split_symbol(kind: Any, *sizes: int) -> tuple[Any, tuple[Any, ...]]:

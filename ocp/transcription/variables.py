@@ -13,8 +13,7 @@ from ocp.problem.instant import forces_of
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales, control_scale, typical_cost
 from ocp.targets.target import Target
-from ocp.transcription.initial_guess import Guess, on_mesh
-from ocp.transcription.mesh import Profile, group_matrix, spans
+from ocp.transcription.mesh import Guess, Profile, group_matrix, on_mesh, spans
 from ocp.transcription.sparse_nlp import Block, Unknowns
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.casadi_tools import sparse

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ocp.transcription.assemble import Defects
-from ocp.transcription.base import Transcription
+from ocp.transcription.base import Defects, Transcription
 from ocp.transcription.contact_set import ContactSet, no_contact
 from ocp.transcription.discrete_equations import DiscreteEquations
 from ocp.transcription.fine_steps import Measure, measure_jumps

@@ -13,6 +13,7 @@ import tenscasadi as tc
 from ocp.plan.plan_files import read_parts, write_parts
 from ocp.problem.scaling import Scales
 from ocp.targets.find_target import find_target
+from ocp.transcription.assemble import build_program
 from ocp.transcription.initial_guess import make_guess
 from tenscasadi.io.document import read_tables
 
@@ -76,8 +77,8 @@ def program(problem, transcription):
     """The program that is solved, without the rows that no string moves left out."""
     scales = Scales.of(problem)
     target = find_target(problem, scales)
-    return transcription.program(
-        problem, target, scales, make_guess(problem, target, transcription.count)
+    return build_program(
+        transcription, problem, target, scales, make_guess(problem, target, transcription.count)
     )
 
 

@@ -12,7 +12,7 @@ import ocp
 import tenscasadi as tc
 from ocp.search.policy import attempts, choose_intervals
 from ocp.search.task import prepare
-from ocp.transcription.initial_guess import Guess
+from ocp.transcription.mesh import Guess
 
 
 def in_full_coordinates(problem):

@@ -12,6 +12,7 @@ import tenscasadi as tc
 from ocp.problem.instant import symbolic
 from ocp.problem.scaling import Scales
 from ocp.targets.find_target import find_target
+from ocp.transcription.assemble import build_program
 from ocp.transcription.initial_guess import make_guess
 
 PRISM = tc.shapes.prism()
@@ -30,7 +31,7 @@ def growing(shooting=ocp.MultipleShooting(4), **changes):
     scales = Scales.of(problem)
     target = find_target(problem, scales)
     guess = make_guess(problem, target, shooting.intervals)
-    return shooting.program(problem, target, scales, guess), guess, target
+    return build_program(shooting, problem, target, scales, guess), guess, target
 
 
 def test_derivatives_agree_with_differences():

@@ -11,9 +11,8 @@ from planning import folding, integrated, program, raising, shaken
 
 import ocp
 import tenscasadi as tc
-from ocp.transcription.assemble import Defects
-from ocp.transcription.base import Transcription, scalar_code
-from ocp.transcription.sparse_nlp import Block, split_symbol
+from ocp.transcription.base import Defects, Transcription
+from ocp.transcription.sparse_nlp import Block, scalar_code, split_symbol
 from ocp.transcription.variables import interval_names, state_names
 
 

@@ -50,7 +50,9 @@ def test_noise_parts_what_symmetry_makes_equal_in_the_same_way_for_any_number_of
     assert fine.force_density[0] == pytest.approx(coarse.force_density[0], rel=0.02)
     waiting = ocp.InverseDynamics().guess(problem, target, 8)
     assert np.array_equal(waiting.force_density, even.force_density)
-    assert np.array_equal(waiting.disturbed(problem).force_density, coarse.force_density)
+    assert np.array_equal(
+        waiting.perturb(*problem.control_limits).force_density, coarse.force_density
+    )
     other = ocp.InverseDynamics(seed=1).guess(problem, target, 8)
     assert (
         np.abs(other.force_density - coarse.force_density).max() > 0.02 * even.force_density.max()
