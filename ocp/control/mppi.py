@@ -16,7 +16,7 @@ from ocp.problem.instant import Instant
 from ocp.problem.phase import refuse_phases
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
-from ocp.sampling.horizon_costs import horizon_costs
+from ocp.sampling.horizon_costs import build_horizon_costs
 from ocp.sampling.spline_noise import SplineNoise
 from ocp.transcription.inverse_dynamics import inverse_dynamics
 from tenscasadi.dynamics.model import Model
@@ -180,7 +180,7 @@ class Mppi:
         self._initial = np.tile(np.clip(held, self._lower, self._upper), (self.intervals, 1))
         scales = Scales.of(problem)
         size = 0.01 * scales.length if place is None else positive_number("place", place)
-        costs = horizon_costs(
+        costs = build_horizon_costs(
             problem, scales, self.period, self.intervals, size, float(held.mean()) or 1.0
         )
         self._kernel = build_kernel(self.model, RungeKutta4(), stage=costs.stage, final=costs.final)

@@ -1,1 +1,1 @@
-"""Plans from sampled motions: random force densities, the best kept, and the last misses removed; shared with control by sampling."""
+"""Plans and control by sampled motions, without derivatives."""

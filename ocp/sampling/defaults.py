@@ -1,4 +1,4 @@
-"""Defaults of sampling: groups of strings, force densities to begin with, intervals, knots, steps."""
+"""Defaults of sampling: initial force densities, groups of strings, intervals, knots."""
 
 from __future__ import annotations
 
@@ -13,21 +13,23 @@ from tenscasadi.integrators.stability import lightest_mass
 from tenscasadi.statics.force_density import EquilibriumError, equilibrium_force_density
 from tenscasadi.util.validate import Array, per_item
 
-ALIKE = 1e-3  # of the structure's size: lengths and heights that differ by less are the same
-HOLDING = (
-    2.0  # times the weight per length of a bar: the mean of force densities that hold a structure
-)
-RANGE, TIMES = (
-    0.2,
-    5.0,
-)  # of the limits' range, and of the mean to begin with: the spread is the smaller
-SWING = 0.6  # radians in an interval of what force densities to begin with let a node swing by
-KNOTS = 3.0  # of splines in the time √(size/g) of a fall
-LEAST_INTERVALS, MOST_INTERVALS, LEAST_KNOTS, MOST_KNOTS = 20, 400, 6, 24
+ALIKE = 1e-3  # relative to the structure's size: smaller differences of lengths are rounding
 
 
-class Usual(NamedTuple):
-    """Beginnings of a motion: γ (α,) and how far it is changed (α,), N/m, the mass, kg, that a node moves with, and the time of a fall, s."""
+class SamplingDefaults(NamedTuple):
+    """Default parameters of the random search.
+
+    Attributes
+    ----------
+    force_density : ndarray, shape (α,)
+        Initial force densities [N/m].
+    spread : ndarray, shape (α,)
+        Standard deviations [N/m].
+    mass : float
+        Effective mass of a node [kg].
+    fall : float
+        Free-fall time over the structure's size [s].
+    """
 
     force_density: Array
     spread: Array
@@ -36,25 +38,23 @@ class Usual(NamedTuple):
 
     @property
     def strength(self) -> float:
-        """A typical γ, N/m."""
+        """Mean initial force density [N/m]."""
         return float(self.force_density.mean())
 
     def intervals(self, problem: Problem) -> int:
-        """Return how many intervals resolve the swinging of nodes."""
+        """Choose a number of intervals that resolves the vibration of nodes, 0.6 rad each."""
         structure = problem.model.scene.structure
         ends = max(1.0, 2 * len(structure.strings) / len(structure.nodes))
         rate = np.sqrt(ends * self.strength / self.mass)
-        return int(
-            np.clip(np.ceil(problem.longest * rate / SWING), LEAST_INTERVALS, MOST_INTERVALS)
-        )
+        return int(np.clip(np.ceil(problem.longest * rate / 0.6), 20, 400))
 
     def knots(self, seconds: float) -> int:
-        """Return how many knots a spline of this duration gets."""
-        return int(np.clip(np.ceil(KNOTS * seconds / self.fall), LEAST_KNOTS, MOST_KNOTS))
+        """Choose the number of knots of a spline: three in the time of a fall."""
+        return int(np.clip(np.ceil(3 * seconds / self.fall), 6, 24))
 
 
-def usual(problem: Problem) -> Usual:
-    """Return the beginnings of the motions of a problem."""
+def choose_defaults(problem: Problem) -> SamplingDefaults:
+    """Choose the parameters of the random search for a problem."""
     model, (lower, upper) = problem.model, problem.force_density_limits
     structure = model.scene.structure
     size = (
@@ -68,17 +68,18 @@ def usual(problem: Problem) -> Usual:
     if level:
         gamma = per_item("Prestress.level", level[0], model.nu)
     else:
-        gamma = _self_stress(problem) * HOLDING * float(model.mechanism.M.sum()) * pull / size
+        # about twice the force densities that hold the weight
+        gamma = 2 * _find_self_stress(problem) * float(model.mechanism.M.sum()) * pull / size
     gamma = np.clip(gamma, lower, upper)
     mean = float(gamma.mean()) or 1.0
-    room = np.where(np.isfinite(upper), RANGE * (upper - lower), np.inf)
-    return Usual(
-        gamma, np.minimum(room, TIMES * mean), lightest_mass(model), float(np.sqrt(size / pull))
+    room = np.where(np.isfinite(upper), 0.2 * (upper - lower), np.inf)
+    return SamplingDefaults(
+        gamma, np.minimum(room, 5 * mean), lightest_mass(model), float(np.sqrt(size / pull))
     )
 
 
-def _self_stress(problem: Problem) -> Array:
-    """Return force densities (α,) of mean 1 that hold the start's shape by themselves; equal ones where none do."""
+def _find_self_stress(problem: Problem) -> Array:
+    """Find force densities (α,) of self-stress, of mean 1; equal ones if there are none."""
     structure = problem.model.scene.structure
     nodes = problem.model.nodes(problem.first_state)[: len(structure.nodes)]
     try:
@@ -88,8 +89,11 @@ def _self_stress(problem: Problem) -> Array:
     return np.asarray(gamma / gamma.mean())
 
 
-def alike(problem: Problem) -> tuple[tuple[int, ...], ...]:
-    """Return the strings in groups: those of one length whose ends are equally high at the start, as symmetry about the vertical has it."""
+def find_symmetry_groups(problem: Problem) -> tuple[tuple[int, ...], ...]:
+    """Find the groups of strings that a symmetry about the vertical maps onto each other.
+
+    The strings of a group have equal lengths at the start, and ends of equal heights.
+    """
     model, structure = problem.model, problem.model.scene.structure
     nodes = model.nodes(problem.first_state)[: len(structure.nodes)]
     down = (

@@ -1,4 +1,4 @@
-"""Gauss-Newton on force densities: the last misses of a motion, by finite differences of many motions at once."""
+"""Gauss-Newton method on force densities, with finite differences of simulated motions."""
 
 from __future__ import annotations
 
@@ -6,22 +6,30 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ocp.sampling.motions import Motions, Watcher
+from ocp.sampling.batch_simulation import BatchSimulation, Watcher
 from tenscasadi.util.validate import Array
 
-MOST_UNKNOWNS = 500
-PROBE = 1e-4  # of the directions: changes of finite differences
-DAMPINGS = np.geomspace(
-    1e-8, 1e1, 10
-)  # of the largest singular value squared: all are tried at once
-SETTLED = 0.02  # of the tolerance: misses that are smaller are none
-STALLED, PATIENCE = 0.95, 4  # of the sum of squares before: what falls less so many times has ended
-OVERSTEPPED = 1e-3  # of their scale: limits overstepped by more are broken
+PROBE = 1e-4  # change of finite differences, in units of the directions
+SETTLED = 0.02  # residual in units of the tolerance below which the method ends
 
 
 @dataclass(frozen=True, eq=False)
-class Point:
-    """γ that is wanted (K, α), a duration, s, what comes of them: γ (K, α), states (K + 1, nx), and rows that are to vanish, in tolerances."""
+class Candidate:
+    """Controls of a plan and their motion.
+
+    Attributes
+    ----------
+    wanted : ndarray, shape (K, α)
+        Force densities without the feedback [N/m].
+    duration : float
+        Duration [s].
+    force_density : ndarray, shape (K, α)
+        Force densities [N/m].
+    states : ndarray, shape (K + 1, nx)
+        States [m, m/s].
+    rows : ndarray, shape (m,)
+        Residuals of goals and limits, in units of their tolerances.
+    """
 
     wanted: Array
     duration: float
@@ -31,24 +39,28 @@ class Point:
 
     @property
     def worst(self) -> float:
-        """The largest miss."""
+        """Largest residual."""
         return (
             float(np.abs(self.rows).max(initial=0.0)) if np.all(np.isfinite(self.rows)) else np.inf
         )
 
     @property
     def merit(self) -> float:
-        """The sum of squares."""
+        """Sum of squared residuals."""
         return float(self.rows @ self.rows) if np.all(np.isfinite(self.rows)) else np.inf
 
 
 class Descent:
-    """Gauss-Newton on motions, in `finer` times as many steps. directions (g, α): γ of a group, changed by its scale."""
+    """Gauss-Newton method in batches of motions.
 
-    def __init__(self, motions: Motions, directions: Array, finer: int = 1) -> None:
+    The unknowns are changes along `directions` (g, α), linear between at most 500 / g knots.
+    `finer` multiplies the number of steps.
+    """
+
+    def __init__(self, motions: BatchSimulation, directions: Array, finer: int = 1) -> None:
         self._motions, self._directions, self._finer, self._speed = motions, directions, finer, 1.0
         count = len(motions.fractions)
-        knots = int(np.clip(MOST_UNKNOWNS // len(directions), min(count, 8), count))
+        knots = int(np.clip(500 // len(directions), min(count, 8), count))
         place = np.linspace(0.0, knots - 1.0, count)[:, None]
         basis = np.maximum(0.0, 1.0 - np.abs(place - np.arange(knots)))  # linear between knots
         self._changes = np.einsum("ik,jl->kjil", basis, directions).reshape(
@@ -57,24 +69,27 @@ class Descent:
 
     def run(
         self, wanted: Array, duration: float, speed: float, iterations: int, over: Watcher
-    ) -> tuple[Point, int]:
-        """Return the best point, and the iterations it took. speed: times their tolerance by which speeds may be off."""
+    ) -> tuple[Candidate, int]:
+        """Iterate until the residuals are small or stall; return the best and the iterations.
+
+        `speed` multiplies the tolerance of velocities.
+        """
         self._speed = speed
         point, stalls = self._points(wanted[None], [duration])[0], 0
         for k in range(iterations):
-            if point.worst < SETTLED or stalls >= PATIENCE or not np.isfinite(point.merit):
+            if point.worst < SETTLED or stalls >= 4 or not np.isfinite(point.merit):
                 return point, k
             if over(
                 f"Gauss-Newton, iteration {k + 1}: misses its goals by {point.worst * self._motions.place:.2g} m"
             ):
                 return point, k
             best = self._step(point)
-            stalls = 0 if best.merit < STALLED * point.merit else stalls + 1
+            stalls = 0 if best.merit < 0.95 * point.merit else stalls + 1
             point = min(point, best, key=lambda one: one.merit)
         return point, iterations
 
-    def again(self, point: Point, finer: int) -> float:
-        """Return the largest miss of the same force densities in other steps."""
+    def measure_finer(self, point: Candidate, finer: int) -> float:
+        """Compute the largest residual of the same force densities with finer steps."""
         motions = self._motions
         law, motions.law = motions.law, None
         states = motions.roll(
@@ -87,8 +102,8 @@ class Descent:
         missed = motions.misses(states, point.duration)
         return float(np.abs(missed).max(initial=0.0)) if np.all(np.isfinite(missed)) else np.inf
 
-    def _points(self, wanted: Array, durations: list[float]) -> list[Point]:
-        """Return what comes of each γ that is wanted (n, K, α), all for one duration or each for its own."""
+    def _points(self, wanted: Array, durations: list[float]) -> list[Candidate]:
+        """Simulate candidates (n, K, α), all of one duration or each of its own."""
         if len(set(durations)) > 1:
             return [
                 self._points(one[None], [duration])[0]
@@ -104,17 +119,17 @@ class Descent:
         rows = np.concatenate(
             [
                 motions.misses(states, duration, speed=self._speed),
-                motions.excess(states, gamma, duration) / OVERSTEPPED,
+                1e3 * motions.excess(states, gamma, duration),
             ],
             axis=1,
         )
         return [
-            Point(*given)
+            Candidate(*given)
             for given in zip(wanted, [duration] * len(wanted), gamma, states, rows, strict=True)
         ]
 
-    def _step(self, point: Point) -> Point:
-        """Return the best of the points that Gauss-Newton leads to."""
+    def _step(self, point: Candidate) -> Candidate:
+        """Try steps of ten dampings at once, and return the best."""
         problem, changes = self._motions.problem, self._changes
         lower, upper = problem.force_density_limits
         room = [
@@ -142,8 +157,8 @@ class Descent:
         if not J.size:
             return point
         steps = [
-            _bounded_step(J, r, damping * float(np.linalg.norm(J, 2)) ** 2, room)
-            for damping in DAMPINGS
+            _find_bounded_step(J, r, damping * float(np.linalg.norm(J, 2)) ** 2, room)
+            for damping in np.geomspace(1e-8, 1e1, 10)
         ]
         tried = np.clip(
             [point.wanted + np.tensordot(step[: len(changes)], changes, 1) for step in steps],
@@ -155,14 +170,17 @@ class Descent:
         return min(self._points(tried, spans), key=lambda one: one.merit)
 
     @staticmethod
-    def _slopes(point: Point, moved: list[Point], by: Array) -> Array:
-        """Return the derivatives of the rows (m, n); none where a motion diverges."""
+    def _slopes(point: Candidate, moved: list[Candidate], by: Array) -> Array:
+        """Compute finite differences (m, n) of the rows, 0 if a motion diverges."""
         slopes = (np.array([one.rows for one in moved]) - point.rows).T / by
         return np.where(np.isfinite(slopes).all(axis=0), slopes, 0.0)
 
 
-def _bounded_step(J: Array, r: Array, damping: float, room: list[Array]) -> Array:
-    """Return the least d of |r + J d|² + damping |d|² that pushes nothing beyond a limit that it has reached; room: up and down."""
+def _find_bounded_step(J: Array, r: Array, damping: float, room: list[Array]) -> Array:
+    """Minimize |r + J d|² + damping |d|² over steps d that leave no active limit.
+
+    `room` are the distances from the upper and the lower limits.
+    """
     held, count = np.zeros(J.shape[1], dtype=bool), len(room[0])
     while True:
         A = np.where(held, 0.0, J)

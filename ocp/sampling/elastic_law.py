@@ -1,4 +1,4 @@
-"""Force densities that answer as elastic, damped strings do: motions under them are stable, and what they were is a plan."""
+"""Feedback of elastic, damped strings, which stabilizes sampled motions."""
 
 from __future__ import annotations
 
@@ -8,25 +8,28 @@ import numpy as np
 from ocp.problem.instant import symbolic
 from ocp.problem.problem import Problem
 
-STIFFNESS = (
-    1.5  # of a typical γ; that keeps shapes which constant force densities would let collapse
-)
-MOST_STIFFNESS, MOST_DAMPING, CRITICAL = (
-    0.7,
-    1.0,
-    1.6,
-)  # of m/(n h²), of m/(n h), of √(k m/n): for n strings on a node of mass m, each h seconds
-
 
 def elastic_law(problem: Problem, strength: float, mass: float, interval: float) -> ca.Function:
-    """Return the Function x → k (1 − ℓ/s) + c ṡ/s (α,), N/m, for strings of length s, ℓ at the start, as is stable where it is held for an interval.
+    """Build the feedback x → k (1 − ℓ/s) + c ṡ/s (α,) [N/m].
 
-    strength: a typical γ, N/m. mass: kg, that an end of a bar moves with. interval: s.
+    The strings have lengths s, and ℓ at the start. Stiffness k and damping c are as large as
+    stability allows if the feedback is held over an interval.
+
+    Parameters
+    ----------
+    strength : float
+        Typical force density [N/m].
+    mass : float
+        Effective mass of a node [kg].
+    interval : float
+        Length of an interval [s].
     """
     structure = problem.model.scene.structure
     ends = max(1.0, 2 * len(structure.strings) / len(structure.nodes))
-    k = min(STIFFNESS * strength, MOST_STIFFNESS * mass / (ends * interval**2))
-    c = min(MOST_DAMPING * mass / (ends * interval), CRITICAL * float(np.sqrt(k * mass / ends)))
+    # k of 1.5 γ keeps shapes that constant force densities let collapse; the other factors are
+    # shares of the stability limits of n strings on a node that is held for an interval
+    k = min(1.5 * strength, 0.7 * mass / (ends * interval**2))
+    c = min(mass / (ends * interval), 1.6 * float(np.sqrt(k * mass / ends)))
     now = symbolic(problem.model)
     first = ca.Function("lengths", list(now.symbols), [now.lengths])(problem.first_state, 0, 0)
     return ca.Function(

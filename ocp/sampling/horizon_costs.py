@@ -1,4 +1,4 @@
-"""The costs, goals and bounds of a problem as Functions that rollouts sum over a horizon."""
+"""Costs, goals and limits of a problem as Functions that rollouts sum up."""
 
 from __future__ import annotations
 
@@ -18,18 +18,24 @@ from ocp.problem.scaling import Scales
 from ocp.problem.start import FreeStart
 from tenscasadi.simulation.engine.kernel import BROKEN_BARS
 
-# what overstepping a limit costs along a whole horizon, in scaled units, against 1 for a departure
-# of a `place`
+# cost of a scaled violation of a limit along a whole horizon; a goal that is off by its tolerance
+# costs 1
 OVERSTEP = 1e5
 
 
 class HorizonCosts(NamedTuple):
-    """The costs of a motion over a horizon, in parts that are summed.
+    """Terms of the cost of a motion over a horizon.
 
-    stage: Function (x, w) → cost per second, w = [γ; time], infinite where bars are broken; final:
-    Function (x, w) → cost of the end. control: Function γ (α, K) → cost of the force densities
-    alone. rates: Function (x, γ, x⁺, γ⁺) → cost of what changes from one period to the next; None
-    where nothing is limited.
+    Attributes
+    ----------
+    stage : casadi.Function
+        (x, w) → cost per second, with w = [γ; time]; infinite if a bar has lost its length.
+    final : casadi.Function
+        (x, w) → terminal cost.
+    control : casadi.Function or None
+        γ (α, K) → cost of the force densities alone.
+    rates : casadi.Function or None
+        (x, γ, x⁺, γ⁺) → cost of violated rate limits from one period to the next.
     """
 
     stage: ca.Function
@@ -38,14 +44,24 @@ class HorizonCosts(NamedTuple):
     rates: ca.Function | None
 
 
-def horizon_costs(
+def build_horizon_costs(
     problem: Problem, scales: Scales, period: float, intervals: int, place: float, strength: float
 ) -> HorizonCosts:
-    """Return the costs of a problem over a horizon of `intervals` periods, s, at whose end its goals are to be met.
+    """Build the costs of a problem over a horizon, with its goals at the end.
 
-    place: m, a departure from a goal that costs 1, as do 10 of it in the problem's duration of
-    speed. strength: a typical γ, N/m. Raises ValueError for goals that no end of a horizon can
-    meet.
+    Parameters
+    ----------
+    period : float
+        Length of one of the `intervals` periods [s].
+    place : float
+        Distance from a goal that costs 1 [m]; of velocities, 10 of it in the duration.
+    strength : float
+        Typical force density [N/m].
+
+    Raises
+    ------
+    ValueError
+        If a goal asks for a motion of a given duration.
     """
     now, given = _instant(problem)
     length = period * intervals
@@ -56,7 +72,7 @@ def horizon_costs(
     ]
     final += OVERSTEP * sum((_excess(rows, *now.symbols) for rows in last), ca.DM(0))
     misses = _misses(problem, now, {"m": place, "m/s": 10 * place / scales.time})
-    rate = running_cost(problem, scales, length, strength)(now.state, given) + misses / length
+    rate = build_running_cost(problem, scales, length, strength)(now.state, given) + misses / length
     stage = ca.Function("stage", [now.state, given], [rate + ca.if_else(_broken(now), ca.inf, 0.0)])
     ending = ca.Function(
         "final", [now.state, given], [ca.densify(final + misses)], ["x", "w"], ["cost"]
@@ -64,15 +80,15 @@ def horizon_costs(
     return HorizonCosts(
         stage,
         ending,
-        control_cost(problem, period, intervals),
-        rate_cost(problem, scales, period, intervals, strength),
+        build_control_cost(problem, period, intervals),
+        build_rate_cost(problem, scales, period, intervals, strength),
     )
 
 
-def running_cost(
+def build_running_cost(
     problem: Problem, scales: Scales, length: float, strength: float, weight: float = 1.0
 ) -> ca.Function:
-    """Return the Function (x, w) → cost per second of running costs times `weight`, and of limits overstepped within `length`, s."""
+    """Build the Function (x, w) → running cost per second, with violations within `length` [s]."""
     now, given = _instant(problem)
     stage = weight * sum((rate(now) for rate in cost_terms(problem.costs).running), ca.DM(0))
     along = [
@@ -83,13 +99,13 @@ def running_cost(
 
 
 def _instant(problem: Problem) -> tuple[Instant, Any]:
-    """Return an instant, and w = [γ; time] of which it is."""
+    """Return a symbolic instant, and its w = [γ; time]."""
     now = symbolic(problem.model)
     return now, ca.vertcat(now.control, now.time)
 
 
 def _misses(problem: Problem, now: Instant, sizes: dict[str, float]) -> Any:
-    """Return Σ (row/size)² over the rows of all goals."""
+    """Sum (row/size)² over the rows of all goals."""
     asked = [
         type(part).__name__
         for part in (problem.start, *problem.goals)
@@ -115,7 +131,7 @@ def _misses(problem: Problem, now: Instant, sizes: dict[str, float]) -> Any:
 
 
 def _broken(now: Instant) -> Any:
-    """Return whether a bar is off its length as no motion can be that is still one."""
+    """Return whether a bar has lost its length."""
     structure = now.model.scene.structure
     if not len(structure.bars):
         return ca.DM(0)
@@ -127,23 +143,23 @@ def _broken(now: Instant) -> Any:
 
 
 def _excess(rows: ScaledRows, *given: Any) -> Any:
-    """Return by how much the limits are overstepped, summed, in scaled units."""
+    """Sum the scaled violations of limits."""
     value = rows.function(*given)
     return ca.sum1(ca.fmax(ca.fmax(value - ca.DM(rows.upper), ca.DM(rows.lower) - value), 0))
 
 
-def control_cost(problem: Problem, period: float, intervals: int) -> ca.Function | None:
-    """Return the Function γ (α, K) → costs of force densities alone; None where there are none."""
+def build_control_cost(problem: Problem, period: float, intervals: int) -> ca.Function | None:
+    """Build the Function γ (α, K) → cost of force densities alone, if there is any."""
     terms = cost_terms(problem.costs)
     gamma = ca.SX.sym("u", problem.model.nu, intervals)
     each = [expression(gamma, period) for expression in (*terms.control, *terms.changes)]
     return ca.Function("control", [gamma], [ca.densify(sum(each, ca.SX(0)))]) if each else None
 
 
-def rate_cost(
+def build_rate_cost(
     problem: Problem, scales: Scales, period: float, intervals: int, strength: float
 ) -> ca.Function | None:
-    """Return the Function (x, γ, x⁺, γ⁺) → cost of rates overstepped from one period to the next; None where nothing is limited."""
+    """Build the Function (x, γ, x⁺, γ⁺) → cost of violated rate limits, if there are any."""
     limits = scaled_rows(problem, RateBound, scales, strength)
     symbols = [
         ca.MX.sym(name, size)

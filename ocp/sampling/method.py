@@ -1,4 +1,4 @@
-"""The method of `Sampling`: search, Gauss-Newton, and what came of it."""
+"""Method of `Sampling`: random search, then Gauss-Newton."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import numpy as np
 from ocp.problem.control import refuse_wound
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
-from ocp.sampling.defaults import Usual, alike, usual
-from ocp.sampling.descent import Descent, Point
+from ocp.sampling.batch_simulation import BatchSimulation
+from ocp.sampling.defaults import SamplingDefaults, choose_defaults, find_symmetry_groups
+from ocp.sampling.descent import Candidate, Descent
 from ocp.sampling.elastic_law import elastic_law
-from ocp.sampling.motions import Motions
 from ocp.sampling.search import Search
 from ocp.sampling.solver import Sampling
 from ocp.sampling.spline_noise import SplineNoise
@@ -23,30 +23,19 @@ from ocp.transcription.mesh import Guess, held_values
 from tenscasadi.integrators.stability import contact_rate, contact_step
 from tenscasadi.util.validate import Array
 
-COARSE = 0.5  # radians of the fastest swing in a step of the search
-MOST_STEPS = 2000  # of an interval
-FAST = 10.0  # times their tolerance that speeds may be off by at first in Gauss-Newton
-FINER = 2  # times the steps that contact needs: whether the motion is theirs
-FAR = 10.0  # tolerances, beyond which a search has not found the way
-HOPELESS, NEARLY = (
-    30.0,
-    2.0,
-)  # tolerances, beyond which the steps that contact needs, and finer ones, are not tried
 _STOPS = {
     TIME_UP: "stopped at the time limit, with the best so far: increase time_limit",
     STOPPED: "stopped from the keyboard, with the best so far",
 }
-CERTAIN = 0.5  # of the tolerance: plans that miss by more are tried again
-POLISHED = 2  # lineages of a search that are
 
 
 def default_intervals(problem: Problem) -> int:
-    """Return how many intervals a plan by sampling gets where no transcription says so."""
-    return usual(problem).intervals(problem)
+    """Choose the number of intervals of a sampled plan."""
+    return choose_defaults(problem).intervals(problem)
 
 
 def check_sampling(problem: Problem, transcription: Transcription, solver: Sampling) -> None:
-    """Raise ValueError, saying the cure, for what no sampled motion does."""
+    """Raise ValueError if a problem or profile is unsupported."""
     refuse_wound(problem.model, "Sampling")
     if problem.free_start:
         raise ValueError(
@@ -72,11 +61,16 @@ def solve_sampled(
     monitor: Monitor,
     tolerance: float,
 ) -> Outcome:
-    """Return what sampling finds; the best so far if the monitor stops it.
+    """Solve a problem by sampling; return the best candidate if the monitor stops it.
 
-    transcription: its intervals, and which strings share a force density. guess: where Gauss-Newton
-    begins; a search follows where that fails. tolerance: m, what goals may be missed by, and in m
-    per duration speeds.
+    Parameters
+    ----------
+    transcription : Transcription
+        Its intervals and groups of strings are used.
+    guess : Guess or None
+        Start of Gauss-Newton. A search follows if that fails.
+    tolerance : float
+        Tolerance of goals [m], and of velocities [m per duration].
     """
     check_sampling(problem, transcription, solver)
     return _Method(problem, transcription, solver, monitor, tolerance).run(guess)
@@ -94,32 +88,33 @@ class _Method:
         tolerance: float,
     ) -> None:
         self._problem, self._solver, self._monitor = problem, solver, monitor
-        self._usual, scales = usual(problem), Scales.of(problem)
+        self._defaults, scales = choose_defaults(problem), Scales.of(problem)
         self._shared = transcription.control.groups
         interval = problem.longest * float(transcription.fractions.max())
-        rate = max(contact_rate(problem.model), _swing(self._usual, problem))
-        steps = int(np.clip(np.ceil(interval * rate / COARSE), 1, MOST_STEPS))
+        rate = max(contact_rate(problem.model), _swing(self._defaults, problem))
+        # steps of half a radian of the fastest vibration
+        steps = int(np.clip(np.ceil(interval * rate / 0.5), 1, 2000))
         self._finer = max(
             1, int(np.ceil(min(interval / steps / contact_step(problem.model), 20.0)))
         )
-        self._motions = Motions(
+        self._motions = BatchSimulation(
             problem,
             scales,
             transcription.fractions,
             transcription.control,
             steps,
-            self._usual.strength,
+            self._defaults.strength,
             tolerance,
             solver.threads,
         )
-        self._law = elastic_law(problem, self._usual.strength, self._usual.mass, interval)
-        self._best: Point | None = None
-        self._miss = np.inf  # of the best, in tolerances
+        self._law = elastic_law(problem, self._defaults.strength, self._defaults.mass, interval)
+        self._best: Candidate | None = None
+        self._miss = np.inf  # residual of the best, in units of the tolerance
         self._stopped = ""
         self._iterations = 0
 
     def run(self, guess: Guess | None) -> Outcome:
-        """Search, and go on from the best, until the goals are met."""
+        """Improve the guess, then search until the goals are met."""
         try:
             if guess is not None:
                 self._polish(
@@ -135,10 +130,10 @@ class _Method:
         return self._outcome()
 
     def _try_all(self) -> None:
-        """Search for groups of strings, then for each string, with other samples each time."""
+        """Search by groups of strings, then by strings, with new samples in each attempt."""
         motions, solver, levels = self._motions, self._solver, self._levels()
         knots = (
-            self._usual.knots(self._problem.longest / len(motions.legs))
+            self._defaults.knots(self._problem.longest / len(motions.legs))
             if solver.knots is None
             else solver.knots
         )
@@ -147,7 +142,7 @@ class _Method:
             for directions in list(levels):
                 search = Search(
                     motions,
-                    self._usual.force_density,
+                    self._defaults.force_density,
                     directions,
                     knots,
                     solver.samples,
@@ -155,18 +150,19 @@ class _Method:
                     random,
                 )
                 found = search.run(self._over)
-                if found[0].miss > FAR and len(levels) > 1 and not self._stopped:
+                if found[0].miss > 10.0 and len(levels) > 1 and not self._stopped:
                     levels.pop(0)  # these groups do not lead there
                     continue
-                for one in found[:POLISHED]:
+                for one in found[:2]:
                     self._polish(one.whole, one.duration, directions)
-                    if self._stopped or self._miss <= CERTAIN:
+                    if self._stopped or self._miss <= 0.5:
                         return
 
     def _polish(self, wanted: Array, duration: float, directions: Array) -> None:
-        """Remove the last misses: in coarse steps with fast ends, in the steps that contact needs, and in finer ones."""
+        """Improve by Gauss-Newton in coarse steps, in those that contact needs, and in finer ones."""
         misses = []
-        for finer, speed in ((1, FAST), (self._finer, 1.0), (FINER * self._finer, 1.0)):
+        # the first round admits ten times the final speeds
+        for finer, speed in ((1, 10.0), (self._finer, 1.0), (2 * self._finer, 1.0)):
             descent = Descent(self._motions, directions, finer)
             point, iterations = descent.run(
                 wanted, duration, speed, self._solver.iterations, self._over
@@ -174,16 +170,18 @@ class _Method:
             self._iterations += iterations
             wanted, duration = point.wanted, point.duration
             misses.append(point.worst)
-            if not point.worst < (HOPELESS if len(misses) == 1 else NEARLY):
+            if not point.worst < (30.0 if len(misses) == 1 else 2.0):
                 break
-        # Where errors of steps grow along the motion, steps of another length end elsewhere.
-        miss = max(point.worst, descent.again(point, self._finer) if len(misses) == 3 else np.inf)
+        # Along unstable motions, steps of another length end elsewhere.
+        miss = max(
+            point.worst, descent.measure_finer(point, self._finer) if len(misses) == 3 else np.inf
+        )
         if self._best is None or (miss, point.worst) < (self._miss, self._best.worst):
             self._best, self._miss = point, miss
 
     def _levels(self) -> list[Array]:
-        """Return the directions (g, α) in which γ is changed: those of groups, and those of each string."""
-        count, spread = self._problem.model.nu, self._usual.spread
+        """Return the directions (g, α) of the search: groups of strings, then single strings."""
+        count, spread = self._problem.model.nu, self._defaults.spread
         alone = (
             tuple(
                 (string,)
@@ -196,14 +194,14 @@ class _Method:
         levels = (
             [given]
             if given is not None
-            else [alike(self._problem), alone]
+            else [find_symmetry_groups(self._problem), alone]
             if not self._shared
             else [alone]
         )
         return [SplineNoise(spread, groups=groups).directions(count) for groups in levels]
 
     def _over(self, line: str) -> bool:
-        """Tell how it goes, and whether to stop."""
+        """Report progress, and return whether to stop."""
         if self._solver.verbose:
             sys.stdout.write(line + "\n")
         if self._solver.watch is not None and self._solver.watch(line) is False:
@@ -215,7 +213,7 @@ class _Method:
     def _outcome(self) -> Outcome:
         motions, best, solver = self._motions, self._best, self._solver
         if best is None or not np.isfinite(best.merit):
-            best = motions_at_rest(motions, self._usual)
+            best = simulate_defaults(motions, self._defaults)
         success = self._miss <= 1.0
         lanes = (
             f"{motions.kernel.lanes} at once"
@@ -231,7 +229,7 @@ class _Method:
                 best.worst <= 1.0
                 and "the motion is so unstable that steps of another length end elsewhere"
             )
-            why = f"no plan: {self._stopped or cure}; {unsteady or motions.worst(best.states, best.force_density, best.duration)}"
+            why = f"no plan: {self._stopped or cure}; {unsteady or motions.describe_worst(best.states, best.force_density, best.duration)}"
         return Outcome(
             states=best.states,
             force_density=best.force_density,
@@ -245,16 +243,16 @@ class _Method:
         )
 
 
-def motions_at_rest(motions: Motions, given: Usual) -> Point:
-    """Return what comes of force densities to begin with, where nothing better is known."""
+def simulate_defaults(motions: BatchSimulation, given: SamplingDefaults) -> Candidate:
+    """Simulate the initial force densities, for want of a better candidate."""
     problem = motions.problem
     wanted = np.tile(given.force_density, (len(motions.fractions), 1))
     gamma, states, _ = motions.roll(problem.first_state[None], wanted[None], problem.longest)
-    return Point(wanted, problem.longest, gamma[0], states[0], np.full(1, np.inf))
+    return Candidate(wanted, problem.longest, gamma[0], states[0], np.full(1, np.inf))
 
 
-def _swing(given: Usual, problem: Problem) -> float:
-    """Return how fast strings let nodes swing, rad/s, under the largest force densities that are tried."""
+def _swing(given: SamplingDefaults, problem: Problem) -> float:
+    """Estimate the fastest vibration of nodes [rad/s] under the largest force densities."""
     structure = problem.model.scene.structure
     ends = max(1.0, 2 * len(structure.strings) / len(structure.nodes))
     return float(np.sqrt(ends * (given.strength + 2 * given.spread.mean()) / given.mass))

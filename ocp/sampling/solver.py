@@ -1,4 +1,4 @@
-"""Sampling as a value: groups of strings, knots, samples, seed."""
+"""Options of sampling."""
 
 from __future__ import annotations
 
@@ -17,54 +17,56 @@ MOST = 1_000_000
 
 @dataclass(frozen=True)
 class Sampling(NamedSolver, kind="Sampling"):
-    """Random search on simulated motions, then Gauss-Newton on the best: for motions through contact, where derivatives mislead.
+    """Random search on simulated motions, then Gauss-Newton.
 
-    Splines through random knots change the force densities of few groups of strings; the best
-    sample is kept, and the next ones are drawn about it, with less and less spread. Strings answer
-    as elastic, damped ones would, which keeps shapes that constant force densities let collapse;
-    the force densities that come of it are the plan. Gauss-Newton then removes the last misses:
-    derivatives are finite differences of motions that are simulated side by side. Goals and
-    waypoints are met, bounds kept; costs are low, but not least.
+    Use it for motions through contact, where derivatives mislead. Goals and limits are met. Costs
+    are low, but not optimal.
 
     Parameters
     ----------
     groups : sequence of sequences of int, optional
-        Strings that change together; those in no group change with none. Default: strings of one
-        length whose ends are equally high at the start; where these do not lead to the goals, each
-        string for itself.
+        Groups of strings that change together. Strings in no group do not change. Default: strings
+        of one length with ends of equal heights at the start, then single strings if these do not
+        reach the goals.
     knots : int, optional
-        Knots of the splines between two waypoints. Default: as the duration asks for.
+        Knots of the splines between two waypoints. Default: three in the time of a fall, 6 to 24.
     samples : int
-        Motions in each round, of which 8 are simulated at once where the processor can.
+        Motions in each round. 8 are simulated at once if the processor can.
     seed : int
-        Seed of the samples: the same seed finds the same plan, on any number of threads.
+        Seed of the samples. The plan does not depend on the number of threads.
     rounds : int
-        Most rounds between two waypoints.
+        Largest number of rounds between two waypoints.
     iterations : int
-        Most iterations of Gauss-Newton.
+        Largest number of iterations of Gauss-Newton.
     attempts : int
-        How often all of it is tried, with other samples, until the goals are met.
+        Number of attempts, with new samples each, until the goals are met.
     threads : int, optional
-        Threads that share the motions. Default: one for each processor that this process may use.
+        Number of threads. Default: one for each processor that this process may use.
     verbose : bool
         Whether to print a line for each round and iteration.
     watch : callable, optional
-        Function of such a line. When it returns False the search stops; as after Ctrl-C, the plan
-        is the best so far.
+        Function of a line of progress. The search stops if it returns False. The plan is then the
+        best so far, as after Ctrl-C.
 
     Raises
     ------
     TypeError, ValueError
-        If a value is not of its kind; with a problem, if a string does not exist.
+        If a value has another type or is out of bounds, or a string does not exist.
 
     Notes
     -----
-    Without a compiler of C++ the motions are simulated one by one, more slowly; `Plan.status` then
+    Splines through random knots change the force densities. The best sample is kept, and the next
+    samples are drawn about it with less spread. A feedback of elastic, damped strings keeps shapes
+    that constant force densities let collapse; the plan is the resulting force densities.
+    Gauss-Newton then removes the residuals of goals and limits. Its derivatives are finite
+    differences of motions that are simulated in one batch.
+
+    Without a C++ compiler the motions are simulated one by one, more slowly, and `Plan.status`
     says so.
 
     Examples
     --------
-    A prism jumps: its centre of mass rises by 20 cm.
+    A prism jumps, and its center of mass rises by 20 cm.
 
     >>> import ocp
     >>> import tenscasadi as tc
@@ -114,7 +116,7 @@ class Sampling(NamedSolver, kind="Sampling"):
 
 
 def read_groups(field: str, groups: Any) -> tuple[tuple[int, ...], ...]:
-    """Return groups of strings, checked. Raises TypeError, ValueError."""
+    """Read groups of strings. Raises TypeError, ValueError."""
     try:
         return tuple(map(tuple, SplineNoise(1.0, groups=groups).groups or ()))
     except (TypeError, ValueError) as error:

@@ -1,4 +1,4 @@
-"""Noise that is smooth over a horizon: splines through random knots, in groups of strings."""
+"""Smooth noise: splines through random knots, in groups of strings."""
 
 from __future__ import annotations
 
@@ -24,30 +24,28 @@ DEGREE = 3
 
 @dataclass(frozen=True, eq=False)
 class SplineNoise:
-    """Smooth random changes of force densities, for `Mppi`: cubic splines through a few independent normal knots.
+    """Smooth random changes of force densities for `Mppi`.
+
+    The changes are cubic splines through a few independent normal knots.
 
     Parameters
     ----------
     deviation : float or array_like, shape (α,)
-        Standard deviation of the largest changes, N/m, ≥ 0, the same at all times; one number, or
-        one for each string.
+        Standard deviation of the largest changes [N/m], the same at all times.
     knots : int
-        Knots over the horizon, at equal times; fewer make smoother changes.
+        Number of knots over the horizon, at equal times. Fewer knots make smoother changes.
     groups : sequence of sequence of int, optional
-        Strings that change together, such as those that a symmetry maps onto each other: fewer
-        directions need fewer samples. Strings in no group keep their force densities. Default: each
-        string for itself.
+        Groups of strings that change together, such as images under a symmetry. Fewer groups need
+        fewer samples. Strings in no group do not change. Default: single strings.
     finest : float
-        Deviation of the smallest changes as a share of that of the largest; those of the samples
-        lie between them in equal ratios, so that some explore while others refine. 1: all are the
-        same.
+        Ratio of the smallest to the largest deviation, in (0, 1]. The samples lie between them in
+        equal ratios, so that some explore while others refine.
 
     Raises
     ------
     TypeError, ValueError
-        If a deviation is no number or negative, there are no knots, `finest` is not above 0 and at
-        most 1, or groups are no lists of different strings; with a problem, if there is not one
-        deviation for each string, or a string does not exist.
+        If a value has another type or is out of bounds, a string is in two groups or does not
+        exist, or the number of deviations is not that of the strings.
 
     Examples
     --------
@@ -93,7 +91,7 @@ class SplineNoise:
             object.__setattr__(self, "groups", groups)
 
     def sizes(self, samples: int) -> Array:
-        """Return how large the changes of each sample are.
+        """Compute the sizes of the changes of the samples.
 
         Parameters
         ----------
@@ -103,12 +101,12 @@ class SplineNoise:
         Returns
         -------
         ndarray, shape (samples,)
-            Shares of the deviation: 0, then from `finest` to 1.
+            Ratios to the deviation: 0, then from 1 to `finest`.
         """
         return np.concatenate([[0.0], np.geomspace(self.finest, 1.0, samples - 1)[::-1]])
 
     def directions(self, count: int) -> Array:
-        """Return what one deviation of each group does to the force densities of `count` strings.
+        """Compute the changes of the strings by one deviation of each group.
 
         Parameters
         ----------
@@ -118,12 +116,12 @@ class SplineNoise:
         Returns
         -------
         ndarray, shape (groups, α)
-            Changes, N/m.
+            Changes [N/m].
 
         Raises
         ------
         ValueError
-            If there is not one deviation for each string, or a string does not exist.
+            If the number of deviations is not that of the strings, or a string does not exist.
         """
         spread = per_item("SplineNoise.deviation", self.deviation, count)
         if self.groups is None:
@@ -138,17 +136,19 @@ class SplineNoise:
         return matrix
 
     def basis(self, intervals: int) -> Array:
-        """Return the share of each knot in each interval, such that the noise has the deviation in every one.
+        """Compute the weight of each knot in each interval.
+
+        The noise has the same deviation in all intervals.
 
         Parameters
         ----------
         intervals : int
-            Intervals of the horizon, K.
+            Number of intervals K of the horizon.
 
         Returns
         -------
         ndarray, shape (K, knots)
-            Rows of length 1.
+            Rows of unit norm.
         """
         knots = min(self.knots, intervals)
         times = np.linspace(0.0, max(intervals - 1, 1), knots)

@@ -1,4 +1,4 @@
-"""Motions of a problem under many force densities at once: what they cost, and what they miss."""
+"""Simulation of many motions of a problem at once, their costs and violations."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ocp.problem.path_constraints import ScaledRows, scaled_rows
 from ocp.problem.problem import Problem
 from ocp.problem.rows import stack
 from ocp.problem.scaling import Scales, typical_cost
-from ocp.sampling.horizon_costs import control_cost, rate_cost, running_cost
+from ocp.sampling.horizon_costs import build_control_cost, build_rate_cost, build_running_cost
 from ocp.transcription.mesh import Profile, group_matrix, hermite_state, locate_share, spans
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.simulation.engine.build import build_kernel
@@ -28,11 +28,23 @@ from tenscasadi.util.validate import Array
 
 Watcher = Callable[[str], bool]  # function of a line of progress; returns whether to stop
 
-COST_SHARE = 0.1  # what the problem's costs weigh beside a goal that is missed by the tolerance
+COST_SHARE = 0.1  # weight of the costs against a goal that is off by its tolerance
 
 
-class Asked(NamedTuple):
-    """Goals of one instant: the interval it lies in, and Function (x, x⁺, h) → rows, of the interval's ends h apart; units and names of its rows."""
+class InstantGoals(NamedTuple):
+    """Goals of one instant.
+
+    Attributes
+    ----------
+    interval : int
+        Interval that the instant lies in.
+    rows : casadi.Function
+        (x, x⁺, h) → rows, of the states at the ends of the interval of length h [s].
+    speeds : ndarray of bool
+        Which rows are speeds.
+    names : tuple of str
+        Names of the rows.
+    """
 
     interval: int
     rows: ca.Function
@@ -40,12 +52,21 @@ class Asked(NamedTuple):
     names: tuple[str, ...]
 
 
-class Motions:
-    """Motions of a problem on a mesh of intervals.
+class BatchSimulation:
+    """Simulation of many motions of a problem on a mesh.
 
-    profile: which strings share a force density, and how often it changes. steps: those of
-    `RungeKutta4` in each interval. strength: a typical γ, N/m. place: m, what a goal may be missed
-    by.
+    Parameters
+    ----------
+    profile : Profile
+        Groups of strings, and the spans over which controls are held.
+    steps : int
+        Steps of `RungeKutta4` in each interval.
+    strength : float
+        Typical force density [N/m].
+    place : float
+        Tolerance of goals [m].
+    threads : int, optional
+        Number of threads; one for each processor by default.
     """
 
     def __init__(
@@ -77,30 +98,28 @@ class Motions:
         self.kernel = build_kernel(
             problem.model,
             RungeKutta4(),
-            stage=running_cost(problem, scales, longest, strength, self._weight),
+            stage=build_running_cost(problem, scales, longest, strength, self._weight),
         )
         self._lower, self._upper = problem.force_density_limits
         together = group_matrix(profile, problem.model.nu)
-        self._shared = (
-            together @ (together / together.sum(axis=0)).T
-        )  # the mean of strings that share a force density
+        # the mean of strings that share a force density
+        self._shared = together @ (together / together.sum(axis=0)).T
         self._spans = spans(profile, fractions)
-        self.law: ca.Function | None = (
-            None  # what is added to γ that is wanted, by the state at the start of each interval
-        )
-        self.count = 0  # motions that were rolled
-        self._control_cost = control_cost(problem, longest / count, count)
-        self._rate_cost = rate_cost(problem, scales, longest / count, count, strength)
+        # feedback that is added to the controls, a function of the state at the start of intervals
+        self.law: ca.Function | None = None
+        self.count = 0  # simulated motions
+        self._control_cost = build_control_cost(problem, longest / count, count)
+        self._rate_cost = build_rate_cost(problem, scales, longest / count, count, strength)
 
     @property
     def legs(self) -> list[tuple[int, int]]:
-        """The intervals from one instant at which something is asked to the next."""
+        """Ranges of intervals from one instant with goals to the next."""
         ends = sorted({0, len(self.fractions), *(one.interval + 1 for one in self.asked)})
         return list(pairwise(ends))
 
     @cached_property
-    def asked(self) -> list[Asked]:
-        """The goals in the order of their instants."""
+    def asked(self) -> list[InstantGoals]:
+        """Goals in the order of their instants."""
         problem, model = self.problem, self.problem.model
         structure = model.scene.structure
         found = []
@@ -127,17 +146,21 @@ class Motions:
             value = ca.Function("rows", [x], [ca.densify(rows.value)])
             between = ca.Function("rows", [before, after, h], [value(state)])
             found.append(
-                Asked(k, between, np.array([unit == "m/s" for unit in rows.units]), rows.names)
+                InstantGoals(
+                    k, between, np.array([unit == "m/s" for unit in rows.units]), rows.names
+                )
             )
         return found
 
     def roll(
         self, starts: Array, wanted: Array, duration: float, first: int = 0, finer: int = 1
     ) -> tuple[Array, Array, Array]:
-        """Return γ (n, k, α), the states (n, k + 1, nx) at the ends of intervals from `first` on, and what they cost along the way (n,).
+        """Simulate n motions over k intervals.
 
-        wanted (n, k, α): γ but for what the law adds. finer: times as many steps as usual. Costs
-        are inf and states NaN where a motion diverges. Ctrl-C raises KeyboardInterrupt.
+        Returns the force densities (n, k, α), the states (n, k + 1, nx) at the ends of the
+        intervals from `first` on, and the running costs (n,). `wanted` (n, k, α) are the force
+        densities without the feedback, and `finer` multiplies the number of steps. Costs are inf
+        and states NaN if a motion diverges. Ctrl-C raises KeyboardInterrupt.
         """
         n, count, nu = wanted.shape
         ends = duration * np.cumsum(self.fractions)[first : first + count]
@@ -171,9 +194,9 @@ class Motions:
         return controls, states, cost + self._other_costs(states, controls, first)
 
     def misses(self, states: Array, duration: float, first: int = 0, speed: float = 1.0) -> Array:
-        """Return the rows (n, m) of the goals within the intervals of states (n, k + 1, nx), divided by what they may be missed by.
+        """Compute the goal rows (n, m) of states (n, k + 1, nx), in units of their tolerances.
 
-        speed: times what velocities may be off by, which is the place per duration.
+        The tolerance of velocities is `speed` times that of positions per duration.
         """
         n, last = len(states), first + states.shape[1] - 1
         rows = [np.zeros((n, 0))]
@@ -191,7 +214,7 @@ class Motions:
     def excess(
         self, states: Array, controls: Array, duration: float, last_only: bool = False
     ) -> Array:
-        """Return by how much each limit is overstepped wherever it holds (n, m), in scaled units. last_only: those of the plan's end alone."""
+        """Compute the violations (n, m) of all limits, scaled; or of terminal limits only."""
         n, count, nu = controls.shape
         ends, found = duration * np.append(0.0, np.cumsum(self.fractions)), [np.zeros((n, 0))]
         places = {
@@ -228,8 +251,8 @@ class Motions:
         value = self._evaluate(name, rows.function, *given)
         return np.maximum(np.maximum(value - rows.upper, rows.lower - value), 0.0).reshape(n, -1)
 
-    def worst(self, states: Array, controls: Array, duration: float) -> str:
-        """Tell which goal one motion (K + 1, nx) under γ (K, α) misses most, or which limit it oversteps."""
+    def describe_worst(self, states: Array, controls: Array, duration: float) -> str:
+        """Describe the largest violation of one motion (K + 1, nx) under controls (K, α)."""
         missed = np.abs(self.misses(states[None], duration)[0])
         over = self.excess(states[None], controls[None], duration)[0]
         if not (np.all(np.isfinite(missed)) and np.all(np.isfinite(over))):
@@ -245,7 +268,10 @@ class Motions:
         return f"a limit along the way is overstepped by {over.max(initial=0.0):.2g} of its scale"
 
     def objective(self, states: Array, controls: Array, duration: float) -> float:
-        """Return the sum of the costs of one motion (K + 1, nx) under γ (K, α); running ones by the trapezoid rule."""
+        """Compute the objective of one motion (K + 1, nx) under controls (K, α).
+
+        Running costs are integrated by the trapezoid rule.
+        """
         h, now = duration * self.fractions, symbolic(self.problem.model)
         ends, terms = np.append(0.0, np.cumsum(h)), cost_terms(self.problem.costs)
         spacing = (h[1:] + h[:-1]) / 2
@@ -279,7 +305,7 @@ class Motions:
         return scaled_rows(self.problem, RateBound, self._scales, self._strength)
 
     def _other_costs(self, states: Array, controls: Array, first: int) -> Array:
-        """Return what the kernel does not sum (n,): costs of force densities, of their rates, and of the end, where that is reached."""
+        """Compute the costs (n,) of force densities, of their rates, and of instants."""
         n, count, _ = controls.shape
         whole, total = count == len(self.fractions), np.zeros(n)
         if self._control_cost is not None:
@@ -311,7 +337,7 @@ class Motions:
 
     @cached_property
     def _instant_costs(self) -> list[tuple[int, ca.Function]]:
-        """Costs of an instant, as Functions (x, u), each with the interval at whose end it is taken."""
+        """Costs of instants: interval at whose end each is evaluated, and Function (x, u)."""
         now, found = symbolic(self.problem.model), []
         x, u, _ = now.symbols
         for share, expression in cost_terms(self.problem.costs).instants:
@@ -324,7 +350,7 @@ class Motions:
         return found
 
     def _evaluate(self, name: str, function: ca.Function, *inputs: Array) -> Array:
-        """Return the result (n, size) of a Function for rows of inputs."""
+        """Evaluate a Function for n rows of inputs."""
         n = len(inputs[0])
         if (name, n) not in self._cached:
             self._cached[name, n] = ArrayFunction(function.map(n))
