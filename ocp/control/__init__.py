@@ -1,1 +1,1 @@
-"""Plans in closed loop: time-varying LQR and model predictive control."""
+"""Control in closed loop: LQR, model predictive control, sampling."""

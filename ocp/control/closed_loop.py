@@ -1,4 +1,4 @@
-"""Controllers at work: the motion of a model whose force densities are decided anew again and again."""
+"""Simulation of a model under a controller."""
 
 from __future__ import annotations
 
@@ -29,37 +29,35 @@ from tenscasadi.util.validate import (
     whole_number,
 )
 
-MOST = 1e7  # decisions in a run
-MOST_STEPS = 1000  # in a decision
-ROUNDED = 1e-3  # of lengths and speeds: what a start may be off its bars and joints by
+MAX_DECISIONS = 1e7
 
 
 @runtime_checkable
 class Controller(Protocol):
-    """Decides force densities from time and state, every `period` s."""
+    """Controller that decides force densities from time and state."""
 
     @property
     def period(self) -> float:
-        """Seconds from one decision to the next."""
+        """Sampling period [s]."""
 
     @property
     def model(self) -> Model:
-        """The model that the controller believes in."""
+        """Model of the controller."""
 
     def control(self, time: float, state: Array) -> Array:
-        """γ (α,), N/m, until the next decision."""
+        """Decide the force densities (α,) until the next decision [N/m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class ClosedLoop(ReadOnlyArrays):
-    """Controlled motion, and how long the decisions took; see `run`.
+    """Result of `run`: the motion, and the wall times of the decisions.
 
     Attributes
     ----------
     trajectory : Trajectory
-        The motion, at the decisions and the steps between them.
+        Motion at the decisions and the steps between them.
     seconds : ndarray, shape (D,)
-        Wall time of each decision, s.
+        Wall time of each decision [s].
 
     Examples
     --------
@@ -93,27 +91,27 @@ def run(
     disturbance: Callable[[float, Array], Array] | None = None,
     parameters: Any = None,
 ) -> ClosedLoop:
-    """Simulate a model under a controller, which decides its force densities anew and anew.
+    """Simulate a model under a controller.
 
     Parameters
     ----------
     controller : Mpc, Tracker or Controller
-        What decides: it has a `model`, a `period`, s, and `control(time, state)`, which returns
-        force densities (α,), N/m.
+        Controller, with a `model`, a `period` [s] and `control(time, state)`, which returns force
+        densities (α,) [N/m].
     t_end : float
-        End of the run, s. The last decision holds for what is left of its period.
+        End of the run [s]. The last decision may be shorter than the period.
     model : Model, optional
-        The plant. It may differ from what the controller believes: in masses, gravity, gusts
-        (`tenscasadi.NodalForce` of time); nodes and strings are the same. Default: the controller's
-        own model.
+        Plant. It may differ from the controller's model in masses, gravity and loads such as gusts
+        (`tenscasadi.NodalForce` of time), but not in nodes and strings. Default: the controller's
+        model.
     state : array_like, shape (nx,), optional
-        Where the run starts, with bars of their lengths. A clock need not begin at 0: the
-        controller sees it; times count from the beginning. Default: the model's initial state.
+        Initial state, on the constraints. The controller sees its clock, which need not begin
+        at 0. Default: the model's initial state.
     steps : int
-        Steps of `RungeKutta4` for each decision.
+        Number of steps of `RungeKutta4` in each period.
     disturbance : callable, optional
-        Function (time, state) → state, called before each decision, such as a push. What bars and
-        joints do not allow of it is taken off.
+        Function (time, state) → state before each decision, such as a push. The result is
+        projected onto bars and joints.
     parameters : array_like, shape (np,), or mapping of str to array_like, optional
         Values of the plant's parameters, see `tenscasadi.ParameterLayout.values`. Default: the
         nominal ones.
@@ -121,16 +119,16 @@ def run(
     Returns
     -------
     ClosedLoop
-        The motion; it ends where it diverges, and its trajectory then has `success` False.
+        Motion. If it diverges, it ends there, and its trajectory has `success` False.
 
     Raises
     ------
     TypeError, ValueError
-        An argument is wrong, or what the controller decides.
+        If an argument or a decision has another type or is out of bounds.
 
     Examples
     --------
-    A planar cross is brought to another shape, and kept there:
+    A planar cross moves to another shape and stays there:
 
     >>> import ocp
     >>> import tenscasadi as tc
@@ -158,22 +156,20 @@ def run(
         )
     _check_plant(plant, controller.model)
     plant = plant.with_parameters(parameters)
-    n = whole_number("steps", steps, 1, MOST_STEPS)
+    n = whole_number("steps", steps, 1, 1000)
     if disturbance is not None and not callable(disturbance):
         raise TypeError(
             f"disturbance is {format_value(disturbance)}: give a function (time, x) -> x, or None"
         )
     ratio = positive_number("t_end", t_end) / period
-    if ratio > MOST:
+    if ratio > MAX_DECISIONS:
         raise ValueError(
-            f"t_end is {t_end:g}: that takes {ratio:.1g} decisions of {period:g} s, give at most {MOST:g}"
+            f"t_end is {t_end:g}: that takes {ratio:.1g} decisions of {period:g} s, give at most {MAX_DECISIONS:g}"
         )
-    ends = np.append(
-        period * np.arange(max(1, np.ceil(ratio - 1e-9))), t_end
-    )  # of the decisions' times
+    ends = np.append(period * np.arange(max(1, np.ceil(ratio - 1e-9))), t_end)
     chain = RungeKutta4().step(plant.ode).mapaccum(n)
     project = build_projection(plant, 2)
-    x = _start(plant, state)
+    x = _find_start(plant, state)
     states, controls, seconds = [x[None]], [], []
     for now, after in pairwise(ends):
         if disturbance is not None:
@@ -185,7 +181,7 @@ def run(
             )
             x = finite_array("disturbance(time, x)", pushed, (plant.nx,))
             x = np.asarray(project(x).full()).ravel()
-        seen = _seen(controller.model, plant, x, now)
+        seen = _observe(controller.model, plant, x, now)
         began = clock.perf_counter()
         decided = controller.control(now, seen)
         seconds.append(clock.perf_counter() - began)
@@ -220,7 +216,7 @@ def run(
 
 
 def _check_plant(plant: Any, believed: Model) -> None:
-    """Refuse a plant whose state and control do not mean what the controller's do."""
+    """Raise ValueError if the states or controls of plant and controller differ."""
     instance("model", plant, Model, "a tenscasadi.Model or None")
     if not isinstance(plant.scene.control, ForceDensity):
         raise ValueError(
@@ -238,16 +234,17 @@ def _check_plant(plant: Any, believed: Model) -> None:
         )
 
 
-def _start(plant: Model, state: Any) -> Array:
-    """Return the state (nx,), put right where it is rounded."""
+def _find_start(plant: Model, state: Any) -> Array:
+    """Check the initial state, and project it onto bars and joints."""
     x = plant.initial_state if state is None else finite_array("state", state, (plant.nx,))
-    if off := off_constraints(plant, x, ROUNDED):
+    # rounded lengths and speeds are projected
+    if off := off_constraints(plant, x, 1e-3):
         raise ValueError(f"state is {off}")
     return np.asarray(build_projection(plant, 10)(x).full()).ravel()
 
 
-def _seen(believed: Model, plant: Model, x: Array, now: float) -> Array:
-    """Return the plant's state as the controller knows it, with or without a clock: the plant's, or what has passed."""
+def _observe(believed: Model, plant: Model, x: Array, now: float) -> Array:
+    """Convert the plant's state to that of the controller's model, with or without a clock."""
     known = 2 * believed.nq
     passed = x[known:] if plant.nx > known else np.array([now])
     return np.append(x[:known], passed[: believed.nx - known])

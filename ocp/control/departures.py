@@ -1,4 +1,4 @@
-"""Departures of a structure from where it should be: the quantities that controllers keep small."""
+"""Quantities that controllers keep small."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ from ocp.problem.instant import norms
 from tenscasadi.dynamics.model import Model
 
 
-def departures(model: Model, place: float, speed: float) -> ca.Function:
-    """Return the Function x → what is to be kept, in units of `place`, m, and `speed`, m/s, and its sparse derivative by x.
+def build_departures(model: Model, place: float, speed: float) -> ca.Function:
+    """Build the scaled output y(x) of a regulator, and its sparse Jacobian.
 
-    Coordinates and velocities; of free structures, which may drift and turn, distances between
-    nodes and their rates.
+    The output is the coordinates in units of `place` [m] and the velocities in units of `speed`
+    [m/s]. Free structures may drift and turn: their output is the distances between nodes, and
+    the rates of these.
     """
     x = ca.SX.sym("x", model.nx)
     if model.scene.structure.held.any() or model.scene.ground is not None:

@@ -1,4 +1,4 @@
-"""Holding a structure where it is: force densities of equilibrium, and the stationary regulator about it."""
+"""Equilibrium of a state at rest, and the stationary regulator about it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,19 @@ from tenscasadi.util.validate import Array
 
 
 class Equilibrium(NamedTuple):
-    """Force densities (α,), N/m, that hold a state at rest, and the largest acceleration that they leave, m/s²; coordinate: which has it."""
+    """Force densities that hold a state at rest.
+
+    Attributes
+    ----------
+    force_density : ndarray, shape (α,)
+        Force densities [N/m].
+    left : float
+        Largest acceleration that remains [m/s²].
+    coordinate : str
+        Name of its coordinate.
+    exact : bool
+        Whether it is negligible.
+    """
 
     force_density: Array
     left: float
@@ -22,10 +34,10 @@ class Equilibrium(NamedTuple):
     exact: bool
 
 
-def equilibrium(model: Model, state: Array, lower: Array, upper: Array) -> Equilibrium:
-    """Find the least force densities (α,) within limits under which a state (nx,) at rest stays, with weights and all loads at its time.
+def find_equilibrium(model: Model, state: Array, lower: Array, upper: Array) -> Equilibrium:
+    """Find the least force densities (α,) that hold a state (nx,) at rest, within limits.
 
-    Where none does, they leave the least accelerations.
+    Loads are those at the time of the state. If nothing holds it, the accelerations are least.
     """
     count = model.nu
     still = EquationDerivatives.of(model).at(at_rest(model, state)[None], np.zeros((1, count)))
@@ -38,7 +50,7 @@ def equilibrium(model: Model, state: Array, lower: Array, upper: Array) -> Equil
         )
         or 1.0
     )
-    balance = 1e6  # weight of accelerations against force densities, in units of order one
+    balance = 1e6  # weight of accelerations against force densities, both scaled
     rows = np.concatenate([balance * A / size, np.eye(count)])
     wanted = np.concatenate([-balance * free / size, np.zeros(count)]) / strength
     gamma, loose = np.array(lower, dtype=float), lower < upper
@@ -62,7 +74,17 @@ def equilibrium(model: Model, state: Array, lower: Array, upper: Array) -> Equil
 
 
 class Rest(NamedTuple):
-    """A state (nx,) at rest and force densities (α,) that hold it, or None and none; message: which, and why."""
+    """State at rest and the force densities that hold it.
+
+    Attributes
+    ----------
+    state : ndarray, shape (nx,), or None
+        State; None if nothing holds it.
+    force_density : ndarray, shape (α,)
+        Force densities [N/m].
+    message : str
+        Result in words, with the reason of a failure.
+    """
 
     state: Array | None
     force_density: Array
@@ -72,22 +94,27 @@ class Rest(NamedTuple):
 def find_rest(
     model: Model, end: Array, lower: Array, upper: Array, slow: float, margin: float = 0.0
 ) -> Rest:
-    """Tell what holds a state (nx,) at which a motion ends. slow: speed of coordinates, m/s, that counts as rest.
+    """Find the force densities that hold the end (nx,) of a motion.
 
-    margin: distance from the limits, N/m, that force densities keep where they can. A regulator
-    about strings at their limits could only tighten them: with half of what it counts on it is
-    hardly stable.
+    Parameters
+    ----------
+    slow : float
+        Speed of coordinates that counts as rest [m/s].
+    margin : float
+        Distance from the limits that force densities keep if they can [N/m]. About strings at
+        their limits, a regulator could only tighten them, and would hardly be stable.
     """
     fastest = float(np.abs(model.split(end)[1]).max(initial=0.0))
     if fastest > slow:
         return Rest(None, np.zeros(0), f"the end is not held: it moves at {fastest:.2g} m/s")
     room = np.minimum(margin, (upper - lower) / 2)
-    found = equilibrium(model, end, lower + room, upper - room)
+    found = find_equilibrium(model, end, lower + room, upper - room)
     if margin and not found.exact:
-        found = equilibrium(model, end, lower, upper)
+        found = find_equilibrium(model, end, lower, upper)
     if not found.exact:
-        told = f"no force densities within their limits do: {found.coordinate} accelerates by {found.left:.2g} m/s² at best"
-        return Rest(None, np.zeros(0), f"the end is not held, as {told}")
+        told = f"{found.coordinate} accelerates by {found.left:.2g} m/s² at best"
+        message = f"the end is not held, as no force densities within their limits do: {told}"
+        return Rest(None, np.zeros(0), message)
     return Rest(
         at_rest(model, end),
         found.force_density,
@@ -96,18 +123,18 @@ def find_rest(
 
 
 def at_rest(model: Model, state: Array) -> Array:
-    """Return the state (nx,) without its velocities."""
+    """Set the velocities of a state (nx,) to zero."""
     still = np.array(state, dtype=float)
     model.split(still)[1][:] = 0.0
     return still
 
 
-def stationary_cost(a: Array, b: Array, Q: Array, R: Array) -> Array:
-    """Return P (d, d) of the cost δᵀ P δ of holding δ⁺ = a δ + b u for a long time, at Q and R for each decision.
+def compute_stationary_cost(a: Array, b: Array, Q: Array, R: Array) -> Array:
+    """Compute the cost matrix P (d, d) of a regulator over a long horizon.
 
-    The horizon doubles each time (Chu, Fan, Lin, Int. J. Control 2004, 77, 767), so that modes
-    which nothing sees or moves are no obstacle; it ends where the cost of those that nothing
-    steadies leaves no digits for others.
+    The system is δ⁺ = a δ + b u with the cost δᵀQδ + uᵀRu for each decision. The horizon doubles
+    each time (Chu, Fan, Lin, Int. J. Control 2004, 77, 767), so that modes need not be observable
+    or controllable. It ends before the cost of unstable modes leaves no digits for others.
     """
     A, G, H = a, b @ scipy.linalg.solve(R, b.T, assume_a="pos"), Q
     eye = np.eye(len(a))

@@ -11,8 +11,8 @@ import scipy.linalg
 from numpy.typing import ArrayLike
 
 from ocp.control.closed_loop import run
-from ocp.control.departures import departures
-from ocp.control.holding import Rest, find_rest, stationary_cost
+from ocp.control.departures import build_departures
+from ocp.control.holding import Rest, compute_stationary_cost, find_rest
 from ocp.problem.bounds.string_bounds import ForceDensityLimits, RestLengthLimits
 from ocp.problem.control import pulled, winds
 from ocp.results.result import PlanResult
@@ -34,13 +34,8 @@ from tenscasadi.util.validate import (
     whole_number,
 )
 
-MOST = 10_000  # decisions: each has a gain
-LEAST_SUBSTEPS, MOST_SUBSTEPS = (
-    2,
-    50,
-)  # of a decision, for its derivatives: one for each radian of the fastest vibration
-BETWEEN = 4  # steps from a node of the plan to a decision after it
-STEPS = 10  # of a replay for each decision
+MAX_SUBSTEPS = 50  # of a decision, for its derivatives
+BETWEEN = 4  # steps from a mesh point of the plan to a decision after it
 
 
 class Hold(NamedTuple):
@@ -77,15 +72,15 @@ class Tracker(ReadOnlyArrays):
     model : Model
         The model of the plan.
     time : ndarray, shape (K + 1,)
-        Times of the decisions, and the end of the plan, s.
+        Times of the decisions, and the end of the plan [s].
     states : ndarray, shape (K + 1, nx)
-        The plan's states at these times, m and m/s.
+        The plan's states at these times [m, m/s].
     force_density : ndarray, shape (K, α)
-        The plan's force densities, N/m.
+        The plan's force densities [N/m], or rest lengths [m].
     gains : ndarray, shape (K, α, nx)
         Gains G.
     lower, upper : ndarray, shape (α,)
-        Limits of the force densities, N/m.
+        Limits of the force densities [N/m], or rest lengths [m].
     hold : Hold or None
         Law that holds the end of the plan: `state` (nx,), `force_density` (α,) and `gains` (α, nx);
         None if the plan does not end at rest.
@@ -121,12 +116,12 @@ class Tracker(ReadOnlyArrays):
 
     @property
     def period(self) -> float:
-        """Seconds from one decision to the next."""
+        """Sampling period [s]."""
         return float(self.time[1] - self.time[0])
 
     @property
     def feedback(self) -> Feedback:
-        """The same regulator for `tenscasadi.rollouts`."""
+        """The regulator as feedback of `tenscasadi.rollouts`."""
         if self.hold is None:
             return Feedback(
                 self.time, self.force_density, self.states, self.gains, self.lower, self.upper
@@ -145,14 +140,14 @@ class Tracker(ReadOnlyArrays):
         Parameters
         ----------
         time : float
-            Time since the beginning, s.
+            Time since the beginning [s].
         state : array_like, shape (nx,)
-            The measured state, m and m/s.
+            Measured state [m, m/s].
 
         Returns
         -------
         ndarray, shape (α,)
-            Force densities, N/m.
+            Force densities [N/m].
         """
         time, state = (
             positive_number("time", time, zero=True),
@@ -189,26 +184,27 @@ def track(
     plan : Plan
         The plan to track.
     decisions : int, optional
-        How many, at equal times. Default: one per interval of the plan.
+        Number of decisions, at equal times. Default: one per interval of the plan.
     place : float, optional
-        Departure of a coordinate, m, that counts as much as `effort`; of velocities 10 of it in the
+        Departure of a coordinate that costs as much as `effort` [m]; of velocities, 10 of it in the
         duration. Default: 1 % of the structure's size.
     effort : float, optional
-        Departure of a force density, N/m, or of a rest length, m, where these are decided. Default:
-        a tenth of the plan's mean force density, or what changes it so.
+        Departure of a force density [N/m], or of a rest length [m] if these are the controls.
+        Default: a tenth of the plan's mean force density, or the change of rest lengths that
+        causes it.
     lower, upper : array_like, scalar or shape (α,), optional
-        Limits of the force densities, N/m, as in `ForceDensityLimits`, or of the rest lengths, m.
-        Default: those of the plan's problem; 0 and none where it is not known.
+        Limits of the force densities [N/m], as in `ForceDensityLimits`, or of the rest lengths [m].
+        Default: those of the plan's problem; if it is unknown, 0 and infinity.
 
     Returns
     -------
     Tracker
-        The regulator, a controller for `run`.
+        Regulator, a controller for `run`.
 
     Raises
     ------
     TypeError, ValueError
-        An argument is wrong, or the steps of so few decisions diverge, or departures do.
+        If a value has another type or is out of bounds, or the motion diverges in so few decisions.
 
     Notes
     -----
@@ -220,8 +216,8 @@ def track(
 
     References
     ----------
-    .. [1] B. D. O. Anderson, J. B. Moore, "Optimal Control: Linear Quadratic Methods", Prentice
-    Hall, 1990, section 2.4.
+    .. [1] B. D. O. Anderson, J. B. Moore, Optimal Control: Linear Quadratic Methods, Prentice Hall
+       1990, section 2.4.
 
     Examples
     --------
@@ -236,7 +232,7 @@ def track(
     instance("plan", plan, PlanResult, "an ocp.Plan")
     model, T = plan.known_model("track"), float(plan.time[-1])
     count = (
-        len(plan.time) - 1 if decisions is None else whole_number("decisions", decisions, 1, MOST)
+        len(plan.time) - 1 if decisions is None else whole_number("decisions", decisions, 1, 10_000)
     )
     size = (
         0.01 * float(np.linalg.norm(np.ptp(model.structure.nodes, axis=0)))
@@ -244,7 +240,7 @@ def track(
         else positive_number("place", place)
     )
     usual = 0.1 * float(plan.force_density.mean()) or 1.0
-    if winds(model):  # by as much as changes the force densities so
+    if winds(model):  # the change of rest lengths that causes it
         usual *= float(
             np.mean(model.scene.structure.string_lengths / model.scene.structure.stiffness)
         )
@@ -260,14 +256,14 @@ def track(
     states = _planned(plan, model, time)
     rest = _rest(plan, model, own, size / T, force)
     try:
-        with np.errstate(all="ignore"):  # what overflows is told
+        with np.errstate(all="ignore"):  # an overflow is reported below
             gains = _regulate(
                 model,
                 states,
                 gamma,
                 rest,
                 T / count,
-                departures(model, size, 10 * size / T),
+                build_departures(model, size, 10 * size / T),
                 force**-2,
             )
     except (scipy.linalg.LinAlgError, ValueError):
@@ -308,7 +304,7 @@ def replay_tracked(plan: PlanResult) -> Trajectory:
     Raises ValueError if no gains are found or the model is unknown.
     """
     return run(
-        track(plan), float(plan.time[-1]), steps=STEPS, state=plan.trajectory.states[0]
+        track(plan), float(plan.time[-1]), steps=10, state=plan.trajectory.states[0]
     ).trajectory
 
 
@@ -365,16 +361,17 @@ def _regulate(
         states = states[:-1]
     looked_at = sorted({0, len(gamma) // 2, len(gamma) - 1})
     rate = max(fastest_rate(model, states[k], gamma[k]) for k in looked_at)
-    count = MOST_SUBSTEPS
+    count = MAX_SUBSTEPS
     if np.isfinite(rate):
-        count = int(np.clip(np.ceil(rate * period), LEAST_SUBSTEPS, MOST_SUBSTEPS))
+        # a radian of the fastest vibration each
+        count = int(np.clip(np.ceil(rate * period), 2, MAX_SUBSTEPS))
     A, B = _linearize(model, states, gamma, period, count)
     Z = [tangents(model, x) for x in ends]
     C = [np.asarray(kept(x)[1].full()) @ basis for x, basis in zip(ends, Z, strict=True)]
     R = effort * np.eye(B.shape[2])
     P = C[-1].T @ C[-1]
     if rest.state is not None:
-        P = stationary_cost(Z[-1].T @ A[-1] @ Z[-1], Z[-1].T @ B[-1], P, R)
+        P = compute_stationary_cost(Z[-1].T @ A[-1] @ Z[-1], Z[-1].T @ B[-1], P, R)
         Z[-2] = Z[-1]  # the end of the plan, but for its rounding
     return riccati_gains(A, B, Z, C, P, R)
 

@@ -1,4 +1,4 @@
-"""Model predictive control: a plan over a short horizon, made anew from the measured state at each decision."""
+"""Model predictive control."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from ocp.control.departures import departures
+from ocp.control.departures import build_departures
 from ocp.control.holding import find_rest
 from ocp.control.mpc_constraints import Horizon, HorizonLimits
 from ocp.problem.control import refuse_wound
@@ -28,68 +28,65 @@ from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.validate import Array, finite_array, instance, positive_number, whole_number
 
-# what oversteps limits of the path costs, in scaled units, against 1 for a departure of a `place`
+# cost of a scaled violation of a path constraint; a departure of `place` costs 1
 OVERSTEP = 1e5
-MOST = 1000  # intervals, steps of each, improvements of a decision
-ROUNDED = 1e-3  # of the structure's size in the duration: slower goals are at rest
-# of force densities that move the structure: fewer are rounding, as where nothing has to be held
-NOTHING = 1e-6
+MOST = 1000  # intervals, steps of each, iterations of a decision
 
 
 class Mpc:
-    """Model predictive control: a controller for `run` that follows a plan, or keeps a structure at the goals of a problem.
+    """Model predictive control (MPC) that tracks a plan or holds goals.
 
-    From the measured state it predicts the motion of some periods under its last decision, shifted,
-    and improves the force densities by a quadratic program; those of the first period are applied.
+    It is a controller for `run`. From the measured state it predicts the motion under its last
+    decision, shifted. A quadratic program improves the force densities, and those of the first
+    period are applied.
 
     Parameters
     ----------
     problem : Problem
-        What is asked. Limits of force densities are kept as they are; its other bounds are
-        linearised, hold at the ends of the periods, and are overstepped only where they cannot be
-        kept. Costs are not used.
+        Optimal control problem. Limits of force densities are kept exactly. Other limits are
+        linearized at the ends of the periods, and violated only if they are infeasible. Costs are
+        not used.
     period : float
-        Time from one decision to the next, s.
+        Sampling period [s].
     intervals : int
-        How many periods are predicted.
+        Prediction horizon in periods.
     plan : Plan, optional
-        What to follow, and where to stay after it. Default: the state of the problem's goals, under
-        the force densities that hold it best; `Waypoint`, `Periodic` and `FreeStart` ask for a
-        motion, and need a plan.
+        Plan to track, and to hold at its end. Default: the state of the goals, under the force
+        densities that hold it best. Problems with `Waypoint`, `Periodic` or `FreeStart` need a
+        plan.
     iterations : int
-        Quadratic programs for each decision; 1: real-time iteration [1]_.
+        Quadratic programs for each decision. 1 is the real-time iteration [1]_.
     substeps : int
-        Steps of `RungeKutta4` in each period.
+        Number of steps of `RungeKutta4` in each period.
     place : float, optional
-        Departure of a coordinate, m, that counts as much as `effort`; of velocities 10 of it in the
-        duration. Of free structures, departures are those of the distances between nodes. Default:
-        1 % of the structure's size.
+        Departure of a coordinate that costs as much as `effort` [m]; of velocities, 10 of it in the
+        duration. For free structures, departures are those of distances between nodes. Default: 1 %
+        of the structure's size.
     effort : float, optional
-        Departure of a force density, N/m. Default: the mean force density of the plan or the goals.
+        Departure of a force density [N/m]. Default: the mean of the plan or of the goals.
 
     Raises
     ------
     InfeasibleGoalError
-        No strings can bring the goals about.
+        If the goals are infeasible.
     TypeError, ValueError
-        An argument is wrong.
+        If a value has another type or is out of bounds.
 
     Notes
     -----
-    The program is condensed: changes of the force densities are its only unknowns, and their
-    effects on the states come from the exact derivatives of the steps, so that bars, joints and
-    momenta need no rows. DAQP solves it. Limits between decisions, such as `RestLengthRateLimits`,
-    also hold from the last decision on; the first decision is free.
+    The quadratic program is condensed. Its unknowns are the changes of the force densities, and the
+    states follow by the exact derivatives of the steps, so that bars, joints and momenta need no
+    rows. DAQP solves it. Rate limits, such as `RestLengthRateLimits`, also hold from the last
+    decision to the new one.
 
     References
     ----------
-    .. [1] M. Diehl, H. G. Bock, J. P. Schlöder, "A real-time iteration scheme for nonlinear
-    optimization in optimal feedback control",
-       SIAM J. Control Optim. 43, 1714, 2005.
+    .. [1] M. Diehl, H. G. Bock, J. P. Schlöder, A real-time iteration scheme for nonlinear
+       optimization in optimal feedback control, SIAM J. Control Optim. 2005, 43, 1714.
 
     Examples
     --------
-    A planar cross is brought to another shape:
+    A planar cross moves to another shape:
 
     >>> import ocp
     >>> import tenscasadi as tc
@@ -132,8 +129,8 @@ class Mpc:
         self._substeps = whole_number("substeps", substeps, 1, MOST)
         scales = Scales.of(problem)
         size = 0.01 * scales.length if place is None else positive_number("place", place)
-        self._departures = departures(self.model, size, 10 * size / scales.time)
-        self._reference, strength = _reference(
+        self._departures = build_departures(self.model, size, 10 * size / scales.time)
+        self._reference, strength = _build_reference(
             problem, scales, plan, self._departures, self.intervals, self.period, size
         )
         self._effort = strength if effort is None else positive_number("effort", effort)
@@ -141,7 +138,7 @@ class Mpc:
             np.tile(limit, self.intervals) for limit in problem.force_density_limits
         )
         self._limits = HorizonLimits(problem, scales, strength, self.period)
-        self._steps = self._shift(), self._program()
+        self._steps = self._build_shift(), self._build_program()
         self._array_steps = tuple(ArrayFunction(step) for step in self._steps)
         unknowns, rows = (self._steps[1].size1_out(name) for name in ("g", "b"))
         self._slack = int(rows > 0)  # one unknown, by which limits of the path are overstepped
@@ -159,19 +156,21 @@ class Mpc:
         )
 
     def control(self, time: float, state: Array) -> Array:
-        """Decide the force densities until the next decision. An earlier time than that of the last decision begins a new run.
+        """Decide the force densities until the next decision.
+
+        A time before that of the last decision begins a new run.
 
         Parameters
         ----------
         time : float
-            Time since the beginning, s.
+            Time since the beginning [s].
         state : array_like, shape (nx,)
-            The measured state, m and m/s.
+            Measured state [m, m/s].
 
         Returns
         -------
         ndarray, shape (α,)
-            Force densities, N/m.
+            Force densities [N/m].
         """
         time, state = (
             positive_number("time", time, zero=True),
@@ -179,30 +178,30 @@ class Mpc:
         )
         if time < self._last.time:
             self.reset()
-        gamma = self._decided(
-            self._array_steps, self._improved, np.array([time]), state, *self._last[1:]
+        gamma = self._decide(
+            self._array_steps, self._improve, np.array([time]), state, *self._last[1:]
         )
         self._last = _MpcDecision(time, gamma, state)
         return np.array(gamma[0])
 
     def reset(self) -> None:
-        """Forget the last decision, for another run."""
+        """Forget the last decision before another run."""
         self._last = _MpcDecision(
             0.0, np.full((self.intervals, self.model.nu), np.nan), np.full(self.model.nx, np.nan)
         )
 
     def function(self) -> ca.Function:
-        """Return the decision as one CasADi Function, which generates C.
+        """Build the decision as one CasADi Function, for C code.
 
-        It decides as `control` does, by an interior-point method in place of DAQP.
+        An interior-point method takes the place of DAQP.
 
         Returns
         -------
         casadi.Function
-            Function (time, state (nx), before (α, intervals)) → after (α, intervals). `before` is
-            the last `after`, and `first` to begin with; the first column of `after` is to be
-            applied. With limits between decisions, such as `RestLengthRateLimits`, there is a
-            fourth input `earlier` (nx): the state at the last decision, NaN to begin with.
+            Function (time, state (nx), before (α, intervals)) → after (α, intervals). Apply the
+            first column of `after`. `before` is the last `after`; begin with `first`. With rate
+            limits there is a fourth input `earlier` (nx), the state at the last decision; begin
+            with NaN.
         """
         time, state, before = (
             ca.MX.sym("time"),
@@ -213,18 +212,18 @@ class Mpc:
         if self._limits.from_last_decision:
             inputs["earlier"] = ca.MX.sym("earlier", self.model.nx)
         steps = [lambda *given, step=step: step.call(list(given)) for step in self._steps]
-        after = self._decided(
-            steps, self._symbolically_improved, time, state, before, inputs.get("earlier", state)
+        after = self._decide(
+            steps, self._improve_symbolically, time, state, before, inputs.get("earlier", state)
         )
         return ca.Function("decide", list(inputs.values()), [after], list(inputs), ["after"])
 
     @property
     def first(self) -> Array:
-        """Force densities (α, intervals) that `function` takes for the last decision when there is none yet, N/m."""
+        """First input `before` (α, intervals) of `function` [N/m]."""
         held = np.asarray(self._reference(0.0)[1].full())
         return np.column_stack([held[:, :1], held[:, :-1]])
 
-    def _decided(
+    def _decide(
         self,
         steps: Any,
         improved: Callable[..., Any],
@@ -233,31 +232,38 @@ class Mpc:
         before: Any,
         earlier: Any,
     ) -> Any:
-        """Return γ of the horizon, of symbols (α, intervals) or arrays (intervals, α). before, earlier: the last decision and its state, or NaN."""
+        """Compute γ of the horizon, of symbols (α, intervals) or of arrays (intervals, α).
+
+        `before` and `earlier` are the last decision and its state, or NaN.
+        """
         shift, program = steps
         (gamma,) = shift(time, before)
         for _ in range(self._iterations):
             gamma = improved(*program(time, state, gamma, before, earlier))
         return gamma
 
-    def _shift(self) -> ca.Function:
-        """Return the Function (time, before) → γ (α, intervals) to begin with: the last decision, one period on; without one, the reference."""
+    def _build_shift(self) -> ca.Function:
+        """Build the Function (time, before) → γ (α, intervals), shifted by a period.
+
+        Without a last decision, γ is the reference.
+        """
         time, before = ca.MX.sym("time"), ca.MX.sym("before", self.model.nu, self.intervals)
         held = self._reference(time)[1]
-        gamma = ca.if_else(sane(before), ca.horzcat(before[:, 1:], held[:, -1]), held)
-        return ca.Function("shift", [time, before], [self._clipped(gamma)])
+        gamma = ca.if_else(is_finite(before), ca.horzcat(before[:, 1:], held[:, -1]), held)
+        return ca.Function("shift", [time, before], [self._clip(gamma)])
 
-    def _clipped(self, gamma: Any) -> Any:
+    def _clip(self, gamma: Any) -> Any:
         return ca.fmin(
             ca.fmax(gamma, ca.reshape(self._lower, *gamma.shape)),
             ca.reshape(self._upper, *gamma.shape),
         )
 
-    def _program(self) -> ca.Function:
-        """Return the Function (time, state, γ, before, earlier) → γ, G, g, a and b: the quadratic program about the motion under γ.
+    def _build_program(self) -> ca.Function:
+        """Build the quadratic program about a motion.
 
-        Least ½ ‖G ΔU‖² + ½ ‖ΔU/effort‖² + gᵀ ΔU with a ΔU ≤ b for changes ΔU (α · intervals) of γ,
-        interval by interval. Where the motion under γ diverges, γ is that of the reference.
+        The Function (time, state, γ, before, earlier) → γ, G, g, a, b belongs to: minimize
+        ½ ‖G ΔU‖² + ½ ‖ΔU/effort‖² + gᵀ ΔU subject to a ΔU ≤ b, over changes ΔU (α · intervals) of γ.
+        If the motion under γ diverges, γ is replaced by the reference.
         """
         model, count = self.model, self.intervals
         time, state, earlier = (
@@ -270,8 +276,8 @@ class Mpc:
         ends = roll(
             state, ca.kron(given, ca.DM.ones(1, self._substeps)), self.period / self._substeps
         )
-        gamma = ca.if_else(sane(ends), given, held)
-        begun = sane(earlier)
+        gamma = ca.if_else(is_finite(ends), given, held)
+        begun = is_finite(earlier)
         horizon = self._horizon(state, gamma, ca.if_else(begun, earlier, state), before[:, 0])
         reached, slopes = zip(*(self._departures(x) for x in horizon.states[2:]), strict=True)
         G = ca.vertcat(
@@ -289,7 +295,7 @@ class Mpc:
         )
 
     def _horizon(self, state: Any, gamma: Any, earlier: Any, last: Any) -> Horizon:
-        """Return the motion under γ (α, intervals) in steps of RK4, and its exact derivatives."""
+        """Predict the motion under γ (α, intervals), with its derivatives."""
         (nx, nu), count = (self.model.nx, self.model.nu), self.intervals
         slopes, h = _build_slopes(self.model), self.period / self._substeps
         x, effect = state, ca.DM(nx, 0)  # by the γ of intervals so far
@@ -310,8 +316,8 @@ class Mpc:
             [ca.DM(nu, count * nu), *ca.vertsplit(own, nu)],
         )
 
-    def _improved(self, gamma: Array, G: Array, g: Array, a: Array, b: Array) -> Array:
-        """Return γ + ΔU (intervals, α) by DAQP, or γ where that fails, from arrays (columns, rows)."""
+    def _improve(self, gamma: Array, G: Array, g: Array, a: Array, b: Array) -> Array:
+        """Compute γ + ΔU (intervals, α) by DAQP, or γ if it fails."""
         slack = self._slack
         H, now = G @ G.T, gamma.ravel()
         H[np.diag_indices(len(H))] += self._effort**-2
@@ -330,8 +336,8 @@ class Mpc:
             return gamma
         return np.clip(now + change, self._lower, self._upper).reshape(gamma.shape)
 
-    def _symbolically_improved(self, gamma: Any, G: Any, g: Any, a: Any, b: Any) -> Any:
-        """Return the same as an expression (α, intervals), by an interior-point method."""
+    def _improve_symbolically(self, gamma: Any, G: Any, g: Any, a: Any, b: Any) -> Any:
+        """Build γ + ΔU (α, intervals) by an interior-point method."""
         size, now = g.shape[0], ca.vec(gamma)
         H, own = G.T @ G + ca.DM.eye(size) / self._effort**2, ca.DM.eye(size)
         most = np.flatnonzero(np.isfinite(self._upper)).tolist()
@@ -343,13 +349,14 @@ class Mpc:
             A = ca.vertcat(ca.horzcat(a, -ca.DM.ones(a.shape[0], 1)), ca.diagcat(A, ca.DM(-1)))
             room, H, g = ca.vertcat(b, room, 0.0), ca.diagcat(H, OVERSTEP), ca.vertcat(g, OVERSTEP)
         change = solve_qp(H, g, A, room, ca.DM.zeros(g.shape))[:size]
-        return self._clipped(
-            gamma + ca.reshape(ca.if_else(sane(change), change, ca.DM.zeros(size)), *gamma.shape)
+        return self._clip(
+            gamma
+            + ca.reshape(ca.if_else(is_finite(change), change, ca.DM.zeros(size)), *gamma.shape)
         )
 
 
 class _MpcDecision(NamedTuple):
-    """When, what: γ (intervals, α), and at which state (nx,); NaN where there was none."""
+    """Time, force densities (intervals, α) and state (nx,); NaN if there was none."""
 
     time: float
     force_density: Array
@@ -366,7 +373,7 @@ def _build_slopes(model: Model) -> ca.Function:
 
 
 def _build_variational(slopes: ca.Function, width: int) -> ca.Function:
-    """Build the equation of motion of x and of its derivatives by parameters, the last of which are u."""
+    """Build the equation of x and of its derivatives by parameters, the last of which are u."""
     nx, nu = slopes.size1_in(0), slopes.size1_in(1)
     z, u = ca.MX.sym("z", nx * (1 + width)), ca.MX.sym("u", nu)
     rate, by_state, by_control = slopes(z[:nx], u)
@@ -375,7 +382,7 @@ def _build_variational(slopes: ca.Function, width: int) -> ca.Function:
     return ca.Function("variational", [z, u], [ca.vertcat(rate, ca.vec(turn))])
 
 
-def _reference(
+def _build_reference(
     problem: Problem,
     scales: Scales,
     plan: PlanResult | None,
@@ -384,16 +391,15 @@ def _reference(
     period: float,
     place: float,
 ) -> tuple[ca.Function, float]:
-    """Return the Function time → departures (·, count) at the ends of the next intervals and γ (α, count) in them as they should be; a typical γ.
+    """Build the reference, and return a typical force density [N/m].
 
-    plan: followed over time, and held at its end, by force densities of equilibrium where it is at
-    rest; None: the state of the goals is held, likewise. Raises ValueError for goals that ask for a
-    motion
-    without a plan, InfeasibleGoalError.
+    The Function time → departures (·, count), γ (α, count) has values at the ends of the next
+    intervals and in them. A plan is tracked, and held at its end by an equilibrium if it is at
+    rest. Without a plan, the state of the goals is held. Raises ValueError, InfeasibleGoalError.
     """
     time = ca.MX.sym("time")
     if plan is None:
-        state, gamma = _goal(problem, scales)
+        state, gamma = _find_goal(problem, scales)
         wanted, held = (ca.repmat(ca.DM(value), 1, count) for value in (output(state)[0], gamma))
     else:
         gamma, end = plan.force_density, float(plan.time[-1])
@@ -406,12 +412,12 @@ def _reference(
         times = [time + period * k for k in range(count + 1)]
         wanted = ca.horzcat(
             *(
-                output(_along(plan.trajectory.states, plan.time, ca.fmin(now, end)))[0]
+                output(_interpolate(plan.trajectory.states, plan.time, ca.fmin(now, end)))[0]
                 for now in times[1:]
             )
         )
         columns = [
-            _along(gamma, plan.time, (ca.fmin(a, end) + ca.fmin(b, end)) / 2)
+            _interpolate(gamma, plan.time, (ca.fmin(a, end) + ca.fmin(b, end)) / 2)
             for a, b in pairwise(times)
         ]
         if rest.state is not None:
@@ -420,17 +426,15 @@ def _reference(
                 for own, (a, b) in zip(columns, pairwise(times), strict=True)
             ]
         held = ca.horzcat(*columns)
-    strength, moving = (
-        float(gamma.mean()),
-        scales.mass / scales.time**2,
-    )  # moving: moves the mass by the structure's size within the duration
-    return ca.Function(
-        "reference", [time], [ca.densify(wanted), ca.densify(held)]
-    ), strength if strength > NOTHING * moving else moving
+    # moves the mass by the structure's size within the duration; much smaller means are rounding
+    moving = scales.mass / scales.time**2
+    strength = float(gamma.mean())
+    reference = ca.Function("reference", [time], [ca.densify(wanted), ca.densify(held)])
+    return reference, strength if strength > 1e-6 * moving else moving
 
 
-def _goal(problem: Problem, scales: Scales) -> tuple[Array, Array]:
-    """Return the state of the goals, and γ that hold it as nearly as they can."""
+def _find_goal(problem: Problem, scales: Scales) -> tuple[Array, Array]:
+    """Find the state of the goals, and the force densities that hold it best."""
     asked = [
         type(part).__name__
         for part in (problem.start, *problem.goals)
@@ -443,15 +447,15 @@ def _goal(problem: Problem, scales: Scales) -> tuple[Array, Array]:
     target = find_target(problem, scales)
     state = target.start if target.state is None else target.state
     rest = find_rest(
-        problem.model, state, *problem.force_density_limits, ROUNDED * scales.length / scales.time
+        problem.model, state, *problem.force_density_limits, 1e-3 * scales.length / scales.time
     )
     if rest.state is not None:
         return rest.state, rest.force_density
     return state, np.asarray(inverse_dynamics(problem, np.array([state, state]), 1.0)[0])
 
 
-def _along(values: Array, nodes: Array, time: Any) -> Any:
-    """As `ocp.transcription.mesh.at`, of a symbolic time; rows of states are linear in time as rows of a linear profile are."""
+def _interpolate(values: Array, nodes: Array, time: Any) -> Any:
+    """Interpolate a profile or states at a symbolic time, as `profile_at` does in numbers."""
     k = ca.low(ca.DM(nodes), time)
     left = ca.MX(ca.DM(values.T))[:, k]
     if len(values) < len(nodes):
@@ -462,6 +466,6 @@ def _along(values: Array, nodes: Array, time: Any) -> Any:
     )
 
 
-def sane(values: Any) -> Any:
-    """1 where all values are finite, 0 else: comparisons with what is not a number are false."""
+def is_finite(values: Any) -> Any:
+    """Return whether all values are finite; comparisons with NaN are false."""
     return ca.mmin(ca.fabs(values) < 1e30)

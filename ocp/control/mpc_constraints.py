@@ -1,4 +1,4 @@
-"""The path constraints of a controller's horizon, linearised in all its force densities."""
+"""Linearized path constraints over the prediction horizon."""
 
 from __future__ import annotations
 
@@ -12,15 +12,20 @@ from ocp.problem.path_constraints import ScaledRows, scaled_rows
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 
-NO_LIMIT = 1e6  # scaled: no limit, where it must be finite
+NO_LIMIT = 1e6  # scaled distance that stands for no limit
 
 
 class Horizon(NamedTuple):
-    """A motion over K intervals from a measured state, and how changes ΔU (K α) of all its force densities move it.
+    """Predicted motion over K intervals, and its derivatives.
 
-    States x_k and their derivatives by ΔU: of the last decision, of now, and of the ends of the
-    intervals (K + 2). Force densities and theirs: of the last decision, and of the intervals (K +
-    1).
+    The derivatives are those by the changes ΔU (K α) of all force densities.
+
+    Attributes
+    ----------
+    states, state_effects : list
+        States and derivatives at the last decision, now, and at the ends of the intervals.
+    controls, control_effects : list
+        Force densities and derivatives of the last decision, and of the intervals.
     """
 
     states: list[Any]
@@ -30,16 +35,23 @@ class Horizon(NamedTuple):
 
     @property
     def intervals(self) -> int:
-        """K."""
+        """Number K of intervals."""
         return len(self.controls) - 1
 
 
 class HorizonLimits:
-    """All bounds of a problem but those of γ itself: a ΔU ≤ b, one-sided rows in each interval of `period` s.
+    """Limits of a problem as rows a ΔU ≤ b, except those of the force densities themselves.
 
-    Bounds of instants hold at the end of each interval, those of the end of a plan at that of the
-    horizon; those of rates from the start of each interval's predecessor to its own start, first
-    from the last decision to now. strength: a typical γ, N/m.
+    Limits of instants hold at the end of each interval, and terminal limits at the end of the
+    horizon. Rate limits hold between the starts of neighboring intervals, and from the last
+    decision to now.
+
+    Parameters
+    ----------
+    strength : float
+        Typical force density [N/m].
+    period : float
+        Length of an interval [s].
     """
 
     def __init__(self, problem: Problem, scales: Scales, strength: float, period: float) -> None:
@@ -54,11 +66,11 @@ class HorizonLimits:
 
     @property
     def from_last_decision(self) -> bool:
-        """Whether the last decision matters."""
+        """Whether the rows depend on the last decision."""
         return bool(self._rates)
 
     def rows(self, horizon: Horizon, time: Any, begun: Any) -> tuple[Any, Any]:
-        """Return a (rows, K α) and b (rows,) from `time` on; begun: whether there was a last decision."""
+        """Build a (rows, K α) and b (rows,); `begun`: whether there was a last decision."""
         a, b = [ca.DM(0, horizon.control_effects[0].shape[1])], [ca.DM(0, 1)]
         x, dx, u, du = horizon
         for limit, last in self._instants:
@@ -84,7 +96,7 @@ class HorizonLimits:
 
 
 def _one_sided(bound: ScaledRows) -> ca.Function:
-    """Return the Function of the bound's inputs → how far off each finite limit is, and what moves towards it, by each input."""
+    """Build the distances from all finite limits, and their negative Jacobians by each input."""
     inputs = [ca.MX.sym("z", bound.function.size1_in(k)) for k in range(bound.function.n_in())]
     value = bound.function(*inputs)
     upper, lower = (

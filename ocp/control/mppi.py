@@ -1,4 +1,4 @@
-"""Model predictive path integral control: decisions from sampled motions, without derivatives."""
+"""Model predictive path integral control: sampled motions, no derivatives."""
 
 from __future__ import annotations
 
@@ -34,91 +34,84 @@ from tenscasadi.util.validate import (
     whole_number,
 )
 
-MOST, MOST_SAMPLES = (
-    1000,
-    1_000_000,
-)  # periods of a horizon, improvements of a decision and steps of a period; motions
+MOST = 1000  # periods of a horizon, iterations of a decision, steps of a period
 Asked: TypeAlias = Cost | ca.Function | Callable[[Instant], Any]
-RANGE = 0.1  # of the limits' range: the deviation of the noise where none is given
 
 
 class Mppi:
-    """Model predictive path integral control: a controller for `run` that samples motions, and needs no derivatives of them.
+    """Model predictive path integral control (MPPI) by sampled motions.
 
-    At each decision the motion from the measured state is simulated under many force densities over
-    the horizon: the last decision, shifted, with smooth noise. Their mean, weighted by how little
-    each costs, is the new decision; its first period is applied. That works through contact and
-    friction, where gradients mislead.
+    It is a controller for `run` that works through contact and friction, where gradients mislead.
+    At each decision, many motions are simulated from the measured state. Their force densities are
+    the last decision, shifted, with smooth noise. The new decision is their mean, weighted by the
+    costs, and its first period is applied.
 
     Parameters
     ----------
     problem : Problem, Cost, casadi.Function, callable, or a list of the last three
-        What is asked. Costs are integrated over the horizon, at whose end goals are to be met as
-        nearly as they can. Limits of force densities are kept; overstepping other bounds at the
-        decisions' times costs much. The duration of a problem is a scale only. Without a problem
-        force densities are not limited but by 0: a CasADi Function (x, u) or (x, u, t), or a
-        function of an `Instant`, is then a cost per second.
+        Optimal control problem, or costs per second: CasADi Functions (x, u) or (x, u, t), or
+        functions of an `Instant`. Costs of a problem are integrated over the horizon, and goals are
+        terminal costs. Limits of force densities are kept, and violations of other limits at the
+        end of a period are penalized. The duration is only a scale. Without a problem, force
+        densities have the lower limit 0.
     period : float
-        Time from one decision to the next, s.
+        Sampling period [s].
     horizon : float
-        Time that is looked ahead, s; rounded up to whole periods.
+        Prediction horizon [s], rounded up to whole periods.
     samples : int
-        Motions for each improvement, of which 8 are simulated at once where the processor can.
+        Motions in each iteration. 8 are simulated at once if the processor can.
     noise : SplineNoise, float or array_like of shape (α,), optional
-        The noise, or its standard deviation, N/m. Default: a tenth of the range of the force
-        densities' limits.
+        Noise, or its standard deviation [N/m]. Default: a tenth of the distance between the limits
+        of the force densities.
     initial : float or array_like of shape (α,), optional
-        Force densities to begin with, N/m. Default: those that hold the problem's start best.
+        Initial force densities [N/m]. Default: those that hold the start best.
     temperature : float
-        How far cost is forgiven: 0.1 lets motions count that cost a little more than the best;
-        towards 0 only the best counts. In units of the difference between the median and the best
-        cost.
+        Temperature λ of the weights, in units of the difference between the median and the least
+        cost. Towards 0, only the best motion counts.
     iterations : int
-        Improvements for each decision.
+        Iterations for each decision.
     steps : int
-        Steps of `RungeKutta4` in each period.
+        Number of steps of `RungeKutta4` in each period.
     place : float, optional
-        Departure from a goal, m, that costs 1, as does 10 of it in the problem's duration for goals
-        of speed. Default: 1 % of the structure's size.
+        Distance from a goal that costs 1 [m]; of velocities, 10 of it in the duration. Default: 1 %
+        of the structure's size.
     seed : int
-        Seed of the noise: the same run has the same decisions.
+        Seed of the noise.
     model : Model, optional
-        The model, where no problem has it.
+        Model, if there is no problem.
 
     Attributes
     ----------
     effective_samples : float
-        At the last decision, how many motions its mean consisted of in effect, 1/Σw²; 0 where all
-        diverged, and the decision before went on.
+        Effective number 1/Σw² of motions in the last decision. 0 if all diverged; the decision
+        before is then kept.
 
     Raises
     ------
     TypeError, ValueError
-        An argument is wrong, or the problem asks for a motion of a given duration (`Waypoint`,
-        `FreeStart`).
+        If a value has another type or is out of bounds, or the problem asks for a motion of a given
+        duration (`Waypoint`, `FreeStart`).
 
     See Also
     --------
-    Mpc : for smooth motions, where its derivatives need fewer simulations.
+    Mpc : Fewer simulations, for smooth motions.
 
     Notes
     -----
-    With costs S of samples γ, weights are w ∝ exp(−(S − min S)/λ) [1]_. Noise is about the last
-    decision, for which the term of importance sampling vanishes, and smooth: splines through random
-    knots, of many sizes. λ is `temperature` times the difference of the median and the least cost,
-    so that it does not depend on the costs' units. One of the samples has no noise. Costs are
-    integrated by the rectangle rule, at the ends of the periods. A motion that diverges, or whose
-    bars are off by more than 10 % of their length at the end of a period, does not count.
+    The weights of samples with costs S are w ∝ exp(−(S − min S)/λ) [1]_. The noise is about the
+    last decision, for which the term of importance sampling vanishes. It consists of splines
+    through random knots, of many sizes; one sample has none. Costs are integrated by the rectangle
+    rule at the ends of the periods. Motions do not count if they diverge, or if the length of a bar
+    is off by more than 10 % at the end of a period.
 
     References
     ----------
-    .. [1] G. Williams, N. Wagener, B. Goldfain, P. Drews, J. M. Rehg, B. Boots, E. A. Theodorou,
-    "Information theoretic MPC for
-       model-based reinforcement learning", ICRA 2017, 1714-1721, algorithm 2.
+    .. [1] G. Williams et al., Information theoretic MPC for model-based reinforcement learning,
+       ICRA 2017, 1714-1721, algorithm 2.
 
     Examples
     --------
-    A planar cross is brought to another shape:
+    A planar cross moves to another shape:
 
     >>> import ocp
     >>> import tenscasadi as tc
@@ -129,7 +122,7 @@ class Mppi:
     >>> controller.control(0.0, cross.initial_state).shape
     (2,)
 
-    A cost of one's own, without a problem:
+    An own cost, without a problem:
 
     >>> import casadi as ca
     >>> controller = ocp.Mppi(lambda now: ca.sumsqr(now.lengths - lengths), 0.1, 0.5, 32, model=cross, noise=2.0)
@@ -153,7 +146,7 @@ class Mppi:
         seed: int = 0,
         model: Model | None = None,
     ) -> None:
-        problem = _problem(problem, model)
+        problem = _read_problem(problem, model)
         refuse_phases(problem.phases, "Mppi")
         refuse_wound(problem.model, "Mppi")
         self.model: Model = problem.model
@@ -164,7 +157,7 @@ class Mppi:
                 f"horizon is {horizon:g}: that is {ratio:.1g} periods of {self.period:g} s, give at most {MOST}"
             )
         self.intervals = max(1, int(np.ceil(ratio - 1e-9)))
-        self.samples = whole_number("samples", samples, 2, MOST_SAMPLES)
+        self.samples = whole_number("samples", samples, 2, 1_000_000)
         self._temperature = positive_number("temperature", temperature)
         self._iterations = whole_number("iterations", iterations, 1, MOST)
         self._steps = whole_number("steps", steps, 1, MOST)
@@ -176,7 +169,11 @@ class Mppi:
             smooth.directions(self.model.nu),
             smooth.basis(self.intervals),
         )
-        held = _held(problem) if initial is None else per_item("initial", initial, self.model.nu)
+        held = (
+            _find_initial(problem)
+            if initial is None
+            else per_item("initial", initial, self.model.nu)
+        )
         self._initial = np.tile(np.clip(held, self._lower, self._upper), (self.intervals, 1))
         scales = Scales.of(problem)
         size = 0.01 * scales.length if place is None else positive_number("place", place)
@@ -196,8 +193,8 @@ class Mppi:
         self._plan: Array  # γ (K, α) of the last decision
         self._last: _Decision | None
         self.reset()
-        self._costs(
-            0.0, problem.first_state, self._perturbed()
+        self._evaluate(
+            0.0, problem.first_state, self._draw()
         )  # the first decision is then no slower than the others
         self.reset()
 
@@ -205,19 +202,21 @@ class Mppi:
         return f"Mppi({self.model.nu} strings, every {self.period:g} s over {self.intervals} periods, {self.samples} samples)"
 
     def control(self, time: float, state: Array) -> Array:
-        """Decide the force densities until the next decision. An earlier time than that of the last decision begins a new run.
+        """Decide the force densities until the next decision.
+
+        A time before that of the last decision begins a new run.
 
         Parameters
         ----------
         time : float
-            Time since the beginning, s.
+            Time since the beginning [s].
         state : array_like, shape (nx,)
-            The measured state, m and m/s.
+            Measured state [m, m/s].
 
         Returns
         -------
         ndarray, shape (α,)
-            Force densities, N/m.
+            Force densities [N/m].
         """
         time, state = (
             positive_number("time", time, zero=True),
@@ -228,8 +227,8 @@ class Mppi:
         if self._last is not None:
             self._plan = np.concatenate([self._plan[1:], self._plan[-1:]])
         for _ in range(self._iterations):
-            tried = self._perturbed()
-            weights = softmin(self._costs(time, state, tried), self._temperature)
+            tried = self._draw()
+            weights = softmin(self._evaluate(time, state, tried), self._temperature)
             self.effective_samples = 1 / float(weights @ weights) if weights.any() else 0.0
             if weights.any():
                 self._plan = np.clip(
@@ -239,7 +238,7 @@ class Mppi:
         return np.array(self._plan[0])
 
     def reset(self) -> None:
-        """Forget the last decision, for another run."""
+        """Forget the last decision before another run."""
         self._random = np.random.default_rng(self._seed)
         self._plan = self._initial
         self._last = None
@@ -253,10 +252,10 @@ class Mppi:
             raise ValueError(
                 f"noise is None, and string {unlimited[0]} has no upper limit: give noise=, N/m, or the problem a ForceDensityLimits(lower, upper)"
             )
-        return np.asarray(RANGE * (self._upper - self._lower))
+        return np.asarray(0.1 * (self._upper - self._lower))
 
-    def _perturbed(self) -> Array:
-        """Return the force densities (samples, K, α) that are tried: those of the last decision, and changes of all sizes."""
+    def _draw(self) -> Array:
+        """Draw force densities (samples, K, α) about the last decision."""
         knots = self._random.standard_normal(
             (self.samples, self._basis.shape[1], len(self._directions))
         )
@@ -266,8 +265,8 @@ class Mppi:
             self._upper,
         )
 
-    def _costs(self, time: float, state: Array, tried: Array) -> Array:
-        """Return the cost (samples,) of the motion from a state under each of the force densities; inf or NaN where it diverges."""
+    def _evaluate(self, time: float, state: Array, tried: Array) -> Array:
+        """Simulate motions, and sum their costs (samples,); inf or NaN if they diverge."""
         count, K, nu = tried.shape
         inputs = np.empty((count, K, nu + 1))
         inputs[:, :, :nu] = tried
@@ -284,7 +283,7 @@ class Mppi:
         return np.asarray(cost)
 
     def _changes(self, states: Array, tried: Array) -> list[Array]:
-        """Return x, γ, x⁺, γ⁺ (samples · K, ·) of all changes of γ: first that from the last decision; without one, from itself."""
+        """Return x, γ, x⁺, γ⁺ (samples · K, ·) of all changes, the first from the last decision."""
         now = _Decision(0.0, states[0, 0], tried[0, 0]) if self._last is None else self._last
         free = (
             tried[:, :1]
@@ -302,7 +301,7 @@ class Mppi:
 
 
 class _Decision(NamedTuple):
-    """When, at which state (nx,), and what: γ (α,)."""
+    """Time, state (nx,) and force densities (α,) of a decision."""
 
     time: float
     state: Array
@@ -310,9 +309,9 @@ class _Decision(NamedTuple):
 
 
 def softmin(costs: Array, temperature: float) -> Array:
-    """Return the weights exp(−(S − min S)/λ) of costs S (n,), summed to 1, with λ = temperature · (median S − min S).
+    """Compute the weights exp(−(S − min S)/λ) of costs S (n,), normalized to the sum 1.
 
-    What diverged has no weight: costs that are not finite; all zero where no cost is finite.
+    λ = temperature · (median S − min S). Costs that are not finite have no weight.
     """
     finite = np.isfinite(costs)
     if not finite.any():
@@ -323,8 +322,8 @@ def softmin(costs: Array, temperature: float) -> Array:
     return np.asarray(weights / weights.sum())
 
 
-def _problem(asked: Any, model: Any) -> Problem:
-    """Return the problem, or that of costs with a model. Raises TypeError, ValueError."""
+def _read_problem(asked: Any, model: Any) -> Problem:
+    """Read a problem, or costs and a model. Raises TypeError, ValueError."""
     if isinstance(asked, Problem):
         if model is not None and model is not asked.model:
             raise ValueError("model is given, and the problem has one: leave model= out")
@@ -344,13 +343,14 @@ def _problem(asked: Any, model: Any) -> Problem:
     return Problem(
         model,
         costs=[
-            one if isinstance(one, Cost) else _own(k, one, model) for k, one in enumerate(several)
+            one if isinstance(one, Cost) else _read_cost(k, one, model)
+            for k, one in enumerate(several)
         ],
     )
 
 
-def _own(k: int, cost: Any, model: Model) -> Cost:
-    """Return the cost of a Function (x, u) or (x, u, t), or of a function of an Instant. Raises ValueError."""
+def _read_cost(k: int, cost: Any, model: Model) -> Cost:
+    """Read a cost: a Function (x, u) or (x, u, t), or a function of an Instant."""
     name = f"problem[{k}]"
     if not isinstance(cost, ca.Function):
         return Integral(name, cost)
@@ -365,8 +365,8 @@ def _own(k: int, cost: Any, model: Model) -> Cost:
     return Integral(name, lambda now: cost(*now.symbols[: cost.n_in()]))
 
 
-def _held(problem: Problem) -> Array:
-    """Return the γ (α,) that hold the start most nearly."""
+def _find_initial(problem: Problem) -> Array:
+    """Find the force densities (α,) that hold the start best."""
     state = problem.first_state.copy()
     state[problem.model.nq : 2 * problem.model.nq] = 0.0
     return np.asarray(inverse_dynamics(problem, np.array([state, state]), 1.0)[0])

@@ -1,4 +1,4 @@
-"""What holds a structure after its motion: force densities of equilibrium, and the stationary regulator."""
+"""What holds a structure after its motion: force densities of find_equilibrium, and the stationary regulator."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from planning import driven, leaning_arm
 
 import ocp
 import tenscasadi as tc
-from ocp.control.holding import equilibrium, find_rest, stationary_cost
+from ocp.control.holding import compute_stationary_cost, find_equilibrium, find_rest
 
 LEAN = 0.5  # rad
 MASS = 2.0
@@ -33,7 +33,9 @@ def leaning_bar(**options):
 def test_a_leaning_bar_is_held_against_its_weight():
     """Moments about its foot: m g sin(θ)/2 = γ cos(θ), and the string on the other side pulls no more than it has to."""
     model = leaning_bar()
-    found = equilibrium(model, model.initial_state, np.array([0.0, 3.0]), np.array([100.0, 100.0]))
+    found = find_equilibrium(
+        model, model.initial_state, np.array([0.0, 3.0]), np.array([100.0, 100.0])
+    )
     assert found.exact
     assert found.force_density == pytest.approx(
         [MASS * 9.81 * np.tan(LEAN) / 2 + 3.0, 3.0], rel=1e-6
@@ -60,14 +62,14 @@ def test_the_cost_of_holding_is_that_of_the_algebraic_equation():
     a, b = np.array([[1.0, 0.1], [0.3, 1.0]]), np.array([[0.005], [0.1]])
     Q, R = np.diag([1.0, 0.1]), np.array([[0.5]])
     np.testing.assert_allclose(
-        stationary_cost(a, b, Q, R), scipy.linalg.solve_discrete_are(a, b, Q, R), rtol=1e-8
+        compute_stationary_cost(a, b, Q, R), scipy.linalg.solve_discrete_are(a, b, Q, R), rtol=1e-8
     )
 
 
 def test_what_nothing_steadies_does_not_spoil_the_rest():
     """A mode that grows and that no control moves, beside one that is controlled."""
     a, b = np.diag([1.0, 3.0]), np.array([[1.0], [0.0]])
-    P = stationary_cost(a, b, np.eye(2), np.eye(1))
+    P = compute_stationary_cost(a, b, np.eye(2), np.eye(1))
     assert P[0, 0] == pytest.approx((1 + np.sqrt(5)) / 2)  # P = 1 + P / (1 + P)
     assert P[0, 1] == 0.0
 

@@ -243,12 +243,12 @@ def test_motions_whose_bars_break_do_not_count():
     )  # what flies apart is the best of all
     asked = ocp.Problem(CROSS, bounds=[ocp.ForceDensityLimits(0.0, 3000.0)], costs=[away])
     controller = ocp.Mppi(asked, 0.1, 0.5, samples=32, steps=2, noise=500.0)
-    tried = controller._perturbed()
+    tried = controller._draw()
     off = np.array([bars_off_by(gamma) for gamma in tried])
     broken, whole = off > 0.5, off < 0.05
     assert broken.sum() > 3
     assert whole.sum() > 3
-    costs = controller._costs(0.0, CROSS.initial_state, tried)
+    costs = controller._evaluate(0.0, CROSS.initial_state, tried)
     assert np.all(np.isinf(costs[broken]))
     assert np.all(np.isfinite(costs[whole]))
 

@@ -29,7 +29,7 @@ def costs(**asked):
     runs = [
         tc.simulate(CROSS, 0.4, PERIOD / STEPS, control=gamma, compiled=False) for gamma in tried
     ]
-    return controller._costs(0.7, CROSS.initial_state, tried), tried, runs
+    return controller._evaluate(0.7, CROSS.initial_state, tried), tried, runs
 
 
 def at_ends(run):
@@ -105,11 +105,11 @@ def test_limits_of_rates_hold_from_the_last_decision_on():
         0.4,
         3,
     )
-    assert controller._costs(0.0, CROSS.initial_state, steady).max() == 0.0
+    assert controller._evaluate(0.0, CROSS.initial_state, steady).max() == 0.0
     controller._last = _Decision(
         0.0, CROSS.initial_state, np.array([2e5, 3.0])
     )  # another γ was decided before: its rest length is far away
-    assert controller._costs(0.0, CROSS.initial_state, steady).min() > 100.0
+    assert controller._evaluate(0.0, CROSS.initial_state, steady).min() > 100.0
 
 
 @pytest.mark.slow  # to compile
@@ -132,7 +132,7 @@ def test_models_of_matrices_have_the_same_costs():
             model, costs=[ocp.Integral("speed", lambda now: ca.sumsqr(now.velocities))], **asked
         )
         controller = ocp.Mppi(problem, 0.05, 0.1, samples=4)
-        found.append(controller._costs(0.0, model.initial_state, controller._perturbed()))
+        found.append(controller._evaluate(0.0, model.initial_state, controller._draw()))
     assert found[0].min() > 1.0
     assert found[0] == pytest.approx(found[1], rel=1e-6)
 
@@ -150,5 +150,5 @@ def test_parameters_have_the_values_of_the_problem():
             "parameters": given,
         }
         controller = ocp.Mppi(ocp.Problem(model, **asked), samples=4)
-        found.append(controller._costs(0.3, model.initial_state, controller._perturbed()))
+        found.append(controller._evaluate(0.3, model.initial_state, controller._draw()))
     assert found[1] == pytest.approx(found[0], rel=1e-9)
