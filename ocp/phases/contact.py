@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from ocp.transcription.contact_set import ContactSet, node_coordinates
+from ocp.transcription.contact_set import ContactSet, find_node_coordinates
 from ocp.transcription.sparse_nlp import Block, split_symbol
 from ocp.transcription.variables import Variables
 from tenscasadi.scene.ground import Surface
@@ -52,7 +52,7 @@ def height_blocks(
     v: Variables, contact: ContactSet, grounds: Sequence[Surface], landing: Sequence[int]
 ) -> list[Block]:
     """Keep nodes that do not stand above all grounds, and put those that land onto theirs."""
-    size, coordinates = v.scales.length, node_coordinates(v.model)
+    size, coordinates = v.scales.length, find_node_coordinates(v.model)
     blocks = []
     for ground in grounds:
         acts = range(len(v.model.scene.structure.nodes)) if ground.nodes is None else ground.nodes

@@ -24,7 +24,7 @@ from ocp.solvers.multipliers import named_duals
 from ocp.targets.target import Target
 from ocp.transcription.assemble import Stage, assemble, build_stage
 from ocp.transcription.base import Transcription
-from ocp.transcription.contact_set import ContactSet, stand
+from ocp.transcription.contact_set import ContactSet, add_contacts
 from ocp.transcription.initial_guess import InitialGuess
 from ocp.transcription.mesh import Guess
 from ocp.transcription.sparse_nlp import Block, Program
@@ -204,7 +204,7 @@ def link_problem(
         )
         lands = k > 0 and bool(set(phase.stands) - set(problem.phases[k - 1].stands))
         share = -weight / max(len(phase.stands), 1)
-        contact = stand(v, phase.stands, lands, np.tile(share, len(phase.stands)))
+        contact = add_contacts(v, phase.stands, lands, np.tile(share, len(phase.stands)))
         stage = build_stage(transcription, v, contact)
         if phase.stands:
             pressed = PRESSED * float(np.linalg.norm(share))

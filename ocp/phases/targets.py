@@ -15,7 +15,7 @@ from ocp.targets.find_target import find_target
 from ocp.targets.infeasible_goal import InfeasibleGoalError
 from ocp.targets.row_reduction import reduce_rows
 from ocp.targets.target import Target, WaypointTarget
-from ocp.transcription.contact_set import node_coordinates
+from ocp.transcription.contact_set import find_node_coordinates
 from tenscasadi.util.validate import Array
 
 
@@ -69,7 +69,7 @@ def _without_standing(
     """
     if not target.count or not stands or target.state is None:
         return target
-    model, places = part.model, node_coordinates(part.model)
+    model, places = part.model, find_node_coordinates(part.model)
     x = ca.SX.sym("x", model.nx)
     kept = model.constraints(x)
     gradients = ca.Function(

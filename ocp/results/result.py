@@ -17,7 +17,7 @@ from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.multipliers import Duals
 from ocp.targets.target import Target
 from ocp.transcription.base import Transcription
-from ocp.transcription.initial_guess import resampled
+from ocp.transcription.initial_guess import resample
 from ocp.transcription.mesh import Guess
 from tenscasadi.dynamics.model import Model
 from tenscasadi.schema.stored import Stored
@@ -137,7 +137,7 @@ class PlanResult(PlannedForces, Stored):
                 "guess is a plan for another structure: give one whose model has the same nodes and strings"
             )
         shares = self.time / self.time[-1]
-        return resampled(
+        return resample(
             problem,
             target,
             self.trajectory.states,

@@ -74,7 +74,7 @@ def solve_corrected(
         met = bool(done) and rest.error <= accuracy
         if met or late or done == most or not rest.size < left * last:
             break
-        last, program = rest.size, program.shifted(rest.shift, solution.w, solution.multipliers)
+        last, program = rest.size, program.shift_rows(rest.shift, solution.w, solution.multipliers)
         if correct is None:
             correct = solver.solve
             if isinstance(solver, Correcting):

@@ -84,7 +84,7 @@ def widened(program: Program) -> Program:
     value, scale, least, most, interval = (np.append(all_of, one) for all_of, one in numbers)
     unknowns = Unknowns(names, value, scale, least, most, interval, known.constants)
     place = np.concatenate([np.arange(n), np.arange(n + 1, n + 1 + len(known.constants))])
-    moved = [block.relabelled(place) for block in parts.rows]
+    moved = [block.relabel(place) for block in parts.rows]
     rows = [_open(block, n) if block.kind == "rate" else block for block in moved]
     share = ca.SX.sym("share")
     cost = Block(ca.Function("cost", [share], [share]), np.array([[n]]), ("cost",), kind="cost")

@@ -1,4 +1,4 @@
-"""The program of a plan: path constraints, goals and costs as blocks over the mesh, put together with the defects of a transcription."""
+"""Assembly of the program of a plan from blocks over its mesh."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from ocp.transcription.sparse_nlp import (
     Block,
     Program,
     Separable,
-    gathered,
+    gather,
     split_symbol,
     symbol_kind,
 )
@@ -36,14 +36,14 @@ _Summand = tuple[Any, Any, Indices]
 
 
 class ProblemBlocks(NamedTuple):
-    """Blocks of path constraints and goals, and of costs."""
+    """Blocks of constraints and of costs of a problem."""
 
     rows: list[Block]
     costs: list[Block]
 
 
 class Stage(NamedTuple):
-    """The variables of a plan, or of one of its phases, and all blocks in them."""
+    """Variables of a plan, or of a phase, and all blocks in them."""
 
     variables: Variables
     blocks: ProblemBlocks
@@ -51,17 +51,17 @@ class Stage(NamedTuple):
 
     @property
     def rows(self) -> list[Block]:
-        """All rows, named after the phase."""
+        """All rows, with the phase in their names."""
         v = self.variables
         return [
             replace(block, names=tuple(name + v.suffix for name in block.names))
-            for block in (*start_blocks(v), *self.defects.rows, *self.blocks.rows)
+            for block in (*build_start_blocks(v), *self.defects.rows, *self.blocks.rows)
         ]
 
     def states(self, entries: Any) -> Any:
-        """Return the states (nx, K + 1) from the column of all entries."""
+        """Select the states (nx, K + 1) from the column of all entries."""
         if self.defects.states is None:
-            return gathered(entries, self.variables.states)
+            return gather(entries, self.variables.states)
         return self.defects.states(entries)
 
 
@@ -75,30 +75,30 @@ def build_program(
 
 def build_stage(transcription: Transcription, v: Variables, *contact: Any) -> Stage:
     """Build all blocks in variables; `contact` is that of `Variational.defects`."""
-    rows = [*path_blocks(v), *waypoint_blocks(v), *end_blocks(v)]
-    costs = cost_blocks(v)
-    used = v.entries.used_by([*rows, *costs])
+    rows = [*build_path_blocks(v), *build_waypoint_blocks(v), *build_end_blocks(v)]
+    costs = build_cost_blocks(v)
+    used = v.entries.find_used([*rows, *costs])
     return Stage(v, ProblemBlocks(rows, costs), transcription.defects(v, used, *contact))
 
 
 def assemble(stages: Sequence[Stage], linkage: Sequence[Block] = ()) -> Program:
-    """Build the program of a plan, or of its phases, which share their entries.
+    """Build the program of a plan, or of phases that share their entries.
 
-    linkage: rows in entries of several phases.
+    `linkage` are rows in entries of several phases.
     """
     variables = [stage.variables for stage in stages]
     first = variables[0]
-    unknowns, place = first.entries.ordered()
+    unknowns, place = first.entries.order()
     rows = [block for stage in stages for block in stage.rows] + list(linkage)
     costs = [block for stage in stages for block in stage.blocks.costs]
-    rows, costs = ([block.relabelled(place) for block in blocks] for blocks in (rows, costs))
+    rows, costs = ([block.relabel(place) for block in blocks] for blocks in (rows, costs))
     objective = sum(v.objective for v in variables)
     parts = Separable(unknowns, rows, costs, 1 / objective)
     entries = unknowns.entries(parts.w)[place.tolist()]
     states = ca.horzcat(*(stage.states(entries) for stage in stages))
     decided = np.concatenate([v.controls for v in variables])
-    controls = ca.mtimes(sparse(first.group_matrix), gathered(entries, decided))
-    durations = gathered(entries, np.concatenate([v.duration for v in variables])[:, None])
+    controls = ca.mtimes(sparse(first.group_matrix), gather(entries, decided))
+    durations = gather(entries, np.concatenate([v.duration for v in variables])[:, None])
     noise = None
     if first.noise is not None:
         noise = np.zeros(unknowns.count)
@@ -127,42 +127,43 @@ def assemble(stages: Sequence[Stage], linkage: Sequence[Block] = ()) -> Program:
     )
 
 
-def path_blocks(v: Variables) -> list[Block]:
-    """Return limits of instants, at the ends of every interval, and from each time for which the profile has force densities to the next."""
+def build_path_blocks(v: Variables) -> list[Block]:
+    """Build the path constraints at the ends of intervals, and the rate limits between them."""
     limits = scaled_rows(v.problem, PathBound, v.scales, v.strength)
-    blocks = [_at_end(v, rows, end) for rows in limits for end in rows.ends]
+    blocks = [_build_bound(v, rows, end) for rows in limits for end in rows.ends]
     if v.problem.free_start:  # a given one has been checked
         blocks += [
-            _only(0, _at_end(v, rows, "start"), len(rows.names))
+            _select(0, _build_bound(v, rows, "start"), len(rows.names))
             for rows in limits
             if rows.ends == ("end",)
         ]
     if len(v.controls) > 1:
         blocks += [
-            _between(v, rows) for rows in scaled_rows(v.problem, RateBound, v.scales, v.strength)
+            _build_rate_bound(v, rows)
+            for rows in scaled_rows(v.problem, RateBound, v.scales, v.strength)
         ]
     return blocks
 
 
-def cost_blocks(v: Variables) -> list[Block]:
-    """Build all costs: integrals interval by interval, differences of neighbors pair by pair, instants once."""
+def build_cost_blocks(v: Variables) -> list[Block]:
+    """Build all costs: integrals, differences of neighboring controls, and instants."""
     terms = cost_terms(v.problem.costs)
     if winds(v.model):
-        found = [_of_forces(v, one) for one in terms.control]
+        found = [_build_force_term(v, one) for one in terms.control]
     else:
-        found = [_integral(v, one) for one in terms.control]
+        found = [_build_integral(v, one) for one in terms.control]
     if len(v.controls) > 1:
-        found += [_differences(v, one) for one in terms.changes]
-    found += [_simpson(v, rate) for rate in terms.running]
-    found += [_passing(v, share, value) for share, value in terms.instants]
+        found += [_build_differences(v, one) for one in terms.changes]
+    found += [_build_simpson(v, rate) for rate in terms.running]
+    found += [_build_instant(v, share, value) for share, value in terms.instants]
     return [
         Block(ca.Function("cost", [z], [value]), index, ("cost",) * len(index), kind="cost")
         for z, value, index in found
     ]
 
 
-def start_blocks(v: Variables) -> list[Block]:
-    """Return the rows that hold at a free start alone."""
+def build_start_blocks(v: Variables) -> list[Block]:
+    """Build the rows of a free start."""
     free = v.target.free_start
     count = 0 if free is None else free.start.size1_out(0)
     if free is None or not count:
@@ -177,8 +178,8 @@ def start_blocks(v: Variables) -> list[Block]:
     ]
 
 
-def waypoint_blocks(v: Variables) -> list[Block]:
-    """Return the rows of all waypoints, each of the ends of the interval that it lies in."""
+def build_waypoint_blocks(v: Variables) -> list[Block]:
+    """Build the rows of all waypoints, in the states at the ends of their intervals."""
     blocks, nx = [], v.model.nx
     for number, waypoint in enumerate(v.target.waypoints):
         if not waypoint.target.count:
@@ -201,8 +202,8 @@ def waypoint_blocks(v: Variables) -> list[Block]:
     return blocks
 
 
-def end_blocks(v: Variables) -> list[Block]:
-    """Return the rows of goals at the end, and those of an end that repeats the start."""
+def build_end_blocks(v: Variables) -> list[Block]:
+    """Build the rows of terminal and of periodic goals."""
     blocks, target, free = [], v.target, v.target.free_start
     if target.count:
         names = tuple(f"goal, combination {k}" for k in range(target.count))
@@ -221,34 +222,32 @@ def end_blocks(v: Variables) -> list[Block]:
     return blocks
 
 
-def _at_end(v: Variables, rows: ScaledRows, end: str) -> Block:
+def _build_bound(v: Variables, rows: ScaledRows, end: str) -> Block:
     share, at_end = (0.0, slice(-1)) if end == "start" else (1.0, slice(1, None))
     z, (x, c, T, part) = split_symbol(
         symbol_kind(rows.function), v.model.nx, v.interval_controls.shape[1], 1, 1
     )
     function = ca.Function("bound", [z], [rows.function(x, v.gamma(c, share), T * part)])
-    index = np.hstack(
-        [v.states[at_end], v.interval_controls, v.repeated(v.duration), v.time[at_end]]
-    )
+    index = np.hstack([v.states[at_end], v.interval_controls, v.repeat(v.duration), v.time[at_end]])
     side = "start" if end == "start" else "end"
     names = tuple(f"{name}, {side} of interval {k}" for k in range(v.count) for name in rows.names)
     block = Block(function, index, names, rows.lower, rows.upper, rows.scale, kind="path")
-    return _only(v.count - 1, block, len(rows.names)) if end == "last" else block
+    return _select(v.count - 1, block, len(rows.names)) if end == "last" else block
 
 
-def _only(k: int, block: Block, count: int) -> Block:
-    """Return instance k of a block with `count` names for each."""
+def _select(k: int, block: Block, count: int) -> Block:
+    """Select instance k of a block with `count` names for each."""
     return replace(
         block, index=block.index[k : k + 1], names=block.names[k * count : (k + 1) * count]
     )
 
 
-def _between(v: Variables, rows: ScaledRows) -> Block:
+def _build_rate_bound(v: Variables, rows: ScaledRows) -> Block:
     nx, m, pairs = v.model.nx, v.controls.shape[1], len(v.controls) - 1
     E = sparse(v.group_matrix)
     z, (x, c, y, d, T, part) = split_symbol(symbol_kind(rows.function), nx, m, nx, m, 1, 1)
     value = rows.function(x, ca.mtimes(E, c), y, ca.mtimes(E, d), T * part)
-    duration = v.repeated(v.duration, pairs)
+    duration = v.repeat(v.duration, pairs)
     index = np.hstack(
         [
             v.states[:pairs],
@@ -271,8 +270,8 @@ def _between(v: Variables, rows: ScaledRows) -> Block:
     )
 
 
-def _passing(v: Variables, share: float, expression: InstantTerm) -> _Summand:
-    """At a fraction of the duration, on the cubic between the ends of the interval in which it lies."""
+def _build_instant(v: Variables, share: float, expression: InstantTerm) -> _Summand:
+    """Build a term at a fraction of the duration, on the cubic of its interval."""
     k, part = locate_share(v.fractions, share)
     value = ca.Function("value", (now := symbolic(v.model)).symbols, [expression(now)])
     z, (x, y, c, T, length) = split_symbol(
@@ -285,33 +284,36 @@ def _passing(v: Variables, share: float, expression: InstantTerm) -> _Summand:
     return z, value(state, v.gamma(c, part), T * share), index[None]
 
 
-def _differences(v: Variables, expression: ControlTerm) -> _Summand:
-    """Between neighbors: from middle to middle of intervals, or from end to end of linear profiles."""
+def _build_differences(v: Variables, expression: ControlTerm) -> _Summand:
+    """Build a term of neighboring controls, from middle to middle or from node to node."""
     width = v.controls.shape[1]
     z = ca.SX.sym("z", 2 * width + 2)
     pair = ca.mtimes(sparse(v.group_matrix), ca.reshape(z[: 2 * width], width, 2))
     spacing = v.fractions if v.profile.linear else (v.fractions[1:] + v.fractions[:-1]) / 2
-    constants = [v.repeated(v.duration, len(spacing)), v.entries.constants(spacing[:, None])]
+    constants = [v.repeat(v.duration, len(spacing)), v.entries.constants(spacing[:, None])]
     index = np.hstack([v.controls[:-1], v.controls[1:], *constants])
     return z, expression(pair, z[-2] * z[-1]), index
 
 
-def _integral(v: Variables, expression: ControlTerm) -> _Summand:
-    """Of each interval; of linear profiles by Gauss's rule of two points, exact for squares."""
+def _build_integral(v: Variables, expression: ControlTerm) -> _Summand:
+    """Build an integral over each interval, by two Gauss points for linear profiles."""
     z = ca.SX.sym("z", v.interval_controls.shape[1] + 2)
     offsets = np.array([-1, 1]) / np.sqrt(12) if v.profile.linear else np.zeros(1)
     points = ca.horzcat(*(v.gamma(z[:-2], 0.5 + offset) for offset in offsets))
     value = expression(points, z[-2] * z[-1] / len(offsets))
-    return z, value, np.hstack([v.interval_controls, v.repeated(v.duration), v.share])
+    return z, value, np.hstack([v.interval_controls, v.repeat(v.duration), v.share])
 
 
-def _of_forces(v: Variables, expression: ControlTerm) -> _Summand:
-    """Of the force densities that follow from rest lengths."""
-    return _simpson(v, lambda now: expression(now.force_density, 1.0))
+def _build_force_term(v: Variables, expression: ControlTerm) -> _Summand:
+    """Build a term of the force densities that follow from rest lengths."""
+    return _build_simpson(v, lambda now: expression(now.force_density, 1.0))
 
 
-def _simpson(v: Variables, expression: InstantTerm) -> _Summand:
-    """By Simpson's rule, the middle on the cubic between the ends: what swings within intervals would be hidden from the ends alone."""
+def _build_simpson(v: Variables, expression: InstantTerm) -> _Summand:
+    """Build an integral by Simpson's rule, with the middle on the cubic between the ends.
+
+    The ends alone would not see vibrations within intervals.
+    """
     now = symbolic(v.model)
     rate = ca.Function("rate", now.symbols, [expression(now)])
     nx = v.model.nx
@@ -327,7 +329,7 @@ def _simpson(v: Variables, expression: InstantTerm) -> _Summand:
         v.states[:-1],
         v.states[1:],
         v.interval_controls,
-        v.repeated(v.duration),
+        v.repeat(v.duration),
         v.share,
         v.time[:-1],
         v.time[1:],

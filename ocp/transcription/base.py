@@ -1,6 +1,6 @@
-"""Base of all transcriptions: a mesh of intervals and a profile of the controls.
+"""Base of all transcriptions: mesh and control profile.
 
-A transcription is a subclass of `Transcription` that gives `defects`.
+A transcription is a subclass of `Transcription` that defines `defects`.
 """
 
 from __future__ import annotations
@@ -47,18 +47,17 @@ class Defects(NamedTuple):
 
 @dataclass(frozen=True)
 class Transcription(Value):
-    """The options that all transcriptions have.
+    """Options of all transcriptions.
 
     Parameters
     ----------
     intervals : int or sequence of float
         Number of equal intervals, or their lengths relative to each other.
     control : PiecewiseConstant or PiecewiseLinear
-        How force densities run over the intervals.
+        Profile of the controls over the intervals.
     accuracy : float, optional
-        How near the motion shall be to that of fine steps, m (speeds: m per duration). The program
-        is solved again from its solution until it is (`ocp.solvers.correction`). By
-        default the motion is as the intervals make it.
+        Largest distance from the motion of fine steps [m] (speeds: m per duration). `solve`
+        corrects the plan until it is met. By default it corrects nothing.
     """
 
     intervals: Annotated[Intervals, Either((list, tuple), TIMES, WHOLE)] = 40
@@ -86,20 +85,20 @@ class Transcription(Value):
 
     @property
     def fractions(self) -> Array:
-        """Share of the duration that each interval takes (K,)."""
+        """Shares (K,) of the duration that the intervals take."""
         return fractions(self.intervals)
 
     def longest_step(self, duration: float) -> float:
-        """Return the longest step, s, of a motion of `duration` s."""
+        """Compute the longest step [s] of a motion of `duration` [s]."""
         return duration * float(self.fractions.max())
 
     def measure_residual(self, program: Program, model: Model) -> Measure:
-        """Prepare the residual of solutions against fine steps: gaps between intervals."""
+        """Prepare the residual of solutions against fine steps."""
         return measure_ends(program, model, self.fractions)
 
     def defects(self, variables: Variables, used: Array) -> Defects:
-        """Build the rows that vanish on a motion, and add the unknowns that they need.
+        """Build the defects, and add the unknowns that they need.
 
-        used: which entries bounds, costs and goals depend on.
+        `used` are the entries that limits, costs and goals depend on.
         """
         raise NotImplementedError

@@ -11,8 +11,8 @@ import numpy as np
 
 from ocp.transcription.contact_set import ContactSet, reaction_names
 from ocp.transcription.equations import build_constraints, constraint_names, evaluate_multipliers
-from ocp.transcription.sparse_nlp import Block, gathered, scalar_code, split_symbol, symbol_kind
-from ocp.transcription.variables import Variables, interval_names, state_names
+from ocp.transcription.sparse_nlp import Block, expand, gather, split_symbol, symbol_kind
+from ocp.transcription.variables import Variables, name_intervals, name_states
 from tenscasadi.dynamics import forces
 from tenscasadi.integrators.stabilization import build_projection
 from tenscasadi.util.casadi_tools import sparse
@@ -34,7 +34,7 @@ class DiscreteEquations:
 
     def __init__(self, v: Variables, used: Array, contact: ContactSet) -> None:
         self.v, self.model, self.contact, self.nq = v, v.model, contact, v.model.nq
-        self.names, self.kept = state_names(v.model), constraint_names(v.model)
+        self.names, self.kept = name_states(v.model), constraint_names(v.model)
         self.constraints = build_constraints(v.model)
         self._back = v.entries.constants(-v.fractions[:, None])
         self._row_scale = v.scales.mass * v.scales.length / v.count
@@ -55,17 +55,17 @@ class DiscreteEquations:
             # it: `pushes` are the means of both
             names = reaction_names("reaction before the end", contact.stands)
             ground = np.zeros((v.count - 1, len(contact.held)))
-            ground_before = v.unknowns_at_nodes(names, ground, contact.force, 1)
+            ground_before = v.add_at_nodes(names, ground, contact.force, 1)
             before = self._add_forces("force before the end", first[1:-1], 1)
             self.pushes_before = np.hstack([before, ground_before])
 
     def _add_forces(self, what: str, first: Array, node: int = 0) -> Indices:
         """Add forces (n, c) of the constraints at mesh points from `node` on."""
         names, v = [f"{name} {what}" for name in self.kept], self.v
-        return v.unknowns_at_nodes(names, first, v.strength * v.scales.length, node)
+        return v.add_at_nodes(names, first, v.strength * v.scales.length, node)
 
     def blocks(self) -> list[Block]:
-        """Return all rows of the motion."""
+        """Build all rows of the motion."""
         v, nq = self.v, self.nq
         self._leaving = self._momentum_at_ends()
         result = [self._leaving]
@@ -78,7 +78,7 @@ class DiscreteEquations:
         if self.with_velocities:
             inner = v.states[1:-1, nq : 2 * nq]
             index = self._backwards(inner, self.pushes_before, slice(-1))
-            names = interval_names(v.count - 1, self.names[nq : 2 * nq])
+            names = name_intervals(v.count - 1, self.names[nq : 2 * nq])
             result.append(replace(self._leaving, index=index, names=names))
             result += [self._rates(slice(1, -1))] if self.kept else []
         return [*result, self._clock()] if self.with_clock else result
@@ -103,18 +103,18 @@ class DiscreteEquations:
         row = self._momentum(change - T * velocity)
         row -= T**2 * share / 2 * self._force(before, v.gamma(c, EARLY), push)
         last = self._backwards(v.states[-1:, nq : 2 * nq], self.pushes[-1:], slice(-1, None))
-        names = interval_names(1, self.names[:nq])
+        names = name_intervals(1, self.names[:nq])
         at_end = [f"dynamics of interval {v.count - 1}, {name} at its end" for name in self.names]
         return self._block(
             "ends", z, row, np.vstack([np.hstack(columns), last]), (*names, *at_end[:nq])
         )
 
     def _momentum_within(self) -> Block:
-        """Build the discrete Euler-Lagrange equations of the mesh points within."""
+        """Build the discrete Euler-Lagrange equations of interior mesh points."""
         v, nq = self.v, self.nq
         q, own = v.states[:, :nq], v.interval_controls
         columns = [q[:-2], q[1:-1], q[2:], own[:-1], own[1:], self.pushes[1:-1]]
-        columns += [v.repeated(v.duration, v.count - 1), v.share[:-1], v.share[1:], v.time[1:-1]]
+        columns += [v.repeat(v.duration, v.count - 1), v.share[:-1], v.share[1:], v.time[1:-1]]
         z, (q0, q1, q2, c, d, push, T, before, after, passed) = self._symbols(columns)
         both, times = before + after, (passed - before, passed, passed + after)
         rate = (q2 - q0) / (T * both)
@@ -133,13 +133,13 @@ class DiscreteEquations:
         return self._block("middle", z, row, np.hstack(columns), names)
 
     def _lengths(self) -> Block:
-        """Build the constraints at all mesh points but the first."""
+        """Build the constraints at all mesh points except the first."""
         v, nq = self.v, self.nq
         z, (q, *when) = self._symbols(columns := self._when(v.states[1:, :nq], slice(1, None)))
         x = self._state(q, type(q).zeros(nq), ca.mtimes(*when) if when else 0)
         value = self.constraints(x, 0)[0] / v.scales.length
-        names = interval_names(v.count, self.kept)
-        function = scalar_code(ca.Function("lengths", [z], [value]))
+        names = name_intervals(v.count, self.kept)
+        function = expand(ca.Function("lengths", [z], [value]))
         return Block(function, np.hstack(columns), names, scale=v.scales.length)
 
     def _rates(self, points: slice) -> Block:
@@ -148,7 +148,7 @@ class DiscreteEquations:
         columns = self._when(v.states[points, : 2 * self.nq], points)
         z, (moving, *when) = self._symbols(columns)
         x = self._state(moving, type(moving)(0, 1), ca.mtimes(*when) if when else 0)
-        function = scalar_code(ca.Function("rates", [z], [self.constraints(x, 0)[1] / scale]))
+        function = expand(ca.Function("rates", [z], [self.constraints(x, 0)[1] / scale]))
         names = [
             f"dynamics of interval {k - 1}, {name} rate"
             for k in range(v.count + 1)[points]
@@ -161,14 +161,14 @@ class DiscreteEquations:
         v = self.v
         if v.model.scene.supports is None:
             return [entries]
-        return [entries, v.repeated(v.duration, len(entries)), v.time[points]]
+        return [entries, v.repeat(v.duration, len(entries)), v.time[points]]
 
     def _symbols(self, columns: Sequence[Indices]) -> tuple[Any, tuple[Any, ...]]:
         sizes = [column.shape[1] for column in columns]
         return split_symbol(symbol_kind(self.model.ode), *sizes)
 
     def _block(self, name: str, z: Any, row: Any, index: Indices, names: Sequence[str]) -> Block:
-        function = scalar_code(ca.Function(name, [z], [row / self._row_scale]))
+        function = expand(ca.Function(name, [z], [row / self._row_scale]))
         return Block(function, index, tuple(names), scale=self._row_scale)
 
     def _state(self, q: Any, v: Any, time: Any) -> Any:
@@ -183,11 +183,11 @@ class DiscreteEquations:
         return self.model.split(self.model.pack(columns, columns, 0))[0]
 
     def _momentum(self, velocities: Any) -> Any:
-        """Return the momenta along the free coordinates of all nodes, moving supports included."""
+        """Return the momenta along the free coordinates, moving supports included."""
         return self._coordinates(ca.mtimes(velocities, sparse(self.model.mechanism.M)))
 
     def _force(self, x: Any, gamma: Any, pushes: Any) -> Any:
-        """Return the forces on the free coordinates, with those of constraints and ground."""
+        """Return the total forces on the free coordinates."""
         N, V, clock = self.model.unpack(x)
         total = forces.total(self.model.scene, self.model.mechanism, N, V, gamma, clock)
         return self._coordinates(total) + self._push(x, pushes)
@@ -198,19 +198,19 @@ class DiscreteEquations:
         return self.constraints(x, pushes[:count, :])[2] + ca.mtimes(standing, pushes[count:, :])
 
     def _backwards(self, velocities: Indices, pushes: Indices, intervals: slice) -> Indices:
-        """Return entries of the momenta (of velocities) at the ends of intervals, backwards in time.
+        """Return entries of the momenta at the ends of intervals, backwards in time.
 
-        pushes: forces before these ends.
+        `pushes` are forces before these ends.
         """
         v, q = self.v, self.v.states[:, : self.nq]
         own = v.interval_controls[intervals]
         controls = own.reshape(len(own), -1, v.controls.shape[1])[:, ::-1].reshape(own.shape)
         columns = [q[1:][intervals], velocities, q[:-1][intervals], controls, pushes]
-        columns += [v.repeated(v.duration, len(own)), self._back[intervals], v.time[1:][intervals]]
+        columns += [v.repeat(v.duration, len(own)), self._back[intervals], v.time[1:][intervals]]
         return np.hstack(columns)
 
     def _impact(self) -> list[Block]:
-        """Build the rows of an impact without rebound on the nodes that stand from now on.
+        """Build the rows of an impact without rebound on the contact nodes.
 
         M (v⁺ − v⁻) are impulses Jᵀ of constraints and ground, J v⁺ = 0 with J the gradients of the
         constraints and of the held coordinates: v⁺ = v⁻ − M⁻¹Jᵀ (J M⁻¹Jᵀ)⁻¹ J v⁻, the projection
@@ -226,7 +226,7 @@ class DiscreteEquations:
         z, (at, was, now, push) = self._symbols(columns)
         change = self.model.unpack(self._state(at, now - was, 0))[1]
         row = (self._momentum(change) - self._push(self._state(at, at, 0), push)) / scale
-        function = scalar_code(ca.Function("impact", [z], [row]))
+        function = expand(ca.Function("impact", [z], [row]))
         rows = tuple(f"impact, {name}" for name in self.names[:nq])
         blocks = [Block(function, np.hstack(columns), rows, scale=scale)]
         if self.kept:
@@ -236,22 +236,22 @@ class DiscreteEquations:
 
     def _clock(self) -> Block:
         v = self.v
-        columns = [v.states[1:, -1:], v.repeated(v.duration), v.time[1:]]
+        columns = [v.states[1:, -1:], v.repeat(v.duration), v.time[1:]]
         z, (clock, T, passed) = self._symbols(columns)
         row = (clock - float(v.target.start[-1]) - T * passed) / v.scales.time
-        names = interval_names(v.count, ("clock",))
+        names = name_intervals(v.count, ("clock",))
         return Block(ca.Function("clock", [z], [row]), np.hstack(columns), names)
 
     def all_states(self, entries: Any) -> Any:
-        """Return the states (nx, K + 1) from the column of all entries."""
+        """Compute the states (nx, K + 1) from the column of all entries."""
         v, nq = self.v, self.nq
-        q, rates = (gathered(entries, v.states[:, part]) for part in (slice(nq), slice(nq, 2 * nq)))
-        duration = gathered(entries, v.duration[:, None])
+        q, rates = (gather(entries, v.states[:, part]) for part in (slice(nq), slice(nq, 2 * nq)))
+        duration = gather(entries, v.duration[:, None])
         if v.count > 1 and not self.with_velocities:
             rates = ca.horzcat(rates[:, 0], self._inner_rates(entries, q, duration), rates[:, -1])
         x = ca.vertcat(q, rates)
         if self.model.has_clock:
-            clock = float(v.target.start[-1]) + ca.mtimes(duration, gathered(entries, v.time))
+            clock = float(v.target.start[-1]) + ca.mtimes(duration, gather(entries, v.time))
             x = ca.vertcat(x, clock)
         if self.kept and v.count > 1 and not self.contact.stands:
             inner = build_projection(self.model, 1).map(v.count - 1)(x[:, 1:-1])
@@ -259,7 +259,7 @@ class DiscreteEquations:
         return x
 
     def _inner_rates(self, entries: Any, q: Any, duration: Any) -> Any:
-        """Return the velocities (nq, K − 1) of the discrete momenta within.
+        """Compute the interior velocities (nq, K − 1) from the discrete momenta.
 
         They are central differences where nodes stand, which these keep at rest.
         """
@@ -270,7 +270,7 @@ class DiscreteEquations:
             return central
         # whatever stands at these entries: `central` takes its place
         nowhere = np.zeros((v.count - 1, self.nq), dtype=np.intp)
-        z = gathered(entries, self._backwards(nowhere, self.pushes[1:-1], slice(-1)))
+        z = gather(entries, self._backwards(nowhere, self.pushes[1:-1], slice(-1)))
         z = ca.vertcat(z[: self.nq, :], central, z[2 * self.nq :, :])
         left = self._leaving.function.map(v.count - 1)(z)
         pushed = ca.SX.sym("pushed", self.nq)

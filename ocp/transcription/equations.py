@@ -1,4 +1,4 @@
-"""Equations of motion with the multipliers of bars and joints as unknowns."""
+"""Equations of motion in accelerations and multipliers."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ def constraint_names(model: Model) -> tuple[str, ...]:
 
 
 def build_constraints(model: Model) -> ca.Function:
-    """Build the Function (x, μ) → constraints [m], their rates [m/s], and their forces Jᵀμ [N].
+    """Build the constraints of bars and joints, their rates and forces.
 
-    The constraints are those of bars and joints. Jᵀμ (nq) acts on the free coordinates.
+    The Function is (x, μ) → constraints [m], rates [m/s], Jᵀμ [N], where Jᵀμ (nq) acts on the free
+    coordinates.
     """
     kind = symbol_kind(model.ode)
     x = kind.sym("x", model.nx)
@@ -35,10 +36,10 @@ def build_constraints(model: Model) -> ca.Function:
 
 
 def build_residuals(model: Model) -> ca.Function:
-    """Build the Function (x, u, a, μ) → M a − F − Jᵀμ (nq) [N], J a + c [m/s²].
+    """Build the residuals of the equations of motion.
 
-    They vanish where a are the accelerations of the free coordinates, and μ the multipliers of the
-    constraints, whose second derivatives are the second output.
+    The Function is (x, u, a, μ) → M a − F − Jᵀμ (nq) [N], J a + c [m/s²], with the accelerations a of
+    the free coordinates and the multipliers μ of the constraints.
     """
     constraints, kind = build_constraints(model), symbol_kind(model.ode)
     x, u, a = (
@@ -58,7 +59,7 @@ def build_residuals(model: Model) -> ca.Function:
 def evaluate_multipliers(model: Model, states: Array, controls: Array) -> Array:
     """Compute the multipliers (n, c) [N] of states (n, nx) under controls (n, nu).
 
-    Where there are none, as at a bar without a length, they are zero.
+    They are zero where they do not exist, as at a bar without a length.
     """
     kind, mech = symbol_kind(model.ode), model.mechanism
     x, u = kind.sym("x", model.nx), kind.sym("u", model.nu)

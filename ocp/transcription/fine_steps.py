@@ -54,18 +54,18 @@ class FineSteps:
         self._each, self._chain = step.map(len(fractions)), step.mapaccum(len(fractions))
 
     def planned(self, w: Array) -> tuple[Array, tuple[Array, ...], float]:
-        """Return states (K + 1, nx), the arguments of steps after the state, and the duration."""
+        """Unpack states (K + 1, nx), further arguments of steps, and the duration."""
         states, gamma, T = (np.asarray(one.full()) for one in self.program.unpack(w))
         held = (gamma[:, :-1], gamma[:, 1:]) if self.linear else (gamma, gamma)
         duration = float(T.squeeze())
         return states.T, (*held, duration * self.fractions[None]), duration
 
     def ends(self, leaving: Array, held: tuple[Array, ...]) -> Array:
-        """Return the states (K, nx) at the ends of intervals that begin at `leaving` (K, nx)."""
+        """Simulate the intervals from states `leaving` (K, nx) to their ends."""
         return np.asarray(self._each(leaving.T, *held).full()).T
 
     def whole(self, w: Array) -> tuple[Array, float]:
-        """Return the states of the whole motion, and how far the planned ones are from them."""
+        """Simulate the whole motion, and measure the distance of the planned states."""
         states, held, duration = self.planned(w)
         later = np.asarray(self._chain(states[0], *held).full())
         fine = np.column_stack([states[0], later]).T
@@ -74,9 +74,9 @@ class FineSteps:
 
 
 def _build_step(model: Model) -> ca.Function:
-    """Build the fine step (x, u, v, h) → x_next under a control that runs linearly from u to v.
+    """Build the fine step (x, u, v, h) → x_next, with a projection at its end.
 
-    A projection onto bars and joints follows it.
+    The control changes linearly from u to v.
     """
     x, u, v, h = (
         ca.MX.sym(name, size)
@@ -115,7 +115,7 @@ def measure_ends(program: Program, model: Model, fractions: Array) -> Measure:
             z = np.where(after, ends[block.index], y[block.index])
             moved, here = (block.value(one.T) for one in (z, y[block.index]))
             shift[rows] = np.asarray((moved - here).full()).ravel(order="F")
-        return _measured(fine, w, shift)
+        return _build_residual(fine, w, shift)
 
     return measure
 
@@ -128,11 +128,11 @@ def measure_jumps(program: Program, model: Model, fractions: Array) -> Measure:
     """
     fine, mech, nq = FineSteps(program, model, fractions), model.mechanism, model.nq
     project = build_projection(model, 1).map(len(fractions)) if mech.constrained else None
-    momentum = _momentum(model)
-    ends, middle = (_rows_of(program, name) for name in ("ends", "middle"))
+    momentum = _build_momentum(model)
+    ends, middle = (_find_rows(program, name) for name in ("ends", "middle"))
 
     def leave(states: Array, held: tuple[Array, ...], lengths: Array) -> tuple[Array, Array]:
-        """Return the velocities at the start of intervals, and those of fine steps at their ends."""
+        """Find the velocities that lead from node to node, and those at arrival."""
         leaving, least = states[:-1].copy(), np.inf
         while True:
             arrived = fine.ends(leaving, held)
@@ -156,18 +156,18 @@ def measure_jumps(program: Program, model: Model, fractions: Array) -> Measure:
         for rows, jump in zip([ends[0], *middle, *ends[1:]], jumps, strict=False):
             moved = duration * np.asarray(momentum(jump.T).full()).ravel(order="F")
             shift[rows] = -moved / program.scale[rows]
-        return _measured(fine, w, shift)
+        return _build_residual(fine, w, shift)
 
     return measure
 
 
-def _measured(fine: FineSteps, w: Array, shift: Array) -> MotionResidual:
+def _build_residual(fine: FineSteps, w: Array, shift: Array) -> MotionResidual:
     states, error = fine.whole(w)
     return MotionResidual(error, float(np.abs(shift).max(initial=0.0)), shift, states)
 
 
-def _rows_of(program: Program, name: str) -> list[slice]:
-    """Return the rows of the blocks whose Function has a name."""
+def _find_rows(program: Program, name: str) -> list[slice]:
+    """Find the rows of the blocks whose Function has a name."""
     parts = program.parts
     return [
         rows
@@ -176,8 +176,8 @@ def _rows_of(program: Program, name: str) -> list[slice]:
     ]
 
 
-def _momentum(model: Model) -> ca.Function:
-    """Build the Function of velocities (nq) that returns their momenta along the free coordinates."""
+def _build_momentum(model: Model) -> ca.Function:
+    """Build the Function from velocities (nq) to momenta."""
     v = ca.SX.sym("v", model.nq)
     clock = [0.0] * (model.nx - 2 * model.nq)
     _, V, _ = model.unpack(ca.vertcat(v, v, *clock))

@@ -1,4 +1,4 @@
-"""Initial guesses as values, and what they give: states on the constraints and force densities on equal intervals."""
+"""Initial guesses: motions on equal intervals."""
 
 from __future__ import annotations
 
@@ -26,50 +26,45 @@ from tenscasadi.util.validate import (
     whole_number,
 )
 
-NOISE = 0.3  # of the strongest force density
-NOISY = 16.0  # rad of the fastest vibration: along longer motions there is less noise
+NOISE = 0.3  # relative to the strongest force density
 
 
 class NamedGuess(Value):
-    """Initial guess that files know by its kind."""
+    """Initial guess with a kind in files."""
 
 
 @runtime_checkable
 class InitialGuess(Protocol):
-    """Anything that a solver may be told to start from."""
+    """Protocol of initial guesses."""
 
     def guess(self, problem: Problem, target: Target, intervals: int) -> Guess:
-        """Return the guess on equal intervals."""
+        """Compute the guess on equal intervals."""
 
 
 @dataclass(frozen=True, eq=False)
 class InverseDynamics(NamedGuess, kind="InverseDynamics"):
-    """A guess by inverse dynamics: the force densities that make nodes follow a path best.
+    """Initial guess by inverse dynamics along a path of the nodes.
 
-    Accelerations are linear in the force densities, so these are the solution of a small convex
+    Accelerations are linear in the force densities, which therefore follow from a small convex
     problem in each interval.
 
     Parameters
     ----------
     path : array_like, shape (P, n, 3), optional
-        Nodes, m, at equal times from the start to the end; they are projected onto bars and joints.
-        By default they move from the start to the goals along a smooth line, which is what `solve`
-        starts from by itself.
+        Nodes [m] at equal times from the start to the end. They are projected onto bars and joints.
+        Default: a smooth line from the start to the goals, which is also the default of `solve`.
     noise : float, optional
-        Most that is added to the force density of a string, relative to the strongest of all: a
-        share of it that is drawn for each string. A guess that is as symmetric as its structure is
-        often next to a saddle, which a solver takes several times as many iterations to leave. It
-        is less where the motion lasts more than 16 rad of the fastest vibration, along which errors
-        would grow. 0 for none; rest lengths get none. Default: 0.3, which `Ipopt` adds only where
-        it meets a saddle, or where the start is free.
+        Largest random change of a force density, relative to the strongest. Symmetric guesses are
+        often next to a saddle, which costs a solver many iterations. The noise is smaller if the
+        motion lasts more than 16 rad of the fastest vibration. Rest lengths get none. Default: 0.3,
+        which `Ipopt` adds only if it meets a saddle, or if the start is free.
     seed : int
-        Seed of the draw. Noise of other seeds than 0 is always added.
+        Seed of the noise. With other seeds than 0, it is always added.
 
     Raises
     ------
     TypeError, ValueError
-        If the path is no array of at least two instants, the noise no number of 0 or more, or the
-        seed no whole number of 0 or more.
+        If a value has another type or is out of bounds.
 
     Examples
     --------
@@ -103,21 +98,21 @@ class InverseDynamics(NamedGuess, kind="InverseDynamics"):
             object.__setattr__(self, "path", array)
 
     def guess(self, problem: Problem, target: Target, intervals: int) -> Guess:
-        """Return the guess on equal intervals.
+        """Compute the guess on equal intervals.
 
         Parameters
         ----------
         problem : Problem
-            The problem to be solved.
+            Optimal control problem.
         target : Target
-            Where its goals lead.
+            Target state of its goals.
         intervals : int
             Number of intervals K.
 
         Returns
         -------
         Guess
-            States (K + 1, nx), force densities (K, α), N/m, and duration, s.
+            States (K + 1, nx), controls (K, α) and duration [s].
 
         Raises
         ------
@@ -129,7 +124,9 @@ class InverseDynamics(NamedGuess, kind="InverseDynamics"):
             if self.path is None
             else self._along_path(problem, target, intervals, self.path)
         )
-        noisy = _with_noise(problem, guess, NOISE if self.noise is None else self.noise, self.seed)
+        noisy = _attach_noise(
+            problem, guess, NOISE if self.noise is None else self.noise, self.seed
+        )
         return (
             noisy
             if self.noise is None and self.seed == 0
@@ -154,7 +151,7 @@ class InverseDynamics(NamedGuess, kind="InverseDynamics"):
 
 @dataclass(frozen=True)
 class Equilibrium(NamedGuess, kind="Equilibrium"):
-    """A guess in which nothing moves: the start for all times, under the force densities that hold it as nearly as they can.
+    """Initial guess at rest: the start, under the force densities that hold it best.
 
     Examples
     --------
@@ -169,21 +166,21 @@ class Equilibrium(NamedGuess, kind="Equilibrium"):
     """
 
     def guess(self, problem: Problem, target: Target, intervals: int) -> Guess:
-        """Return the guess on equal intervals.
+        """Compute the guess on equal intervals.
 
         Parameters
         ----------
         problem : Problem
-            The problem to be solved.
+            Optimal control problem.
         target : Target
-            Where its goals lead.
+            Target state of its goals.
         intervals : int
             Number of intervals K.
 
         Returns
         -------
         Guess
-            States (K + 1, nx), force densities (K, α), N/m, and duration, s.
+            States (K + 1, nx), controls (K, α) and duration [s].
         """
         duration = problem.typical_duration
         states = np.repeat(target.start[None], intervals + 1, axis=0)
@@ -195,21 +192,21 @@ class Equilibrium(NamedGuess, kind="Equilibrium"):
 
 @dataclass(frozen=True, eq=False)
 class Arrays(NamedGuess, kind="Arrays"):
-    """A guess given as arrays at equal times.
+    """Initial guess of given arrays at equal times.
 
     Parameters
     ----------
     states : array_like, shape (P, nx)
         States of the model, from the start to the end.
     force_density : array_like, shape (Q, α)
-        Force densities, N/m, each of one of Q equal intervals.
+        Force densities [N/m] of Q equal intervals.
     duration : float, optional
-        Duration, s; by default the problem's, or the middle of its range.
+        Duration [s]. Default: that of the problem, or the middle of its range.
 
     Raises
     ------
     TypeError, ValueError
-        If a value is not of its kind; from `solve`, if an array does not fit the model.
+        If a value has another type or is out of bounds, or an array does not fit the model.
 
     Examples
     --------
@@ -238,21 +235,21 @@ class Arrays(NamedGuess, kind="Arrays"):
             object.__setattr__(self, "duration", positive_number("Arrays.duration", self.duration))
 
     def guess(self, problem: Problem, target: Target, intervals: int) -> Guess:
-        """Return the guess on equal intervals.
+        """Compute the guess on equal intervals.
 
         Parameters
         ----------
         problem : Problem
-            The problem to be solved.
+            Optimal control problem.
         target : Target
-            Where its goals lead.
+            Target state of its goals.
         intervals : int
             Number of intervals K.
 
         Returns
         -------
         Guess
-            States (K + 1, nx), force densities (K, α), N/m, and duration, s.
+            States (K + 1, nx), controls (K, α) and duration [s].
 
         Raises
         ------
@@ -267,7 +264,7 @@ class Arrays(NamedGuess, kind="Arrays"):
                 f"Arrays has {len(states)} states and {len(gamma)} rows of force densities: give at least 2 and 1"
             )
         middle = problem.typical_duration if self.duration is None else self.duration
-        return resampled(
+        return resample(
             problem,
             target,
             states,
@@ -282,7 +279,7 @@ class Arrays(NamedGuess, kind="Arrays"):
 def evaluate_guess(
     value: InitialGuess | None, problem: Problem, target: Target, intervals: int
 ) -> Guess:
-    """Return the guess that a value stands for. Raises TypeError, ValueError, also for states that no projection puts onto bars and joints."""
+    """Compute a guess; None stands for `InverseDynamics()`. Raises TypeError, ValueError."""
     value = InverseDynamics() if value is None else value
     if isinstance(value, type) or not isinstance(value, InitialGuess):
         raise TypeError(
@@ -291,7 +288,7 @@ def evaluate_guess(
     return value.guess(problem, target, intervals)
 
 
-def resampled(
+def resample(
     problem: Problem,
     target: Target,
     states: Array,
@@ -301,7 +298,10 @@ def resampled(
     intervals: int,
     duration: float,
 ) -> Guess:
-    """Return states and force densities at shares of the duration, moved to equal intervals, within the limits, from the problem's start."""
+    """Resample states and controls at shares of the duration on equal intervals.
+
+    They begin at the start, on the constraints, and keep the limits. Raises ValueError.
+    """
     shares = np.linspace(0.0, 1.0, intervals + 1)
     moved = project_states(
         problem.model,
@@ -321,45 +321,47 @@ def resampled(
     return Guess(moved, held, float(np.clip(duration, problem.shortest, problem.longest)))
 
 
-def _with_noise(problem: Problem, guess: Guess, share: float, seed: int) -> Guess:
-    """Return the guess with what parts its strings where a solver meets a saddle: at most a share of the strongest force density."""
-    if winds(
-        problem.model
-    ):  # rest lengths: a share of them is far from any that hold the structure
+def _attach_noise(problem: Problem, guess: Guess, share: float, seed: int) -> Guess:
+    """Attach noise of at most a share of the strongest force density."""
+    if winds(problem.model):  # small changes of rest lengths are large changes of forces
         return guess
     change = np.random.default_rng(seed).uniform(size=guess.force_density.shape[1])
     strength = float(np.abs(guess.force_density).max()) or 1.0
-    noise = np.asarray(share * _bearable(problem.model, guess) * strength * change)
+    noise = np.asarray(share * _limit_noise(problem.model, guess) * strength * change)
     return replace(guess, noise=noise)
 
 
-def _bearable(model: Model, guess: Guess) -> float:
-    """Return the share of the noise along which errors hardly grow: they do at up to √noise times the fastest vibration's rate."""
+def _limit_noise(model: Model, guess: Guess) -> float:
+    """Compute the share of the noise along which errors hardly grow.
+
+    They grow at up to √noise times the rate of the fastest vibration.
+    """
     middle = len(guess.force_density) // 2
     turned = fastest_rate(model, guess.states[middle], guess.force_density[middle]) * guess.duration
-    return min(1.0, (NOISY / turned) ** 3) if turned > 0.0 else 1.0  # NaN: no rate is known
+    return min(1.0, (16.0 / turned) ** 3) if turned > 0.0 else 1.0  # NaN: no rate is known
 
 
 def make_guess(problem: Problem, target: Target, intervals: int) -> Guess:
-    """Return nodes from start to target by a quintic in time, put onto bars and joints, and γ by inverse dynamics, without noise."""
+    """Compute a smooth motion from start to target, without noise."""
     duration = problem.typical_duration
-    return follow(problem, target, _line(target, problem.model, intervals, duration), duration)
+    return follow(
+        problem, target, _interpolate(target, problem.model, intervals, duration), duration
+    )
 
 
 def follow(problem: Problem, target: Target, positions: Array, duration: float) -> Guess:
-    """Return the motion along free coordinates (K + 1, nq) at equal times, put onto bars and joints, and the force densities that follow it best."""
-    states = _motion(problem, target, positions, duration)
+    """Compute the motion along free coordinates (K + 1, nq), and its controls."""
+    states = _build_states(problem, target, positions, duration)
     return Guess(states, inverse_dynamics(problem, states, duration / (len(states) - 1)), duration)
 
 
-def _line(target: Target, model: Model, intervals: int, duration: float) -> Array:
-    """Free coordinates (K + 1, nq) from start to target, through the waypoints."""
+def _interpolate(target: Target, model: Model, intervals: int, duration: float) -> Array:
+    """Interpolate free coordinates (K + 1, nq) from start to target, through the waypoints."""
     start, end = target.start, target.start if target.state is None else target.state
     s = np.linspace(0.0, 1.0, intervals + 1)[:, None]
     rise, fall = s**3 * (10 - 15 * s + 6 * s**2), -4 * s**3 + 7 * s**4 - 3 * s**5
-    out = (
-        s - 6 * s**3 + 8 * s**4 - 3 * s**5
-    )  # leaves with the start's velocity; `fall` arrives with the target's
+    # `out` leaves with the start's velocity; `fall` arrives with the target's
+    out = s - 6 * s**3 + 8 * s**4 - 3 * s**5
     (q0, v0, _), (q1, v1, _) = model.split(start), model.split(end)
     q = q0 + rise * (q1 - q0) + duration * (out * v0 + fall * v1)
     waypoints = [
@@ -374,7 +376,7 @@ def _line(target: Target, model: Model, intervals: int, duration: float) -> Arra
     return np.asarray(q)
 
 
-def _motion(problem: Problem, target: Target, q: Array, duration: float) -> Array:
+def _build_states(problem: Problem, target: Target, q: Array, duration: float) -> Array:
     model, intervals = problem.model, len(q) - 1
     start = target.start
     clock = (

@@ -1,4 +1,4 @@
-"""Inverse dynamics: the force densities that follow a motion best."""
+"""Inverse dynamics: force densities of a given motion."""
 
 from __future__ import annotations
 
@@ -15,20 +15,16 @@ from tenscasadi.statics.force_density import EquilibriumError, equilibrium_force
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array
 
-MOST_ROUNDS = 20  # of an active-set method, which mostly needs five
-TAUT = 0.02  # of the greatest force density: the least that a guess of rest lengths pulls by
-# how much the reference force densities weigh against following the path, both in scaled units
+# weight of the reference force densities against the accelerations, both scaled
 REFERENCE_WEIGHT = 1e-3
 
 
 def inverse_dynamics(problem: Problem, states: Array, interval: float) -> Array:
-    """Return γ (K, α) within its limits, or the rest lengths for it, whose accelerations come nearest to those of states (K + 1, nx).
+    """Find the controls (K, α), within limits, that fit a motion best.
 
-    These are `interval` s apart.
-
-    Accelerations are linear in γ: a small least-squares problem with bounds for every interval.
-    What it leaves open (self-stress) follows the equilibrium force densities of the first and the
-    last state.
+    States (K + 1, nx) are `interval` [s] apart. Accelerations are linear in the force densities,
+    so that each interval is a small least-squares problem with bounds. Self-stress, which it
+    leaves open, follows the equilibrium force densities of the first and the last state.
     """
     model = pulled(problem.model)
     middle = (states[:-1] + states[1:]) / 2
@@ -49,23 +45,27 @@ def inverse_dynamics(problem: Problem, states: Array, interval: float) -> Array:
         axis=1,
     )
     b = np.concatenate(
-        [(wanted - free) / size, np.sqrt(REFERENCE_WEIGHT) * _reference(problem, states)], axis=1
+        [
+            (wanted - free) / size,
+            np.sqrt(REFERENCE_WEIGHT) * _interpolate_equilibria(problem, states),
+        ],
+        axis=1,
     )
-    found = _bounded_least_squares(A, b, lower, upper)
-    return _wound(problem, middle, found) if winds(problem.model) else found
+    found = _solve_least_squares(A, b, lower, upper)
+    return _compute_rest_lengths(problem, middle, found) if winds(problem.model) else found
 
 
-def _wound(problem: Problem, states: Array, force_density: Array) -> Array:
-    """Return the rest lengths (K, α), within their limits, by which elastic strings pull so at states (K, nx): s − (s γ − c ṡ)/k.
+def _compute_rest_lengths(problem: Problem, states: Array, force_density: Array) -> Array:
+    """Compute the rest lengths (K, α) s − (s γ − c ṡ)/k of force densities at states (K, nx).
 
-    Strings are held a little more than slack: just slack ones would not feel that they are wound.
+    Strings keep 2 % of the greatest force density: slack ones would not respond to their controls.
     """
     structure, now = problem.model.scene.structure, symbolic(problem.model)
     measure = ca.Function(
         "measure", [now.state], [ca.densify(now.lengths), ca.densify(now.rates)]
     ).map(len(states))
     lengths, rates = (np.asarray(value.full()).T for value in measure(states.T))
-    taut = np.maximum(force_density, TAUT * force_density.max(initial=0.0)) * lengths
+    taut = np.maximum(force_density, 0.02 * force_density.max(initial=0.0)) * lengths
     return np.asarray(
         np.clip(
             lengths - (taut - structure.damping * rates) / structure.stiffness,
@@ -74,8 +74,11 @@ def _wound(problem: Problem, states: Array, force_density: Array) -> Array:
     )
 
 
-def _reference(problem: Problem, states: Array) -> Array:
-    """Equilibrium γ (intervals, α) from that of the start to that of the target; the lower limits where there is none."""
+def _interpolate_equilibria(problem: Problem, states: Array) -> Array:
+    """Interpolate the equilibrium γ (K, α) of the first and of the last state.
+
+    Lower limits take the place of an equilibrium that does not exist.
+    """
     lower, upper = problem.force_density_limits
     model = problem.model
     structure = model.scene.structure
@@ -108,17 +111,17 @@ def _weights(structure: Structure, gravity: Gravity | None) -> Array | None:
     )
 
 
-def _bounded_least_squares(A: Array, b: Array, lower: Array, upper: Array) -> Array:
-    """Return x (n, m) with the least |A x − b| of each A (n, k, m), b (n, k), lower ≤ x ≤ upper.
+def _solve_least_squares(A: Array, b: Array, lower: Array, upper: Array) -> Array:
+    """Minimize |A x − b| of each A (n, k, m), b (n, k), subject to lower ≤ x ≤ upper.
 
-    All n at once by a primal-dual active-set method (Hintermüller, Ito, Kunisch, SIAM J. Optim.
-    2002, 13, 865), which may cycle: what it has not settled is left to SciPy.
+    A primal-dual active-set method solves all n at once (Hintermüller, Ito, Kunisch, SIAM J. Optim.
+    2002, 13, 865). It mostly needs five rounds, but may cycle: SciPy solves the rest.
     """
     H, c = A.transpose(0, 2, 1) @ A, (A.transpose(0, 2, 1) @ b[:, :, None])[:, :, 0]
     held = lower == upper
     side = np.where(held, -1, np.zeros(c.shape))
     x = np.zeros_like(c)
-    for _ in range(MOST_ROUNDS):
+    for _ in range(20):
         fixed = np.where(side < 0, lower, np.where(side > 0, upper, 0.0))
         free = side == 0
         masked = H * (free[:, :, None] & free[:, None, :]) + (~free)[:, :, None] * np.eye(

@@ -1,4 +1,4 @@
-"""Mesh of a plan: intervals, profiles of the controls over them, and states at and between nodes."""
+"""Mesh of a plan: intervals, control profiles, states between nodes."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ MOST_INTERVALS = 100_000  # a file may ask for more than memory holds
 
 
 def check_intervals(field: str, value: Any) -> int | tuple[float, ...]:
-    """Return a number of equal intervals, or the shares of the duration that intervals take, which sum to one. Raises TypeError, ValueError."""
+    """Check a number of intervals, or normalize their lengths. Raises TypeError, ValueError."""
     if isinstance(value, (bool, np.bool_, int, np.integer, float, str)):
         return whole_number(field, value, 1, MOST_INTERVALS)
     shares = finite_array(field, value, (None,))
@@ -44,31 +44,31 @@ def check_intervals(field: str, value: Any) -> int | tuple[float, ...]:
 
 
 def fractions(intervals: Intervals) -> Array:
-    """Return the share (K,) of the duration that each interval takes."""
+    """Compute the shares (K,) of the duration that the intervals take."""
     if isinstance(intervals, (int, np.integer)):
         return np.full(int(intervals), 1 / int(intervals))
     return np.asarray(intervals, dtype=float)
 
 
 class Profile(Protocol):
-    """How force densities run over the intervals of a mesh."""
+    """Profile of the controls over the intervals of a mesh."""
 
     @property
     def linear(self) -> bool:
-        """Whether they are given at the ends of intervals, instead of in each."""
+        """Whether controls are values at nodes, instead of in intervals."""
 
     @property
     def groups(self) -> tuple[tuple[int, ...], ...]:
-        """Strings that always have the same force density."""
+        """Groups of strings with the same control."""
 
     @property
     def changes(self) -> int | None:
-        """How often force densities change at most; None: from interval to interval."""
+        """Maximum number of changes; None: from interval to interval."""
 
 
 @dataclass(frozen=True)
 class NamedProfile(Value):
-    """Profile of the control that files know by its kind."""
+    """Control profile with a kind in files."""
 
     groups: Annotated[tuple[tuple[int, ...], ...], ListOf(Members("string"))] = ()
 
@@ -91,22 +91,20 @@ class NamedProfile(Value):
 
 @dataclass(frozen=True)
 class PiecewiseConstant(NamedProfile, kind="PiecewiseConstant"):
-    """Force densities that are constant on each interval.
+    """Controls that are constant on each interval.
 
     Parameters
     ----------
     groups : sequence of sequences of int
-        Groups of strings, such as those that a symmetry maps onto each other: the strings of a
-        group share their force density.
+        Groups of strings with the same control, such as images under a symmetry.
     changes : int, optional
-        How often force densities may change at most, after (nearly) equal times: they are held over
-        the intervals between. By default they change from interval to interval.
+        Maximum number of control changes, at nearly equal times (move blocking). By default they
+        change from interval to interval.
 
     Raises
     ------
     TypeError, ValueError
-        If a group is no sequence of strings, a string is given twice, or changes is no number of at
-        least 0.
+        If a value has another type or is out of bounds, or a string is given twice.
 
     Examples
     --------
@@ -128,18 +126,17 @@ class PiecewiseConstant(NamedProfile, kind="PiecewiseConstant"):
 
 @dataclass(frozen=True)
 class PiecewiseLinear(NamedProfile, kind="PiecewiseLinear"):
-    """Force densities that are continuous, and linear on each interval.
+    """Controls that are continuous, and linear on each interval.
 
     Parameters
     ----------
     groups : sequence of sequences of int
-        Groups of strings, such as those that a symmetry maps onto each other: the strings of a
-        group share their force density.
+        Groups of strings with the same control, such as images under a symmetry.
 
     Raises
     ------
     TypeError, ValueError
-        If a group is no sequence of strings, or a string is given twice.
+        If a group is not a sequence of strings, or a string is given twice.
 
     Examples
     --------
@@ -153,9 +150,9 @@ class PiecewiseLinear(NamedProfile, kind="PiecewiseLinear"):
 
 
 def group_matrix(profile: Profile, strings: int) -> Array:
-    """E (strings × groups) of ones and zeros: γ of all strings is E times those of the groups; strings in no group are alone.
+    """Build E (strings, groups) of ones and zeros: controls of strings are E times those of groups.
 
-    Raises ValueError for a group with a string that does not exist.
+    A string in no group is a group. Raises ValueError for a string that does not exist.
     """
     for group in profile.groups:
         for string in group:
@@ -170,7 +167,7 @@ def group_matrix(profile: Profile, strings: int) -> Array:
 
 
 def spans(profile: Profile, fractions: Array) -> Indices:
-    """Return for each interval (K,) the span over which force densities are held, numbered from 0: K spans where nothing else is asked."""
+    """Find the span of constant controls that each interval (K,) belongs to."""
     if profile.changes is None or profile.changes + 1 >= len(fractions):
         return np.arange(len(fractions))
     middle = np.cumsum(fractions) - np.asarray(fractions) / 2
@@ -179,7 +176,7 @@ def spans(profile: Profile, fractions: Array) -> Indices:
 
 
 def node_values(held: Array, lengths: Array) -> Array:
-    """Values (K + 1, α) at the ends of intervals from those held (K, α) in intervals of these lengths: neighbours' means, the shorter weighs more."""
+    """Compute values (K + 1, α) at nodes from those (K, α) in intervals: weighted means."""
     if len(held) == 1:
         return np.repeat(held, 2, axis=0)
     left, right = lengths[:-1, None], lengths[1:, None]
@@ -188,12 +185,12 @@ def node_values(held: Array, lengths: Array) -> Array:
 
 
 def held_values(values: Array, intervals: int) -> Array:
-    """Mean values (K, α) on each interval of a profile of either kind."""
+    """Compute the mean values (K, α) of a profile on its intervals."""
     return values if len(values) == intervals else (values[:-1] + values[1:]) / 2
 
 
 def profile_at(values: Array, nodes: Array, time: Array) -> Array:
-    """Return a profile (K, α) or (K + 1, α) on the mesh `nodes` (K + 1,) at `time` (…,)."""
+    """Evaluate a profile (K, α) or (K + 1, α) on a mesh (K + 1,) at times."""
     last = len(nodes) - 2
     k = np.clip(np.searchsorted(nodes, time, side="right") - 1, 0, last)
     if len(values) == last + 1:
@@ -203,7 +200,7 @@ def profile_at(values: Array, nodes: Array, time: Array) -> Array:
 
 
 def locate_share(fractions: Array, share: float) -> tuple[int, float]:
-    """Return the interval in which a share of the duration lies, and the share of that interval: more than 0, up to 1."""
+    """Find the interval that a share of the duration lies in, and the share of the interval."""
     ends = np.cumsum(fractions)
     k = min(int(np.searchsorted(ends, share - 1e-9)), len(ends) - 1)
     part = float((share - ends[k] + fractions[k]) / fractions[k])
@@ -211,7 +208,7 @@ def locate_share(fractions: Array, share: float) -> tuple[int, float]:
 
 
 def hermite_state(model: Model, x: Any, y: Any, h: Any, share: float) -> Any:
-    """Return the state at a share of an interval of length h between states x and y, along the cubic with their places and velocities."""
+    """Evaluate the cubic between states x and y at a share of an interval of length h."""
     if share == 1.0:
         return y
     s, (q0, v0, clock0), (q1, v1, clock1) = share, model.split(x), model.split(y)

@@ -16,8 +16,8 @@ from ocp.transcription.equations import (
     evaluate_multipliers,
 )
 from ocp.transcription.mesh import held_values
-from ocp.transcription.sparse_nlp import Block, Kind, scalar_code, split_symbol, symbol_kind
-from ocp.transcription.variables import Variables, state_names
+from ocp.transcription.sparse_nlp import Block, Kind, expand, split_symbol, symbol_kind
+from ocp.transcription.variables import Variables, name_states
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.validate import Array, Indices
 
@@ -85,7 +85,7 @@ class _Steps:
         self.states = self._add_states()
         nq, scales = v.model.nq, v.scales
         self.acceleration = scales.length / scales.time**2
-        self.coordinates = state_names(v.model)[:nq]
+        self.coordinates = name_states(v.model)[:nq]
         rates = np.diff(v.guess.states[:, nq : 2 * nq], axis=0) / v.guess.duration
         self.accelerations = self._add_stages(
             "acceleration", self.coordinates, rates / v.fractions[:, None], self.acceleration
@@ -102,7 +102,7 @@ class _Steps:
         first = (1 - share) * v.guess.states[:-1, None] + share * v.guess.states[1:, None]
         at = [f"interval {k}, step {i}" for k in range(v.count) for i in within]
         inner = v.entries.unknowns(
-            [f"{name}, {place}" for place in at for name in state_names(v.model)],
+            [f"{name}, {place}" for place in at for name in name_states(v.model)],
             first,
             v.scales.state,
             interval=np.arange(v.count)[:, None, None],
@@ -138,7 +138,7 @@ class _Steps:
     def _lengths(self) -> list[Indices]:
         """Return entries (S, 1): the duration, and the share of it that a step takes."""
         share = self.v.fractions[self.interval, None] / self.substeps
-        return [self.v.repeated(self.v.duration, len(share)), self.v.entries.constants(share)]
+        return [self.v.repeat(self.v.duration, len(share)), self.v.entries.constants(share)]
 
     def _symbols(self, columns: Sequence[Indices]) -> tuple[Any, tuple[Any, ...]]:
         sizes = [column.shape[1] for column in columns]
@@ -151,7 +151,7 @@ class _Steps:
         value = ca.vertcat(*(row for row, _, _ in rows)) / ca.DM(scale)
         names = [name for _, _, own in rows for name in own]
         return Block(
-            scalar_code(ca.Function(kind, [z], [value])),
+            expand(ca.Function(kind, [z], [value])),
             np.hstack(columns),
             tuple(f"dynamics of {at}, {name}" for at in self._places(steps) for name in names),
             scale=scale,
@@ -180,7 +180,7 @@ class _Steps:
 
     def build_ends(self, closing: bool) -> Block:
         """Build the ends of steps: within intervals, or those of intervals, on the constraints."""
-        model, v, nq, names = self.model, self.v, self.model.nq, state_names(self.model)
+        model, v, nq, names = self.model, self.v, self.model.nq, name_states(self.model)
         steps = np.flatnonzero((self.step == self.substeps - 1) == closing)
         columns = [self.states[:-1], self.states[1:], *self._lengths()]
         columns += list(np.moveaxis(self.accelerations, 1, 0))

@@ -1,4 +1,4 @@
-"""Sparse nonlinear programs: many instances of few small functions, their exact derivatives put together instance by instance.
+"""Sparse nonlinear programs of many instances of few small functions.
 
 A function of a few dozen numbers is differentiated once and evaluated for each interval; its values
 are put where they belong by index. No colouring of large graphs, no derivative of a graph of many
@@ -26,11 +26,18 @@ Kind = Literal[
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
-    """The n unknowns of a program in their order, and constants: together the entries y to which blocks refer by index, unknowns first.
+    """Unknowns of a program, and constants.
 
-    first, lower, upper: where to start, and limits, in physical units. scale: what the solver's w
-    is multiplied by to be physical. interval: the interval of the plan to which
-    each belongs; infinite for what belongs to all.
+    Together they are the entries y that blocks refer to by index, unknowns first.
+
+    Attributes
+    ----------
+    first, lower, upper : ndarray, shape (n,)
+        Initial values and limits, in physical units.
+    scale : ndarray, shape (n,)
+        Physical values are scaled unknowns w times these.
+    interval : ndarray, shape (n,)
+        Interval of the plan; infinite if the unknown belongs to all.
     """
 
     names: tuple[str, ...]
@@ -47,13 +54,15 @@ class Unknowns:
         return len(self.names)
 
     def entries(self, w: Any) -> Any:
-        """Return y from the scaled w."""
+        """Compute y from the scaled unknowns w."""
         return ca.vertcat(ca.DM(self.scale) * w, ca.DM(self.constants))
 
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Rows lower ≤ function(z_k) ≤ upper of `count` instances k; z_k are the entries `index[k]` of unknowns and constants.
+    """Rows lower ≤ function(z_k) ≤ upper of `count` instances k.
+
+    z_k are the entries `index[k]` of unknowns and constants.
 
     function: z (nz) → rows (m); index (count, nz); lower, upper, scale (count, m) or broadcast to
     it; names: count·m, instance by instance. scale: what one stands for, in the unit of what is
@@ -99,13 +108,16 @@ class Block:
             np.broadcast_to(np.asarray(value, dtype=float), shape).ravel() for value in given
         )  # type: ignore[return-value]
 
-    def relabelled(self, label: Indices) -> Block:
-        """Return the block with label[k] in place of each index k."""
+    def relabel(self, label: Indices) -> Block:
+        """Replace each index k by label[k]."""
         return replace(self, index=label[self.index])
 
 
 class Separable:
-    """f(w) = sum of cost blocks, g(w) = rows of row blocks, one below the other; and their derivatives, as CasADi Functions."""
+    """Objective f(w), rows g(w), and their derivatives as CasADi Functions.
+
+    f is the weighted sum of the cost blocks; g stacks the row blocks.
+    """
 
     def __init__(
         self, unknowns: Unknowns, rows: Sequence[Block], costs: Sequence[Block], weight: float
@@ -119,7 +131,7 @@ class Separable:
         self.w, self._p = ca.MX.sym("w", unknowns.count), ca.MX.sym("p", 0)
         y = unknowns.entries(self.w)
         self._row_inputs, self._cost_inputs = (
-            [gathered(y, block.index) for block in blocks] for blocks in (rows, costs)
+            [gather(y, block.index) for block in blocks] for blocks in (rows, costs)
         )
         self.g = ca.vertcat(
             ca.MX(0, 1),
@@ -132,7 +144,7 @@ class Separable:
 
     @cached_property
     def slices(self) -> tuple[slice, ...]:
-        """Where the rows of each block stand in g."""
+        """Places of the rows of each block in g."""
         ends = np.cumsum([block.size for block in self.rows]).tolist()
         return tuple(
             slice(end - block.size, end) for block, end in zip(self.rows, ends, strict=True)
@@ -140,32 +152,32 @@ class Separable:
 
     @cached_property
     def derivatives(self) -> dict[str, ca.Function]:
-        """The Functions nlp_grad_f, nlp_jac_g and nlp_hess_l with the inputs and outputs that CasADi's solvers expect."""
+        """Functions nlp_grad_f, nlp_jac_g and nlp_hess_l, as CasADi's solvers expect them."""
         return {
             function.name(): function
             for function in (self.gradient(), self.jacobian(), self.hessian())
         }
 
     def gradient(self) -> ca.Function:
-        """Return the Function nlp_grad_f: (w, p) → f and its gradient."""
+        """Build the Function nlp_grad_f (w, p) → f and its gradient."""
         matrix = _SparseMatrix(self.unknowns)
         for block, z in zip(self.costs, self._cost_inputs, strict=True):
             matrix.add_jacobian(block, z, self._weight, transposed=True)
-        slope = ca.densify(matrix.assembled(self.unknowns.count, 1))
+        slope = ca.densify(matrix.assemble(self.unknowns.count, 1))
         return ca.Function(
             "nlp_grad_f", [self.w, self._p], [self.f, slope], ["x", "p"], ["f", "grad_f_x"]
         )
 
     def jacobian(self) -> ca.Function:
-        """Return the Function nlp_jac_g: (w, p) → g and its sparse Jacobian."""
-        J = self._row_derivatives.assembled(self.g.shape[0], self.unknowns.count)
+        """Build the Function nlp_jac_g (w, p) → g and its sparse Jacobian."""
+        J = self._row_derivatives.assemble(self.g.shape[0], self.unknowns.count)
         return ca.Function(
             "nlp_jac_g", [self.w, self._p], [self.g, J], ["x", "p"], ["g", "jac_g_x"]
         )
 
     @property
     def constant_entries(self) -> NDArray[np.bool_]:
-        """Which non-zeros of the Jacobian do not depend on w, in its order."""
+        """Which non-zeros of the Jacobian are constant, in its order."""
         return self._row_derivatives.constant_entries(self.g.shape[0])
 
     @cached_property
@@ -176,14 +188,14 @@ class Separable:
         return matrix
 
     def hessian(self) -> ca.Function:
-        """Return the Function nlp_hess_l: (w, p, λ_f, λ_g) → the upper triangle of the sparse Hessian of λ_f f + λ_gᵀ g."""
+        """Build the Function nlp_hess_l (w, p, λ_f, λ_g) → upper triangle of the Hessian of the Lagrangian."""
         lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", self.g.shape[0])
         matrix = _SparseMatrix(self.unknowns)
         for block, z, rows in zip(self.rows, self._row_inputs, self.slices, strict=True):
             matrix.add_hessian(block, z, ca.reshape(lam_g[rows], block.rows, block.count))
         for block, z in zip(self.costs, self._cost_inputs, strict=True):
             matrix.add_hessian(block, z, ca.repmat(lam_f * self._weight, 1, block.count))
-        H = matrix.assembled(self.unknowns.count, self.unknowns.count)
+        H = matrix.assemble(self.unknowns.count, self.unknowns.count)
         inputs = [self.w, self._p, lam_f, lam_g]
         return ca.Function(
             "nlp_hess_l", inputs, [H], ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
@@ -192,17 +204,33 @@ class Separable:
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """minimise f(w) subject to lower ≤ g(w) ≤ upper and w_lower ≤ w ≤ w_upper, all in scaled numbers of order one.
+    """Nonlinear program: minimize f(w) subject to limits of g(w) and of w.
 
-    parts: what w, f and g consist of. w_lower, w_upper, first (n,): limits of w, and where to
-    start. lower, upper, scale: limits of the rows of g, and what these are multiplied by to be
-    physical (rows of goals have no unit); objective: the same for f. unpack: Function w → states
-    (nx, intervals + 1), force densities (α, intervals; or intervals + 1 where they are piecewise
-    linear), duration; those of one phase after the other, and their durations (1, phases). states:
-    entries of x (intervals + 1, nx). contact: whether nodes may meet a ground. multipliers: those of
-    g and of w's limits to start from, where they are known. noise: None, or what is to be added to
-    `first` where that leads to a saddle. decided: unknowns that the defects leave free, where they
-    determine all others.
+    All numbers are scaled to order one.
+
+    Attributes
+    ----------
+    parts : Separable
+        Composition of w, f and g.
+    w_lower, w_upper, first : ndarray, shape (n,)
+        Limits of w, and the initial guess.
+    lower, upper, scale : ndarray, shape (m,)
+        Limits of g, and the factors that make its rows physical. Rows of goals have no unit.
+    objective : float
+        Factor that makes f physical.
+    unpack : casadi.Function
+        w → states (nx, K + 1), controls (α, K) or (α, K + 1), durations (1, phases). Phases follow
+        one another.
+    states : ndarray of int, shape (K + 1, nx)
+        Entries of the states.
+    contact : bool
+        Whether nodes may touch a ground.
+    multipliers : tuple of ndarray or None
+        Duals of g and of the limits of w to start from.
+    noise : ndarray, shape (n,), or None
+        Change of `first` that leads away from a saddle.
+    decided : ndarray of int
+        Unknowns that the defects leave free. They determine all others.
     """
 
     parts: Separable
@@ -230,26 +258,26 @@ class Program:
 
     @property
     def problem(self) -> dict[str, Any]:
-        """w, f and g as `casadi.nlpsol` takes them."""
+        """w, f and g, as `casadi.nlpsol` expects them."""
         return {"x": self.parts.w, "f": self.parts.f, "g": self.parts.g}
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """One for each row of g."""
+        """Names of the rows of g."""
         return tuple(name for block in self.parts.rows for name in block.names)
 
     @property
     def w_names(self) -> tuple[str, ...]:
-        """One for each unknown."""
+        """Names of the unknowns."""
         return self.parts.unknowns.names
 
     @property
     def w_scale(self) -> Array:
-        """The numbers that w is multiplied by to be physical."""
+        """Factors that make w physical."""
         return self.parts.unknowns.scale
 
     def rows(self, *kinds: Kind) -> list[slice]:
-        """Return where the rows of blocks of some kinds stand in g, one slice for each block."""
+        """Find the rows of blocks of some kinds, one slice for each block."""
         return [
             rows
             for block, rows in zip(self.parts.rows, self.parts.slices, strict=True)
@@ -257,32 +285,34 @@ class Program:
         ]
 
     def derivatives(self) -> dict[str, ca.Function]:
-        """Return gradient, Jacobian and Hessian as CasADi's solvers name and call them."""
+        """Return gradient, Jacobian and Hessian, as CasADi's solvers call them."""
         return self.parts.derivatives
 
     @property
     def known(self) -> Array:
-        """Which entries (intervals + 1, nx) of the states are unknowns of their own."""
+        """Which entries (K + 1, nx) of the states are unknowns."""
         return np.asarray(self.states < self.parts.unknowns.count)
 
-    def shifted(self, shift: Array, w: Array, multipliers: tuple[Array, Array] | None) -> Program:
-        """Return the program with limits of rows moved, that starts from a solution."""
+    def shift_rows(
+        self, shift: Array, w: Array, multipliers: tuple[Array, Array] | None
+    ) -> Program:
+        """Shift the limits of rows, and start from a solution."""
         lower, upper = self.lower + shift, self.upper + shift
         return replace(self, lower=lower, upper=upper, first=w, multipliers=multipliers)
 
 
-def gathered(y: Any, index: Indices) -> Any:
-    """Return the entries y[index] (nz, count) of an index (count, nz)."""
+def gather(y: Any, index: Indices) -> Any:
+    """Gather the entries y[index] (nz, count) of an index (count, nz)."""
     return ca.reshape(y[index.ravel().tolist()], index.shape[1], index.shape[0])
 
 
 def symbol_kind(function: ca.Function) -> Any:
-    """Return SX for a Function that is scalar code, else MX."""
+    """Return SX for a Function of scalar code, else MX."""
     return ca.SX if function.is_a("SXFunction") else ca.MX
 
 
-def scalar_code(function: ca.Function) -> ca.Function:
-    """Expand a function, if it has no calls that cannot be: its derivatives take a fraction of the time."""
+def expand(function: ca.Function) -> ca.Function:
+    """Expand a Function to scalar code if possible, for faster derivatives."""
     try:
         return function.expand()
     except RuntimeError:  # CasADi's word for such a call
@@ -290,13 +320,13 @@ def scalar_code(function: ca.Function) -> ca.Function:
 
 
 def split_symbol(kind: Any, *sizes: int) -> tuple[Any, tuple[Any, ...]]:
-    """Return a symbol of a kind, ca.SX or ca.MX, and its pieces of these sizes."""
+    """Create a symbol of a kind, ca.SX or ca.MX, and split it."""
     z = kind.sym("z", sum(sizes))
     return z, tuple(ca.vertsplit(z, np.cumsum((0, *sizes)).tolist()))
 
 
 class _SparseMatrix:
-    """Values and places (row, column) of a matrix; what falls on one place is added."""
+    """Matrix as values with rows and columns; entries of one place add up."""
 
     def __init__(self, unknowns: Unknowns) -> None:
         self._unknowns = unknowns
@@ -359,7 +389,7 @@ class _SparseMatrix:
     def _derivative(self, block: Block, z: Any) -> tuple[Any, Indices, Indices, NDArray[np.bool_]]:
         """Return the non-zeros (n, count) of the Jacobian at z: their rows, entries of z, and which vary."""
         s: Any = symbol_kind(block.function).sym("z", block.function.size1_in(0))
-        varied, places = self._varied(block, s)
+        varied, places = self._select_unknowns(block, s)
         J = ca.jacobian(block.function(s), varied)
         if block.combination is not None:
             own, s = ca.Function("own", [s], [J]), ca.MX.sym("z", s.shape[0])
@@ -376,7 +406,7 @@ class _SparseMatrix:
         """Return what makes the chosen non-zeros (n, count) of the Hessian, from z and multipliers; and the entries of z of each non-zero."""
         s: Any = symbol_kind(block.function).sym("z", block.function.size1_in(0))
         weight = type(s).sym("weight", block.function.size1_out(0))
-        varied, places = self._varied(block, s)
+        varied, places = self._select_unknowns(block, s)
         H = ca.hessian(ca.dot(weight, block.function(s)), varied)[0]
         row, column = (
             places[np.array(entries, dtype=np.intp)] for entries in H.sparsity().get_triplet()
@@ -389,8 +419,8 @@ class _SparseMatrix:
 
         return values, row, column
 
-    def _varied(self, block: Block, z: Any) -> tuple[Any, Indices]:
-        """Return the entries of z that are unknowns in some instance, and their places.
+    def _select_unknowns(self, block: Block, z: Any) -> tuple[Any, Indices]:
+        """Select the entries of z that are unknowns in some instance.
 
         Derivatives by constants would cost time and join what does not depend on each other. All of
         an MX, which CasADi differentiates by whole symbols.
@@ -413,7 +443,7 @@ class _SparseMatrix:
         self._columns.append(places[1])
 
     def constant_entries(self, rows: int) -> NDArray[np.bool_]:
-        """Return which entries of the assembled matrix of so many rows never change, in its order."""
+        """Find the entries of the assembled matrix that never change, in its order."""
         if not self._values:
             return np.zeros(0, dtype=bool)
         row, column = np.concatenate(self._rows), np.concatenate(self._columns)
@@ -423,8 +453,8 @@ class _SparseMatrix:
         constant[inverse[varying]] = False
         return constant
 
-    def assembled(self, rows: int, columns: int) -> Any:
-        """Return the matrix as an MX of its sparsity."""
+    def assemble(self, rows: int, columns: int) -> Any:
+        """Assemble the matrix as an MX of its sparsity."""
         if not self._values:
             return ca.MX(rows, columns)
         row, column, factors, position = (

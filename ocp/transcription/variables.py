@@ -1,4 +1,4 @@
-"""The unknowns and constants of a plan: states at the nodes of the mesh, force densities, the duration, and what a transcription adds."""
+"""Variables of a plan: states, controls, duration, and further unknowns."""
 
 from __future__ import annotations
 
@@ -32,10 +32,9 @@ _ENTRY = np.dtype(
 
 
 class Entries:
-    """Numbers that rows refer to: unknowns, described as in `Unknowns`, and constants.
+    """Unknowns, described as in `Unknowns`, and constants, numbered as they are added.
 
-    They are numbered in the order in which they are added. suffix: of the names of the phase that
-    adds them; "" where there are no phases.
+    `suffix` is the phase in their names; "" without phases.
     """
 
     def __init__(self) -> None:
@@ -45,7 +44,7 @@ class Entries:
         self.suffix = ""
 
     def begin_phase(self) -> None:
-        """Count intervals from those of the phase before, and name what is added after the phase."""
+        """Begin a phase: intervals and names follow those of the phase before."""
         interval = self._table["interval"]
         if interval.size:
             self._first_interval = 1 + int(interval[np.isfinite(interval)].max())
@@ -61,13 +60,13 @@ class Entries:
         upper: Any = np.inf,
         interval: Any = 0,
     ) -> Indices:
-        """Add unknowns and return their numbers in the shape of `first`; all else is broadcast to it."""
+        """Add unknowns in the shape of `first`; the other arguments are broadcast."""
         named = [name + self.suffix for name in names]
         counted = np.add(self._first_interval, interval)
         return self._add(named, first, scale, lower, upper, counted, True)
 
     def constants(self, values: Any) -> Indices:
-        """Add constants and return their numbers in the shape of `values`."""
+        """Add constants in the shape of `values`."""
         return self._add([""] * np.size(values), values, 1.0, 0.0, 0.0, 0, False)
 
     def _add(self, names: Sequence[str], first: Any, *columns: Any) -> Indices:
@@ -80,11 +79,11 @@ class Entries:
         return np.arange(start, start + new.size).reshape(new.shape)
 
     def leave_out(self, index: Indices) -> None:
-        """Take back unknowns on which nothing depends."""
+        """Remove unknowns on which nothing depends."""
         self._table["unknown"][index], self._table["first"][index] = False, np.nan
 
-    def used_by(self, blocks: Sequence[Block]) -> Array:
-        """Return for each entry whether some block depends on it."""
+    def find_used(self, blocks: Sequence[Block]) -> Array:
+        """Find the entries that some block depends on."""
         used = np.zeros(len(self._table), dtype=bool)
         for block in blocks:
             columns = np.unique(
@@ -93,8 +92,11 @@ class Entries:
             used[block.index[:, columns]] = True
         return used
 
-    def ordered(self) -> tuple[Unknowns, Indices]:
-        """Return the unknowns interval by interval, so that the solver's matrices are banded, and the place that each entry has there."""
+    def order(self) -> tuple[Unknowns, Indices]:
+        """Order the unknowns by intervals, which keeps matrices banded.
+
+        Returns them, and the place of each entry.
+        """
         table, unknown = self._table, self._table["unknown"]
         order = np.flatnonzero(unknown)
         order = order[np.argsort(table["interval"][order], kind="stable")]
@@ -109,20 +111,29 @@ class Entries:
         ), place
 
     def values(self, w: Array) -> Array:
-        """Return the values of all entries that scaled unknowns stand for."""
-        unknowns, place = self.ordered()
+        """Compute the values of all entries from scaled unknowns."""
+        unknowns, place = self.order()
         return np.concatenate([unknowns.scale * w, unknowns.constants])[place]
 
 
 class Variables:
-    """The variables of a plan on a mesh, and what is needed to write rows in them.
+    """Variables of a plan on a mesh.
 
-    fractions (K,): shares of the duration. guess: on this mesh, with its force densities as the
-    profile has them. As numbers of `entries`: states (K + 1, nx), controls (K, m) or (K + 1, m) of
-    the m groups of strings, duration (1,), and, as parts of it, share (K, 1) of each interval and
-    time (K + 1, 1) of the nodes of the mesh. strength: a typical γ, N/m; objective: a typical cost;
-    noise: None, or that of the guess, for each group. start: entries (nx,) of the state with which a
-    phase begins, the end of the one before; None for that of the target.
+    Attributes
+    ----------
+    entries : Entries
+        Unknowns and constants.
+    states, controls, duration : ndarray of int
+        Entries (K + 1, nx), (K, m) or (K + 1, m) for m groups of strings, and (1,).
+    share, time : ndarray of int
+        Entries (K, 1) of the lengths of intervals, and (K + 1, 1) of the times of nodes, relative
+        to the duration.
+    guess : Guess
+        Initial guess on this mesh and profile.
+    strength, objective : float
+        Typical force density [N/m], and typical cost.
+    noise : ndarray, shape (m,), or None
+        Noise of the guess.
     """
 
     def __init__(
@@ -144,7 +155,7 @@ class Variables:
         )
         self.scales = scales
         self.model, self.count = problem.model, len(fractions)
-        self.strength = _strength(
+        self.strength = _estimate_strength(
             scales,
             forces_of(self.model, (guess.states[:-1] + guess.states[1:]) / 2, guess.force_density),
         )
@@ -160,22 +171,22 @@ class Variables:
         )
         self.entries = Entries() if entries is None else entries
         self.suffix = self.entries.suffix
-        self.states = np.vstack([self._start() if start is None else start, self._later_states()])
-        self.controls = self._controls()
-        self.duration = self._duration()
+        self.states = np.vstack([self._add_start() if start is None else start, self._add_states()])
+        self.controls = self._add_controls()
+        self.duration = self._add_duration()
         self.share = self.entries.constants(fractions[:, None])
         self.time = self.entries.constants(np.append(0.0, np.cumsum(fractions))[:, None])
 
-    def _start(self) -> Indices:
-        """Return the given state, or unknowns for a free start, but for its clock."""
+    def _add_start(self) -> Indices:
+        """Add the given start, or unknowns of a free start, except its clock."""
         size = 0 if self.target.free_start is None else 2 * self.model.nq
-        names = [f"{name}, start" for name in state_names(self.model)[:size]]
+        names = [f"{name}, start" for name in name_states(self.model)[:size]]
         free = self.entries.unknowns(names, self.guess.states[0, :size], self.scales.state[:size])
         return np.append(free, self.entries.constants(self.target.start[size:]))
 
-    def _later_states(self) -> Indices:
+    def _add_states(self) -> Indices:
         names = [
-            f"{name}, interval {k}" for k in range(self.count) for name in state_names(self.model)
+            f"{name}, interval {k}" for k in range(self.count) for name in name_states(self.model)
         ]
         return self.entries.unknowns(
             names,
@@ -184,8 +195,8 @@ class Variables:
             interval=np.arange(1, self.count + 1)[:, None],
         )
 
-    def _controls(self) -> Indices:
-        """Add force densities of intervals, or, where they are piecewise linear, at the nodes of the mesh."""
+    def _add_controls(self) -> Indices:
+        """Add controls of intervals, or of nodes if they are piecewise linear."""
         members = [np.flatnonzero(column) for column in self.group_matrix.T]
         least, most = self.problem.control_limits
         lower, upper = (
@@ -196,7 +207,7 @@ class Variables:
         span = np.arange(len(first)) if self.profile.linear else spans(self.profile, self.fractions)
         begins = np.unique(span, return_index=True)[1]
         first = np.add.reduceat(first, begins) / np.bincount(span)[:, None]
-        names = control_names(self.group_matrix, begins, control_name(self.model))
+        names = name_controls(self.group_matrix, begins, control_name(self.model))
         scale = np.array(
             [np.max(control_scale(self.problem, self.strength)[own]) for own in members]
         )
@@ -207,7 +218,7 @@ class Variables:
         """Whether the duration is an unknown."""
         return self.problem.shortest != self.problem.longest
 
-    def _duration(self) -> Indices:
+    def _add_duration(self) -> Indices:
         shortest, longest = self.problem.shortest, self.problem.longest
         if not self.free_time:
             return self.entries.constants([longest])
@@ -217,7 +228,7 @@ class Variables:
 
     @property
     def interval_controls(self) -> Indices:
-        """Entries (K, m or 2m) that `gamma` needs in each interval."""
+        """Entries (K, m or 2m) of the controls of each interval, for `gamma`."""
         return (
             np.hstack([self.controls[:-1], self.controls[1:]])
             if self.profile.linear
@@ -225,27 +236,27 @@ class Variables:
         )
 
     def gamma(self, local: Any, share: float) -> Any:
-        """Return force densities (α,) at a share of an interval, from its `interval_controls`."""
+        """Evaluate the controls (α,) at a share of an interval, from its `interval_controls`."""
         m = self.group_matrix.shape[1]
         held = (1 - share) * local[:m] + share * local[m:] if self.profile.linear else local
         return ca.mtimes(sparse(self.group_matrix), held)
 
-    def unknowns_at_nodes(
+    def add_at_nodes(
         self, names: Sequence[str], first: Array, scale: float, node: int = 0
     ) -> Indices:
-        """Add unknowns, `first` (n, m), at the nodes of the mesh from `node` on."""
+        """Add unknowns `first` (n, m) at the nodes of the mesh from `node` on."""
         every = [f"{name}, interval {k}" for k in range(len(first)) for name in names]
         return self.entries.unknowns(
             every, first, scale, interval=node + np.arange(len(first))[:, None]
         )
 
-    def repeated(self, index: Indices, count: int | None = None) -> Indices:
-        """Return the same entries (n,) for every interval, or for `count` instances."""
+    def repeat(self, index: Indices, count: int | None = None) -> Indices:
+        """Repeat entries (n,) for every interval, or for `count` instances."""
         return np.tile(index, (self.count if count is None else count, 1))
 
 
-def control_names(group_matrix: Array, begins: Indices, what: str = "force density") -> list[str]:
-    """Return the names of what is decided and held from the start of these intervals on, those of one interval after the other."""
+def name_controls(group_matrix: Array, begins: Indices, what: str = "force density") -> list[str]:
+    """Name the controls that begin at intervals, interval by interval."""
     members = [np.flatnonzero(column) for column in group_matrix.T]
     own = [
         f"{what} of string{'s' * (len(strings) > 1)} {', '.join(map(str, strings))}"
@@ -254,8 +265,8 @@ def control_names(group_matrix: Array, begins: Indices, what: str = "force densi
     return [f"{name}, interval {k}" for k in begins for name in own]
 
 
-def state_names(model: Model) -> tuple[str, ...]:
-    """Return what each entry of the state is, such as "node 2 z velocity"."""
+def name_states(model: Model) -> tuple[str, ...]:
+    """Name the entries of the state, such as "node 2 z velocity"."""
     places = model.mechanism.coordinate_names
     return (
         *places,
@@ -264,11 +275,11 @@ def state_names(model: Model) -> tuple[str, ...]:
     )
 
 
-def interval_names(count: int, rows: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of the rows of the motion."""
+def name_intervals(count: int, rows: Sequence[str]) -> tuple[str, ...]:
+    """Name the rows of the motion."""
     return tuple(f"dynamics of interval {k}, {name}" for k in range(count) for name in rows)
 
 
-def _strength(scales: Scales, force_density: Array) -> float:
-    """Return a typical force density, N/m: of the guess, or what moves the structure's mass by its size within the duration."""
+def _estimate_strength(scales: Scales, force_density: Array) -> float:
+    """Estimate a typical force density [N/m], from the guess, size, mass and duration."""
     return max(float(np.sqrt(np.mean(force_density**2))), scales.mass / scales.time**2)

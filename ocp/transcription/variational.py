@@ -1,11 +1,11 @@
-"""Transcription by a discrete principle of least action."""
+"""Variational transcription."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from ocp.transcription.base import Defects, Transcription
-from ocp.transcription.contact_set import ContactSet, no_contact
+from ocp.transcription.contact_set import ContactSet, build_empty_set
 from ocp.transcription.discrete_equations import DiscreteEquations
 from ocp.transcription.fine_steps import Measure, measure_jumps
 from ocp.transcription.sparse_nlp import Program
@@ -16,34 +16,34 @@ from tenscasadi.util.validate import Array
 
 @dataclass(frozen=True)
 class Variational(Transcription, kind="Variational"):
-    """A discrete principle of least action (leapfrog): order 2, momenta and bars kept exactly; the fastest of the transcriptions.
+    """Variational transcription: a discrete principle of least action, of order 2.
 
-    Neither accelerations nor inverse matrices appear: all rows are polynomials of low degree with
-    few non-zeros.
+    It is the fastest transcription, and keeps momenta and bar lengths exactly. All rows are
+    polynomials of low degree with few non-zeros.
 
     Parameters
     ----------
     intervals : int or sequence of float
         Number of equal intervals, or their lengths relative to each other.
     control : PiecewiseConstant or PiecewiseLinear
-        How force densities run over the intervals.
+        Profile of the controls over the intervals.
     accuracy : float, optional
-        How near the motion shall be to that of fine steps, m (speeds: m per duration): `solve` then
-        solves again, with `Ipopt`, until it is. By default the motion is as the intervals make it.
+        Largest distance from the motion of fine steps [m] (speeds: m per duration). `solve`
+        corrects the plan until it is met. By default it corrects nothing.
 
     Raises
     ------
     TypeError, ValueError
-        If a value is not of its kind; from `solve`, if the model has full coordinates and redundant
-        constraints.
+        If a value has another type or is out of bounds, or a model in full coordinates has
+        redundant constraints.
 
     Notes
     -----
     The discrete Euler-Lagrange equations M (q⁺ − 2q + q⁻)/h² = F(q, γ) + B λ̂ C_b, with bᵀb = l² at
-    every node of the mesh, are those of the leapfrog (Störmer-Verlet, Rattle) method, with a
-    Lagrangian multiplier λ for each bar and node [1]_. Velocities are those of the discrete
-    momenta, which unlike central differences see force densities that jump; within, they are
-    unknowns only where a goal, a limit or a cost asks for them.
+    each node of the mesh, are those of the leapfrog method (Störmer-Verlet, Rattle), with a
+    Lagrange multiplier λ for each bar and node [1]_. Velocities follow from the discrete momenta,
+    which account for jumps of the force densities. Interior velocities are unknowns only if a goal,
+    a limit or a cost depends on them.
 
     References
     ----------
@@ -64,37 +64,36 @@ class Variational(Transcription, kind="Variational"):
     def defects(
         self, variables: Variables, used: Array, contact: ContactSet | None = None
     ) -> Defects:
-        """Build the discrete Euler-Lagrange equations, and the bars at the nodes of the mesh.
+        """Build the discrete Euler-Lagrange equations and the constraints.
 
         Parameters
         ----------
         variables : Variables
-            States at the nodes of the mesh, force densities and duration; further unknowns are
-            added to them.
+            States at the nodes of the mesh, controls and duration; further unknowns are added.
         used : ndarray of bool
-            Which of their entries bounds, costs and goals depend on.
+            Entries that limits, costs and goals depend on.
         contact : ContactSet, optional
-            The nodes that stand, whose reactions enter as those of the bars do.
+            Contact nodes, whose reactions enter as bar forces do.
 
         Returns
         -------
         Defects
-            The blocks, and how states follow from unknowns where not all are.
+            Blocks, and the states as functions of the unknowns.
         """
         equations = DiscreteEquations(
-            variables, used, no_contact(variables) if contact is None else contact
+            variables, used, build_empty_set(variables) if contact is None else contact
         )
         return Defects(equations.blocks(), equations.all_states)
 
     def measure_residual(self, program: Program, model: Model) -> Measure:
-        """Prepare the residual of solutions against fine steps: jumps of the momentum.
+        """Prepare the residual of solutions against fine steps.
 
         Parameters
         ----------
         program : Program
-            The program of this transcription.
+            Program of this transcription.
         model : Model
-            The model of its problem.
+            Model of its problem.
 
         Returns
         -------

@@ -12,8 +12,8 @@ from planning import folding, integrated, program, raising, shaken
 import ocp
 import tenscasadi as tc
 from ocp.transcription.base import Defects, Transcription
-from ocp.transcription.sparse_nlp import Block, scalar_code, split_symbol
-from ocp.transcription.variables import interval_names, state_names
+from ocp.transcription.sparse_nlp import Block, expand, split_symbol
+from ocp.transcription.variables import name_intervals, name_states
 
 
 @pytest.mark.parametrize(
@@ -138,11 +138,11 @@ class Trapezoidal(Transcription):
         )
         slope = (model.ode(x, v.gamma(c, 0.0)) + model.ode(after, v.gamma(c, 1.0))) / 2
         row = (after - x - duration * share * slope) / ca.DM(v.scales.state)
-        gap = scalar_code(ca.Function("gap", [z], [row]))
+        gap = expand(ca.Function("gap", [z], [row]))
         index = np.hstack(
-            [v.states[:-1], v.interval_controls, v.states[1:], v.repeated(v.duration), v.share]
+            [v.states[:-1], v.interval_controls, v.states[1:], v.repeat(v.duration), v.share]
         )
-        return Defects([Block(gap, index, interval_names(v.count, state_names(model)))])
+        return Defects([Block(gap, index, name_intervals(v.count, name_states(model)))])
 
 
 def test_a_transcription_is_a_subclass_that_gives_defects():

@@ -17,7 +17,7 @@ def test_entries_are_ordered_interval_by_interval_with_constants_last():
     unused = entries.unknowns(["unused"], [3.0], 1.0)
     early = entries.unknowns(["early"], [4.0], 2.0, lower=-1.0, interval=0)
     entries.leave_out(unused)
-    unknowns, place = entries.ordered()
+    unknowns, place = entries.order()
     assert unknowns.names == ("early", "late", "later")
     assert unknowns.first == pytest.approx([4.0, 1.0, 2.0])
     assert unknowns.scale == pytest.approx([2.0, 0.5, 0.5])
@@ -34,4 +34,4 @@ def test_what_depends_on_an_entry_is_known():
     index = entries.unknowns(["a", "b", "c"], [0.0, 0.0, 0.0], 1.0)
     z = ca.SX.sym("z", 2)
     block = Block(ca.Function("second", [z], [z[1] ** 2]), index[None, :2], ("row",))
-    assert entries.used_by([block]).tolist() == [False, True, False]
+    assert entries.find_used([block]).tolist() == [False, True, False]
