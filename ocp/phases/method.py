@@ -20,7 +20,7 @@ from ocp.solvers.base import Outcome, Solution, Solver
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.ipopt import Ipopt
 from ocp.solvers.monitor import Monitor
-from ocp.solvers.multipliers import named_duals
+from ocp.solvers.multipliers import name_duals
 from ocp.targets.target import Target
 from ocp.transcription.assemble import Stage, assemble, build_stage
 from ocp.transcription.base import Transcription
@@ -277,7 +277,7 @@ def _outcome(task: PhasedTask, solution: Solution) -> tuple[Outcome, Target]:
         success=not why,
         status=solution.status,
         iterations=solution.iterations,
-        duals=named_duals(program, target, solution.w, *solution.multipliers)
+        duals=name_duals(program, target, solution.w, *solution.multipliers)
         if solution.success and solution.multipliers
         else None,
         why=why,

@@ -15,7 +15,7 @@ from ocp.problem.problem import Problem
 from ocp.solvers.base import Solution
 from ocp.solvers.ipopt import SADDLE
 from ocp.solvers.monitor import STOPPED, TIME_UP
-from ocp.solvers.relaxation import TOO_SLOW, rate_rows, widening
+from ocp.solvers.relaxation import TOO_SLOW, find_rate_rows, measure_relaxation
 from ocp.targets.control_sensitivities import ControlSensitivities
 from ocp.targets.target import Target
 from ocp.transcription.mesh import Guess, hermite_state, locate_share
@@ -144,10 +144,10 @@ def explain_failure(
     slow = [name for name in held if " rate " in name]
     cause = _STOPS.get(solution.status) or _not_finite(program, solution, f, g)
     if solution.status == TOO_SLOW:
-        rates = rate_rows(program)
+        rates = find_rate_rows(program)
         beyond, times = (
             program.names[rates[np.argmax(violation[rates])]],
-            1 + widening(program, solution.w),
+            1 + measure_relaxation(program, solution.w),
         )
         cause = f"{_slow(beyond)}; with limits of rates {times:.3g} times as wide this mesh has a way, which is this plan"
         cause += f", but {too_long}" if too_long else ""

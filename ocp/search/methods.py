@@ -36,7 +36,7 @@ from ocp.solvers.correction import (
 )
 from ocp.solvers.ipopt import Ipopt
 from ocp.solvers.monitor import Monitor
-from ocp.solvers.multipliers import Duals, named_duals, warm_started
+from ocp.solvers.multipliers import Duals, name_duals, warm_start_program
 from ocp.solvers.relaxation import find_rate_relaxation
 from ocp.targets.control_sensitivities import ControlSensitivities
 from ocp.targets.controllable_rows import drop_uncontrollable_rows
@@ -135,7 +135,7 @@ def solve_program(
     imposed = drop_uncontrollable_rows(target, task.reach, perturbed.force_density, guess.duration)
     guess = guess if isinstance(solver, Ipopt) and not problem.free_start else perturbed
     program = build_program(transcription, problem, imposed, scales, guess)
-    known = program if duals is None else warm_started(program, imposed, duals)
+    known = program if duals is None else warm_start_program(program, imposed, duals)
     return _outcome(task, _solved(task, imposed, known, monitor))
 
 
@@ -242,7 +242,7 @@ def _outcome(task: _Task, found: _Found) -> Outcome:
         success=not why,
         status=solution.status,
         iterations=solution.iterations,
-        duals=named_duals(program, imposed, solution.w, *solution.multipliers)
+        duals=name_duals(program, imposed, solution.w, *solution.multipliers)
         if solution.success and solution.multipliers
         else None,
         gap=gap,

@@ -1,1 +1,1 @@
-"""Methods that solve the program, and what they say of its multipliers."""
+"""Solvers of nonlinear programs, and duals by name."""

@@ -1,4 +1,4 @@
-"""Solvers of nonlinear programs: what they take and return."""
+"""Protocol and results of the solvers of nonlinear programs."""
 
 from __future__ import annotations
 
@@ -15,9 +15,20 @@ from tenscasadi.util.validate import Array, format_value, positive_number, whole
 class Solution(NamedTuple):
     """Result of a solver.
 
-    w, and whether it is optimal; status: the solver's own word; iterations; multipliers: those of
-    rows and of w's limits; last: where the solver stood when it gave up, which is not always its
-    best.
+    Attributes
+    ----------
+    w : ndarray, shape (n,)
+        Scaled unknowns: the optimum, or the best iterate.
+    success : bool
+        Whether w is optimal.
+    status : str
+        Return status of the solver.
+    iterations : int
+        Number of iterations.
+    multipliers : tuple of ndarray or None
+        Duals of the rows and of the limits of w.
+    last : ndarray or None
+        Last iterate.
     """
 
     w: Array
@@ -29,14 +40,32 @@ class Solution(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """The result of a method for a problem, before it is replayed; where there is no plan, its best.
+    """Result of a method for a problem, before its replay.
 
-    states (K + 1, nx), force_density (K or K + 1, α) and duration, s; objective: sum of the costs;
-    success, status, iterations: the method's own word; duals: multipliers, None where no optimum
-    was found; gap: m, how far states are from those of fine steps where an accuracy was asked for;
-    why: what is to be said of a failure, "" after success; imposed: the rows that were, in words;
-    time (K + 1,): the nodes of the mesh, s, None where they are those of the transcription; coarse:
-    whether it is a failure only as its motion is less exact than was asked.
+    Attributes
+    ----------
+    states : ndarray, shape (K + 1, nx)
+        States of the plan, or of the best iterate [m, m/s].
+    force_density : ndarray, shape (K, α) or (K + 1, α)
+        Controls [N/m], or rest lengths [m].
+    duration : float
+        Duration [s].
+    objective : float
+        Sum of the costs.
+    success, status, iterations
+        As in `Solution`.
+    duals : Duals or None
+        Duals of an optimum.
+    gap : float
+        Distance of the states from those of fine steps, with `accuracy` [m].
+    why : str
+        Reason of a failure; "" after success.
+    imposed : str
+        Description of the imposed rows.
+    time : ndarray, shape (K + 1,), or None
+        Nodes of the mesh [s]; None if they are those of the transcription.
+    coarse : bool
+        Whether it fails only because the motion is less accurate than requested.
     """
 
     states: Array
@@ -55,24 +84,24 @@ class Outcome(NamedTuple):
 
 
 class NamedSolver(Value):
-    """Solver that files know by its kind."""
+    """Solver with a kind in files."""
 
 
 class Solver(Protocol):
-    """Anything that solves a program."""
+    """Protocol of solvers of programs."""
 
     @property
     def tolerance(self) -> float:
-        """Of scaled optimality and constraints."""
+        """Tolerance of scaled optimality and constraints."""
 
     def solve(self, program: Program, monitor: Monitor | None = None) -> Solution:
-        """Return the solution; the best iterate with success False if the monitor stops it."""
+        """Solve a program, or return the best iterate if the monitor stops it."""
 
 
 def check_options(
     name: str, max_iterations: Any, tolerance: Any, verbose: Any, options: Any, example: str
 ) -> None:
-    """Raise TypeError or ValueError, naming the field, for what every solver takes."""
+    """Check the options of all solvers. Raises TypeError, ValueError."""
     whole_number(f"{name}.max_iterations", max_iterations, 1)
     positive_number(f"{name}.tolerance", tolerance)
     if not isinstance(verbose, bool):

@@ -1,4 +1,4 @@
-"""Deferred correction: a program is solved again until its solution stands for the true motion."""
+"""Deferred correction of the discretization error."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ TOO_COARSE = (
 
 @runtime_checkable
 class Correcting(Solver, Protocol):
-    """A solver that starts again from its own solution."""
+    """Solver that starts again from its own solution."""
 
     def prepare_correction(self, program: Program) -> Callable[..., Solution]:
-        """Prepare solutions of programs whose rows are moved a little from a solved one."""
+        """Prepare solutions of programs with rows shifted from a solved one."""
 
 
 class Corrected(NamedTuple):
-    """A corrected solution.
+    """Corrected solution.
 
     Attributes
     ----------
     solution : Solution
-        The one with the least error.
+        Solution with the least error.
     states : ndarray or None
         States (K + 1, nx) of fine steps.
     error : float
-        Largest distance of its own states from them [m] (speeds: m per duration).
+        Largest distance of its states from them [m] (speeds: m per duration).
     """
 
     solution: Solution
@@ -51,7 +51,7 @@ def solve_corrected(
     accuracy: float,
     monitor: Monitor | None = None,
 ) -> Corrected:
-    """Solve a program, and again with moved rows, until the error is within the accuracy.
+    """Solve a program, and correct its rows until the error is small.
 
     The limits of rows are shifted by the residual (Stetter, Numer. Math. 1978, 29, 425). Only
     limits change, so nothing is built again. Each round leaves a share of the residual that is

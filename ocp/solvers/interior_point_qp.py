@@ -1,4 +1,4 @@
-"""A solver of convex quadratic programs as a CasADi expression, which generates C without a library."""
+"""Solver of convex quadratic programs as a CasADi expression, for C code."""
 
 from __future__ import annotations
 
@@ -6,27 +6,25 @@ from typing import Any
 
 import casadi as ca
 
-NEWTON_STEPS = 30  # of Newton's method; most need twenty
-LEAST_COMPLEMENTARITY = 1e-14  # mean complementarity at which the point is kept
-STEP_SHARE = 0.99  # share of the way to the nearest limit
+NEWTON_STEPS = 30  # most programs need twenty
 
 
 def solve_qp(H: Any, g: Any, G: Any, b: Any, start: Any) -> Any:
-    """Return x (n,) with the least ½ xᵀH x + gᵀx among those with G x ≤ b (m,): Mehrotra's predictor and corrector, SIAM J. Optim. 1992, 2, 575.
+    """Minimize ½ xᵀH x + gᵀx over x (n,) subject to G x ≤ b (m,).
 
-    H is positive definite; entries of b are finite. start: x to begin with, which need not keep the
-    limits.
+    H is positive definite, and b is finite. The start need not be feasible. The method is
+    Mehrotra's predictor-corrector (SIAM J. Optim. 1992, 2, 575).
     """
-    step = _step(H.shape[0], G.sparsity())
+    step = _build_step(H.shape[0], G.sparsity())
     x = start
     s = ca.fmax(b - ca.mtimes(G, x), 1.0)  # slacks
-    z = 1 / s  # multipliers
+    z = 1 / s  # duals
     for _ in range(NEWTON_STEPS):
         x, s, z = step(x, s, z, H, g, G, b)
     return x
 
 
-def _step(n: int, limits: ca.Sparsity) -> ca.Function:
+def _build_step(n: int, limits: ca.Sparsity) -> ca.Function:
     m = limits.size1()
     x, s, z, H, g, b = (
         ca.MX.sym(name, *size)
@@ -49,24 +47,23 @@ def _step(n: int, limits: ca.Sparsity) -> ca.Function:
     M = ca.densify(H + ca.mtimes(G.T, G * ca.repmat(weights, 1, n)))
 
     def direction(product: Any) -> tuple[Any, Any, Any]:
-        """Return changes of x, s and z towards s z = s z − `product`."""
+        """Compute the Newton step towards s z = s z − `product`."""
         dx = ca.solve(M, -dual + ca.mtimes(G.T, product / s - weights * primal), "ldl")
         ds = -primal - ca.mtimes(G, dx)
         return dx, ds, -(product + z * ds) / s
 
     def length(ds: Any, dz: Any) -> Any:
-        """How far slacks and multipliers stay positive, at most 1."""
+        """Compute the step length at which slacks and duals stay positive, at most 1."""
         return 1 / ca.fmax(1.0, ca.mmax(-ca.vertcat(ds / s, dz / z)))
 
     _, ds, dz = direction(s * z)
     part = length(ds, dz)
-    centre = (ca.dot(s + part * ds, z + part * dz) / m / mean) ** 3
-    dx, ds, dz = direction(s * z + ds * dz - centre * mean)
-    part = STEP_SHARE * length(ds, dz)
+    center = (ca.dot(s + part * ds, z + part * dz) / m / mean) ** 3
+    dx, ds, dz = direction(s * z + ds * dz - center * mean)
+    part = 0.99 * length(ds, dz)
     new = [old + part * change for old, change in ((x, dx), (s, ds), (z, dz))]
-    better = ca.logic_and(
-        mean > LEAST_COMPLEMENTARITY, ca.mmax(ca.fabs(ca.vertcat(*new))) < 1e30
-    )  # false also of what is not a number
+    # the point is kept at a complementarity of rounding; comparisons with NaN are false
+    better = ca.logic_and(mean > 1e-14, ca.mmax(ca.fabs(ca.vertcat(*new))) < 1e30)
     return ca.Function(
         "step",
         [x, s, z, H, g, G, b],

@@ -1,4 +1,4 @@
-"""IPOPT as a value: its options, how it is watched and stopped, and the best iterate of a run that was."""
+"""IPOPT: options, callbacks, and the best iterate of a stopped run."""
 
 from __future__ import annotations
 
@@ -21,27 +21,24 @@ from tenscasadi.util.validate import Array, format_value, positive_number
 HSL = ("ma27", "ma57", "ma77", "ma86", "ma97")  # linear solvers that CasADi does not bring along
 PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
 WARM = {"warm_start_init_point": "yes", **{f"warm_start_{push}": 1e-8 for push in PUSHES}}
-FIRST_BARRIER = 1e-4  # to start with: with IPOPT's own, 0.1, iterates leave the guess
-# the same, for motions with contact, which take several times as many iterations with less
+# initial barrier parameter; from IPOPT's own, 0.1, iterates leave the guess
+FIRST_BARRIER = 1e-4
+# with contact, a smaller one takes several times as many iterations
 FIRST_BARRIER_IN_CONTACT = 1e-3
-# the same where multipliers are known; where they are not, a small one keeps iterates at limits
-# that they should leave
+# with known duals; without them, a small one keeps iterates at limits that they should leave
 FIRST_BARRIER_KNOWN = 1e-9
 
-
-AMD, METIS = (
-    0,
-    5,
-)  # of MUMPS; what it chooses fills factors where collocation or a free duration couples much: 10 to 80 times slower
-# from which AMD may take a hundred times as long as METIS, which on others takes up to twice as
-# long
+# Pivot orders of MUMPS. Its own choice takes 10 to 80 times as long where collocation or a free
+# duration couples much.
+AMD, METIS = 0, 5
+# number of intervals above which AMD may take a hundred times as long as METIS, which else takes up
+# to twice as long
 MANY_INTERVALS = 800
 
-BENT = 3  # iterations in a row without positive curvature: a saddle
+BENT = 3  # consecutive iterations with negative curvature at a saddle
 SADDLE = "Saddle"
-NOWHERE = "Infeasible_Problem_Detected", "Restoration_Failed"  # it got no nearer to the constraints
-SMALL_VIOLATION = 1e-6  # violation, scaled, below which iterates are judged by their objective
-
+NOWHERE = "Infeasible_Problem_Detected", "Restoration_Failed"  # no progress to the constraints
+SMALL_VIOLATION = 1e-6  # scaled violation below which iterates are compared by their objective
 
 Watcher = Callable[[Progress], Any]
 
@@ -50,43 +47,46 @@ Watcher = Callable[[Progress], Any]
 class Ipopt(NamedSolver, kind="Ipopt", earlier="Fatrop"):
     """The interior-point solver IPOPT, with exact derivatives.
 
-    However it is stopped, also from the keyboard, the result is the best iterate. Where nodes touch
-    a ground its derivatives mislead, and it hardly finds a motion, whatever the guess: see
-    `Sampling` and `Phase`. MUMPS runs without its own scaling, which triples its speed on these
-    problems, and orders pivots by AMD, or from 800 intervals on by METIS. Where curvature is
-    negative several times in a row, at a saddle, the solver begins once more, from the guess with
-    its noise; the iterations of both count.
+    If it is stopped, also from the keyboard, the result is the best iterate. For contact with a
+    ground, use `Phase` or `Sampling`: derivatives through contact mislead the solver.
 
     Parameters
     ----------
     max_iterations : int
-        Most iterations of one run.
+        Largest number of iterations of one run.
     tolerance : float
         Tolerance of scaled optimality and constraints.
     verbose : bool
         Whether IPOPT prints a line for each iteration.
     options : mapping
-        Further IPOPT options, such as ``{"linear_solver": "spral"}``; they override those chosen
-        here.
+        Further IPOPT options, such as ``{"linear_solver": "spral"}``, which override the defaults
+        of this class.
     seconds : float, optional
-        Wall time of one run, s, after which it stops. By default there is no limit.
+        Time limit of one run [s]. By default there is none.
     watch : callable, optional
         Function of a `Progress`, called after each iteration, such as a
-        `tenscasadi.plots.Convergence`, which draws them. When it returns False the solver stops.
+        `tenscasadi.plots.Convergence`. The solver stops if it returns False.
     warm : bool
-        Whether the guess is nearly a solution, such as another plan. The solver keeps to it, and to
-        its multipliers where mesh and constraints are the same.
+        Whether the guess is nearly a solution, such as another plan. Its duals are used if mesh and
+        constraints are the same.
     restart : bool
-        Whether the solver begins once more where it meets a saddle, or stops there.
+        Whether the solver restarts if it meets a saddle; else it stops there.
 
     Raises
     ------
     TypeError, ValueError
-        If a value is not of its kind, or the library of a linear solver cannot be loaded.
+        If a value has another type or is out of bounds, or the library of a linear solver cannot
+        be loaded.
+
+    Notes
+    -----
+    MUMPS runs without its own scaling, which triples its speed on these problems. It orders pivots
+    by AMD, and by METIS above 800 intervals. Repeated negative curvature indicates a saddle; the
+    solver then restarts from the guess with its noise, and the iterations of both runs count.
 
     References
     ----------
-    A. Wächter, L. T. Biegler, Mathematical Programming 106, 2006, 25-57.
+    .. [1] A. Wächter, L. T. Biegler, Mathematical Programming 2006, 106, 25-57.
 
     Examples
     --------
@@ -146,7 +146,7 @@ class Ipopt(NamedSolver, kind="Ipopt", earlier="Fatrop"):
         Returns
         -------
         Solution
-            The solution, or the best iterate with IPOPT's word for what went wrong.
+            Solution, or best iterate with the return status of IPOPT.
 
         Raises
         ------
@@ -181,8 +181,8 @@ class Ipopt(NamedSolver, kind="Ipopt", earlier="Fatrop"):
         Returns
         -------
         callable
-            Function of a program that differs from this one in limits, start and multipliers alone,
-            and of a `Monitor`; it returns a `Solution`.
+            Function of a program that differs from this one only in limits, start and duals, and of
+            a `Monitor`. It returns a `Solution`.
 
         Raises
         ------
@@ -192,24 +192,24 @@ class Ipopt(NamedSolver, kind="Ipopt", earlier="Fatrop"):
         best = BestIterate(
             program.problem["x"].shape[0], len(program.lower), program.objective, self.watch
         )
-        return partial(_run, self._built(program, best), best)
+        return partial(_run, self._build(program, best), best)
 
     def prepare_correction(self, program: Program) -> Callable[..., Solution]:
-        """Prepare solutions of programs whose rows are moved a little from a solved one.
+        """Prepare solutions of programs with rows shifted from a solved one.
 
         Parameters
         ----------
         program : Program
-            One of the programs, which starts from its solution and multipliers.
+            One of the programs, which starts from its solution and duals.
 
         Returns
         -------
         callable
-            As that of `prepared`.
+            Function as that of `prepared`.
         """
         return replace(self, warm=True).prepared(program)
 
-    def _built(self, program: Program, best: BestIterate) -> ca.Function:
+    def _build(self, program: Program, best: BestIterate) -> ca.Function:
         ipopt = {
             "max_iter": self.max_iterations,
             "tol": self.tolerance,
@@ -222,7 +222,7 @@ class Ipopt(NamedSolver, kind="Ipopt", earlier="Fatrop"):
             "mu_init": FIRST_BARRIER_IN_CONTACT if program.contact else FIRST_BARRIER,
             # solutions of linear systems are refined where their residuals ask for it
             "min_refinement_steps": 0,
-            # multipliers of a guess by least squares cost a factorisation, and save no iteration
+            # least-squares duals of a guess cost a factorization, and save no iteration
             "constr_mult_init_max": 0,
             **({} if self.seconds is None else {"max_wall_time": self.seconds}),
             **(WARM if self.warm else {}),
@@ -258,7 +258,7 @@ class Ipopt(NamedSolver, kind="Ipopt", earlier="Fatrop"):
 
 
 class BestIterate(ca.Callback):
-    """Follows IPOPT: tells the watcher, remembers the best iterate of a run."""
+    """Callback of IPOPT that keeps the best iterate of a run."""
 
     def __init__(self, size: int, rows: int, objective: float, watch: Watcher | None) -> None:
         super().__init__()
@@ -270,9 +270,9 @@ class BestIterate(ca.Callback):
     def begin(
         self, lower: Array, upper: Array, monitor: Monitor, leaving: ca.Function | None
     ) -> None:
-        """Begin to follow a run with these limits of rows.
+        """Begin a run with these limits of rows.
 
-        leaving: None, or the solver, which stops where it meets a saddle.
+        `leaving` is the solver if it stops at a saddle, else None.
         """
         self._lower, self._upper, self._monitor = lower, upper, monitor
         self._leaving = leaving
@@ -283,27 +283,27 @@ class BestIterate(ca.Callback):
         self.error: Exception | None = None
 
     def get_n_in(self) -> int:
-        """As `nlpsol` has outputs."""
+        """Return the number of outputs of `nlpsol`."""
         return int(ca.nlpsol_n_out())
 
     def get_n_out(self) -> int:
-        """One: whether to stop."""
+        """Return the number of outputs, 1."""
         return 1
 
     def get_name_in(self, i: int) -> str:
-        """As `nlpsol` names its outputs."""
+        """Return the name of an output of `nlpsol`."""
         return str(ca.nlpsol_out(i))
 
     def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        """As `nlpsol` sizes its outputs."""
+        """Return the sparsity of an output of `nlpsol`."""
         return ca.Sparsity.dense(self._sizes[ca.nlpsol_out(i)], 1)
 
     def has_eval_buffer(self) -> bool:
-        """Memory instead of matrices, whose conversion takes as long as a whole evaluation of the program."""
+        """Return whether memory is read in place; a conversion takes as long as an evaluation."""
         return True
 
     def eval_buffer(self, arg: Sequence[memoryview], res: Sequence[memoryview]) -> int:
-        """0 into `res` to go on, 1 to stop."""
+        """Follow an iteration; write 1 into `res` to stop, else 0."""
         w, f, g = (
             np.frombuffer(arg[ca.nlpsol_out().index(name)] or b"") for name in ("x", "f", "g")
         )
@@ -328,14 +328,14 @@ class BestIterate(ca.Callback):
         except Exception as error:  # noqa: BLE001  # raised again once the solver has stopped, which would make a failure of it
             self.error, self.status = error, STOPPED
         self.status = self.status or self._monitor.follow(now)
-        if not self.status and self._leaving is not None and _bent(self._leaving):
+        if not self.status and self._leaving is not None and _has_negative_curvature(self._leaving):
             self.status = SADDLE
         np.frombuffer(res[0])[:] = float(bool(self.status))
         return 0
 
 
-def _bent(solver: ca.Function) -> bool:
-    """Tell whether IPOPT has had to make the Hessian positive in its last iterations."""
+def _has_negative_curvature(solver: ca.Function) -> bool:
+    """Return whether IPOPT made the Hessian positive in its last iterations."""
     added = solver.stats()["iterations"]["regularization_size"][-BENT:]
     return len(added) == BENT and min(added) > 0.0
 
@@ -383,7 +383,7 @@ def _run(
 
 
 def _check_library(options: Mapping[str, Any]) -> None:
-    """Raise ValueError for a linear solver whose library is missing, which would end the process."""
+    """Raise ValueError if the library of a linear solver is missing."""
     name = options.get("linear_solver", "mumps")
     kind = "hsl" if str(name) in HSL else "pardiso" if name == "pardiso" else None
     if kind is None:

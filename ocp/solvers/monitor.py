@@ -13,7 +13,6 @@ from tenscasadi.util.processes import on_interrupt
 
 STOPPED = "User_Requested_Stop"
 TIME_UP = "Time_Limit_Reached"  # of the whole search, with all that comes before the solver
-QUIET = 2.0  # s before the first line of progress
 
 
 class Progress(NamedTuple):
@@ -66,7 +65,7 @@ class Monitor:
         self.began = time.perf_counter()
         self.deadline = math.inf if time_limit is None else self.began + time_limit
         self.interrupted, self.phase = False, ""
-        self._show, self._next_line = show, self.began + QUIET
+        self._show, self._next_line = show, self.began + 2.0  # s
 
     @property
     def elapsed(self) -> float:
@@ -98,7 +97,7 @@ class Monitor:
 
     @contextmanager
     def catching_interrupts(self) -> Iterator[None]:
-        """Turn the first Ctrl-C of the block into a stop request; a second one raises, as usual."""
+        """Turn the first Ctrl-C of the block into a stop request."""
         with on_interrupt(self._stop, then_raise=False):
             yield
 

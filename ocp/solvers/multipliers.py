@@ -1,4 +1,4 @@
-"""Multipliers of constraints by name: between the multipliers of a scaled program and those of limits and goals, in physical units."""
+"""Duals of limits and goals by name, in physical units."""
 
 from __future__ import annotations
 
@@ -15,27 +15,28 @@ from tenscasadi.util.validate import Array, Indices, instance
 
 @dataclass(frozen=True, eq=False)
 class Duals(Stored):
-    """Multipliers of an optimum: how much each constraint costs.
+    """Lagrange multipliers of an optimum.
 
-    A multiplier is positive where an upper limit holds, negative where a lower one does. Where a
-    limit, or the value that a goal wants, rises by δ, the least objective J changes by −λ δ, to
-    first order. Finite differences of solved plans agree as long as both solutions lie on one
-    branch of optima. Where problem and optimum have a symmetry, several limits share the price:
-    moving one of them alone costs the sum of what its images pay, or breaks the symmetry, and a
-    plan that is solved anew may come out mirrored, with its multipliers at other strings. Compare
-    by moving all images of a limit together, from `guess=plan` with ``Ipopt(warm=True)``.
+    A dual is positive if an upper limit is active, and negative if a lower limit is. If a limit or
+    the value of a goal rises by δ, the optimal objective J changes by −λ δ to first order.
 
     Attributes
     ----------
     names : tuple of str
-        Names of the m multipliers: path constraints and the motion, then goals, then the n unknowns
-        of the program.
+        Names of the m duals: path constraints and the motion, then goals, then the n unknowns of
+        the program.
     values : ndarray, shape (m,)
-        Multipliers λ of J + Σ λ c, with c what is limited: J per unit of what is limited (N/m, N,
-        m, m/s), of goals per m or m/s, as far as bars and momenta let them give. Of the motion in
-        the scale of its rows.
+        Duals λ of J + Σ λ c, in units of J per unit of the constraint c (N/m, N, m, m/s). Goals
+        count only in the directions that bars and momenta leave free. Duals of the motion have the
+        scale of its rows.
     point : ndarray, shape (n,)
-        The unknowns at the optimum.
+        Unknowns at the optimum.
+
+    Notes
+    -----
+    Finite differences of plans agree with duals if both plans are on one branch of optima. With a
+    symmetry, several limits share one dual: move all images of a limit together, and start from
+    `guess=plan` with ``Ipopt(warm=True)``. A plan from another guess may be a mirror image.
 
     Examples
     --------
@@ -53,10 +54,10 @@ class Duals(Stored):
     point: Annotated[Array, "u", "f"]
 
     def __repr__(self) -> str:
-        return f"Duals({len(self.names)} multipliers, {len(self.point)} unknowns)"
+        return f"Duals({len(self.names)} duals, {len(self.point)} unknowns)"
 
     def __getitem__(self, name: str) -> Array:
-        """Return all multipliers of one name, in the order of time: duals["tension of string 3"]. Raises TypeError, KeyError."""
+        """Return the duals of one name, in the order of time. Raises TypeError, KeyError."""
         instance(
             "Duals[name]", name, str, 'one of Duals.names, such as duals["tension of string 3"]'
         )
@@ -74,16 +75,16 @@ class Duals(Stored):
         return np.asarray(self.values[found])
 
 
-def named_duals(program: Program, target: Target, w: Array, rows: Array, limits: Array) -> Duals:
-    """Return the multipliers of an optimum w by name, from the scaled ones of rows and of w's limits; `target` is what is imposed."""
+def name_duals(program: Program, target: Target, w: Array, rows: Array, limits: Array) -> Duals:
+    """Convert the scaled duals of rows and of limits of w to physical units, by name."""
     names, values = [], []
-    for part in _parts(program, target):
+    for part in _find_parts(program, target):
         reduction = part.target.reduction
         names += [f"{part.label}{name}" for name in reduction.names]
         values.append(
             reduction.combinations.T @ rows[part.rows] * program.objective / reduction.sizes
         )
-    rest = _rest(program)
+    rest = _find_rest(program)
     return Duals(
         (*(program.names[k] for k in rest), *names, *program.w_names),
         np.concatenate(
@@ -97,9 +98,9 @@ def named_duals(program: Program, target: Target, w: Array, rows: Array, limits:
     )
 
 
-def warm_started(program: Program, target: Target, duals: Duals) -> Program:
-    """Return the program that starts where another of the same unknowns and constraints ended; as it is where they are others."""
-    rest, parts = _rest(program), _parts(program, target)
+def warm_start_program(program: Program, target: Target, duals: Duals) -> Program:
+    """Start a program from a solution with its duals, if unknowns and constraints agree."""
+    rest, parts = _find_rest(program), _find_parts(program, target)
     goals = [f"{part.label}{name}" for part in parts for name in part.target.reduction.names]
     if duals.names != (*(program.names[k] for k in rest), *goals, *program.w_names):
         return program
@@ -125,8 +126,8 @@ class _Part(NamedTuple):
     rows: slice
 
 
-def _parts(program: Program, target: Target) -> list[_Part]:
-    """Return the targets of waypoints and of the end, and where their rows stand."""
+def _find_parts(program: Program, target: Target) -> list[_Part]:
+    """Find the targets of waypoints and of the end, and their rows."""
     goals = [(waypoint.target, waypoint.label) for waypoint in target.waypoints] + [(target, "")]
     imposed = [(part, label) for part, label in goals if part.count]
     return [
@@ -135,8 +136,8 @@ def _parts(program: Program, target: Target) -> list[_Part]:
     ]
 
 
-def _rest(program: Program) -> Indices:
-    """Return the rows that are not of goals."""
+def _find_rest(program: Program) -> Indices:
+    """Find the rows that do not belong to goals."""
     goals = [np.arange(rows.start, rows.stop) for rows in program.rows("waypoint", "end")]
     return np.setdiff1d(
         np.arange(len(program.names)), np.concatenate([np.zeros(0, dtype=np.intp), *goals])

@@ -1,4 +1,4 @@
-"""Relaxation of infeasible limits of rates: how many times wider they have to be."""
+"""Relaxation of infeasible rate limits."""
 
 from __future__ import annotations
 
@@ -21,59 +21,55 @@ from ocp.transcription.sparse_nlp import (
 from tenscasadi.util.validate import Array, Indices
 
 TOO_SLOW = "Rates_Too_Slow"  # status: only a motion with wider limits of rates was found
-ENOUGH = 1e-3  # of the limits: less is not worth telling
-# Only the width counts, to three digits. A large first barrier keeps the way beyond the limits, and
-# the long dual steps halve the iterations.
+# Three digits of the relaxation suffice. A large first barrier keeps iterates beyond the limits,
+# and long dual steps halve the iterations.
 OPTIONS = {"alpha_for_y": "min-dual-infeas", "mu_init": 0.1}
-TOLERANCE = 1e-4
-MOST = 120  # iterations
 
 
 def find_rate_relaxation(
     program: Program, solver: Ipopt, failed: Solution, monitor: Monitor | None
 ) -> Solution | None:
-    """Find the motion whose limits of rates have to be relaxed least, after a failure.
+    """Find the motion with the least relaxation of rate limits, after a failure.
 
-    None where a solver did not fail for lack of a feasible point, or limits of rates are not to
-    blame.
+    None if the solver did not fail for lack of a feasible point, or rate limits are not its cause.
     """
     stopped = (*NOWHERE, "Maximum_Iterations_Exceeded")
     if failed.success or failed.status not in stopped or not program.rows("rate"):
         return None
     own = replace(
         solver,
-        tolerance=max(TOLERANCE, solver.tolerance),
-        max_iterations=min(MOST, solver.max_iterations),
+        tolerance=max(1e-4, solver.tolerance),
+        max_iterations=min(120, solver.max_iterations),
         warm=False,
         watch=None,
         options={**OPTIONS, **solver.options},
     )
-    found = own.solve(widened(program), monitor)
+    found = own.solve(relax_rates(program), monitor)
     w = found.w[:-1]
-    if not found.success or widening(program, w) <= ENOUGH:
+    if not found.success or measure_relaxation(program, w) <= 1e-3:
         return None
     return Solution(w, False, TOO_SLOW, failed.iterations + found.iterations)
 
 
-def widening(program: Program, w: Array) -> float:
-    """Return by how much of their limits rates are beyond them."""
-    rates = rate_rows(program)
+def measure_relaxation(program: Program, w: Array) -> float:
+    """Measure the violation of rate limits, relative to the limits."""
+    rates = find_rate_rows(program)
     g = np.asarray(ca.Function("g", [program.parts.w], [program.parts.g])(w).full()).ravel()[rates]
     lower, upper = program.lower[rates], program.upper[rates]
     return float(np.max([(g - upper) / np.abs(upper), (lower - g) / np.abs(lower)], initial=0.0))
 
 
-def rate_rows(program: Program) -> Indices:
-    """Return the rows of g that limit rates."""
+def find_rate_rows(program: Program) -> Indices:
+    """Find the rows of g that limit rates."""
     return np.concatenate([np.arange(rows.start, rows.stop) for rows in program.rows("rate")])
 
 
-def widened(program: Program) -> Program:
-    """Return the program whose last unknown is the share by which all limits of rates are wider, which is what is minimised."""
-    parts, first = program.parts, widening(program, program.first)
+def relax_rates(program: Program) -> Program:
+    """Build the program that minimizes the relaxation of rate limits, its last unknown."""
+    parts, first = program.parts, measure_relaxation(program, program.first)
     known = parts.unknowns
     n = known.count
-    names = (*known.names, "share by which limits of rates are wider")
+    names = (*known.names, "relaxation of rate limits")
     numbers = (
         (known.first, first),
         (known.scale, 1.0),
@@ -85,7 +81,7 @@ def widened(program: Program) -> Program:
     unknowns = Unknowns(names, value, scale, least, most, interval, known.constants)
     place = np.concatenate([np.arange(n), np.arange(n + 1, n + 1 + len(known.constants))])
     moved = [block.relabel(place) for block in parts.rows]
-    rows = [_open(block, n) if block.kind == "rate" else block for block in moved]
+    rows = [_relax(block, n) if block.kind == "rate" else block for block in moved]
     share = ca.SX.sym("share")
     cost = Block(ca.Function("cost", [share], [share]), np.array([[n]]), ("cost",), kind="cost")
     separable = Separable(unknowns, rows, [cost], 1.0)
@@ -108,8 +104,11 @@ def widened(program: Program) -> Program:
     )
 
 
-def _open(block: Block, share: int) -> Block:
-    """Return lower (1 + s) ≤ f ≤ upper (1 + s) as rows f − s·upper ≤ upper and f − s·lower ≥ lower; share: the number of s among the entries."""
+def _relax(block: Block, share: int) -> Block:
+    """Relax lower ≤ f ≤ upper to f − s·upper ≤ upper and f − s·lower ≥ lower.
+
+    `share` is the number of s among the entries.
+    """
     lower, upper, scale = (limit.reshape(block.count, block.rows)[0] for limit in block.limits())
     z, (own, s) = split_symbol(symbol_kind(block.function), block.function.size1_in(0), 1)
     value = block.function(own)

@@ -11,7 +11,7 @@ _FAR = 1e300  # distance from a limit that does not exist
 
 
 class VariableBounds:
-    """lower ≤ w ≤ upper (n,); unknowns whose limits are equal do not move."""
+    """Limits lower ≤ w ≤ upper (n,); unknowns with equal limits are fixed."""
 
     def __init__(self, lower: Array, upper: Array) -> None:
         self.lower, self.upper = lower, upper
@@ -36,7 +36,7 @@ class VariableBounds:
         return self.above / high - self.below / low
 
     def inside(self, w: Array, distance: float, share: float) -> Array:
-        """Move w inside by a distance, or by a share of the width between the limits if less."""
+        """Move w inside by a distance, or by a share of the width if less."""
         width = np.where(np.isfinite(self.upper - self.lower), self.upper - self.lower, np.inf)
         least = np.minimum(distance, share * width)
         return np.clip(
@@ -46,15 +46,15 @@ class VariableBounds:
         )
 
     def cut(self, w: Array, step: Array, most: float, least: float) -> Array:
-        """Cut a step to a share of the way to the limits, and to half of it nearer than `least`."""
+        """Cut a step to a share of the way to the limits; to half, nearer than `least`."""
         low, high = (
             np.where(gap > 2 * least, np.minimum(most * gap, gap - least), 0.5 * gap)
             for gap in self.gaps(w)
         )
         return np.clip(step, -low, high) * self.free
 
-    def followed(self, slack: Array, step: Array, true: Array, most: float, least: float) -> Array:
-        """Return slacks after a cut step, or `true` values where these keep enough distance."""
+    def follow(self, slack: Array, step: Array, true: Array, most: float, least: float) -> Array:
+        """Move slacks by a cut step, or to `true` values far enough inside."""
         kept = [
             new >= (1 - most) * gap
             for gap, new in zip(self.gaps(slack), self.gaps(true), strict=True)
@@ -65,7 +65,7 @@ class VariableBounds:
 
 
 class BoundDuals:
-    """Duals (n,) of the lower and of the upper limits, about μ over the distance."""
+    """Duals (n,) of lower and upper limits, about μ / distance."""
 
     def __init__(self, bounds: VariableBounds, w: Array, mu: float) -> None:
         low, high = bounds.gaps(w)
@@ -90,7 +90,7 @@ class BoundDuals:
         return float(np.abs(np.append(below, above)).max(initial=0.0))
 
     def follow(self, before: Array, after: Array, step: Array, mu: float, most: float) -> None:
-        """Take the Newton step that belongs to a step of w; stay near μ over the distance."""
+        """Take the Newton step of a step of w, and stay near μ / distance."""
         spread, bounds = 100.0, self.bounds  # spread: largest factor away from μ over the distance
         ways = zip(
             (self.lower, self.upper),
@@ -108,7 +108,7 @@ class BoundDuals:
 
 
 class WorkingSet:
-    """Selection of the path rows that count among the rows of a step.
+    """Selection of the path rows of a step.
 
     All others act through the diagonal of the metric, and through products with the second
     derivatives.
@@ -123,7 +123,7 @@ class WorkingSet:
             self.size = float(np.median(sizes))
 
     def choose(self, stiffness: Array, left: Array) -> Indices:
-        """Select rows (p',) by the stiffness of their barriers and by their violation."""
+        """Select rows (p',) by barrier stiffness and violation."""
         if self.size:
             felt = stiffness * self.size > 1e-2  # of the metric
         else:  # a few, from which the size is learned

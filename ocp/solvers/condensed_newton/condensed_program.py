@@ -1,4 +1,4 @@
-"""A program in its decided unknowns, to second order: the others follow from the defects."""
+"""Program in its decided unknowns, expanded to second order."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class UndeterminedError(ValueError):
 
 
 class Residual(NamedTuple):
-    """Violations: of goals (m,), of defects (d,), and of path rows (p,) less their slacks."""
+    """Violations of goals (m,), of defects (d,), and of path rows less slacks (p,)."""
 
     goals: Array
     defects: Array
@@ -103,7 +103,7 @@ class CondensedProgram:
         self.s = determined[self.elimination.by_column]
 
     def move_rows(self, program: Program) -> None:
-        """Take the limits of the rows of a program that differs in nothing else."""
+        """Replace the limits of the rows."""
         self.program = program
         self.path_bounds = VariableBounds(
             program.lower[self.path_rows], program.upper[self.path_rows]
@@ -127,7 +127,7 @@ class CondensedProgram:
         return w
 
     def values(self, u: Array, s: Array) -> tuple[float, Array, Array, Array]:
-        """Return the cost, goals, defects and path rows."""
+        """Evaluate the cost, goals, defects and path rows."""
         f, g = (one.ravel() for one in self._value(self.join(u, s)))
         goals, defects = (
             g[rows] - self.program.lower[rows] for rows in (self.goal_rows, self.defect_rows)
@@ -137,17 +137,17 @@ class CondensedProgram:
         return float(f[0]), goals, defects, g[self.path_rows]
 
     def slope(self, u: Array, s: Array) -> Array:
-        """Return the gradient of the cost by all unknowns."""
+        """Evaluate the gradient of the cost by all unknowns."""
         return self._slope(self.join(u, s))[1].ravel()
 
     def hessian(self, u: Array, s: Array, duals: Array | None = None) -> sp.csr_array:
-        """Return the second derivatives of the Lagrangian in the order s, u. duals: of all rows."""
+        """Compute the Hessian of the Lagrangian in the order s, u, at duals of all rows."""
         weights = np.zeros(len(self.program.lower)) if duals is None else duals
         values = self._hessian(self.join(u, s), np.zeros(0), np.ones(1), weights)[0].ravel()
         return self._second.at(values[self._symmetric])
 
     def jacobian_values(self, u: Array, s: Array) -> Array:
-        """Return the non-zeros of the derivatives of all rows."""
+        """Evaluate the non-zeros of the Jacobian of all rows."""
         return self._jacobian(self.join(u, s))[1].ravel()
 
 
@@ -179,7 +179,7 @@ class Expansion:
         self.jacobian, self.slope = np.ascontiguousarray(every[:, :-1].T), every[:, -1].copy()
 
     def _reduce(self, by_s: Array, by_u: Array) -> Array:
-        """Return the derivatives (n, r) by u, which s follows; `by_s` is overwritten."""
+        """Compute the derivatives (n, r) by u, which s follows; `by_s` is overwritten."""
         return np.asarray(by_u - self._by_u_T @ self._of.elimination.solve_transposed(by_s))
 
     def growth(self) -> float:
@@ -188,32 +188,32 @@ class Expansion:
         return float(np.abs(self._of.elimination.solve(signs)).max(initial=0.0))
 
     def of_paths(self, weights: Array) -> Array:
-        """Return the derivatives (r, n) of combinations (p, r) of the path rows."""
+        """Compute the derivatives (r, n) of combinations (p, r) of path rows."""
         by_s, by_u = (np.ascontiguousarray(one.T @ weights) for one in self._paths)
         return np.ascontiguousarray(self._reduce(by_s, by_u).T)
 
     def stiffness(self, of_paths: Array) -> Array:
-        """Return the diagonal (n,) that stiff path rows add, each by its own derivatives by u."""
+        """Compute the diagonal (n,) that stiff path rows add."""
         return np.asarray(self._paths[1].power(2).T @ of_paths)
 
     def follow(self, step: Array | None, defects: Array | None) -> Array:
-        """Return the step of s that follows a step of u and removes defects."""
+        """Compute the step of s with a step of u that removes defects."""
         push = np.zeros(len(self._s)) if step is None else -(self._by_u @ step)
         if defects is not None:
             push = push - defects
         return self._of.elimination.solve(push[:, None])[:, 0]
 
     def change(self, moved: Array) -> Array:
-        """Return the change (m,) of the goals along a step of s alone."""
+        """Compute the change (m,) of the goals along a step of s."""
         return np.asarray(self._goals[0] @ moved)
 
     def path_change(self, moved: Array, step: Array | None) -> Array:
-        """Return the change (p,) of the path rows along steps of s and of u."""
+        """Compute the change (p,) of the path rows along steps of s and u."""
         own = self._paths[0] @ moved
         return np.asarray(own if step is None else own + self._paths[1] @ step)
 
     def weigh(self, goal_duals: Array, path_duals: Array, stiffness: Array) -> None:
-        """Set the duals of the Lagrangian and the stiffness (p,) of barriers for `curvature`."""
+        """Set the duals and the barrier stiffness (p,) of `curvature`."""
         of = self._of
         pull = self._slope_s + self._goals[0].T @ goal_duals + self._paths[0].T @ path_duals
         self.duals = np.zeros(len(of.program.lower))
@@ -225,7 +225,7 @@ class Expansion:
         self._second, self._stiffness = of.hessian(self._u, self._s, self.duals), stiffness
 
     def curvature(self, step: Array, moved: Array) -> Array:
-        """Return the second derivatives along a step of u and the step of s with it."""
+        """Multiply the reduced Hessian by a step of u with its step of s."""
         by_s, by_u = np.split(self._second @ np.append(moved, step), [len(moved)])
         push = self._stiffness * self.path_change(moved, step)
         by_s, by_u = by_s + self._paths[0].T @ push, by_u + self._paths[1].T @ push
@@ -233,7 +233,7 @@ class Expansion:
 
 
 class _SparseBlock:
-    """Some rows and columns of a sparse matrix, from the non-zeros of the whole."""
+    """Rows and columns of a sparse matrix, from its non-zeros."""
 
     def __init__(self, row: Indices, column: Indices, rows: Indices, columns: Indices) -> None:
         i, j = rows[row], columns[column]
@@ -249,7 +249,7 @@ class _SparseBlock:
 
 
 def _beside(matrix: sp.csr_array, column: Array) -> Array:
-    """Return the transpose of a sparse matrix, with a column beside it."""
+    """Transpose a sparse matrix, and append a column."""
     result = np.zeros((matrix.shape[1], matrix.shape[0] + 1))
     row = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
     result[matrix.indices, row] = matrix.data
@@ -263,7 +263,7 @@ def _places(sparsity: ca.Sparsity) -> tuple[Indices, Indices]:
 
 
 def _numbers(index: Indices, size: int) -> Indices:
-    """Return the place of each number below `size` in an index, −1 where it is absent."""
+    """Invert an index: the place of each number below `size`, or −1."""
     result = np.full(size, -1, dtype=np.intp)
     result[index] = np.arange(len(index))
     return result

@@ -1,4 +1,4 @@
-"""An interior-point method for a condensed program, with a trust region and a funnel."""
+"""Interior-point method for a condensed program."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SETTLED = 1e-4  # relative change of the cost between iterations
 
 
 class InteriorPoint:
-    """State of the method.
+    """Interior-point method with a trust region and a funnel.
 
     All lengths of steps, duals and barrier parameters are in units of `unit`, the mean curvature of
     the cost. Where the cost has none, a small constant stands for it.
@@ -51,7 +51,7 @@ class InteriorPoint:
     # --- the start ---
 
     def _curvature_of_cost(self, u: Array, s: Array) -> tuple[Array, sp.csr_array | None]:
-        """Return a positive diagonal like the second derivatives of the cost by u, and their rest.
+        """Compute a positive diagonal of the cost's Hessian by u, and its rest.
 
         The rest is left out where it dominates the diagonal.
         """
@@ -68,7 +68,7 @@ class InteriorPoint:
         return base, None
 
     def _lift(self, u: Array, s: Array) -> Array:
-        """Return u as far inside the limits as the first step is long: near limits steps are short.
+        """Move u inside the limits by the length of the first step.
 
         Fixed noise breaks symmetries, along which the method may end at a saddle.
         """
@@ -129,12 +129,12 @@ class InteriorPoint:
         self.others = self.expansion.stiffness(outside)
 
     def _gradient(self) -> Array:
-        """Return the slope of the cost with barriers."""
+        """Compute the gradient of the cost with barriers."""
         barriers = self.of.bounds.barrier_slope(self.point.u) + self.path_slope
         return np.asarray(self.slope + self.mu * barriers + self.path_pull)
 
     def error(self, mu: float) -> float:
-        """Return the violation of the optimality conditions with barriers μ, in units of `unit`."""
+        """Measure the violation of the optimality conditions at μ, in units of `unit`."""
         duals, count = self.of_bounds, self.of.goals
         gap = self.slope + self.duals @ self.rows[:count] + self.path_force + duals.net
         scale = max(1.0, float(duals.lower.mean() + duals.upper.mean()) / self.unit / 100)
@@ -160,7 +160,7 @@ class InteriorPoint:
         return "stuck" if self._is_stuck() else ""
 
     def is_still(self, most: int, share: float, near: float = 2 * NEARLY_MET) -> bool:
-        """Return whether the cost changed little in the last iterations, all near the goals."""
+        """Return whether the cost changed little in the last iterations."""
         costs = [cost for cost, worst in self.history[-most:] if worst < near]
         return len(costs) == most and max(costs) - min(costs) <= share * abs(self.point.cost)
 
@@ -219,7 +219,7 @@ class InteriorPoint:
             self.gradient = self._gradient()
 
     def _search(self, step: TrialStep, projector: Projector) -> tuple[Iterate, float] | None:
-        """Find the first better point along a step, cut and corrected, and the share taken."""
+        """Find the first better point along a step, and the share taken."""
         of, point, share = self.of, self.point, 1.0
         slope = self.slope + self.mu * of.bounds.barrier_slope(point.u)
         of_slacks = of.path_bounds.barrier_slope(point.slack) @ step.slack
@@ -249,7 +249,7 @@ class InteriorPoint:
         )
 
     def _most(self) -> float:
-        """Return the share of the way to a limit that a step may take."""
+        """Compute the share of the way to a limit that a step may take."""
         return max(0.99, 1 - self.mu / self.unit)
 
     def _is_close(self, point: Iterate) -> bool:
@@ -258,7 +258,7 @@ class InteriorPoint:
         return point.worst < nearly or (halved and self.point.worst > 10 * nearly)
 
     def _is_better(self, point: Iterate, share: float, falling: float) -> bool:
-        """Return whether a point in the funnel costs less or, far from the goals, violates less."""
+        """Return whether a point in the funnel costs or violates less."""
         if not np.isfinite(point.total) or point.worst > self.funnel:
             return False
         if (falling < 0 and self.point.worst < 0.1 * self.funnel) or self.point.worst < 1e-7:

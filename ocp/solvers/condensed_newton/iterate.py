@@ -44,7 +44,7 @@ def evaluate(of: CondensedProgram, u: Array, s: Array, slack: Array) -> Iterate:
 
 
 def step_back(expansion: Expansion, projector: Projector, chosen: Indices, point: Iterate) -> Array:
-    """Return the shortest step of u to goals and chosen path rows, while s removes the defects."""
+    """Compute the shortest step of u to goals and chosen path rows."""
     drift = expansion.follow(None, point.left.defects)
     paths = (point.left.paths + expansion.path_change(drift, None))[chosen]
     return -projector.shortest(np.append(point.left.goals + expansion.change(drift), paths))
@@ -59,7 +59,7 @@ def move(
     most: float,
     least: float,
 ) -> Iterate:
-    """Take a step of u, which s follows by the expansion, while it removes a share of the defects.
+    """Take a step of u, and the step of s that removes defects.
 
     The step is cut at the limits, see `VariableBounds.cut`. Slacks follow more slowly: otherwise
     they vanish before s follows them.
@@ -71,12 +71,15 @@ def move(
     if len(slack):
         true = of.values(u, s)[3]
         change = expansion.path_change(moved, d) + share * left.paths
-        slack = bounds.followed(slack, change, true, min(most, 0.6), least)
+        slack = bounds.follow(slack, change, true, min(most, 0.6), least)
     return evaluate(of, u, s, slack)
 
 
 def polish(of: CondensedProgram, point: Iterate, tolerance: float) -> Iterate:
-    """Find the nearest point, relative to the distances from limits, that meets all rows."""
+    """Find the nearest point that meets all rows.
+
+    Distances are relative to those from the limits.
+    """
     for _ in range(12):
         if not point.worst > tolerance:
             break

@@ -1,4 +1,4 @@
-"""The condensed Newton method: its options, and how it solves a program."""
+"""Options of the condensed Newton method, and its solution of a program."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ UNSTABLE, UNDETERMINED = "unstable", "undetermined"
 
 @dataclass(frozen=True)
 class CondensedNewton(NamedSolver, kind="CondensedNewton"):
-    """A Newton method in the controls alone: the states follow from the defects by elimination.
+    """Newton method in the controls: the defects eliminate the states.
 
     It takes the program of any transcription. Its work grows linearly with the intervals, and far
     slower with the bars than the factorizations of `Ipopt`. Programs along whose motion errors grow
@@ -41,7 +41,7 @@ class CondensedNewton(NamedSolver, kind="CondensedNewton"):
     Parameters
     ----------
     max_iterations : int
-        Most iterations.
+        Largest number of iterations.
     tolerance : float
         Tolerance of scaled optimality and constraints.
     verbose : bool
@@ -50,7 +50,7 @@ class CondensedNewton(NamedSolver, kind="CondensedNewton"):
     Raises
     ------
     TypeError, ValueError
-        If a value is not of its kind.
+        If a value has another type or is out of bounds.
 
     Notes
     -----
@@ -140,7 +140,7 @@ class CondensedNewton(NamedSolver, kind="CondensedNewton"):
                 sys.stdout.write(search.describe() + "\n")
 
     def prepare_correction(self, program: Program) -> Callable[..., Solution]:
-        """Prepare solutions of programs whose rows are moved a little from a solved one.
+        """Prepare solutions of programs with rows shifted from a solved one.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""The part of the second derivatives that is inverted, and projections in its sense."""
+"""Metric of the condensed Newton method, and its projections."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tenscasadi.util.validate import Array
 
 
 class Metric:
-    """A positive definite matrix D (n, n): a diagonal and, if given, a sparse rest."""
+    """Positive definite matrix D (n, n): a diagonal and a sparse rest."""
 
     def __init__(self, diagonal: Array, rest: sp.csr_array | None = None) -> None:
         self.diagonal, self.rest = diagonal, rest
@@ -31,7 +31,7 @@ class Metric:
 
 
 class Projector:
-    """Shortest steps onto rows, and steps along them, in a metric that soft rows stiffen.
+    """Steps onto rows and along them, in a metric with soft rows.
 
     The metric is D + Bᵀ give⁻¹ B.
 
@@ -82,7 +82,7 @@ class Projector:
         return np.asarray(scipy.linalg.cho_solve(self._factor, x, check_finite=False))
 
     def shortest(self, rows: Array) -> Array:
-        """Return the least step d with J d = rows; soft rows resist what is left of theirs."""
+        """Compute the shortest step d with J d = rows, soft rows approximately."""
         return np.asarray(self.spread.T @ self.inner(rows))
 
     def duals(self, force: Array) -> Array:
