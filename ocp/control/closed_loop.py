@@ -50,7 +50,7 @@ class Controller(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class ClosedLoop(ReadOnlyArrays):
-    """Result of `run`: the motion, and the wall times of the decisions.
+    """Result of `run`: motion and wall times of the decisions.
 
     Attributes
     ----------
@@ -216,7 +216,7 @@ def run(
 
 
 def _check_plant(plant: Any, believed: Model) -> None:
-    """Raise ValueError if the states or controls of plant and controller differ."""
+    """Raise ValueError if plant and controller do not fit."""
     instance("model", plant, Model, "a tenscasadi.Model or None")
     if not isinstance(plant.scene.control, ForceDensity):
         raise ValueError(
@@ -235,7 +235,7 @@ def _check_plant(plant: Any, believed: Model) -> None:
 
 
 def _find_start(plant: Model, state: Any) -> Array:
-    """Check the initial state, and project it onto bars and joints."""
+    """Check the initial state, and project it onto the constraints."""
     x = plant.initial_state if state is None else finite_array("state", state, (plant.nx,))
     # rounded lengths and speeds are projected
     if off := off_constraints(plant, x, 1e-3):
@@ -244,7 +244,7 @@ def _find_start(plant: Model, state: Any) -> Array:
 
 
 def _observe(believed: Model, plant: Model, x: Array, now: float) -> Array:
-    """Convert the plant's state to that of the controller's model, with or without a clock."""
+    """Convert the plant's state to that of the controller's model."""
     known = 2 * believed.nq
     passed = x[known:] if plant.nx > known else np.array([now])
     return np.append(x[:known], passed[: believed.nx - known])

@@ -11,7 +11,7 @@ from tenscasadi.dynamics.model import Model
 
 
 def build_departures(model: Model, place: float, speed: float) -> ca.Function:
-    """Build the scaled output y(x) of a regulator, and its sparse Jacobian.
+    """Build the scaled output of a regulator and its Jacobian.
 
     The output is the coordinates in units of `place` [m] and the velocities in units of `speed`
     [m/s]. Free structures may drift and turn: their output is the distances between nodes, and

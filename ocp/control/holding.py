@@ -1,4 +1,4 @@
-"""Equilibrium of a state at rest, and the stationary regulator about it."""
+"""Equilibrium of a state at rest, and its stationary regulator."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Equilibrium(NamedTuple):
 
 
 def find_equilibrium(model: Model, state: Array, lower: Array, upper: Array) -> Equilibrium:
-    """Find the least force densities (α,) that hold a state (nx,) at rest, within limits.
+    """Find the least force densities that hold a state at rest.
 
     Loads are those at the time of the state. If nothing holds it, the accelerations are least.
     """
@@ -94,7 +94,7 @@ class Rest(NamedTuple):
 def find_rest(
     model: Model, end: Array, lower: Array, upper: Array, slow: float, margin: float = 0.0
 ) -> Rest:
-    """Find the force densities that hold the end (nx,) of a motion.
+    """Find force densities that hold the end of a motion.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def at_rest(model: Model, state: Array) -> Array:
 
 
 def compute_stationary_cost(a: Array, b: Array, Q: Array, R: Array) -> Array:
-    """Compute the cost matrix P (d, d) of a regulator over a long horizon.
+    """Compute the cost matrix of a regulator over a long horizon.
 
     The system is δ⁺ = a δ + b u with the cost δᵀQδ + uᵀRu for each decision. The horizon doubles
     each time (Chu, Fan, Lin, Int. J. Control 2004, 77, 767), so that modes need not be observable

@@ -309,7 +309,7 @@ def replay_tracked(plan: PlanResult) -> Trajectory:
 
 
 def _planned(plan: PlanResult, model: Model, time: Array) -> Array:
-    """Compute the planned states (count + 1, nx) at given times.
+    """Compute the planned states at given times.
 
     RK4 steps start from the preceding mesh point, so that errors do not accumulate.
     """
@@ -346,7 +346,7 @@ def _regulate(
     kept: ca.Function,
     effort: float,
 ) -> Array:
-    """Compute the gains (K, α, nx) along states (K + 1, nx).
+    """Compute the gains (K, α, nx) along planned states.
 
     If the end is held, there is one gain more, that of the stationary regulator.
     """

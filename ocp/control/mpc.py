@@ -34,7 +34,7 @@ MOST = 1000  # intervals, steps of each, iterations of a decision
 
 
 class Mpc:
-    """Model predictive control (MPC) that tracks a plan or holds goals.
+    """Model predictive control that tracks a plan or holds goals.
 
     It is a controller for `run`. From the measured state it predicts the motion under its last
     decision, shifted. A quadratic program improves the force densities, and those of the first
@@ -243,7 +243,7 @@ class Mpc:
         return gamma
 
     def _build_shift(self) -> ca.Function:
-        """Build the Function (time, before) → γ (α, intervals), shifted by a period.
+        """Build the Function (time, before) → shifted γ (α, intervals).
 
         Without a last decision, γ is the reference.
         """
@@ -317,7 +317,7 @@ class Mpc:
         )
 
     def _improve(self, gamma: Array, G: Array, g: Array, a: Array, b: Array) -> Array:
-        """Compute γ + ΔU (intervals, α) by DAQP, or γ if it fails."""
+        """Improve γ (intervals, α) by DAQP; keep it after a failure."""
         slack = self._slack
         H, now = G @ G.T, gamma.ravel()
         H[np.diag_indices(len(H))] += self._effort**-2
@@ -356,7 +356,7 @@ class Mpc:
 
 
 class _MpcDecision(NamedTuple):
-    """Time, force densities (intervals, α) and state (nx,); NaN if there was none."""
+    """Time, force densities and state of a decision, or NaN."""
 
     time: float
     force_density: Array
@@ -364,7 +364,7 @@ class _MpcDecision(NamedTuple):
 
 
 def _build_slopes(model: Model) -> ca.Function:
-    """Build the Function (x, u) → ẋ, and its derivatives by x and by u."""
+    """Build the Function (x, u) → ẋ, ∂ẋ/∂x, ∂ẋ/∂u."""
     kind: Any = ca.SX if model.ode.is_a("SXFunction") else ca.MX
     x, u = kind.sym("x", model.nx), kind.sym("u", model.nu)
     rate = model.ode(x, u)
@@ -373,7 +373,7 @@ def _build_slopes(model: Model) -> ca.Function:
 
 
 def _build_variational(slopes: ca.Function, width: int) -> ca.Function:
-    """Build the equation of x and of its derivatives by parameters, the last of which are u."""
+    """Build the variational equation; u are the last parameters."""
     nx, nu = slopes.size1_in(0), slopes.size1_in(1)
     z, u = ca.MX.sym("z", nx * (1 + width)), ca.MX.sym("u", nu)
     rate, by_state, by_control = slopes(z[:nx], u)
@@ -434,7 +434,7 @@ def _build_reference(
 
 
 def _find_goal(problem: Problem, scales: Scales) -> tuple[Array, Array]:
-    """Find the state of the goals, and the force densities that hold it best."""
+    """Find the goals' state, and the force densities holding it."""
     asked = [
         type(part).__name__
         for part in (problem.start, *problem.goals)
@@ -455,7 +455,7 @@ def _find_goal(problem: Problem, scales: Scales) -> tuple[Array, Array]:
 
 
 def _interpolate(values: Array, nodes: Array, time: Any) -> Any:
-    """Interpolate a profile or states at a symbolic time, as `profile_at` does in numbers."""
+    """Interpolate a profile or states at a symbolic time."""
     k = ca.low(ca.DM(nodes), time)
     left = ca.MX(ca.DM(values.T))[:, k]
     if len(values) < len(nodes):
@@ -467,5 +467,5 @@ def _interpolate(values: Array, nodes: Array, time: Any) -> Any:
 
 
 def is_finite(values: Any) -> Any:
-    """Return whether all values are finite; comparisons with NaN are false."""
+    """Return whether all values are finite."""
     return ca.mmin(ca.fabs(values) < 1e30)

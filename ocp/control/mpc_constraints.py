@@ -40,7 +40,7 @@ class Horizon(NamedTuple):
 
 
 class HorizonLimits:
-    """Limits of a problem as rows a ΔU ≤ b, except those of the force densities themselves.
+    """Linearized limits of a problem except those of force densities.
 
     Limits of instants hold at the end of each interval, and terminal limits at the end of the
     horizon. Rate limits hold between the starts of neighboring intervals, and from the last
@@ -96,7 +96,7 @@ class HorizonLimits:
 
 
 def _one_sided(bound: ScaledRows) -> ca.Function:
-    """Build the distances from all finite limits, and their negative Jacobians by each input."""
+    """Build the distances from finite limits and their negative Jacobians."""
     inputs = [ca.MX.sym("z", bound.function.size1_in(k)) for k in range(bound.function.n_in())]
     value = bound.function(*inputs)
     upper, lower = (

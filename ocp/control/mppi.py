@@ -266,7 +266,7 @@ class Mppi:
         )
 
     def _evaluate(self, time: float, state: Array, tried: Array) -> Array:
-        """Simulate motions, and sum their costs (samples,); inf or NaN if they diverge."""
+        """Compute the costs of motions, inf or NaN after divergence."""
         count, K, nu = tried.shape
         inputs = np.empty((count, K, nu + 1))
         inputs[:, :, :nu] = tried
@@ -283,7 +283,7 @@ class Mppi:
         return np.asarray(cost)
 
     def _changes(self, states: Array, tried: Array) -> list[Array]:
-        """Return x, γ, x⁺, γ⁺ (samples · K, ·) of all changes, the first from the last decision."""
+        """Return x, γ, x⁺, γ⁺ of all changes (samples · K, ·)."""
         now = _Decision(0.0, states[0, 0], tried[0, 0]) if self._last is None else self._last
         free = (
             tried[:, :1]
@@ -309,7 +309,7 @@ class _Decision(NamedTuple):
 
 
 def softmin(costs: Array, temperature: float) -> Array:
-    """Compute the weights exp(−(S − min S)/λ) of costs S (n,), normalized to the sum 1.
+    """Compute the normalized weights exp(−(S − min S)/λ) of costs.
 
     λ = temperature · (median S − min S). Costs that are not finite have no weight.
     """
@@ -323,7 +323,7 @@ def softmin(costs: Array, temperature: float) -> Array:
 
 
 def _read_problem(asked: Any, model: Any) -> Problem:
-    """Read a problem, or costs and a model. Raises TypeError, ValueError."""
+    """Read a problem, or costs with a model."""
     if isinstance(asked, Problem):
         if model is not None and model is not asked.model:
             raise ValueError("model is given, and the problem has one: leave model= out")
@@ -350,7 +350,7 @@ def _read_problem(asked: Any, model: Any) -> Problem:
 
 
 def _read_cost(k: int, cost: Any, model: Model) -> Cost:
-    """Read a cost: a Function (x, u) or (x, u, t), or a function of an Instant."""
+    """Read a cost, a CasADi Function or a callable."""
     name = f"problem[{k}]"
     if not isinstance(cost, ca.Function):
         return Integral(name, cost)

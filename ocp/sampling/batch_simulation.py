@@ -1,4 +1,4 @@
-"""Simulation of many motions of a problem at once, their costs and violations."""
+"""Simulation of many motions at once, their costs and violations."""
 
 from __future__ import annotations
 
@@ -194,7 +194,7 @@ class BatchSimulation:
         return controls, states, cost + self._other_costs(states, controls, first)
 
     def misses(self, states: Array, duration: float, first: int = 0, speed: float = 1.0) -> Array:
-        """Compute the goal rows (n, m) of states (n, k + 1, nx), in units of their tolerances.
+        """Compute goal rows (n, m) in units of their tolerances.
 
         The tolerance of velocities is `speed` times that of positions per duration.
         """
@@ -214,7 +214,7 @@ class BatchSimulation:
     def excess(
         self, states: Array, controls: Array, duration: float, last_only: bool = False
     ) -> Array:
-        """Compute the violations (n, m) of all limits, scaled; or of terminal limits only."""
+        """Compute the scaled violations (n, m) of limits."""
         n, count, nu = controls.shape
         ends, found = duration * np.append(0.0, np.cumsum(self.fractions)), [np.zeros((n, 0))]
         places = {
@@ -252,7 +252,7 @@ class BatchSimulation:
         return np.maximum(np.maximum(value - rows.upper, rows.lower - value), 0.0).reshape(n, -1)
 
     def describe_worst(self, states: Array, controls: Array, duration: float) -> str:
-        """Describe the largest violation of one motion (K + 1, nx) under controls (K, α)."""
+        """Describe the largest violation of one motion."""
         missed = np.abs(self.misses(states[None], duration)[0])
         over = self.excess(states[None], controls[None], duration)[0]
         if not (np.all(np.isfinite(missed)) and np.all(np.isfinite(over))):
@@ -268,7 +268,7 @@ class BatchSimulation:
         return f"a limit along the way is overstepped by {over.max(initial=0.0):.2g} of its scale"
 
     def objective(self, states: Array, controls: Array, duration: float) -> float:
-        """Compute the objective of one motion (K + 1, nx) under controls (K, α).
+        """Compute the objective of one motion.
 
         Running costs are integrated by the trapezoid rule.
         """
@@ -305,7 +305,7 @@ class BatchSimulation:
         return scaled_rows(self.problem, RateBound, self._scales, self._strength)
 
     def _other_costs(self, states: Array, controls: Array, first: int) -> Array:
-        """Compute the costs (n,) of force densities, of their rates, and of instants."""
+        """Compute the costs (n,) of controls, rates and instants."""
         n, count, _ = controls.shape
         whole, total = count == len(self.fractions), np.zeros(n)
         if self._control_cost is not None:
@@ -337,7 +337,7 @@ class BatchSimulation:
 
     @cached_property
     def _instant_costs(self) -> list[tuple[int, ca.Function]]:
-        """Costs of instants: interval at whose end each is evaluated, and Function (x, u)."""
+        """Costs of instants: intervals before them, and Functions (x, u)."""
         now, found = symbolic(self.problem.model), []
         x, u, _ = now.symbols
         for share, expression in cost_terms(self.problem.costs).instants:

@@ -1,4 +1,4 @@
-"""Defaults of sampling: initial force densities, groups of strings, intervals, knots."""
+"""Defaults of sampling."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ class SamplingDefaults(NamedTuple):
         return float(self.force_density.mean())
 
     def intervals(self, problem: Problem) -> int:
-        """Choose a number of intervals that resolves the vibration of nodes, 0.6 rad each."""
+        """Choose a number of intervals, 0.6 rad of vibration each."""
         structure = problem.model.scene.structure
         ends = max(1.0, 2 * len(structure.strings) / len(structure.nodes))
         rate = np.sqrt(ends * self.strength / self.mass)
         return int(np.clip(np.ceil(problem.longest * rate / 0.6), 20, 400))
 
     def knots(self, seconds: float) -> int:
-        """Choose the number of knots of a spline: three in the time of a fall."""
+        """Choose a number of knots, three in the free-fall time."""
         return int(np.clip(np.ceil(3 * seconds / self.fall), 6, 24))
 
 
@@ -79,7 +79,7 @@ def choose_defaults(problem: Problem) -> SamplingDefaults:
 
 
 def _find_self_stress(problem: Problem) -> Array:
-    """Find force densities (α,) of self-stress, of mean 1; equal ones if there are none."""
+    """Find force densities (α,) of self-stress, of mean 1."""
     structure = problem.model.scene.structure
     nodes = problem.model.nodes(problem.first_state)[: len(structure.nodes)]
     try:
@@ -90,7 +90,7 @@ def _find_self_stress(problem: Problem) -> Array:
 
 
 def find_symmetry_groups(problem: Problem) -> tuple[tuple[int, ...], ...]:
-    """Find the groups of strings that a symmetry about the vertical maps onto each other.
+    """Find groups of strings by symmetry about the vertical.
 
     The strings of a group have equal lengths at the start, and ends of equal heights.
     """

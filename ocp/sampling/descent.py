@@ -1,4 +1,4 @@
-"""Gauss-Newton method on force densities, with finite differences of simulated motions."""
+"""Gauss-Newton method with finite differences of simulated motions."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Descent:
     def run(
         self, wanted: Array, duration: float, speed: float, iterations: int, over: Watcher
     ) -> tuple[Candidate, int]:
-        """Iterate until the residuals are small or stall; return the best and the iterations.
+        """Iterate to small residuals; return the best and the iterations.
 
         `speed` multiplies the tolerance of velocities.
         """
@@ -89,7 +89,7 @@ class Descent:
         return point, iterations
 
     def measure_finer(self, point: Candidate, finer: int) -> float:
-        """Compute the largest residual of the same force densities with finer steps."""
+        """Compute the largest residual with finer steps."""
         motions = self._motions
         law, motions.law = motions.law, None
         states = motions.roll(
@@ -103,7 +103,7 @@ class Descent:
         return float(np.abs(missed).max(initial=0.0)) if np.all(np.isfinite(missed)) else np.inf
 
     def _points(self, wanted: Array, durations: list[float]) -> list[Candidate]:
-        """Simulate candidates (n, K, α), all of one duration or each of its own."""
+        """Simulate candidates of force densities (n, K, α)."""
         if len(set(durations)) > 1:
             return [
                 self._points(one[None], [duration])[0]
@@ -171,13 +171,13 @@ class Descent:
 
     @staticmethod
     def _slopes(point: Candidate, moved: list[Candidate], by: Array) -> Array:
-        """Compute finite differences (m, n) of the rows, 0 if a motion diverges."""
+        """Compute finite differences (m, n), 0 if a motion diverges."""
         slopes = (np.array([one.rows for one in moved]) - point.rows).T / by
         return np.where(np.isfinite(slopes).all(axis=0), slopes, 0.0)
 
 
 def _find_bounded_step(J: Array, r: Array, damping: float, room: list[Array]) -> Array:
-    """Minimize |r + J d|² + damping |d|² over steps d that leave no active limit.
+    """Minimize |r + J d|² + damping |d|² within active limits.
 
     `room` are the distances from the upper and the lower limits.
     """

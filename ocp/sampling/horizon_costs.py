@@ -1,4 +1,4 @@
-"""Costs, goals and limits of a problem as Functions that rollouts sum up."""
+"""Costs, goals and limits as Functions for rollouts."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class HorizonCosts(NamedTuple):
 def build_horizon_costs(
     problem: Problem, scales: Scales, period: float, intervals: int, place: float, strength: float
 ) -> HorizonCosts:
-    """Build the costs of a problem over a horizon, with its goals at the end.
+    """Build the costs of a problem over a horizon.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def build_horizon_costs(
 def build_running_cost(
     problem: Problem, scales: Scales, length: float, strength: float, weight: float = 1.0
 ) -> ca.Function:
-    """Build the Function (x, w) → running cost per second, with violations within `length` [s]."""
+    """Build the running cost per second, with penalties of limits."""
     now, given = _instant(problem)
     stage = weight * sum((rate(now) for rate in cost_terms(problem.costs).running), ca.DM(0))
     along = [
@@ -149,7 +149,7 @@ def _excess(rows: ScaledRows, *given: Any) -> Any:
 
 
 def build_control_cost(problem: Problem, period: float, intervals: int) -> ca.Function | None:
-    """Build the Function γ (α, K) → cost of force densities alone, if there is any."""
+    """Build the Function γ → cost of force densities alone."""
     terms = cost_terms(problem.costs)
     gamma = ca.SX.sym("u", problem.model.nu, intervals)
     each = [expression(gamma, period) for expression in (*terms.control, *terms.changes)]
@@ -159,7 +159,7 @@ def build_control_cost(problem: Problem, period: float, intervals: int) -> ca.Fu
 def build_rate_cost(
     problem: Problem, scales: Scales, period: float, intervals: int, strength: float
 ) -> ca.Function | None:
-    """Build the Function (x, γ, x⁺, γ⁺) → cost of violated rate limits, if there are any."""
+    """Build the Function (x, γ, x⁺, γ⁺) → cost of rates."""
     limits = scaled_rows(problem, RateBound, scales, strength)
     symbols = [
         ca.MX.sym(name, size)

@@ -61,7 +61,7 @@ def solve_sampled(
     monitor: Monitor,
     tolerance: float,
 ) -> Outcome:
-    """Solve a problem by sampling; return the best candidate if the monitor stops it.
+    """Solve a problem by sampling.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ class _Method:
         return self._outcome()
 
     def _try_all(self) -> None:
-        """Search by groups of strings, then by strings, with new samples in each attempt."""
+        """Search by groups of strings, then by single strings."""
         motions, solver, levels = self._motions, self._solver, self._levels()
         knots = (
             self._defaults.knots(self._problem.longest / len(motions.legs))
@@ -159,7 +159,7 @@ class _Method:
                         return
 
     def _polish(self, wanted: Array, duration: float, directions: Array) -> None:
-        """Improve by Gauss-Newton in coarse steps, in those that contact needs, and in finer ones."""
+        """Improve by Gauss-Newton in steps that become finer."""
         misses = []
         # the first round admits ten times the final speeds
         for finer, speed in ((1, 10.0), (self._finer, 1.0), (2 * self._finer, 1.0)):
@@ -180,7 +180,7 @@ class _Method:
             self._best, self._miss = point, miss
 
     def _levels(self) -> list[Array]:
-        """Return the directions (g, α) of the search: groups of strings, then single strings."""
+        """Return directions (g, α) for groups, then for single strings."""
         count, spread = self._problem.model.nu, self._defaults.spread
         alone = (
             tuple(
@@ -244,7 +244,7 @@ class _Method:
 
 
 def simulate_defaults(motions: BatchSimulation, given: SamplingDefaults) -> Candidate:
-    """Simulate the initial force densities, for want of a better candidate."""
+    """Simulate the initial force densities."""
     problem = motions.problem
     wanted = np.tile(given.force_density, (len(motions.fractions), 1))
     gamma, states, _ = motions.roll(problem.first_state[None], wanted[None], problem.longest)
@@ -252,7 +252,7 @@ def simulate_defaults(motions: BatchSimulation, given: SamplingDefaults) -> Cand
 
 
 def _swing(given: SamplingDefaults, problem: Problem) -> float:
-    """Estimate the fastest vibration of nodes [rad/s] under the largest force densities."""
+    """Estimate the fastest vibration of nodes [rad/s]."""
     structure = problem.model.scene.structure
     ends = max(1.0, 2 * len(structure.strings) / len(structure.nodes))
     return float(np.sqrt(ends * (given.strength + 2 * given.spread.mean()) / given.mass))

@@ -106,7 +106,7 @@ class SplineNoise:
         return np.concatenate([[0.0], np.geomspace(self.finest, 1.0, samples - 1)[::-1]])
 
     def directions(self, count: int) -> Array:
-        """Compute the changes of the strings by one deviation of each group.
+        """Compute the changes of strings by deviations of groups.
 
         Parameters
         ----------

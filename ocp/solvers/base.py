@@ -95,7 +95,7 @@ class Solver(Protocol):
         """Tolerance of scaled optimality and constraints."""
 
     def solve(self, program: Program, monitor: Monitor | None = None) -> Solution:
-        """Solve a program, or return the best iterate if the monitor stops it."""
+        """Solve a program, until the monitor stops it."""
 
 
 def check_options(

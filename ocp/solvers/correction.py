@@ -23,7 +23,7 @@ class Correcting(Solver, Protocol):
     """Solver that starts again from its own solution."""
 
     def prepare_correction(self, program: Program) -> Callable[..., Solution]:
-        """Prepare solutions of programs with rows shifted from a solved one."""
+        """Prepare solutions of programs with shifted rows."""
 
 
 class Corrected(NamedTuple):
@@ -51,7 +51,7 @@ def solve_corrected(
     accuracy: float,
     monitor: Monitor | None = None,
 ) -> Corrected:
-    """Solve a program, and correct its rows until the error is small.
+    """Solve a program, and correct it until errors are small.
 
     The limits of rows are shifted by the residual (Stetter, Numer. Math. 1978, 29, 425). Only
     limits change, so nothing is built again. Each round leaves a share of the residual that is

@@ -1,4 +1,4 @@
-"""Solver of convex quadratic programs as a CasADi expression, for C code."""
+"""Solver of convex quadratic programs as a CasADi expression."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def _build_step(n: int, limits: ca.Sparsity) -> ca.Function:
         return dx, ds, -(product + z * ds) / s
 
     def length(ds: Any, dz: Any) -> Any:
-        """Compute the step length at which slacks and duals stay positive, at most 1."""
+        """Compute the step length that keeps slacks and duals positive."""
         return 1 / ca.fmax(1.0, ca.mmax(-ca.vertcat(ds / s, dz / z)))
 
     _, ds, dz = direction(s * z)

@@ -1,4 +1,4 @@
-"""IPOPT: options, callbacks, and the best iterate of a stopped run."""
+"""Options and callbacks of IPOPT."""
 
 from __future__ import annotations
 
@@ -161,7 +161,7 @@ class Ipopt(NamedSolver, kind="Ipopt", earlier="Fatrop"):
         return self._run(run, program, monitor)
 
     def _run(self, run: Callable[..., Solution], program: Program, monitor: Monitor) -> Solution:
-        """Solve, and once more from the perturbed guess if that meets a saddle."""
+        """Solve, and again from the perturbed guess after a saddle."""
         if program.noise is None or program.multipliers is not None or self.warm:
             return run(program, monitor)
         even = run(program, monitor, leaves_saddles=True)
@@ -195,7 +195,7 @@ class Ipopt(NamedSolver, kind="Ipopt", earlier="Fatrop"):
         return partial(_run, self._build(program, best), best)
 
     def prepare_correction(self, program: Program) -> Callable[..., Solution]:
-        """Prepare solutions of programs with rows shifted from a solved one.
+        """Prepare solutions of programs with shifted rows.
 
         Parameters
         ----------
@@ -258,7 +258,7 @@ class Ipopt(NamedSolver, kind="Ipopt", earlier="Fatrop"):
 
 
 class BestIterate(ca.Callback):
-    """Callback of IPOPT that keeps the best iterate of a run."""
+    """Callback of IPOPT that keeps the best iterate."""
 
     def __init__(self, size: int, rows: int, objective: float, watch: Watcher | None) -> None:
         super().__init__()
@@ -299,11 +299,11 @@ class BestIterate(ca.Callback):
         return ca.Sparsity.dense(self._sizes[ca.nlpsol_out(i)], 1)
 
     def has_eval_buffer(self) -> bool:
-        """Return whether memory is read in place; a conversion takes as long as an evaluation."""
+        """Return whether memory is read in place."""
         return True
 
     def eval_buffer(self, arg: Sequence[memoryview], res: Sequence[memoryview]) -> int:
-        """Follow an iteration; write 1 into `res` to stop, else 0."""
+        """Write whether to stop into `res`."""
         w, f, g = (
             np.frombuffer(arg[ca.nlpsol_out().index(name)] or b"") for name in ("x", "f", "g")
         )
@@ -335,7 +335,7 @@ class BestIterate(ca.Callback):
 
 
 def _has_negative_curvature(solver: ca.Function) -> bool:
-    """Return whether IPOPT made the Hessian positive in its last iterations."""
+    """Return whether the last iterations met negative curvature."""
     added = solver.stats()["iterations"]["regularization_size"][-BENT:]
     return len(added) == BENT and min(added) > 0.0
 
@@ -383,7 +383,7 @@ def _run(
 
 
 def _check_library(options: Mapping[str, Any]) -> None:
-    """Raise ValueError if the library of a linear solver is missing."""
+    """Raise ValueError if a linear solver's library is missing."""
     name = options.get("linear_solver", "mumps")
     kind = "hsl" if str(name) in HSL else "pardiso" if name == "pardiso" else None
     if kind is None:

@@ -1,4 +1,4 @@
-"""Time limit, stop request and progress of a search, shared by all methods."""
+"""Time limit, stop request and progress of a search."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Progress(NamedTuple):
 
 
 class Monitor:
-    """Follower of a search: it knows when to stop, and shows the progress.
+    """Time limit, stop request and progress of a search.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ class Monitor:
         return self.deadline - time.perf_counter()
 
     def status(self) -> str:
-        """Return why the search has to stop; "" if it may go on."""
+        """Return why the search has to stop, or ""."""
         if self.interrupted:
             return STOPPED
         return TIME_UP if self.left <= 0 else ""
@@ -97,7 +97,7 @@ class Monitor:
 
     @contextmanager
     def catching_interrupts(self) -> Iterator[None]:
-        """Turn the first Ctrl-C of the block into a stop request."""
+        """Turn the first Ctrl-C into a stop request."""
         with on_interrupt(self._stop, then_raise=False):
             yield
 

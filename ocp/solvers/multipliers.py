@@ -57,7 +57,7 @@ class Duals(Stored):
         return f"Duals({len(self.names)} duals, {len(self.point)} unknowns)"
 
     def __getitem__(self, name: str) -> Array:
-        """Return the duals of one name, in the order of time. Raises TypeError, KeyError."""
+        """Return the duals of one name, in the order of time."""
         instance(
             "Duals[name]", name, str, 'one of Duals.names, such as duals["tension of string 3"]'
         )
@@ -76,7 +76,7 @@ class Duals(Stored):
 
 
 def name_duals(program: Program, target: Target, w: Array, rows: Array, limits: Array) -> Duals:
-    """Convert the scaled duals of rows and of limits of w to physical units, by name."""
+    """Convert scaled duals to physical units, by name."""
     names, values = [], []
     for part in _find_parts(program, target):
         reduction = part.target.reduction
@@ -99,7 +99,7 @@ def name_duals(program: Program, target: Target, w: Array, rows: Array, limits: 
 
 
 def warm_start_program(program: Program, target: Target, duals: Duals) -> Program:
-    """Start a program from a solution with its duals, if unknowns and constraints agree."""
+    """Start a program from a solution of an equal one."""
     rest, parts = _find_rest(program), _find_parts(program, target)
     goals = [f"{part.label}{name}" for part in parts for name in part.target.reduction.names]
     if duals.names != (*(program.names[k] for k in rest), *goals, *program.w_names):
@@ -127,7 +127,7 @@ class _Part(NamedTuple):
 
 
 def _find_parts(program: Program, target: Target) -> list[_Part]:
-    """Find the targets of waypoints and of the end, and their rows."""
+    """Find the targets of waypoints and end, with their rows."""
     goals = [(waypoint.target, waypoint.label) for waypoint in target.waypoints] + [(target, "")]
     imposed = [(part, label) for part, label in goals if part.count]
     return [

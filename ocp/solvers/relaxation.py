@@ -29,7 +29,7 @@ OPTIONS = {"alpha_for_y": "min-dual-infeas", "mu_init": 0.1}
 def find_rate_relaxation(
     program: Program, solver: Ipopt, failed: Solution, monitor: Monitor | None
 ) -> Solution | None:
-    """Find the motion with the least relaxation of rate limits, after a failure.
+    """Find the motion with the least relaxation of rate limits.
 
     None if the solver did not fail for lack of a feasible point, or rate limits are not its cause.
     """
@@ -65,7 +65,7 @@ def find_rate_rows(program: Program) -> Indices:
 
 
 def relax_rates(program: Program) -> Program:
-    """Build the program that minimizes the relaxation of rate limits, its last unknown."""
+    """Build the program that minimizes the relaxation of rate limits."""
     parts, first = program.parts, measure_relaxation(program, program.first)
     known = parts.unknowns
     n = known.count

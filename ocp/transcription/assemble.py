@@ -1,4 +1,4 @@
-"""Assembly of the program of a plan from blocks over its mesh."""
+"""Assembly of the program of a plan from blocks."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class ProblemBlocks(NamedTuple):
 
 
 class Stage(NamedTuple):
-    """Variables of a plan, or of a phase, and all blocks in them."""
+    """Variables and blocks of a plan or of a phase."""
 
     variables: Variables
     blocks: ProblemBlocks
@@ -59,7 +59,7 @@ class Stage(NamedTuple):
         ]
 
     def states(self, entries: Any) -> Any:
-        """Select the states (nx, K + 1) from the column of all entries."""
+        """Select the states (nx, K + 1) from all entries."""
         if self.defects.states is None:
             return gather(entries, self.variables.states)
         return self.defects.states(entries)
@@ -82,7 +82,7 @@ def build_stage(transcription: Transcription, v: Variables, *contact: Any) -> St
 
 
 def assemble(stages: Sequence[Stage], linkage: Sequence[Block] = ()) -> Program:
-    """Build the program of a plan, or of phases that share their entries.
+    """Build the program of a plan or of its phases.
 
     `linkage` are rows in entries of several phases.
     """
@@ -128,7 +128,7 @@ def assemble(stages: Sequence[Stage], linkage: Sequence[Block] = ()) -> Program:
 
 
 def build_path_blocks(v: Variables) -> list[Block]:
-    """Build the path constraints at the ends of intervals, and the rate limits between them."""
+    """Build the path constraints and the rate limits."""
     limits = scaled_rows(v.problem, PathBound, v.scales, v.strength)
     blocks = [_build_bound(v, rows, end) for rows in limits for end in rows.ends]
     if v.problem.free_start:  # a given one has been checked
@@ -179,7 +179,7 @@ def build_start_blocks(v: Variables) -> list[Block]:
 
 
 def build_waypoint_blocks(v: Variables) -> list[Block]:
-    """Build the rows of all waypoints, in the states at the ends of their intervals."""
+    """Build the rows of all waypoints."""
     blocks, nx = [], v.model.nx
     for number, waypoint in enumerate(v.target.waypoints):
         if not waypoint.target.count:
@@ -271,7 +271,7 @@ def _build_rate_bound(v: Variables, rows: ScaledRows) -> Block:
 
 
 def _build_instant(v: Variables, share: float, expression: InstantTerm) -> _Summand:
-    """Build a term at a fraction of the duration, on the cubic of its interval."""
+    """Build a term at a fraction of the duration."""
     k, part = locate_share(v.fractions, share)
     value = ca.Function("value", (now := symbolic(v.model)).symbols, [expression(now)])
     z, (x, y, c, T, length) = split_symbol(
@@ -285,7 +285,7 @@ def _build_instant(v: Variables, share: float, expression: InstantTerm) -> _Summ
 
 
 def _build_differences(v: Variables, expression: ControlTerm) -> _Summand:
-    """Build a term of neighboring controls, from middle to middle or from node to node."""
+    """Build a term of neighboring controls."""
     width = v.controls.shape[1]
     z = ca.SX.sym("z", 2 * width + 2)
     pair = ca.mtimes(sparse(v.group_matrix), ca.reshape(z[: 2 * width], width, 2))
@@ -296,7 +296,7 @@ def _build_differences(v: Variables, expression: ControlTerm) -> _Summand:
 
 
 def _build_integral(v: Variables, expression: ControlTerm) -> _Summand:
-    """Build an integral over each interval, by two Gauss points for linear profiles."""
+    """Build an integral over each interval."""
     z = ca.SX.sym("z", v.interval_controls.shape[1] + 2)
     offsets = np.array([-1, 1]) / np.sqrt(12) if v.profile.linear else np.zeros(1)
     points = ca.horzcat(*(v.gamma(z[:-2], 0.5 + offset) for offset in offsets))
@@ -305,12 +305,12 @@ def _build_integral(v: Variables, expression: ControlTerm) -> _Summand:
 
 
 def _build_force_term(v: Variables, expression: ControlTerm) -> _Summand:
-    """Build a term of the force densities that follow from rest lengths."""
+    """Build a term of force densities of rest lengths."""
     return _build_simpson(v, lambda now: expression(now.force_density, 1.0))
 
 
 def _build_simpson(v: Variables, expression: InstantTerm) -> _Summand:
-    """Build an integral by Simpson's rule, with the middle on the cubic between the ends.
+    """Build an integral by Simpson's rule.
 
     The ends alone would not see vibrations within intervals.
     """

@@ -30,7 +30,7 @@ from tenscasadi.util.validate import Array, instance, positive_number
 
 
 class Defects(NamedTuple):
-    """Blocks of rows that vanish where the discretized equations of motion hold.
+    """Rows of the discretized equations of motion.
 
     Attributes
     ----------

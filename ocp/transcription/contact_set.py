@@ -44,7 +44,7 @@ class ContactSet:
 
 
 def add_contacts(v: Variables, stands: Sequence[int], lands: bool, reactions: Array) -> ContactSet:
-    """Fix the coordinates of contact nodes, and add the reactions as unknowns.
+    """Fix contact nodes, and add their reactions as unknowns.
 
     Fixed coordinates are the same entries at all mesh points, so that no row has to fix them.
     `reactions` (3s,) is the initial guess of the reactions [N].

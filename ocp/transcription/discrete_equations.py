@@ -60,7 +60,7 @@ class DiscreteEquations:
             self.pushes_before = np.hstack([before, ground_before])
 
     def _add_forces(self, what: str, first: Array, node: int = 0) -> Indices:
-        """Add forces (n, c) of the constraints at mesh points from `node` on."""
+        """Add constraint forces at mesh points from `node` on."""
         names, v = [f"{name} {what}" for name in self.kept], self.v
         return v.add_at_nodes(names, first, v.strength * v.scales.length, node)
 
@@ -157,7 +157,7 @@ class DiscreteEquations:
         return Block(function, np.hstack(columns), tuple(names), scale=scale)
 
     def _when(self, entries: Indices, points: slice) -> list[Indices]:
-        """Return entries at mesh points, with those of their times if supports move."""
+        """Return entries with those of times if supports move."""
         v = self.v
         if v.model.scene.supports is None:
             return [entries]
@@ -198,7 +198,7 @@ class DiscreteEquations:
         return self.constraints(x, pushes[:count, :])[2] + ca.mtimes(standing, pushes[count:, :])
 
     def _backwards(self, velocities: Indices, pushes: Indices, intervals: slice) -> Indices:
-        """Return entries of the momenta at the ends of intervals, backwards in time.
+        """Return entries of momenta at the ends, backwards in time.
 
         `pushes` are forces before these ends.
         """
@@ -243,7 +243,7 @@ class DiscreteEquations:
         return Block(ca.Function("clock", [z], [row]), np.hstack(columns), names)
 
     def all_states(self, entries: Any) -> Any:
-        """Compute the states (nx, K + 1) from the column of all entries."""
+        """Compute the states (nx, K + 1) from all entries."""
         v, nq = self.v, self.nq
         q, rates = (gather(entries, v.states[:, part]) for part in (slice(nq), slice(nq, 2 * nq)))
         duration = gather(entries, v.duration[:, None])

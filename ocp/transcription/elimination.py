@@ -16,7 +16,7 @@ Flags = NDArray[np.bool_]
 
 
 class Elimination:
-    """Solutions of A x = b and Aᵀ x = b for many right-hand sides.
+    """Solver of A x = b and Aᵀ x = b.
 
     The finest block triangular form of the pattern orders rows and unknowns. Diagonal blocks of one
     pattern are inverted in one batch. Where a part of a block is constant, only its Schur
@@ -72,14 +72,14 @@ class Elimination:
         self._above.take(values)
 
     def solve(self, b: Array) -> Array:
-        """Replace b (n, r), ordered by `by_row`, by the solution of A x = b."""
+        """Solve A x = b in place, ordered by `by_row`."""
         for step in self._steps:
             self._below.add_into(b, step)
             step.multiply(b, step.inverse())
         return b
 
     def solve_transposed(self, b: Array) -> Array:
-        """Replace b (n, r), ordered by `by_column`, by the solution of Aᵀ x = b."""
+        """Solve Aᵀ x = b in place, ordered by `by_column`."""
         for step in reversed(self._steps):
             self._above.add_into(b, step)
             step.multiply(b, step.inverse().transpose(0, 2, 1))
@@ -93,7 +93,7 @@ class _DefectBlock(NamedTuple):
 
 
 def _find_blocks(rows: Indices, columns: Indices, size: int) -> tuple[Indices, Indices]:
-    """Find the block of each row and of each unknown: the finest block triangular form."""
+    """Find the finest block triangular form."""
     pattern = ca.Sparsity.triplet(size, size, rows.tolist(), columns.tolist())
     _, row_order, column_order, ends, column_ends, *_ = pattern.btf()
     if list(ends) != list(column_ends) or ends[-1] != size:
@@ -107,7 +107,7 @@ def _find_blocks(rows: Indices, columns: Indices, size: int) -> tuple[Indices, I
 def _join_small(
     rows: Indices, columns: Indices, of_row: Indices, of_column: Indices
 ) -> list[_DefectBlock]:
-    """Order the blocks by levels, each after those that it needs, and join small ones of a level."""
+    """Order the blocks by levels, and join small ones."""
     least = 16  # rows; smaller matrices cost more in calls than in arithmetic
     widths = np.bincount(of_row)
     count, ends = len(widths), np.append(0, np.cumsum(widths))
@@ -203,7 +203,7 @@ def _find_steps(levels: list[int], starts: Indices, groups: list[_Group]) -> lis
 
 
 class _OffDiagonal:
-    """Negative of the part of A (or Aᵀ) beside its diagonal blocks, by rows."""
+    """Negative off-diagonal part of A or Aᵀ, by rows."""
 
     def __init__(self, row: Indices, column: Indices, entries: Indices, size: int) -> None:
         order = np.lexsort((column, row))

@@ -57,7 +57,7 @@ def build_residuals(model: Model) -> ca.Function:
 
 
 def evaluate_multipliers(model: Model, states: Array, controls: Array) -> Array:
-    """Compute the multipliers (n, c) [N] of states (n, nx) under controls (n, nu).
+    """Compute the multipliers (n, c) [N] of states and controls.
 
     They are zero where they do not exist, as at a bar without a length.
     """

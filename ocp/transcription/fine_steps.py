@@ -1,4 +1,4 @@
-"""Residuals of a discrete motion against fine steps, one interval at a time.
+"""Residuals of a discrete motion against fine steps.
 
 Errors do not grow along the motion: each interval starts from the planned state.
 """
@@ -45,7 +45,7 @@ Measure = Callable[[Array], MotionResidual]  # of unknowns w
 
 
 class FineSteps:
-    """Fine steps under planned controls: one step of order 8 in each interval."""
+    """Fine steps under planned controls, of order 8."""
 
     def __init__(self, program: Program, model: Model, fractions: Array) -> None:
         self.program, self.model, self.fractions = program, model, fractions
@@ -54,7 +54,7 @@ class FineSteps:
         self._each, self._chain = step.map(len(fractions)), step.mapaccum(len(fractions))
 
     def planned(self, w: Array) -> tuple[Array, tuple[Array, ...], float]:
-        """Unpack states (K + 1, nx), further arguments of steps, and the duration."""
+        """Unpack states, further arguments of steps, and the duration."""
         states, gamma, T = (np.asarray(one.full()) for one in self.program.unpack(w))
         held = (gamma[:, :-1], gamma[:, 1:]) if self.linear else (gamma, gamma)
         duration = float(T.squeeze())
@@ -65,7 +65,7 @@ class FineSteps:
         return np.asarray(self._each(leaving.T, *held).full()).T
 
     def whole(self, w: Array) -> tuple[Array, float]:
-        """Simulate the whole motion, and measure the distance of the planned states."""
+        """Simulate the motion, and measure the planned states' distance."""
         states, held, duration = self.planned(w)
         later = np.asarray(self._chain(states[0], *held).full())
         fine = np.column_stack([states[0], later]).T
@@ -74,7 +74,7 @@ class FineSteps:
 
 
 def _build_step(model: Model) -> ca.Function:
-    """Build the fine step (x, u, v, h) → x_next, with a projection at its end.
+    """Build the fine step (x, u, v, h) → x_next.
 
     The control changes linearly from u to v.
     """
@@ -92,7 +92,7 @@ def _build_step(model: Model) -> ca.Function:
 
 
 def measure_ends(program: Program, model: Model, fractions: Array) -> Measure:
-    """Prepare the residual of one-step methods: defects with the ends of fine steps."""
+    """Prepare the residual of one-step methods."""
     fine, unknowns = FineSteps(program, model, fractions), program.parts.unknowns
     size = unknowns.count + len(unknowns.constants)
     node = np.full(size, -1)
@@ -121,7 +121,7 @@ def measure_ends(program: Program, model: Model, fractions: Array) -> Measure:
 
 
 def measure_jumps(program: Program, model: Model, fractions: Array) -> Measure:
-    """Prepare the residual of discrete equations of motion: jumps of the momentum at nodes.
+    """Prepare the residual of discrete equations of motion.
 
     From each node of the mesh, a velocity leads to the next one by fine steps. It jumps from the
     velocity with which fine steps arrive.
@@ -132,7 +132,7 @@ def measure_jumps(program: Program, model: Model, fractions: Array) -> Measure:
     ends, middle = (_find_rows(program, name) for name in ("ends", "middle"))
 
     def leave(states: Array, held: tuple[Array, ...], lengths: Array) -> tuple[Array, Array]:
-        """Find the velocities that lead from node to node, and those at arrival."""
+        """Find the velocities that lead from node to node."""
         leaving, least = states[:-1].copy(), np.inf
         while True:
             arrived = fine.ends(leaving, held)

@@ -151,7 +151,7 @@ class InverseDynamics(NamedGuess, kind="InverseDynamics"):
 
 @dataclass(frozen=True)
 class Equilibrium(NamedGuess, kind="Equilibrium"):
-    """Initial guess at rest: the start, under the force densities that hold it best.
+    """Initial guess at rest, under force densities holding the start.
 
     Examples
     --------
@@ -298,7 +298,7 @@ def resample(
     intervals: int,
     duration: float,
 ) -> Guess:
-    """Resample states and controls at shares of the duration on equal intervals.
+    """Resample states and controls on equal intervals.
 
     They begin at the start, on the constraints, and keep the limits. Raises ValueError.
     """
@@ -322,7 +322,7 @@ def resample(
 
 
 def _attach_noise(problem: Problem, guess: Guess, share: float, seed: int) -> Guess:
-    """Attach noise of at most a share of the strongest force density."""
+    """Attach noise, relative to the strongest force density."""
     if winds(problem.model):  # small changes of rest lengths are large changes of forces
         return guess
     change = np.random.default_rng(seed).uniform(size=guess.force_density.shape[1])
@@ -350,13 +350,13 @@ def make_guess(problem: Problem, target: Target, intervals: int) -> Guess:
 
 
 def follow(problem: Problem, target: Target, positions: Array, duration: float) -> Guess:
-    """Compute the motion along free coordinates (K + 1, nq), and its controls."""
+    """Compute the motion along free coordinates and its controls."""
     states = _build_states(problem, target, positions, duration)
     return Guess(states, inverse_dynamics(problem, states, duration / (len(states) - 1)), duration)
 
 
 def _interpolate(target: Target, model: Model, intervals: int, duration: float) -> Array:
-    """Interpolate free coordinates (K + 1, nq) from start to target, through the waypoints."""
+    """Interpolate coordinates from start to target, through the waypoints."""
     start, end = target.start, target.start if target.state is None else target.state
     s = np.linspace(0.0, 1.0, intervals + 1)[:, None]
     rise, fall = s**3 * (10 - 15 * s + 6 * s**2), -4 * s**3 + 7 * s**4 - 3 * s**5

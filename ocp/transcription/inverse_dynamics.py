@@ -20,7 +20,7 @@ REFERENCE_WEIGHT = 1e-3
 
 
 def inverse_dynamics(problem: Problem, states: Array, interval: float) -> Array:
-    """Find the controls (K, α), within limits, that fit a motion best.
+    """Find the controls (K, α) that fit a motion best.
 
     States (K + 1, nx) are `interval` [s] apart. Accelerations are linear in the force densities,
     so that each interval is a small least-squares problem with bounds. Self-stress, which it
@@ -56,7 +56,7 @@ def inverse_dynamics(problem: Problem, states: Array, interval: float) -> Array:
 
 
 def _compute_rest_lengths(problem: Problem, states: Array, force_density: Array) -> Array:
-    """Compute the rest lengths (K, α) s − (s γ − c ṡ)/k of force densities at states (K, nx).
+    """Compute the rest lengths (K, α) of force densities γ.
 
     Strings keep 2 % of the greatest force density: slack ones would not respond to their controls.
     """
@@ -75,7 +75,7 @@ def _compute_rest_lengths(problem: Problem, states: Array, force_density: Array)
 
 
 def _interpolate_equilibria(problem: Problem, states: Array) -> Array:
-    """Interpolate the equilibrium γ (K, α) of the first and of the last state.
+    """Interpolate the equilibrium γ of the first and last state.
 
     Lower limits take the place of an equilibrium that does not exist.
     """
@@ -112,7 +112,7 @@ def _weights(structure: Structure, gravity: Gravity | None) -> Array | None:
 
 
 def _solve_least_squares(A: Array, b: Array, lower: Array, upper: Array) -> Array:
-    """Minimize |A x − b| of each A (n, k, m), b (n, k), subject to lower ≤ x ≤ upper.
+    """Solve n least-squares problems |A x − b| with bounds.
 
     A primal-dual active-set method solves all n at once (Hintermüller, Ito, Kunisch, SIAM J. Optim.
     2002, 13, 865). It mostly needs five rounds, but may cycle: SciPy solves the rest.

@@ -30,7 +30,7 @@ MOST_INTERVALS = 100_000  # a file may ask for more than memory holds
 
 
 def check_intervals(field: str, value: Any) -> int | tuple[float, ...]:
-    """Check a number of intervals, or normalize their lengths. Raises TypeError, ValueError."""
+    """Check a number of intervals, or normalize their lengths."""
     if isinstance(value, (bool, np.bool_, int, np.integer, float, str)):
         return whole_number(field, value, 1, MOST_INTERVALS)
     shares = finite_array(field, value, (None,))
@@ -150,7 +150,7 @@ class PiecewiseLinear(NamedProfile, kind="PiecewiseLinear"):
 
 
 def group_matrix(profile: Profile, strings: int) -> Array:
-    """Build E (strings, groups) of ones and zeros: controls of strings are E times those of groups.
+    """Build the matrix (strings, groups) of control groups.
 
     A string in no group is a group. Raises ValueError for a string that does not exist.
     """
@@ -167,7 +167,7 @@ def group_matrix(profile: Profile, strings: int) -> Array:
 
 
 def spans(profile: Profile, fractions: Array) -> Indices:
-    """Find the span of constant controls that each interval (K,) belongs to."""
+    """Find the span of constant controls of each interval (K,)."""
     if profile.changes is None or profile.changes + 1 >= len(fractions):
         return np.arange(len(fractions))
     middle = np.cumsum(fractions) - np.asarray(fractions) / 2
@@ -176,7 +176,7 @@ def spans(profile: Profile, fractions: Array) -> Indices:
 
 
 def node_values(held: Array, lengths: Array) -> Array:
-    """Compute values (K + 1, α) at nodes from those (K, α) in intervals: weighted means."""
+    """Compute values at nodes from those in intervals."""
     if len(held) == 1:
         return np.repeat(held, 2, axis=0)
     left, right = lengths[:-1, None], lengths[1:, None]
@@ -185,12 +185,12 @@ def node_values(held: Array, lengths: Array) -> Array:
 
 
 def held_values(values: Array, intervals: int) -> Array:
-    """Compute the mean values (K, α) of a profile on its intervals."""
+    """Compute the mean values of a profile on its intervals."""
     return values if len(values) == intervals else (values[:-1] + values[1:]) / 2
 
 
 def profile_at(values: Array, nodes: Array, time: Array) -> Array:
-    """Evaluate a profile (K, α) or (K + 1, α) on a mesh (K + 1,) at times."""
+    """Evaluate a profile on a mesh at times."""
     last = len(nodes) - 2
     k = np.clip(np.searchsorted(nodes, time, side="right") - 1, 0, last)
     if len(values) == last + 1:
@@ -200,7 +200,7 @@ def profile_at(values: Array, nodes: Array, time: Array) -> Array:
 
 
 def locate_share(fractions: Array, share: float) -> tuple[int, float]:
-    """Find the interval that a share of the duration lies in, and the share of the interval."""
+    """Find the interval of a share of the duration."""
     ends = np.cumsum(fractions)
     k = min(int(np.searchsorted(ends, share - 1e-9)), len(ends) - 1)
     part = float((share - ends[k] + fractions[k]) / fractions[k])
@@ -208,7 +208,7 @@ def locate_share(fractions: Array, share: float) -> tuple[int, float]:
 
 
 def hermite_state(model: Model, x: Any, y: Any, h: Any, share: float) -> Any:
-    """Evaluate the cubic between states x and y at a share of an interval of length h."""
+    """Evaluate the cubic between states x and y."""
     if share == 1.0:
         return y
     s, (q0, v0, clock0), (q1, v1, clock1) = share, model.split(x), model.split(y)

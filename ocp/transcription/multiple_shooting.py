@@ -16,7 +16,7 @@ from tenscasadi.util.validate import Array, format_value, whole_number
 
 @dataclass(frozen=True)
 class MultipleShooting(RungeKuttaTranscription, kind="MultipleShooting"):
-    """Multiple shooting: a scheme integrates each interval, and defects join the intervals.
+    """Multiple shooting by the steps of a scheme.
 
     Besides the states at the mesh points, the stages of all steps are unknowns ("lifted" [2]_).
     Solutions are those of the scheme, and derivatives are small and exact. For high accuracy,

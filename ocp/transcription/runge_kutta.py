@@ -136,7 +136,7 @@ class _Steps:
         return [f"interval {k}" + f", step {i}" * (self.substeps > 1) for k, i in pairs]
 
     def _lengths(self) -> list[Indices]:
-        """Return entries (S, 1): the duration, and the share of it that a step takes."""
+        """Return entries of the duration and of the steps' shares."""
         share = self.v.fractions[self.interval, None] / self.substeps
         return [self.v.repeat(self.v.duration, len(share)), self.v.entries.constants(share)]
 
@@ -159,7 +159,7 @@ class _Steps:
         )
 
     def build_stage(self, j: int) -> Block:
-        """Build M a = F + Jᵀμ and J a + c = 0 at the state of a stage."""
+        """Build the equations of motion of a stage."""
         model, v, a, early = self.model, self.v, self.A[j], (self.A @ self.A)[j]
         seen = [k for k in range(len(a)) if k == j or a[k] or early[k]]
         begin = v.entries.constants(self.step[:, None] / self.substeps)
@@ -179,7 +179,7 @@ class _Steps:
         return self._block("stage", z, columns, slice(None), stage)
 
     def build_ends(self, closing: bool) -> Block:
-        """Build the ends of steps: within intervals, or those of intervals, on the constraints."""
+        """Build the ends of steps within intervals, or of intervals."""
         model, v, nq, names = self.model, self.v, self.model.nq, name_states(self.model)
         steps = np.flatnonzero((self.step == self.substeps - 1) == closing)
         columns = [self.states[:-1], self.states[1:], *self._lengths()]

@@ -50,7 +50,7 @@ class Unknowns:
 
     @property
     def count(self) -> int:
-        """How many unknowns there are: indices from here on refer to constants."""
+        """Number of unknowns; larger indices refer to constants."""
         return len(self.names)
 
     def entries(self, w: Any) -> Any:
@@ -102,7 +102,7 @@ class Block:
         return own if self.combination is None else ca.mtimes(ca.DM(self.combination), own)
 
     def limits(self) -> tuple[Array, Array, Array]:
-        """Return lower and upper limits and scales of all rows, instance by instance."""
+        """Return lower limits, upper limits and scales of all rows."""
         shape, given = (self.count, self.rows), (self.lower, self.upper, self.scale)
         return tuple(
             np.broadcast_to(np.asarray(value, dtype=float), shape).ravel() for value in given
@@ -188,7 +188,7 @@ class Separable:
         return matrix
 
     def hessian(self) -> ca.Function:
-        """Build the Function nlp_hess_l (w, p, λ_f, λ_g) → upper triangle of the Hessian of the Lagrangian."""
+        """Build the Function nlp_hess_l of the Lagrangian's Hessian."""
         lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", self.g.shape[0])
         matrix = _SparseMatrix(self.unknowns)
         for block, z, rows in zip(self.rows, self._row_inputs, self.slices, strict=True):
@@ -204,7 +204,7 @@ class Separable:
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """Nonlinear program: minimize f(w) subject to limits of g(w) and of w.
+    """Nonlinear program: minimize f(w) within limits of g(w) and w.
 
     All numbers are scaled to order one.
 
@@ -277,7 +277,7 @@ class Program:
         return self.parts.unknowns.scale
 
     def rows(self, *kinds: Kind) -> list[slice]:
-        """Find the rows of blocks of some kinds, one slice for each block."""
+        """Find the rows of blocks of some kinds."""
         return [
             rows
             for block, rows in zip(self.parts.rows, self.parts.slices, strict=True)
@@ -320,13 +320,13 @@ def expand(function: ca.Function) -> ca.Function:
 
 
 def split_symbol(kind: Any, *sizes: int) -> tuple[Any, tuple[Any, ...]]:
-    """Create a symbol of a kind, ca.SX or ca.MX, and split it."""
+    """Create a symbol, ca.SX or ca.MX, and split it."""
     z = kind.sym("z", sum(sizes))
     return z, tuple(ca.vertsplit(z, np.cumsum((0, *sizes)).tolist()))
 
 
 class _SparseMatrix:
-    """Matrix as values with rows and columns; entries of one place add up."""
+    """Matrix as a sum of values with rows and columns."""
 
     def __init__(self, unknowns: Unknowns) -> None:
         self._unknowns = unknowns
@@ -364,7 +364,7 @@ class _SparseMatrix:
             self._varying.append(varying[kept % len(varying)])
 
     def add_hessian(self, block: Block, z: Any, multipliers: Any) -> None:
-        """Add the upper triangle of the Hessian of Σ multipliers · rows of all instances."""
+        """Add the upper triangle of a block's Hessian."""
         if block.combination is not None:
             multipliers = ca.mtimes(ca.DM(block.combination.T), multipliers)
         second, local_row, local_column = self._second(block)
@@ -387,7 +387,7 @@ class _SparseMatrix:
         self._keep(values, position, scale[row] * scale[column], [row, column])
 
     def _derivative(self, block: Block, z: Any) -> tuple[Any, Indices, Indices, NDArray[np.bool_]]:
-        """Return the non-zeros (n, count) of the Jacobian at z: their rows, entries of z, and which vary."""
+        """Build the Jacobian's non-zeros, and find their places."""
         s: Any = symbol_kind(block.function).sym("z", block.function.size1_in(0))
         varied, places = self._select_unknowns(block, s)
         J = ca.jacobian(block.function(s), varied)
@@ -403,7 +403,7 @@ class _SparseMatrix:
         return function.map(block.count)(z), row, places[column], varying
 
     def _second(self, block: Block) -> tuple[Callable[[Any, Any, Indices], Any], Indices, Indices]:
-        """Return what makes the chosen non-zeros (n, count) of the Hessian, from z and multipliers; and the entries of z of each non-zero."""
+        """Build the function of chosen Hessian non-zeros, and their places."""
         s: Any = symbol_kind(block.function).sym("z", block.function.size1_in(0))
         weight = type(s).sym("weight", block.function.size1_out(0))
         varied, places = self._select_unknowns(block, s)
@@ -443,7 +443,7 @@ class _SparseMatrix:
         self._columns.append(places[1])
 
     def constant_entries(self, rows: int) -> NDArray[np.bool_]:
-        """Find the entries of the assembled matrix that never change, in its order."""
+        """Find the constant entries of the matrix, in its order."""
         if not self._values:
             return np.zeros(0, dtype=bool)
         row, column = np.concatenate(self._rows), np.concatenate(self._columns)

@@ -32,7 +32,7 @@ _ENTRY = np.dtype(
 
 
 class Entries:
-    """Unknowns, described as in `Unknowns`, and constants, numbered as they are added.
+    """Unknowns and constants, numbered as they are added.
 
     `suffix` is the phase in their names; "" without phases.
     """
@@ -44,7 +44,7 @@ class Entries:
         self.suffix = ""
 
     def begin_phase(self) -> None:
-        """Begin a phase: intervals and names follow those of the phase before."""
+        """Begin a phase, whose intervals and names follow the last."""
         interval = self._table["interval"]
         if interval.size:
             self._first_interval = 1 + int(interval[np.isfinite(interval)].max())
@@ -60,7 +60,7 @@ class Entries:
         upper: Any = np.inf,
         interval: Any = 0,
     ) -> Indices:
-        """Add unknowns in the shape of `first`; the other arguments are broadcast."""
+        """Add unknowns; other arguments are broadcast to `first`."""
         named = [name + self.suffix for name in names]
         counted = np.add(self._first_interval, interval)
         return self._add(named, first, scale, lower, upper, counted, True)
@@ -178,7 +178,7 @@ class Variables:
         self.time = self.entries.constants(np.append(0.0, np.cumsum(fractions))[:, None])
 
     def _add_start(self) -> Indices:
-        """Add the given start, or unknowns of a free start, except its clock."""
+        """Add the given start, or unknowns of a free start."""
         size = 0 if self.target.free_start is None else 2 * self.model.nq
         names = [f"{name}, start" for name in name_states(self.model)[:size]]
         free = self.entries.unknowns(names, self.guess.states[0, :size], self.scales.state[:size])
@@ -228,7 +228,7 @@ class Variables:
 
     @property
     def interval_controls(self) -> Indices:
-        """Entries (K, m or 2m) of the controls of each interval, for `gamma`."""
+        """Entries of the controls of each interval, for `gamma`."""
         return (
             np.hstack([self.controls[:-1], self.controls[1:]])
             if self.profile.linear
@@ -236,7 +236,7 @@ class Variables:
         )
 
     def gamma(self, local: Any, share: float) -> Any:
-        """Evaluate the controls (α,) at a share of an interval, from its `interval_controls`."""
+        """Evaluate the controls (α,) at a share of an interval."""
         m = self.group_matrix.shape[1]
         held = (1 - share) * local[:m] + share * local[m:] if self.profile.linear else local
         return ca.mtimes(sparse(self.group_matrix), held)
@@ -244,7 +244,7 @@ class Variables:
     def add_at_nodes(
         self, names: Sequence[str], first: Array, scale: float, node: int = 0
     ) -> Indices:
-        """Add unknowns `first` (n, m) at the nodes of the mesh from `node` on."""
+        """Add unknowns at the nodes from `node` on."""
         every = [f"{name}, interval {k}" for k in range(len(first)) for name in names]
         return self.entries.unknowns(
             every, first, scale, interval=node + np.arange(len(first))[:, None]
@@ -281,5 +281,5 @@ def name_intervals(count: int, rows: Sequence[str]) -> tuple[str, ...]:
 
 
 def _estimate_strength(scales: Scales, force_density: Array) -> float:
-    """Estimate a typical force density [N/m], from the guess, size, mass and duration."""
+    """Estimate a typical force density [N/m]."""
     return max(float(np.sqrt(np.mean(force_density**2))), scales.mass / scales.time**2)

@@ -1,4 +1,4 @@
-"""Limits of unknowns, logarithmic barriers before them, and the working set."""
+"""Limits of unknowns, logarithmic barriers, and the working set."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _FAR = 1e300  # distance from a limit that does not exist
 
 
 class VariableBounds:
-    """Limits lower ≤ w ≤ upper (n,); unknowns with equal limits are fixed."""
+    """Limits lower ≤ w ≤ upper (n,)."""
 
     def __init__(self, lower: Array, upper: Array) -> None:
         self.lower, self.upper = lower, upper
@@ -19,7 +19,7 @@ class VariableBounds:
         self.below, self.above = np.isfinite(lower) & self.free, np.isfinite(upper) & self.free
 
     def gaps(self, w: Array) -> tuple[Array, Array]:
-        """Return the distances (n,) from the lower and from the upper limits."""
+        """Return the distances (n,) from lower and upper limits."""
         low, high = np.full(len(w), _FAR), np.full(len(w), _FAR)
         low[self.below] = (w - self.lower)[self.below]
         high[self.above] = (self.upper - w)[self.above]
@@ -36,7 +36,7 @@ class VariableBounds:
         return self.above / high - self.below / low
 
     def inside(self, w: Array, distance: float, share: float) -> Array:
-        """Move w inside by a distance, or by a share of the width if less."""
+        """Move w inside by a distance or a share of width."""
         width = np.where(np.isfinite(self.upper - self.lower), self.upper - self.lower, np.inf)
         least = np.minimum(distance, share * width)
         return np.clip(
@@ -46,7 +46,7 @@ class VariableBounds:
         )
 
     def cut(self, w: Array, step: Array, most: float, least: float) -> Array:
-        """Cut a step to a share of the way to the limits; to half, nearer than `least`."""
+        """Cut a step to a share of the way to limits."""
         low, high = (
             np.where(gap > 2 * least, np.minimum(most * gap, gap - least), 0.5 * gap)
             for gap in self.gaps(w)
@@ -54,7 +54,7 @@ class VariableBounds:
         return np.clip(step, -low, high) * self.free
 
     def follow(self, slack: Array, step: Array, true: Array, most: float, least: float) -> Array:
-        """Move slacks by a cut step, or to `true` values far enough inside."""
+        """Move slacks by a cut step, or to `true` values."""
         kept = [
             new >= (1 - most) * gap
             for gap, new in zip(self.gaps(slack), self.gaps(true), strict=True)
@@ -65,7 +65,7 @@ class VariableBounds:
 
 
 class BoundDuals:
-    """Duals (n,) of lower and upper limits, about μ / distance."""
+    """Duals (n,) of lower and upper limits."""
 
     def __init__(self, bounds: VariableBounds, w: Array, mu: float) -> None:
         low, high = bounds.gaps(w)
@@ -78,19 +78,19 @@ class BoundDuals:
         return self.upper - self.lower
 
     def stiffness(self, w: Array) -> Array:
-        """Return the second derivatives (n,) that stand for those of the barrier."""
+        """Return the primal-dual second derivatives (n,) of the barrier."""
         low, high = self.bounds.gaps(w)
         return self.lower / low + self.upper / high
 
     def error(self, w: Array, mu: float) -> float:
-        """Return the largest difference between μ and the products with the distances."""
+        """Return the largest complementarity error."""
         low, high = self.bounds.gaps(w)
         below = (self.lower * low - mu)[self.bounds.below]
         above = (self.upper * high - mu)[self.bounds.above]
         return float(np.abs(np.append(below, above)).max(initial=0.0))
 
     def follow(self, before: Array, after: Array, step: Array, mu: float, most: float) -> None:
-        """Take the Newton step of a step of w, and stay near μ / distance."""
+        """Take the Newton step of the duals, near μ / distance."""
         spread, bounds = 100.0, self.bounds  # spread: largest factor away from μ over the distance
         ways = zip(
             (self.lower, self.upper),
@@ -132,6 +132,6 @@ class WorkingSet:
 
 
 def select_stiffest(stiffness: Array, among: NDArray[np.bool_]) -> Indices:
-    """Select the stiffest of some rows, 400 at most, in their order."""
+    """Select the 400 stiffest of some rows."""
     rows = np.flatnonzero(among)
     return np.sort(rows[np.argsort(stiffness[rows], kind="stable")[::-1][:400]])

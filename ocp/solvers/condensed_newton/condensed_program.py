@@ -16,11 +16,11 @@ from tenscasadi.util.validate import Array, Indices
 
 
 class UndeterminedError(ValueError):
-    """Defects that do not determine all unknowns but those that are decided."""
+    """Error of defects that do not determine the other unknowns."""
 
 
 class Residual(NamedTuple):
-    """Violations of goals (m,), of defects (d,), and of path rows less slacks (p,)."""
+    """Violations of goals, defects, and path rows less slacks."""
 
     goals: Array
     defects: Array
@@ -28,7 +28,7 @@ class Residual(NamedTuple):
 
 
 class CondensedProgram:
-    """min f(u, s) with goals = 0, defects = 0, and bounds of path rows and of u; s follows u.
+    """Program min f(u, s) in which s follows u.
 
     Unknowns u are decided, s are determined by the defects. Goals are all other equations, path
     rows all inequalities.
@@ -141,7 +141,7 @@ class CondensedProgram:
         return self._slope(self.join(u, s))[1].ravel()
 
     def hessian(self, u: Array, s: Array, duals: Array | None = None) -> sp.csr_array:
-        """Compute the Hessian of the Lagrangian in the order s, u, at duals of all rows."""
+        """Compute the Hessian of the Lagrangian in the order s, u."""
         weights = np.zeros(len(self.program.lower)) if duals is None else duals
         values = self._hessian(self.join(u, s), np.zeros(0), np.ones(1), weights)[0].ravel()
         return self._second.at(values[self._symmetric])
@@ -179,7 +179,7 @@ class Expansion:
         self.jacobian, self.slope = np.ascontiguousarray(every[:, :-1].T), every[:, -1].copy()
 
     def _reduce(self, by_s: Array, by_u: Array) -> Array:
-        """Compute the derivatives (n, r) by u, which s follows; `by_s` is overwritten."""
+        """Compute total derivatives (n, r) by u; `by_s` is overwritten."""
         return np.asarray(by_u - self._by_u_T @ self._of.elimination.solve_transposed(by_s))
 
     def growth(self) -> float:
@@ -188,7 +188,7 @@ class Expansion:
         return float(np.abs(self._of.elimination.solve(signs)).max(initial=0.0))
 
     def of_paths(self, weights: Array) -> Array:
-        """Compute the derivatives (r, n) of combinations (p, r) of path rows."""
+        """Compute the derivatives (r, n) of combined path rows."""
         by_s, by_u = (np.ascontiguousarray(one.T @ weights) for one in self._paths)
         return np.ascontiguousarray(self._reduce(by_s, by_u).T)
 
@@ -197,18 +197,18 @@ class Expansion:
         return np.asarray(self._paths[1].power(2).T @ of_paths)
 
     def follow(self, step: Array | None, defects: Array | None) -> Array:
-        """Compute the step of s with a step of u that removes defects."""
+        """Compute the step of s that removes defects."""
         push = np.zeros(len(self._s)) if step is None else -(self._by_u @ step)
         if defects is not None:
             push = push - defects
         return self._of.elimination.solve(push[:, None])[:, 0]
 
     def change(self, moved: Array) -> Array:
-        """Compute the change (m,) of the goals along a step of s."""
+        """Compute the change (m,) of goals along a step."""
         return np.asarray(self._goals[0] @ moved)
 
     def path_change(self, moved: Array, step: Array | None) -> Array:
-        """Compute the change (p,) of the path rows along steps of s and u."""
+        """Compute the change (p,) of path rows along a step."""
         own = self._paths[0] @ moved
         return np.asarray(own if step is None else own + self._paths[1] @ step)
 
@@ -225,7 +225,7 @@ class Expansion:
         self._second, self._stiffness = of.hessian(self._u, self._s, self.duals), stiffness
 
     def curvature(self, step: Array, moved: Array) -> Array:
-        """Multiply the reduced Hessian by a step of u with its step of s."""
+        """Multiply the reduced Hessian by a step."""
         by_s, by_u = np.split(self._second @ np.append(moved, step), [len(moved)])
         push = self._stiffness * self.path_change(moved, step)
         by_s, by_u = by_s + self._paths[0].T @ push, by_u + self._paths[1].T @ push
@@ -263,7 +263,7 @@ def _places(sparsity: ca.Sparsity) -> tuple[Indices, Indices]:
 
 
 def _numbers(index: Indices, size: int) -> Indices:
-    """Invert an index: the place of each number below `size`, or −1."""
+    """Invert an index; −1 for absent numbers."""
     result = np.full(size, -1, dtype=np.intp)
     result[index] = np.arange(len(index))
     return result

@@ -51,7 +51,7 @@ class InteriorPoint:
     # --- the start ---
 
     def _curvature_of_cost(self, u: Array, s: Array) -> tuple[Array, sp.csr_array | None]:
-        """Compute a positive diagonal of the cost's Hessian by u, and its rest.
+        """Split the cost's Hessian into a positive diagonal and rest.
 
         The rest is left out where it dominates the diagonal.
         """
@@ -68,7 +68,7 @@ class InteriorPoint:
         return base, None
 
     def _lift(self, u: Array, s: Array) -> Array:
-        """Move u inside the limits by the length of the first step.
+        """Move u inside the limits by the first step's length.
 
         Fixed noise breaks symmetries, along which the method may end at a saddle.
         """
@@ -134,7 +134,7 @@ class InteriorPoint:
         return np.asarray(self.slope + self.mu * barriers + self.path_pull)
 
     def error(self, mu: float) -> float:
-        """Measure the violation of the optimality conditions at μ, in units of `unit`."""
+        """Measure the optimality error at μ, in units of `unit`."""
         duals, count = self.of_bounds, self.of.goals
         gap = self.slope + self.duals @ self.rows[:count] + self.path_force + duals.net
         scale = max(1.0, float(duals.lower.mean() + duals.upper.mean()) / self.unit / 100)
@@ -145,7 +145,7 @@ class InteriorPoint:
     # --- the end ---
 
     def check_end(self) -> str:
-        """Return why the method ends here, "" if it goes on."""
+        """Return why the method ends here, or ""."""
         if self.error(0.0) < self.tolerance and self.point.worst < self.tolerance:
             return "optimal"
         if self.is_still(20, 0.02):
@@ -165,7 +165,7 @@ class InteriorPoint:
         return len(costs) == most and max(costs) - min(costs) <= share * abs(self.point.cost)
 
     def _is_stuck(self) -> bool:
-        """Return whether path rows have kept the goals far off for long."""
+        """Return whether path rows keep the goals far off."""
         unmet = [worst for _, worst in self.history[-40:]]
         if not len(self.of.path_rows) or len(unmet) < 40:
             return False
@@ -207,7 +207,7 @@ class InteriorPoint:
         return False
 
     def _lower_barrier(self) -> None:
-        """Begin the next barrier problem where this one is nearly solved, or sluggish."""
+        """Begin the next barrier problem if this one hardly improves."""
         error, sluggish = max(self.error(self.mu), 10 * self.point.worst), 8
         if (
             error < 10 * self.mu / self.unit
@@ -219,7 +219,7 @@ class InteriorPoint:
             self.gradient = self._gradient()
 
     def _search(self, step: TrialStep, projector: Projector) -> tuple[Iterate, float] | None:
-        """Find the first better point along a step, and the share taken."""
+        """Find the first better point along a step."""
         of, point, share = self.of, self.point, 1.0
         slope = self.slope + self.mu * of.bounds.barrier_slope(point.u)
         of_slacks = of.path_bounds.barrier_slope(point.slack) @ step.slack
@@ -249,7 +249,7 @@ class InteriorPoint:
         )
 
     def _most(self) -> float:
-        """Compute the share of the way to a limit that a step may take."""
+        """Compute the largest share of the way to limits."""
         return max(0.99, 1 - self.mu / self.unit)
 
     def _is_close(self, point: Iterate) -> bool:
@@ -258,7 +258,7 @@ class InteriorPoint:
         return point.worst < nearly or (halved and self.point.worst > 10 * nearly)
 
     def _is_better(self, point: Iterate, share: float, falling: float) -> bool:
-        """Return whether a point in the funnel costs or violates less."""
+        """Return whether a point costs or violates less."""
         if not np.isfinite(point.total) or point.worst > self.funnel:
             return False
         if (falling < 0 and self.point.worst < 0.1 * self.funnel) or self.point.worst < 1e-7:
@@ -271,7 +271,7 @@ class InteriorPoint:
         return point.cost + self.mu * barriers
 
     def _accept(self, step: TrialStep, point: Iterate, share: float) -> None:
-        """Move to a point, and adapt trust region, funnel and duals."""
+        """Move to a point, and adapt trust region and funnel."""
         before, most = self.point, self._most()
         if share > 0.9:
             self.radius = max(self.radius, 3 * step.tangential)

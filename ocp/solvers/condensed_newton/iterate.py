@@ -44,7 +44,7 @@ def evaluate(of: CondensedProgram, u: Array, s: Array, slack: Array) -> Iterate:
 
 
 def step_back(expansion: Expansion, projector: Projector, chosen: Indices, point: Iterate) -> Array:
-    """Compute the shortest step of u to goals and chosen path rows."""
+    """Compute the shortest step to goals and chosen path rows."""
     drift = expansion.follow(None, point.left.defects)
     paths = (point.left.paths + expansion.path_change(drift, None))[chosen]
     return -projector.shortest(np.append(point.left.goals + expansion.change(drift), paths))
@@ -59,7 +59,7 @@ def move(
     most: float,
     least: float,
 ) -> Iterate:
-    """Take a step of u, and the step of s that removes defects.
+    """Take a step of u, which s follows.
 
     The step is cut at the limits, see `VariableBounds.cut`. Slacks follow more slowly: otherwise
     they vanish before s follows them.
@@ -116,7 +116,7 @@ def _improve(
     chosen: Indices,
     point: Iterate,
 ) -> Iterate | None:
-    """Try shares of a whole step; return the first iterate that violates less."""
+    """Try shares of a step; return the first better iterate."""
     whole = step_back(expansion, projector, chosen, point)
     for share in (1.0, 0.5, 0.25, 0.1):
         tried = move(of, expansion, point, share * whole, share, 0.999, 0.0)

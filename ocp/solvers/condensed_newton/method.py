@@ -1,4 +1,4 @@
-"""Options of the condensed Newton method, and its solution of a program."""
+"""Options of the condensed Newton method."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ class CondensedNewton(NamedSolver, kind="CondensedNewton"):
                 sys.stdout.write(search.describe() + "\n")
 
     def prepare_correction(self, program: Program) -> Callable[..., Solution]:
-        """Prepare solutions of programs with rows shifted from a solved one.
+        """Prepare solutions of programs with shifted rows.
 
         Parameters
         ----------
@@ -169,7 +169,7 @@ class CondensedNewton(NamedSolver, kind="CondensedNewton"):
 
 
 def _polished(of: CondensedProgram, search: InteriorPoint, status: str) -> Solution:
-    """Return the nearest point that meets all rows, with its duals."""
+    """Find the nearest point that meets all rows."""
     point = polish(of, search.point, 1e-11)
     goal_duals, path_duals, bound_duals = search.prices
     expansion = Expansion(of, point.u, point.s)

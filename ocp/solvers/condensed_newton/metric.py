@@ -11,7 +11,7 @@ from tenscasadi.util.validate import Array
 
 
 class Metric:
-    """Positive definite matrix D (n, n): a diagonal and a sparse rest."""
+    """Positive definite matrix D: a diagonal and a sparse rest."""
 
     def __init__(self, diagonal: Array, rest: sp.csr_array | None = None) -> None:
         self.diagonal, self.rest = diagonal, rest
@@ -31,7 +31,7 @@ class Metric:
 
 
 class Projector:
-    """Steps onto rows and along them, in a metric with soft rows.
+    """Projections onto rows in a metric with soft rows.
 
     The metric is D + Bᵀ give⁻¹ B.
 
@@ -82,14 +82,14 @@ class Projector:
         return np.asarray(scipy.linalg.cho_solve(self._factor, x, check_finite=False))
 
     def shortest(self, rows: Array) -> Array:
-        """Compute the shortest step d with J d = rows, soft rows approximately."""
+        """Compute the shortest step d with J d ≈ rows."""
         return np.asarray(self.spread.T @ self.inner(rows))
 
     def duals(self, force: Array) -> Array:
-        """Return y (m,) that minimizes force + Jᵀy in the inverse metric."""
+        """Compute y (m,) that minimizes force + Jᵀy."""
         return -self.inner(self.spread @ force)[: self.count]
 
     def project(self, force: Array) -> Array:
-        """Return the inverse metric times a force, less the part that J sees."""
+        """Project a force onto the null space of J."""
         w = self.metric.solve(force)
         return w - self.spread.T @ self.inner(self.jacobian @ w)

@@ -1,4 +1,4 @@
-"""One step: towards the goals, and along them towards less cost."""
+"""One step of the condensed Newton method."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class QuadraticModel:
         self.working, self.gradient, self.exact = working, gradient, exact
 
     def step(self, left: Residual, radius: float) -> TrialStep:
-        """Meet the linearized goals, then minimize the model within a radius of that."""
+        """Step to the linearized goals, then minimize within a radius."""
         expansion, projector = self.expansion, self.projector
         drift = expansion.follow(None, left.defects)
         drifted = expansion.path_change(drift, None)[self.working]
@@ -88,7 +88,7 @@ class QuadraticModel:
         )
 
     def _times(self, step: Array) -> Array:
-        """Return the second derivatives along a step of u that s follows."""
+        """Multiply the second derivatives by a step of u."""
         if not self.exact:
             return self.projector.times(step)
         return self._curved(step, self.expansion.follow(step, None))
@@ -97,7 +97,7 @@ class QuadraticModel:
         return self.expansion.curvature(step, moved) + self.stiffness * step
 
     def _descend(self, force: Array, radius: float) -> tuple[Array, Array, bool, bool, int]:
-        """Run Steihaug's conjugate gradients along the rows, preconditioned by the metric.
+        """Run Steihaug's conjugate gradients along the rows.
 
         Returns the step, the change of the gradient, the exits, and the number of products.
         """
