@@ -89,11 +89,11 @@ class SizingProgram:
         """Compute the weight (n, 3) of the members on the nodes [N]."""
         return np.asarray((self._end_weights @ area).reshape(-1, 3))
 
-    def _build(self) -> tuple[_Units, _Rows]:
+    def _build(self) -> tuple[_SizingUnits, _SizingRows]:
         """Build the constant rows, in units of the largest load and the areas that it needs."""
         cases, members, bars = len(self.loads), self.members, self.members - self.strings
         force = float(np.abs(self.loads).max(initial=0.0)) or 1.0
-        units = _Units(force, force / self.sections.strength)
+        units = _SizingUnits(force, force / self.sections.strength)
         each = sp.eye_array(cases, format="csr")
         equal = [
             sp.kron(np.ones((cases, 1)), -self.weight @ sp.diags_array(units.area / units.force)),
@@ -108,7 +108,9 @@ class SizingProgram:
         ]
         mass = self.sections.mass_per_area * units.area
         cost = np.concatenate([mass / mass.max(initial=1e-300), np.zeros(cases * (members + bars))])
-        return units, _Rows(sp.hstack(equal, format="csc"), sp.hstack(below, format="csr"), cost)
+        return units, _SizingRows(
+            sp.hstack(equal, format="csc"), sp.hstack(below, format="csr"), cost
+        )
 
     def solve(self, rows: BucklingRows | None = None, most: Array | None = None) -> SizedForces:
         """Minimize the mass.
@@ -160,14 +162,14 @@ class SizingProgram:
         return matrix, np.tile(rows.constant / self._units.force / slope, cases)
 
 
-class _Units(NamedTuple):
+class _SizingUnits(NamedTuple):
     """Units of the program: force [N], and the area that it needs of each member [m²]."""
 
     force: float
     area: Array
 
 
-class _Rows(NamedTuple):
+class _SizingRows(NamedTuple):
     """Constant rows: equilibrium, allowable stress; and the cost."""
 
     equal: Any
