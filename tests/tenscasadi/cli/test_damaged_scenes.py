@@ -98,6 +98,7 @@ def test_wrong_scene_files_give_one_line_each(folder, monkeypatch, capsys):
     for slow in ("fastest_rate", "stable_step"):
         monkeypatch.setattr(f"tenscasadi.cli.commands.{slow}", lambda *_, **__: 1.0)
     monkeypatch.setattr("tenscasadi.dynamics.model.Model.describe", lambda _: "")
+    assert main(["schema"]) == 0  # evaluates the annotations of all classes
     for shape in TEMPLATES:  # modules are loaded by files that are right
         (folder / "scene.toml").write_bytes(TEMPLATES[shape].read_bytes())
         assert main(["info", "scene.toml"]) == 0
