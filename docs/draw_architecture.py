@@ -45,6 +45,7 @@ PLANNING = {
     "results": (5, BOTTOM, "replay, verdict,\nreport"),
     "search": (6, BOTTOM, "policy,\nattempts"),
     "plan": (7, BOTTOM, "refinement,\nrobustness"),
+    "guess": (4, BOTTOM + 1, "paths, inverse\ndynamics"),
     "sampling": (3, BOTTOM + 1, "random motions,\nthrough contact"),
     "phases": (5, BOTTOM + 1, "take-off,\nlanding"),
     "control": (6, BOTTOM + 1, "LQR, MPC,\nMPPI"),

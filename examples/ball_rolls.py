@@ -71,7 +71,7 @@ def main(folder: Path = Path(), quick: bool = False) -> tuple[ocp.Plan, tc.Traje
         bounds=[ocp.ForceDensityLimits(LEAST, MOST)],
     )
     grid = ocp.Variational(120 if quick else 240, control=ocp.PiecewiseLinear())
-    guess = ocp.Arrays(tipped.states, tipped.force_density)
+    guess = ocp.TrajectoryGuess(tipped.states, tipped.force_density)
     plan = ocp.solve(
         problem, grid, ocp.Ipopt(tolerance=1e-3), guess, tolerance=0.3 if quick else 0.05
     )

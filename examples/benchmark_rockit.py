@@ -21,10 +21,10 @@ import numpy as np
 
 import ocp
 import tenscasadi as tc
+from ocp.guess.path import make_guess
 from ocp.problem.scaling import Scales
 from ocp.targets.find_target import find_target
 from ocp.transcription.base import Transcription
-from ocp.transcription.initial_guess import make_guess
 
 BAR = 1.4  # m
 LEAST, MOST = 5.0, 100.0  # N/m

@@ -100,7 +100,7 @@ def prism_jumps(
 ) -> ocp.Problem:
     """The prism jumps: its centre of mass is `rise` m higher at the end, which is the top of its way."""
     model = low_prism(stiffness, damping)
-    goal = ocp.CentreOfMass((None, None, model.structure.nodes[:, 2].mean() + rise))
+    goal = ocp.CenterOfMass((None, None, model.structure.nodes[:, 2].mean() + rise))
     return ocp.Problem(
         model,
         duration,
@@ -112,7 +112,7 @@ def prism_jumps(
 def ball_jumps(rise: float = 0.2) -> ocp.Problem:
     """The ball jumps from a face."""
     model = ball_on_face()
-    goal = ocp.CentreOfMass((None, None, model.structure.nodes[:, 2].mean() + rise))
+    goal = ocp.CenterOfMass((None, None, model.structure.nodes[:, 2].mean() + rise))
     return ocp.Problem(
         model, 0.6, goals=[goal], bounds=[ocp.ForceDensityLimits(50.0, 2000.0), *top_of_a_jump(12)]
     )
@@ -123,8 +123,8 @@ def prism_lands(rise: float = 0.15) -> ocp.Problem:
     model = low_prism(damping=60.0)
     x, y, z = model.structure.nodes.mean(axis=0).tolist()
     goals = [
-        ocp.Waypoint([ocp.CentreOfMass((None, None, z + rise))], share=0.45),
-        ocp.CentreOfMass((x, y, z)),
+        ocp.Waypoint([ocp.CenterOfMass((None, None, z + rise))], share=0.45),
+        ocp.CenterOfMass((x, y, z)),
         ocp.AtRest(),
     ]
     return ocp.Problem(model, 1.0, goals=goals, bounds=[ocp.ForceDensityLimits(5.0, 500.0)])
@@ -135,7 +135,7 @@ def prism_crawls(step: float = 0.1, period: float = 0.4, cycles: int = 3) -> ocp
     model = heavy_prism()
     start = model.structure.nodes - [0, 0, 9.81 / 1e3]  # three nodes carry 3 kg
     x, _, z = start.mean(axis=0).tolist()
-    steps = [ocp.CentreOfMass((x + k * step, None, z)) for k in range(1, cycles + 1)]
+    steps = [ocp.CenterOfMass((x + k * step, None, z)) for k in range(1, cycles + 1)]
     goals = [ocp.Waypoint([goal], share=k / cycles) for k, goal in enumerate(steps[:-1], 1)]
     bounds = [ocp.ForceDensityLimits(20.0, 400.0)]
     return ocp.Problem(
@@ -162,7 +162,7 @@ def ball_tips(slope: float = 0.0) -> ocp.Problem:
     )
     turned = np.column_stack([x, nodes[:, 1], z])
     places = {node: tuple(turned[node].tolist()) for node in (*EDGE, first)}
-    goals = [ocp.NodePositions(places), ocp.CentreOfMass((None, None, z.mean())), ocp.AtRest()]
+    goals = [ocp.NodePositions(places), ocp.CenterOfMass((None, None, z.mean())), ocp.AtRest()]
     return ocp.Problem(
         model,
         0.8,

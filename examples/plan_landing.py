@@ -30,14 +30,14 @@ def main(folder: Path = Path()) -> ocp.Plan:
         3, np.sqrt(BAR**2 - HEIGHT**2) / (2 * np.sin(np.radians(75))), HEIGHT, bar_mass=0.3
     )
     ground = tc.Ground(stiffness=1e4, damping=60.0, friction=0.6, slip_speed=1e-2)
-    top = ocp.CentreOfMass((None, None, HEIGHT / 2 + RISE))
+    top = ocp.CenterOfMass((None, None, HEIGHT / 2 + RISE))
     problem = ocp.Problem(
         tc.Model(tc.Scene(prism, control=tc.ForceDensity(), gravity=tc.Gravity(), ground=ground)),
         phases=[
-            ocp.Phase((0.1, 0.5), stands=FEET),
+            ocp.Phase((0.1, 0.5), contact_nodes=FEET),
             ocp.Phase((0.02, 0.5), goals=[top]),
             ocp.Phase((0.02, 0.5)),
-            ocp.Phase((0.1, 0.6), stands=FEET, goals=[ocp.AtRest()]),
+            ocp.Phase((0.1, 0.6), contact_nodes=FEET, goals=[ocp.AtRest()]),
         ],
         bounds=[ocp.ForceDensityLimits(LEAST, MOST)],
         costs=[ocp.Effort()],

@@ -68,7 +68,7 @@ def main(folder: Path = Path()) -> tuple[ocp.Plan, np.ndarray]:
     )
     grid = ocp.Variational(100, control=ocp.PiecewiseLinear())
     plan = ocp.solve(
-        problem, grid, ocp.Ipopt(tolerance=1e-3), ocp.Arrays(states, pull), tolerance=0.04
+        problem, grid, ocp.Ipopt(tolerance=1e-3), ocp.TrajectoryGuess(states, pull), tolerance=0.04
     )
     print(plan.summary())
 

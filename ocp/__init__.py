@@ -13,6 +13,7 @@ from ocp.control.lqr import Tracker, track
 from ocp.control.mpc import Mpc
 from ocp.control.mppi import Mppi
 from ocp.export import export_mpc, export_program
+from ocp.guess.initial_guess import EquilibriumGuess, InverseDynamics, TrajectoryGuess
 from ocp.io.problem_files import load_arguments, load_problem, save_problem
 from ocp.plan.plan import Plan
 from ocp.plan.robustness import Robustness
@@ -29,7 +30,7 @@ from ocp.problem.bounds.string_bounds import (
 from ocp.problem.costs import Duration, Effort, Prestress, Smoothness, Work
 from ocp.problem.expressions import AtEnd, Constraint, Integral
 from ocp.problem.goals.goal import Shape, SoftGoal, StringLengths
-from ocp.problem.goals.node_goals import AtRest, CentreOfMass, NodePositions, NodeVelocities
+from ocp.problem.goals.node_goals import AtRest, CenterOfMass, NodePositions, NodeVelocities
 from ocp.problem.goals.periodic import Periodic
 from ocp.problem.goals.waypoints import Waypoint
 from ocp.problem.instant import Instant
@@ -38,7 +39,7 @@ from ocp.problem.problem import Problem
 from ocp.problem.start import FreeStart
 from ocp.problem.tracking import Tracking
 from ocp.renamed import __getattr__ as __getattr__
-from ocp.results.actuation import reachable, replay_wound
+from ocp.results.actuation import is_realizable, replay_rest_lengths
 from ocp.results.report import Report
 from ocp.sampling.solver import Sampling
 from ocp.sampling.spline_noise import SplineNoise
@@ -47,9 +48,8 @@ from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.ipopt import Ipopt
 from ocp.solvers.monitor import Progress
 from ocp.solvers.multipliers import Duals
-from ocp.targets.infeasible_goal import InfeasibleGoalError
+from ocp.targets.infeasible_goal import Certificate, InfeasibleGoalError, TargetNotFoundWarning
 from ocp.transcription.collocation import Collocation, ImplicitMidpoint
-from ocp.transcription.initial_guess import Arrays, Equilibrium, InverseDynamics
 from ocp.transcription.mesh import PiecewiseConstant, PiecewiseLinear
 from ocp.transcription.multiple_shooting import MultipleShooting
 from ocp.transcription.variational import Variational
@@ -63,7 +63,7 @@ __all__ = [
     "NodePositions",
     "NodeVelocities",
     "Shape",
-    "CentreOfMass",
+    "CenterOfMass",
     "AtRest",
     "Periodic",
     "Waypoint",
@@ -104,16 +104,18 @@ __all__ = [
     "solve",
     # initial guess
     "InverseDynamics",
-    "Equilibrium",
-    "Arrays",
+    "EquilibriumGuess",
+    "TrajectoryGuess",
     # result
     "Plan",
     "InfeasibleGoalError",
+    "TargetNotFoundWarning",
+    "Certificate",
     "Duals",
     "Report",
     "Robustness",
-    "replay_wound",
-    "reachable",
+    "replay_rest_lengths",
+    "is_realizable",
     # files
     "load_problem",
     "load_arguments",

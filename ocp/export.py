@@ -12,10 +12,10 @@ import casadi as ca
 import numpy as np
 
 from ocp.control.mpc import Mpc
+from ocp.guess.initial_guess import InitialGuess
 from ocp.problem.problem import Problem
 from ocp.search.methods import program_of
 from ocp.transcription.base import Transcription
-from ocp.transcription.initial_guess import InitialGuess
 from tenscasadi.util.casadi_tools import generate_code
 from tenscasadi.util.validate import file_path, instance
 from tenscasadi.util.whole_file import write_files, write_whole
@@ -44,7 +44,7 @@ def export_program(
         Transcription of the problem into a nonlinear program.
     folder : str or Path
         Folder of the files, which is created if necessary.
-    guess : InverseDynamics, Equilibrium, Arrays or Plan, optional
+    guess : InverseDynamics, EquilibriumGuess, TrajectoryGuess or Plan, optional
         Initial guess. Default: `InverseDynamics()`.
 
     Returns

@@ -5,5 +5,15 @@ from __future__ import annotations
 from tenscasadi.util.renamed import find_attribute
 
 __getattr__ = find_attribute(
-    "ocp", {}, {"UnreachableGoal": "InfeasibleGoalError", "Fatrop": "Ipopt"}
+    "ocp",
+    {},
+    {
+        "UnreachableGoal": "InfeasibleGoalError",
+        "Fatrop": "Ipopt",
+        "Arrays": "TrajectoryGuess",
+        "Equilibrium": "EquilibriumGuess",
+        "CentreOfMass": "CenterOfMass",
+        "replay_wound": "replay_rest_lengths",
+        "reachable": "is_realizable",
+    },
 )

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 from concurrent.futures import Executor
 from typing import Any
 
+from ocp.guess.initial_guess import InitialGuess
 from ocp.plan.plan import Plan
 from ocp.problem.problem import Problem
 from ocp.sampling.solver import Sampling
@@ -13,11 +15,13 @@ from ocp.search.multistart import find_best_plan
 from ocp.search.task import MOST_STARTS, Method
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.ipopt import Ipopt
+from ocp.solvers.monitor import Monitor, write_line
 from ocp.transcription.base import Transcription
-from ocp.transcription.initial_guess import InitialGuess
+from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import flag, instance, positive_number, whole_number
 
 
+@rename_keywords(seconds="time_limit", starts="n_starts")
 def solve(
     problem: Problem,
     transcription: Transcription | None = None,
@@ -25,60 +29,67 @@ def solve(
     guess: InitialGuess | None = None,
     tolerance: float | None = None,
     *,
-    seconds: float | None = None,
-    starts: int = 1,
+    time_limit: float | None = None,
+    n_starts: int = 1,
     executor: Executor | None = None,
     tracked: bool = False,
     parameters: Any = None,
+    progress: bool | None = None,
 ) -> Plan:
-    """Find a plan of force densities for a problem.
+    """Find a plan for an optimal control problem.
 
     Parameters
     ----------
     problem : Problem
         Optimal control problem.
     transcription : MultipleShooting, Collocation, ImplicitMidpoint or Variational, optional
-        Transcription of the problem into a nonlinear program. Default with a solver:
-        `MultipleShooting()`, or `Variational()` for `CondensedNewton`. Default without a solver:
-        selected for the problem (see Notes).
+        Discretization of the motion. Default, with a solver: `MultipleShooting()`, `Variational()`
+        for `CondensedNewton`; without, automatic (see Notes).
     solver : Ipopt, CondensedNewton or Sampling, optional
-        Solver of the nonlinear program. `Sampling` searches trajectories instead. Default with a
-        transcription: `Ipopt()`. Default without: selected for the problem.
-    guess : InverseDynamics, Equilibrium, Arrays or Plan, optional
-        Initial guess. A plan with the same mesh and constraints is a warm start that includes its
-        duals (see `Ipopt.warm`). `Sampling` is tried if the solver finds no plan. Default:
-        `InverseDynamics()`.
+        Solver of the nonlinear program, or search by samples. Default, with a transcription:
+        `Ipopt()`; without, automatic.
+    guess : InverseDynamics, EquilibriumGuess, TrajectoryGuess or Plan, optional
+        Initial guess. A plan of the same mesh and constraints brings its duals (see `Ipopt`).
+        `Sampling` searches if the guess leads to no plan. Default: `InverseDynamics()`.
     tolerance : float, optional
-        Largest distance of the replay's end from the goals [m] at which a plan is a success. The
-        limit of the velocity is this distance per duration. Default: 1 % of the structure's size.
-    seconds : float, optional
-        Time limit [s] for building, solving and replaying. When it expires, the best plan so far is
-        returned, without success. Default: no limit.
-    starts : int
-        Number of initial guesses, which have different seeds (see `InverseDynamics` and
-        `Sampling`). The best plan is returned. `Plan.starts` has the objectives of all.
+        Largest distance of the replay from the goals [m]; velocities: m per duration. Default: 1 %
+        of the structure's size.
+    time_limit : float, optional
+        Wall time of building, solving and replaying [s]. After it, as after Ctrl-C, the plan is the
+        best so far. By default there is no limit.
+    n_starts : int
+        Number of initial guesses with different seeds (see `InverseDynamics`; with `Sampling` its
+        own). The plan is the best of all; `Plan.start_objectives` holds all objectives.
     executor : concurrent.futures.Executor, optional
         Executor that solves the starts in parallel, such as a ``ProcessPoolExecutor``. Default: one
         after the other.
     tracked : bool
-        Whether the replay that decides on success is a tracked replay, see `track`. Motions with a
-        large error growth need it.
+        Whether the replay that decides on success is always in closed loop, under `track`. If
+        False, it is so only if the open-loop replay fails because errors grow along the motion.
     parameters : array_like, shape (np,), or mapping of str to array_like, optional
-        Values of the model's parameters, see `Problem.fixed`. Default: those of the problem. They
-        are constants of the program. Only `Sampling` compiles code, again for each set of values.
+        Values of the parameters of the problem's model, see `Problem.with_parameters`. Default:
+        those of the problem. They are constants; only `Sampling` compiles code again for others.
+    progress : bool, optional
+        Whether a line on standard error shows the progress of a plan that takes longer than two
+        seconds. Default: if standard error is a terminal.
 
     Returns
     -------
     Plan
-        Plan. If none is found or its replay misses the goals, `success` is False. `message` then
-        has the reason and the next step to try.
+        The plan. If none was found, or its replay ends too far from the goals, `success` is False,
+        and `message` names the cause and a cure.
 
     Raises
     ------
     InfeasibleGoalError
-        If no string forces can reach the goals. This is found before solving.
+        The goals are proven infeasible; the exception holds the proof.
     TypeError, ValueError
-        If an argument is wrong, or limits and goals contradict each other.
+        An argument is wrong, or limits contradict each other; the message names them.
+
+    Warns
+    -----
+    TargetNotFoundWarning
+        No state was found that meets the goals; the solver tries nevertheless.
 
     See Also
     --------
@@ -86,19 +97,17 @@ def solve(
 
     Notes
     -----
-    Without transcription and solver, both are selected. `Sampling` is selected if nodes may touch a
-    ground. Otherwise it is `Variational`, with deferred correction to a third of the tolerance. Its
-    solver is `CondensedNewton` from nine bars on, if it supports the problem, else `Ipopt`. The
-    mesh has three intervals per radian of the fastest vibration, at least 30.
+    By default method and number of intervals are selected. The mesh has three intervals for each
+    radian of the fastest vibration, at least 30. If nodes may touch a ground, `Sampling` comes
+    first. Otherwise `Variational` is corrected to a third of the tolerance, and solved by `Ipopt`,
+    or from nine bars on by `CondensedNewton`. If its replay is too inexact, a mesh twice as fine
+    follows; if the solver fails, `MultipleShooting`. The message says which method was chosen.
 
-    If the replay of a plan misses the goals, the mesh is refined by a factor of two. If no plan is
-    found, the other solver is tried, then `MultipleShooting`. The first success is returned, and
-    its message lists the attempts.
+    A plan is a success if its replay meets goals, waypoints and limits of the end within the
+    tolerance, and if it keeps the other limits at mesh points. Nothing else is judged.
 
-    Problems in full coordinates are solved in reduced coordinates, which have the same motions. The
-    plan, its replay and the acceptance test use the given model, and so do the user's expressions.
-    `MultipleShooting` keeps full coordinates if constraints are redundant, or if bounds or costs
-    are of the user's own classes.
+    Problems in full coordinates are planned in reduced ones, as motions do not depend on them. The
+    plan and its replay are those of the given model.
 
     Examples
     --------
@@ -128,16 +137,22 @@ def solve(
             "an ocp.Ipopt, ocp.CondensedNewton or ocp.Sampling",
         )
     flag("tracked", tracked)
-    count = whole_number("starts", starts, 1, MOST_STARTS)
+    if progress is not None:
+        flag("progress", progress)
+    count = whole_number("n_starts", n_starts, 1, MOST_STARTS)
     if executor is not None:
         instance("executor", executor, Executor, "a concurrent.futures.Executor, or None")
-    if tolerance is not None:
-        positive_number("tolerance", tolerance)
-    if seconds is not None:
-        positive_number("seconds", seconds)
-    problem = problem if parameters is None else problem.fixed(parameters)
-    arguments = problem, transcription, solver, guess, tolerance
-    limits: dict[str, Any] = {"seconds": seconds, "tracked": tracked}
-    if count > 1:
-        return Plan.of(find_best_plan(*arguments, **limits, count=count, executor=executor))
-    return Plan.of(find_plan(*arguments, **limits))
+    for name, value in (("tolerance", tolerance), ("time_limit", time_limit)):
+        if value is not None:
+            positive_number(name, value)
+    problem = problem if parameters is None else problem.with_parameters(parameters)
+    shown = sys.stderr.isatty() if progress is None else progress
+    monitor = Monitor(time_limit, write_line if shown else None)
+    options = transcription, solver, guess, tolerance
+    if count == 1:
+        return Plan.of(find_plan(problem, *options, monitor=monitor, tracked=tracked))
+    return Plan.of(
+        find_best_plan(
+            problem, *options, monitor=monitor, tracked=tracked, count=count, executor=executor
+        )
+    )

@@ -34,7 +34,7 @@ OCP = (
     "problem",
     "targets",
     "transcription",
-    "solvers",
+    {"solvers", "guess"},
     "sampling",
     "results",
     "phases",

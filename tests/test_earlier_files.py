@@ -32,6 +32,27 @@ LOADERS = {
 }
 SCENES = sorted(path for folder in FOLDERS for path in folder.glob("*.toml"))
 
+PRESENT_NAMES = {
+    "CentreOfMass": "CenterOfMass",
+    "Arrays": "TrajectoryGuess",
+    "Equilibrium": "EquilibriumGuess",
+    "centre": "center",
+    "stands": "contact_nodes",
+    "until": "end_time",
+    "speed": "rate",
+    "seconds": "time_limit",
+    "starts": "n_starts",
+}
+
+
+def rename(tree):
+    """Replace names of earlier versions by present ones."""
+    if isinstance(tree, dict):
+        return {PRESENT_NAMES.get(name, name): rename(value) for name, value in tree.items()}
+    if isinstance(tree, list):
+        return [rename(value) for value in tree]
+    return PRESENT_NAMES.get(tree, tree) if isinstance(tree, str) else tree
+
 
 @pytest.mark.parametrize("path", SCENES, ids=lambda path: f"{path.parent.name} {path.stem}")
 def test_scene_files_come_back(path, tmp_path):
@@ -48,7 +69,7 @@ def test_scene_files_come_back(path, tmp_path):
     if solver is not None and solver["kind"] == "Fatrop":  # removed since
         solver["kind"] = "Ipopt"
     if "numbers" not in data:  # no names nor formulas, which are not written
-        assert tomllib.loads(again.read_text(encoding="utf-8")) == data
+        assert rename(tomllib.loads(again.read_text(encoding="utf-8"))) == rename(data)
 
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
@@ -85,7 +106,7 @@ def test_solved_problems_load(path, tmp_path):
         np.savez(tmp_path / "plan.npz", **{**plan, **told, **own})
     loaded = ocp.Plan.load(tmp_path / "plan.npz")
     told = json.loads(loaded_text(path))
-    assert len(loaded.problem.bounds) == 12, loaded.unknown
+    assert len(loaded.problem.bounds) == 12, loaded.not_restored
     for name in ("transcription", "solver"):
         wanted = told[name]["class"].replace("Fatrop", "Ipopt")  # removed since
         assert type(getattr(loaded, name)).__name__ == wanted

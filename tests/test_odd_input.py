@@ -151,12 +151,20 @@ NO_INPUT = {
     "RestLength",
     "RungeKutta4",
     "Single",
-    "Equilibrium",
+    "EquilibriumGuess",
     *("Stiffest", "Even", "Least"),
 }
 FILLED_IN = {
     *("ClassOne", "Energy", "Multipliers", "Constraints", "Linearization", "Modes"),
-    *("Recommendation", "Sensitivities", "Duals", "Report", "ClosedLoop"),
+    *(
+        "Recommendation",
+        "Sensitivities",
+        "Duals",
+        "Certificate",
+        "Equilibrium",
+        "Report",
+        "ClosedLoop",
+    ),
     *("Stability", "BucklingFactor", "LoadPath", "Form", "PrestressDesign", "Sized"),
 }
 RESULTS_AND_MODELS = [

@@ -411,7 +411,7 @@ def phases(seed: int) -> ocp.Problem:
         goals: Goals = []
     else:
         top = (None, None, float(center[2] + rise))
-        parts = [push, ocp.Phase((0.1, 0.5), goals=[ocp.CentreOfMass(top)])]
+        parts = [push, ocp.Phase((0.1, 0.5), goals=[ocp.CenterOfMass(top)])]
         goals = []
     return ocp.Problem(
         model,

@@ -6,7 +6,7 @@ from itertools import combinations
 
 import casadi as ca
 
-from ocp.problem.instant import norms
+from ocp.problem.rows import column_norms
 from tenscasadi.dynamics.model import Model
 
 
@@ -26,7 +26,7 @@ def build_departures(model: Model, place: float, speed: float) -> ca.Function:
         pairs = [
             (a, b) for a, b in combinations(range(N.shape[1]), 2) if frozenset((a, b)) not in bars
         ]
-        q = norms(N[:, [b for _, b in pairs]] - N[:, [a for a, _ in pairs]])
+        q = column_norms(N[:, [b for _, b in pairs]] - N[:, [a for a, _ in pairs]])
         v = ca.jtimes(q, x, ca.vertcat(model.split(x)[1], ca.DM.zeros(model.nx - model.nq)))
     value = ca.vertcat(q / place, v / speed)
     return ca.Function("departures", [x], [value, ca.jacobian(value, x)], {"cse": True})

@@ -14,7 +14,7 @@ from ocp.control.closed_loop import run
 from ocp.control.departures import build_departures
 from ocp.control.holding import Rest, compute_stationary_cost, find_rest
 from ocp.problem.bounds.string_bounds import ForceDensityLimits, RestLengthLimits
-from ocp.problem.control import pulled, winds
+from ocp.problem.control import build_force_density_model, controls_rest_lengths
 from ocp.results.result import PlanResult
 from ocp.transcription.mesh import profile_at
 from tenscasadi.dynamics.linear_steps import riccati_gains, transitions
@@ -230,7 +230,7 @@ def track(
     Tracker(20 decisions, 2 strings, 1 s)
     """
     instance("plan", plan, PlanResult, "an ocp.Plan")
-    model, T = plan.known_model("track"), float(plan.time[-1])
+    model, T = plan.require_model("track"), float(plan.time[-1])
     count = (
         len(plan.time) - 1 if decisions is None else whole_number("decisions", decisions, 1, 10_000)
     )
@@ -240,13 +240,13 @@ def track(
         else positive_number("place", place)
     )
     usual = 0.1 * float(plan.force_density.mean()) or 1.0
-    if winds(model):  # the change of rest lengths that causes it
+    if controls_rest_lengths(model):  # the change of rest lengths that causes it
         usual *= float(
             np.mean(model.scene.structure.string_lengths / model.scene.structure.stiffness)
         )
     force = usual if effort is None else positive_number("effort", effort)
     known = (0.0, np.inf) if plan.problem is None else plan.problem.control_limits
-    limits = (RestLengthLimits if winds(model) else ForceDensityLimits)(
+    limits = (RestLengthLimits if controls_rest_lengths(model) else ForceDensityLimits)(
         known[0] if lower is None else lower, known[1] if upper is None else upper
     )
     limits.check(model.scene.structure)
@@ -281,7 +281,7 @@ def _rest(
     It is a force density, or the rest length at which an elastic string has this force density.
     """
     end = plan.trajectory.states[-1]
-    if not winds(model):
+    if not controls_rest_lengths(model):
         return find_rest(model, end, *limits, slow, margin)
     structure = model.scene.structure
     lower, upper = (
@@ -289,7 +289,7 @@ def _rest(
         if plan.problem is None
         else plan.problem.force_density_limits
     )
-    found = find_rest(pulled(model), end, lower, upper, slow)
+    found = find_rest(build_force_density_model(model), end, lower, upper, slow)
     if found.state is None:
         return found
     lengths = plan.lengths()[-1]

@@ -12,17 +12,17 @@ import numpy as np
 from ocp.control.departures import build_departures
 from ocp.control.holding import find_rest
 from ocp.control.mpc_constraints import Horizon, HorizonLimits
-from ocp.problem.control import refuse_wound
+from ocp.guess.inverse_dynamics import inverse_dynamics
+from ocp.problem.control import reject_rest_length_control
 from ocp.problem.goals.periodic import Periodic
 from ocp.problem.goals.waypoints import Waypoint
-from ocp.problem.phase import refuse_phases
+from ocp.problem.phase import reject_phases
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.problem.start import FreeStart
 from ocp.results.result import PlanResult
 from ocp.solvers.interior_point_qp import solve_qp
 from ocp.targets.find_target import find_target
-from ocp.transcription.inverse_dynamics import inverse_dynamics
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.util.casadi_tools import ArrayFunction
@@ -111,8 +111,8 @@ class Mpc:
         effort: float | None = None,
     ) -> None:
         instance("problem", problem, Problem, "an ocp.Problem")
-        refuse_phases(problem.phases, "Mpc")
-        refuse_wound(problem.model, "Mpc")
+        reject_phases(problem.phases, "Mpc")
+        reject_rest_length_control(problem.model, "Mpc")
         if plan is not None:
             instance("plan", plan, PlanResult, "an ocp.Plan or None")
             if (plan.trajectory.states.shape[1], plan.force_density.shape[1]) != (
@@ -451,7 +451,7 @@ def _find_goal(problem: Problem, scales: Scales) -> tuple[Array, Array]:
     )
     if rest.state is not None:
         return rest.state, rest.force_density
-    return state, np.asarray(inverse_dynamics(problem, np.array([state, state]), 1.0)[0])
+    return state, np.asarray(inverse_dynamics(problem, np.array([state, state]), 1.0)[0][0])
 
 
 def _interpolate(values: Array, nodes: Array, time: Any) -> Any:

@@ -9,16 +9,16 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ocp.problem.control import refuse_wound
+from ocp.guess.inverse_dynamics import inverse_dynamics
+from ocp.problem.control import reject_rest_length_control
 from ocp.problem.costs import Cost
 from ocp.problem.expressions import Integral
 from ocp.problem.instant import Instant
-from ocp.problem.phase import refuse_phases
+from ocp.problem.phase import reject_phases
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.sampling.horizon_costs import build_horizon_costs
 from ocp.sampling.spline_noise import SplineNoise
-from ocp.transcription.inverse_dynamics import inverse_dynamics
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.simulation.engine.build import build_kernel
@@ -147,8 +147,8 @@ class Mppi:
         model: Model | None = None,
     ) -> None:
         problem = _read_problem(problem, model)
-        refuse_phases(problem.phases, "Mppi")
-        refuse_wound(problem.model, "Mppi")
+        reject_phases(problem.phases, "Mppi")
+        reject_rest_length_control(problem.model, "Mppi")
         self.model: Model = problem.model
         self.period = positive_number("period", period)
         ratio = positive_number("horizon", horizon) / self.period
@@ -194,7 +194,7 @@ class Mppi:
         self._last: _Decision | None
         self.reset()
         self._evaluate(
-            0.0, problem.first_state, self._draw()
+            0.0, problem.initial_state, self._draw()
         )  # the first decision is then no slower than the others
         self.reset()
 
@@ -367,6 +367,6 @@ def _read_cost(k: int, cost: Any, model: Model) -> Cost:
 
 def _find_initial(problem: Problem) -> Array:
     """Find the force densities (α,) that hold the start best."""
-    state = problem.first_state.copy()
+    state = problem.initial_state.copy()
     state[problem.model.nq : 2 * problem.model.nq] = 0.0
-    return np.asarray(inverse_dynamics(problem, np.array([state, state]), 1.0)[0])
+    return np.asarray(inverse_dynamics(problem, np.array([state, state]), 1.0)[0][0])

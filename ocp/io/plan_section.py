@@ -5,23 +5,23 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
 import ocp.sampling.solver  # noqa: F401  registers its solver
+from ocp.guess.initial_guess import NamedGuess
 from ocp.problem.bounds.bound import Bound
-from ocp.problem.costs import Cost, CostAt
+from ocp.problem.costs import Cost
 from ocp.problem.expressions import AtEnd, Constraint, Integral
-from ocp.problem.goals.goal import Goal, SoftGoal
-from ocp.problem.goals.waypoints import Waypoint
+from ocp.problem.goals.goal import Goal
 from ocp.problem.phase import Phase
 from ocp.problem.problem import Problem
+from ocp.problem.resolved import join_soft
 from ocp.problem.start import FreeStart
 from ocp.search.task import MOST_STARTS
 from ocp.solvers.base import NamedSolver
 from ocp.transcription.base import Transcription
-from ocp.transcription.initial_guess import NamedGuess
 from tenscasadi.dynamics.coordinates import choose_coordinates
 from tenscasadi.io.json_schema import scene_schema
 from tenscasadi.io.structure_section import OfStructure
@@ -79,14 +79,15 @@ class PlanPart:
     tolerance : float
         Largest distance of the replay's end from the goals [m]. Default: 1 % of the structure's
         size.
-    seconds : float
+    time_limit : float
         Time limit [s]. Default: no limit.
-    starts : int
+    n_starts : int
         Number of initial guesses.
     tracked : bool
         Whether the replay that decides on success is in closed loop.
     """
 
+    earlier_names: ClassVar[Mapping[str, str]] = {"seconds": "time_limit", "starts": "n_starts"}
     duration: float | tuple[float, float] = 1.0
     start: Annotated[Any, _START] = None
     goals: Sequence[Goal] = ()
@@ -101,19 +102,27 @@ class PlanPart:
     solver: Annotated[Any, OneOf(NamedSolver)] = None
     guess: Annotated[Any, OneOf(NamedGuess)] = None
     tolerance: float | None = None
-    seconds: float | None = None
-    starts: int = 1
+    time_limit: float | None = None
+    n_starts: int = 1
     tracked: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("tolerance", "seconds"):
+        for name in ("tolerance", "time_limit"):
             if getattr(self, name) is not None:
                 positive_number(name, getattr(self, name))
-        whole_number("starts", self.starts, 1, MOST_STARTS)
+        whole_number("n_starts", self.n_starts, 1, MOST_STARTS)
 
 
 _PROBLEM_ARGUMENTS = ("duration", "start", "goals", "bounds", "costs", "phases", "parameters")
-SOLVE_ARGUMENTS = ("transcription", "solver", "guess", "tolerance", "seconds", "starts", "tracked")
+SOLVE_ARGUMENTS = (
+    "transcription",
+    "solver",
+    "guess",
+    "tolerance",
+    "time_limit",
+    "n_starts",
+    "tracked",
+)
 PLAN = definition(PlanPart, "plan")
 
 
@@ -142,7 +151,8 @@ def read_plan(item: Item, simulation: Simulation) -> dict[str, Any]:
     fields["parameters"] = simulation.parameters if part.parameters is None else part.parameters
     fields["start"] = call(_read_start, item, table, {"start": part.start, "simulation": own})
     problem = call(partial(Problem, own.model), item, table, fields)
-    given = {name: getattr(part, name) for name in SOLVE_ARGUMENTS if name in table}
+    names = {PlanPart.earlier_names.get(name, name) for name in table}
+    given = {name: getattr(part, name) for name in SOLVE_ARGUMENTS if name in names}
     return {"problem": problem, **given}
 
 
@@ -173,7 +183,7 @@ def write_plan(problem: Problem, arguments: Mapping[str, Any]) -> dict[str, Any]
     Raises NotWritten for Python functions and other values that files cannot hold.
     """
     _reject_functions(problem)
-    goals, costs = _separate_soft_goals(problem)
+    goals, costs = join_soft(problem.goals, problem.costs)
     model = problem.model
     fields: dict[str, Any] = {
         "bounds": problem.bounds,
@@ -187,7 +197,7 @@ def write_plan(problem: Problem, arguments: Mapping[str, Any]) -> dict[str, Any]
         fields["bar_length"] = "constant"
     if not problem.phases:
         fields["duration"] = problem.duration
-    if problem.free_start or not np.array_equal(problem.first_state, model.initial_state):
+    if problem.free_start or not np.array_equal(problem.initial_state, model.initial_state):
         fields["start"] = problem.start
     return PLAN.write(vars(PlanPart(**fields, **arguments)))
 
@@ -201,19 +211,3 @@ def _reject_functions(problem: Problem) -> None:
                     f"Problem.{name}[{k}] is {kind} {value.name!r}, a function in Python: "
                     "leave it out, or keep the problem in Python"
                 )
-
-
-def _separate_soft_goals(problem: Problem) -> tuple[list[Any], list[Any]]:
-    """Separate goals and costs.
-
-    `Problem` has soft goals among its costs.
-    """
-    goals, costs = list(problem.goals), []
-    for cost in problem.costs:
-        if isinstance(cost, CostAt) and isinstance(cost.cost, SoftGoal):
-            goals.append(Waypoint([cost.cost], share=cost.share))
-        elif isinstance(cost, SoftGoal):
-            goals.append(cost)
-        else:
-            costs.append(cost)
-    return goals, costs

@@ -73,7 +73,7 @@ def load_arguments(path: str | os.PathLike[str]) -> dict[str, Any]:
     -------
     dict
         Arguments of `solve` by name: "problem", and those of "transcription", "solver", "guess",
-        "tolerance", "seconds", "starts" and "tracked" that the file has.
+        "tolerance", "time_limit", "n_starts" and "tracked" that the file has.
 
     Raises
     ------
@@ -127,7 +127,7 @@ def save_problem(problem: Problem, path: str | os.PathLike[str], **solve_argumen
         TOML file. An existing file is replaced.
     **solve_arguments
         Further arguments of `solve`: ``transcription``, ``solver``, ``guess``, ``tolerance``,
-        ``seconds``, ``starts``, ``tracked``.
+        ``time_limit``, ``n_starts``, ``tracked``.
 
     Returns
     -------

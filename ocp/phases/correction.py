@@ -53,7 +53,7 @@ def correct(
     pressing = np.array([name.startswith("reaction") for name in program.names])
     shift, missed, pressed, iterations = np.zeros_like(residuals), least, 0.0, solution.iterations
     for _ in range(MOST_ROUNDS):
-        if not ENOUGH * tolerance < missed < np.inf:
+        if not ENOUGH * tolerance < missed < np.inf or not program.rows("end"):
             break
         shift = shift + residuals
         lower, upper = program.lower.copy(), program.upper.copy()
@@ -103,12 +103,12 @@ def _replayed(
         np.array([np.interp(time[k * count], motion.time, column) for column in motion.states.T])
         for k in range(1, len(targets) + 1)
     ]
-    misses = [part.misfit(end) for part, end in zip(targets, ends, strict=True)]
-    worst = max(
-        float(np.abs(size * value.full()).max(initial=0.0))
-        for both in misses
-        for value, size in zip(both, (1.0, time[-1]), strict=True)
-    )
-    return worst, np.concatenate(
-        [np.asarray(part.rows(end).full()).ravel() for part, end in zip(targets, ends, strict=True)]
-    )
+    sizes = [
+        np.abs(np.asarray(part.misfit(end).full()).ravel())
+        * [time[-1] if unit == "m/s" else 1.0 for unit in part.units]
+        for part, end in zip(targets, ends, strict=True)
+    ]
+    rows = [
+        np.asarray(part.rows(end).full()).ravel() for part, end in zip(targets, ends, strict=True)
+    ]
+    return float(np.concatenate(sizes).max(initial=0.0)), np.concatenate(rows)

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ocp.guess.initial_guess import NOISE
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.results.result import PlanResult
 from ocp.targets.target import Target
-from ocp.transcription.initial_guess import NOISE
 from ocp.transcription.mesh import Guess, held_values
 from tenscasadi.util.validate import Array, format_value
 

@@ -8,13 +8,14 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from ocp.guess.initial_guess import InitialGuess
 from ocp.phases.contact import PRESSED, cone_blocks, height_blocks
 from ocp.phases.correction import correct
 from ocp.phases.first_guess import guess_phases, split_plan
-from ocp.phases.targets import find_targets, phase_problems, whole_target
+from ocp.phases.targets import find_targets, join_targets, phase_problems
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
-from ocp.results.explanation import explain_failure, measure_misses
+from ocp.results.diagnosis import explain_failure
 from ocp.results.result import PlanResult
 from ocp.solvers.base import Outcome, Solution, Solver
 from ocp.solvers.condensed_newton import CondensedNewton
@@ -25,15 +26,12 @@ from ocp.targets.target import Target
 from ocp.transcription.assemble import Stage, assemble, build_stage
 from ocp.transcription.base import Transcription
 from ocp.transcription.contact_set import ContactSet, add_contacts
-from ocp.transcription.initial_guess import InitialGuess
 from ocp.transcription.mesh import Guess
 from ocp.transcription.sparse_nlp import Block, Program
 from ocp.transcription.variables import Entries, Variables
 from ocp.transcription.variational import Variational
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array, format_value
-
-MET = 3e-4  # of the structure's size: goals missed by more are missed
 
 
 class PhaseValues(NamedTuple):
@@ -59,6 +57,7 @@ class PhasedTask(NamedTuple):
     stands, as a share of a typical one.
     """
 
+    problem: Problem
     parts: list[Problem]
     targets: list[Target]
     stages: list[Stage]
@@ -127,9 +126,8 @@ def solve_phased(
         raise ValueError(f"solver is {type(solver).__name__}: phases take ocp.Ipopt()")
     task = link_problem(problem, transcription, guess)
     solution = solver.solve(task.program, monitor)
-    planned, target = _outcome(task, solution)
-    if not planned.success:
-        return planned, target
+    if not solution.success:
+        return _read_outcome(task, solution)
     corrected = correct(
         task.program,
         task.harder,
@@ -141,10 +139,8 @@ def solve_phased(
         tolerance,
         monitor,
     )
-    outcome, target = _outcome(task, corrected)
-    return outcome._replace(
-        success=True, why=""
-    ), target  # goals were moved: the replay is what counts
+    # goals were moved: the replay is what counts
+    return _read_outcome(task, corrected._replace(success=True))
 
 
 def link_problem(
@@ -202,20 +198,22 @@ def link_problem(
             entries,
             stages[-1].variables.states[-1] if stages else None,
         )
-        lands = k > 0 and bool(set(phase.stands) - set(problem.phases[k - 1].stands))
-        share = -weight / max(len(phase.stands), 1)
-        contact = add_contacts(v, phase.stands, lands, np.tile(share, len(phase.stands)))
+        lands = k > 0 and bool(set(phase.contact_nodes) - set(problem.phases[k - 1].contact_nodes))
+        share = -weight / max(len(phase.contact_nodes), 1)
+        contact = add_contacts(
+            v, phase.contact_nodes, lands, np.tile(share, len(phase.contact_nodes))
+        )
         stage = build_stage(transcription, v, contact)
-        if phase.stands:
+        if phase.contact_nodes:
             pressed = PRESSED * float(np.linalg.norm(share))
             least = max(least, pressed / contact.force)
             stage.blocks.rows.extend(cone_blocks(v, contact, scene.grounds[0], pressed))
-        landing = () if last else problem.phases[k + 1].stands
+        landing = () if last else problem.phases[k + 1].contact_nodes
         stage.blocks.rows.extend(height_blocks(v, contact, scene.grounds, landing))
         stages.append(stage)
         contacts.append(contact)
     program = assemble(stages, _end_times(problem, stages))
-    return PhasedTask(parts, targets, stages, contacts, least, program)
+    return PhasedTask(problem, parts, targets, stages, contacts, least, program)
 
 
 def _end_times(problem: Problem, stages: list[Stage]) -> list[Block]:
@@ -223,9 +221,9 @@ def _end_times(problem: Problem, stages: list[Stage]) -> list[Block]:
     durations = np.concatenate([stage.variables.duration for stage in stages])
     blocks = []
     for k, phase in enumerate(problem.phases):
-        if phase.until is not None and k:
+        if phase.end_time is not None and k:
             z, size = ca.SX.sym("z", k + 1), sum(stage.variables.scales.time for stage in stages)
-            earliest, latest = (time / size for time in phase.until)
+            earliest, latest = (time / size for time in phase.end_time)
             function = ca.Function("end", [z], [ca.sum1(z) / size])
             names = (f"end of phase {k}",)
             blocks.append(
@@ -250,24 +248,20 @@ def _without_end(part: Problem, problem: Problem) -> Problem:
     )
 
 
-def _outcome(task: PhasedTask, solution: Solution) -> tuple[Outcome, Target]:
+def _read_outcome(task: PhasedTask, solution: Solution) -> tuple[Outcome, Target]:
+    """Read the result of the program, and the target that its replay is measured by."""
     values, program = task.values(solution.w), task.program
     time, states, gamma = task.joined(solution.w)
     ends = time[task.intervals :: task.intervals] / time[-1]
-    target = whole_target(task.targets, ends)
-    missed = measure_misses(
-        target, lambda share: values[int(np.argmin(np.abs(ends - share)))].states[-1]
-    )
+    target = join_targets(task.targets, ends)
+
+    def state_at(share: float) -> Array:
+        return np.asarray(values[int(np.argmin(np.abs(ends - share)))].states[-1])
+
     why = ""
     if not solution.success:
-        why = explain_failure(
-            missed, target, None, program, solution, Guess(states, gamma, float(time[-1])), "", {}
-        )
-    elif (
-        max((amount for amount, _ in missed.places), default=0.0)
-        > MET * task.stages[0].variables.scales.length
-    ):
-        why = f"no plan: {missed.worst()}: nodes that stand keep it from there, leave it out or let them step"
+        found = Guess(states, gamma, float(time[-1]))
+        why = explain_failure(task.problem, target, state_at, program, solution, found)
     cost = ca.Function("cost", [program.problem["x"]], [program.problem["f"]])(solution.w)
     outcome = Outcome(
         states=states,

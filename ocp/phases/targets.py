@@ -31,23 +31,25 @@ def phase_problems(problem: Problem, air: Problem) -> list[Problem]:
 
 def find_targets(problem: Problem, parts: Sequence[Problem], scales: Scales) -> list[Target]:
     """Return the target of each phase, near that of the one before. Raises `InfeasibleGoalError`, naming the phase."""
-    targets, near, since_start = [], problem.first_state, set(problem.phases[0].stands)
+    targets, near, since_start = [], problem.initial_state, set(problem.phases[0].contact_nodes)
     for k, (phase, part) in enumerate(zip(problem.phases, parts, strict=True)):
         try:
             target = find_target(replace(part, start=FreeStart(near)), scales)
         except InfeasibleGoalError as error:
-            raise InfeasibleGoalError(f"phase {k}: {error}") from None
-        since_start &= set(phase.stands)
-        targets.append(_without_standing(target, part, phase.stands, sorted(since_start), scales))
+            raise InfeasibleGoalError(f"phase {k}: {error}", error.certificate) from None
+        since_start &= set(phase.contact_nodes)
+        targets.append(
+            _without_standing(target, part, phase.contact_nodes, sorted(since_start), scales)
+        )
         if target.state is not None:
             near = target.state.copy()
             near[part.model.nq :] = 0.0
-    targets[0] = replace(targets[0], start=problem.first_state)
+    targets[0] = replace(targets[0], start=problem.initial_state)
     return [replace(target, free_start=None) for target in targets]
 
 
-def whole_target(targets: Sequence[Target], ends: Array) -> Target:
-    """Return the target of the plan, in which phases end at shares of its duration."""
+def join_targets(targets: Sequence[Target], ends: Array) -> Target:
+    """Join the targets of phases that end at fractions of the duration."""
     start = targets[0].start
     on_the_way = [
         WaypointTarget(float(end), part) for end, part in zip(ends[:-1], targets[:-1], strict=True)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ocp.problem.control import winds
+from ocp.problem.control import controls_rest_lengths
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import LARGEST
 
@@ -36,7 +36,7 @@ def check_plan(given: Mapping[str, Any]) -> None:
     _check_numbers(given, trajectory)
     if model is None:  # its scene may be subdivided
         return
-    if winds(model) is (given.get("rest_length") is None):
+    if controls_rest_lengths(model) is (given.get("rest_length") is None):
         raise ValueError("field 'rest_length' does not fit the model's control")
     for name in ("bars", "strings"):
         if not np.array_equal(getattr(trajectory, name), getattr(model.structure, name)):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -17,9 +17,10 @@ from ocp.plan.robustness import (
     share_variance,
     vary_model,
 )
-from ocp.problem.control import refuse_wound
-from ocp.problem.phase import refuse_phases
+from ocp.problem.control import reject_rest_length_control
+from ocp.problem.phase import reject_phases
 from ocp.problem.scaling import Scales
+from ocp.results.acceptance import measure_errors
 from ocp.results.replay import STEPS
 from ocp.results.rest_length_schedule import wind
 from ocp.targets.find_target import find_target
@@ -54,8 +55,8 @@ def measure_robustness(
             "parameters is empty and start is 0: give something that varies, such as {'bar_mass': 0.05}"
         )
     names = tuple(spreads)
-    planned = plan.known_model("robustness")
-    refuse_wound(planned, "robustness")
+    planned = plan.require_model("robustness")
+    reject_rest_length_control(planned, "robustness")
     wound = any(name in STRINGS for name in names)
     model = vary_model(planned, names, RestLength() if wound else planned.scene.control)
     tracker = (
@@ -79,7 +80,11 @@ def measure_robustness(
         save_every=1 if ways else None,
     )
     seconds = clock.perf_counter() - began
-    misses = _measure(plan, rolled.time / rolled.time[-1], rolled.states)
+    problem, target = plan.problem, None
+    if problem is not None:
+        reject_phases(problem.phases, "robustness")
+        target = find_target(problem, Scales.of(problem)).begin_at(plan.trajectory.states[0])
+    misses = measure_errors(plan, target, rolled.time, rolled.states)
     size = float(np.linalg.norm(np.ptp(planned.structure.nodes, axis=0))) or 1.0
     varied = {name: draws[:, [k]] for k, name in enumerate(names)} | (
         {"start": changes} if any(place) else {}
@@ -88,8 +93,8 @@ def measure_robustness(
         names=tuple(varied),
         factors=factors,
         starts=starts,
-        error=np.where(rolled.success, misses.error, np.inf),
-        speed_error=np.where(rolled.success, misses.speed_error, np.inf),
+        error=np.where(rolled.success, misses.position, np.inf),
+        speed_error=np.where(rolled.success, misses.velocity, np.inf),
         duration=float(plan.time[-1]),
         tolerance=RELIABLE * size if limit is None else limit,
         importance=share_variance(varied, np.where(rolled.success[:, None], misses.rows, np.nan)),
@@ -124,7 +129,7 @@ def _wound(plan: Any, tracker: Any) -> tuple[Feedback, float]:
     time, rest = wind(plan, k, UPDATES)
     if tracker is None:
         return _open_loop(time, rest, size), float(np.diff(time).min()) / WOUND_STEPS
-    model = plan.known_model("robustness")
+    model = plan.require_model("robustness")
     ends = model.nodes(tracker.states)[:, plan.structure.strings]
     s = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2)[:-1]
     lower, upper = (
@@ -141,49 +146,3 @@ def _open_loop(time: Array, controls: Array, size: int) -> Feedback:
     """Return controls (K, α) that are held from each time (K + 1,) to the next, whatever the state is."""
     count, strings = controls.shape
     return Feedback(time, controls, np.zeros((count + 1, size)), np.zeros((count, strings, size)))
-
-
-class _Misses(NamedTuple):
-    """Errors in place (n,), m, and speed (n,), m/s, and all that they are made of (n, m), in m."""
-
-    error: Array
-    speed_error: Array
-    rows: Array
-
-
-def _measure(plan: Any, shares: Array, states: Array) -> _Misses:
-    """Measure how far motions (n, T, nx) at shares (T,) of the duration are from the goals; where these name no place (or speed) from the plan."""
-    model, count = plan.known_model("robustness"), len(states)
-    duration, final = float(plan.time[-1]), plan.trajectory.states[-1]
-    metres, speeds = [np.zeros((count, 0))], [np.zeros((count, 0))]
-    if plan.problem is not None:
-        refuse_phases(plan.problem.phases, "robustness")
-        target = find_target(plan.problem, Scales.of(plan.problem)).begin_at(
-            plan.trajectory.states[0]
-        )
-        for share, part, _ in target.instants:
-            place, speed = (
-                np.asarray(value.full()).T
-                for value in part.misfit.map(count)(_at(share, shares, states).T)
-            )
-            metres.append(place)
-            speeds.append(speed)
-    found = []
-    for rows, values in ((metres, model.nodes), (speeds, model.velocities)):
-        joined = np.hstack(rows)
-        away = values(states[:, -1]) - values(final)
-        size = (
-            np.abs(joined).max(axis=1)
-            if joined.shape[1]
-            else np.linalg.norm(away, axis=2).max(axis=1)
-        )
-        found.append((size, joined if joined.shape[1] else away.reshape(count, -1)))
-    (error, place), (speed_error, speed) = found
-    return _Misses(error, speed_error, np.hstack([place, speed * duration]))
-
-
-def _at(share: float, shares: Array, states: Array) -> Array:
-    """Return the states (n, nx) at a share of the duration, linear between those that are kept."""
-    k = min(int(np.searchsorted(shares, share, side="right")), len(shares) - 1)
-    part = (share - shares[k - 1]) / (shares[k] - shares[k - 1])
-    return np.asarray((1 - part) * states[:, k - 1] + part * states[:, k])

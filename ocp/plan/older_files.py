@@ -35,7 +35,7 @@ def upgrade(content: Fields, trajectory: Trajectory) -> dict[str, Any]:
     The model is None if there is none, or if its scene has functions of time. Raises ValueError.
     """
     none = dict.fromkeys(("model", "problem", "transcription", "solver"))
-    unknown = {"unknown": "its file is of an older version"}
+    unknown = {"not_restored": "its file is of an older version"}
     try:
         structure = read_structure(content)
         if "model.coordinates" not in content:
@@ -48,9 +48,9 @@ def upgrade(content: Fields, trajectory: Trajectory) -> dict[str, Any]:
         table = {name: content[f"model.{name}"].item() for name in ("coordinates", "bar_length")}
         solved = _read_solved(str(content.get("solved", "{}")))
         table |= solved.pop("problem", {})
-        left_out = {} if "duration" in table else {"problem": unknown["unknown"]}
+        left_out = {} if "duration" in table else {"problem": unknown["not_restored"]}
         item = Document("solved", {"plan": table | solved}).root.child("plan")
-        return {"unknown": "", **own, **read_solution(scene, item, left_out)}
+        return {"not_restored": "", **own, **read_solution(scene, item, left_out)}
     except (TypeError, LookupError, AttributeError, ArithmeticError, RecursionError) as error:
         raise ValueError(f"its scene is damaged ({error})") from None
 

@@ -57,8 +57,13 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
     trajectory : Trajectory
         The planned motion at the nodes of the mesh.
     replay_error, replay_speed_error : float
-        How far the motion that `replay` computes ends from the goals, and from states that keep the
-        limits of the end, m, and in velocities, m/s; NaN where it diverges.
+        Distance of the replay that counts from the goals, and from states that keep the limits of
+        the end [m], and difference of velocities [m/s]; NaN if it diverges.
+    open_loop_error : float
+        Larger of both errors of the open-loop replay, velocities as the distance over the duration
+        [m]; inf if it diverges.
+    tracked : bool
+        Whether the replay that counts is the one under `track`.
     structure, model : Structure, and Model or None
         What was planned for, and its model; None for a loaded plan whose scene has functions of
         time (moved supports, nodal forces).
@@ -66,12 +71,12 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
         Multipliers of the constraints; None where no optimum was found.
     problem, transcription, solver : Problem, transcription and solver, or None
         What was asked, how it was made a program, and what solved it; None where a file does not
-        hold it, and `unknown` says why.
-    starts : ndarray, shape (n,), or None
+        hold it, and `not_restored` says why.
+    start_objectives : ndarray, shape (n,), or None
         Objectives of the plans from several starts, of which this is the best; NaN where none was
         found. None: there was one start.
-    unknown, tracked : str, bool
-        See above; whether the replay of these errors is under `track`.
+    not_restored : str
+        See above.
     rest_length : ndarray, shape (K, α) or (K + 1, α), or None
         Rest lengths, m, where these were decided (``control=RestLength()``), and not force
         densities: those are then what follows at the same times.
@@ -143,7 +148,7 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
             Whether `track` keeps to the plan, in steps of its own: of `RungeKutta4`, a tenth of an
             interval long.
         parameters : array_like, shape (np,), or mapping of str to array_like, optional
-            Values of the parameters of the model that the problem was made of, see `Problem.fixed`:
+            Values of the parameters of the model that the problem was made of, see `Problem.with_parameters`:
             what becomes of the plan where they are other than planned for. Default: those that it
             was planned for.
 
@@ -170,12 +175,12 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
                 )
             return replay_tracked(self)
         if parameters is None:
-            model = self.known_model("replay")
+            model = self.require_model("replay")
         elif self.problem is not None:
-            model = self.problem.fixed(parameters).model
+            model = self.problem.with_parameters(parameters).model
         else:
             raise ValueError(
-                f"parameters need the problem, which the plan does not hold ({self.unknown}): give Plan.load(path, problem=...)"
+                f"parameters need the problem, which the plan does not hold ({self.not_restored}): give Plan.load(path, problem=...)"
             )
         return replay_open(self, model, RungeKutta4() if scheme is None else scheme, step)
 
@@ -194,7 +199,7 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
         """
         if self.problem is None:
             raise ValueError(
-                f"report needs the problem, which the plan does not hold ({self.unknown}): give Plan.load(path, problem=...)"
+                f"report needs the problem, which the plan does not hold ({self.not_restored}): give Plan.load(path, problem=...)"
             )
         return report_of(
             self.problem, self.time, self.trajectory.states, self.control, self.replay(), self.duals
@@ -227,10 +232,10 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
         """
         limit = positive_number("tolerance", tolerance)
         whole_number("attempts", attempts, 1)
-        self.known_model("refine")
+        self.require_model("refine")
         if self.problem is None or self.transcription is None or self.solver is None:
             raise ValueError(
-                f"refine needs to know how the plan was solved ({self.unknown}): refine solve(problem, ..., guess=plan)"
+                f"refine needs to know how the plan was solved ({self.not_restored}): refine solve(problem, ..., guess=plan)"
             )
         found = refine_until_accurate(self, limit, attempts, find_plan)
         return found if isinstance(found, Plan) else Plan.of(found)
@@ -255,7 +260,7 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
         parameters : mapping of str to float, optional
             Relative spreads by name, at least 0 and less than 1, of quantities of
             `tenscasadi.Parameters`. With ``"stiffness"`` or ``"damping"`` motors wind elastic
-            strings to the rest lengths of the plan, as `replay_wound` does: force densities do not
+            strings to the rest lengths of the plan, as `replay_rest_lengths` does: force densities do not
             depend on these.
         start : float or (float, float)
             Spread of the nodes' coordinates, m, and of their velocities, m/s.
@@ -303,7 +308,7 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
         Returns
         -------
         Plan
-            The plan. `unknown` explains which parts the file does not hold.
+            The plan. `not_restored` explains which parts the file does not hold.
 
         Raises
         ------
@@ -325,6 +330,27 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
         return replace(plan, model=problem.model, problem=problem)
 
     @classmethod
+    def from_arrays(cls, content: Mapping[str, Any]) -> Plan:
+        """Build from arrays; names of earlier versions are read, too.
+
+        Parameters
+        ----------
+        content : mapping of str to ndarray
+            The fields by name. Those with a default may be missing.
+
+        Returns
+        -------
+        Plan
+            The plan with these fields.
+
+        Raises
+        ------
+        ValueError
+            A field is missing or has a wrong type, shape or value. The message names the field.
+        """
+        return super().from_arrays({_RENAMED.get(name, name): content[name] for name in content})
+
+    @classmethod
     def _check_loaded(cls, given: Mapping[str, Any]) -> None:
         check_plan(given)
 
@@ -336,6 +362,9 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
         if "plan" not in content:
             return upgrade(content, given["trajectory"])
         return read_tables("plan", str(content["plan"]), read_parts)
+
+
+_RENAMED = {"unknown": "not_restored", "starts": "start_objectives"}  # fields of older files
 
 
 def _find_differences(plan: Plan, model: Model) -> list[str]:

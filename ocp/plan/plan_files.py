@@ -50,7 +50,7 @@ def write_parts(plan: PlanResult) -> str:
         if problem:
             own |= attempt("problem", partial(write_plan, problem, {}))
         else:
-            left_out["problem"] = plan.unknown
+            left_out["problem"] = plan.not_restored
         tables = {**scene, "plan": own}
     return format_tables({"left_out": left_out, **tables})
 
@@ -73,7 +73,7 @@ def read_parts(document: Document) -> dict[str, Any]:
     item = document.section("plan")
     if item is None:
         structure = StructureSection().read(document.root.child("structure"))
-        reason = {"unknown": left_out["model"]} if "model" in left_out else {}
+        reason = {"not_restored": left_out["model"]} if "model" in left_out else {}
         return {**dict.fromkeys(("model", "problem", *_METHOD)), "structure": structure, **reason}
     return read_solution(read_scene(document), item, left_out)
 
@@ -81,7 +81,7 @@ def read_parts(document: Document) -> dict[str, Any]:
 def read_solution(scene: Scene, item: Item, left_out: Mapping[str, str]) -> dict[str, Any]:
     """Read model, problem, transcription and solver from [plan].
 
-    Parts that cannot be read are None, and `unknown` gives the reason. Raises SceneFileError.
+    Parts that cannot be read are None, and `not_restored` gives the reason. Raises SceneFileError.
     """
     item = item._replace(names=scene.structure.names)
     found: dict[str, Any] = dict.fromkeys(("problem", *_METHOD))
@@ -102,7 +102,7 @@ def read_solution(scene: Scene, item: Item, left_out: Mapping[str, str]) -> dict
     model = (
         found["problem"].model if found["problem"] else Model(scene, **PLAN.read_fields(options))
     )
-    reason = {"unknown": reasons[0]} if reasons else {}
+    reason = {"not_restored": reasons[0]} if reasons else {}
     return {**found, "structure": scene.structure, "model": model, **reason}
 
 

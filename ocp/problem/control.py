@@ -1,4 +1,4 @@
-"""Plans decide the force densities of strings, or the rest lengths of elastic ones."""
+"""Control of a plan: force densities of strings, or rest lengths of elastic ones."""
 
 from __future__ import annotations
 
@@ -11,33 +11,32 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.strings import ForceDensity, Linear, RestLength
 
 
-def winds(model: Model) -> bool:
-    """Tell whether rest lengths are the model's control, instead of force densities."""
+def controls_rest_lengths(model: Model) -> bool:
+    """Return whether the model is controlled by rest lengths."""
     return isinstance(model.scene.control, RestLength)
 
 
 def control_name(model: Model) -> str:
-    """Return what the control of one string is called."""
-    return "rest length" if winds(model) else "force density"
+    """Return the name of the control of one string."""
+    return "rest length" if controls_rest_lengths(model) else "force density"
 
 
-def pulled(model: Model) -> Model:
-    """Return the same structure under force densities: what elastic strings could do at any moment."""
-    return _changed(model, control=ForceDensity()) if winds(model) else model
+def build_force_density_model(model: Model) -> Model:
+    """Build the model of the same structure under force densities."""
+    return _change(model, control=ForceDensity()) if controls_rest_lengths(model) else model
 
 
-def stretched(model: Model) -> Model:
-    """Return the model of elastic strings without slack, which programs keep from pushing by limits: smooth, where `Clip` has a corner.
+def build_smooth_model(model: Model) -> Model:
+    """Build the model whose elastic strings do not go slack.
 
-    A string that is slack in a plan is wound so that it just does not pull.
+    Limits of a program keep them from pushing, so that it needs no law with a corner.
     """
-    return (
-        _changed(model, slack=Linear()) if winds(model) and model.scene.slack != Linear() else model
-    )
+    smooth = not controls_rest_lengths(model) or model.scene.slack == Linear()
+    return model if smooth else _change(model, slack=Linear())
 
 
-def _changed(model: Model, **changes: Any) -> Model:
-    """Return the model of a changed scene; the model keeps it, as its functions take time to build."""
+def _change(model: Model, **changes: Any) -> Model:
+    """Build the model of a changed scene; the model keeps it, as its functions take time to build."""
     kept: dict[Any, Any] = model.functions
     key = "changed", tuple(changes)
     if key not in kept:
@@ -51,14 +50,14 @@ def _changed(model: Model, **changes: Any) -> Model:
 
 
 def check_control(model: Model) -> None:
-    """Refuse a model whose strings cannot be driven. Raises ValueError."""
+    """Raise ValueError for a model whose strings have no control."""
     control = model.scene.control
     if not isinstance(control, (ForceDensity, RestLength)):
         raise ValueError(
             f"Problem.model has the control {control}: give a model of Scene(..., control=ForceDensity()) or RestLength()"
         )
     limp = np.flatnonzero(model.scene.structure.stiffness == 0)
-    if winds(model) and limp.size:
+    if controls_rest_lengths(model) and limp.size:
         raise ValueError(
             f"Problem.model has string {limp[0]} without stiffness, which no rest length pulls: give Structure(stiffness=...)"
         )
@@ -66,9 +65,9 @@ def check_control(model: Model) -> None:
         raise ValueError("Problem.model has no strings: there is nothing to plan")
 
 
-def refuse_wound(model: Model, user: str) -> None:
-    """Refuse a model whose control is rest lengths, which `user` does not know. Raises ValueError."""
-    if winds(model):
+def reject_rest_length_control(model: Model, user: str) -> None:
+    """Raise ValueError for a model that is controlled by rest lengths."""
+    if controls_rest_lengths(model):
         raise ValueError(
             f"{user} is for force densities, and the model has control=RestLength(): give a model of Scene(..., control=ForceDensity())"
         )

@@ -1,15 +1,14 @@
-"""Costs of a plan, as values: each a weighted number, summed with those of the others."""
+"""Costs of a plan, whose weighted sum is minimized."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple
 
 import casadi as ca
 from numpy.typing import ArrayLike
 
-from ocp.problem.instant import Instant
 from tenscasadi.schema.field_types import PER_ITEM
 from tenscasadi.schema.value import Value
 from tenscasadi.structure.structure import Structure
@@ -22,8 +21,11 @@ from tenscasadi.util.validate import (
     positive_number,
 )
 
+if TYPE_CHECKING:
+    from ocp.problem.instant import Instant
+
 ControlTerm = Callable[[Any, Any], Any]  # (force densities α×intervals, interval)
-InstantTerm = Callable[[Instant], Any]
+InstantTerm = Callable[["Instant"], Any]
 
 
 class CostTerms(NamedTuple):
@@ -50,7 +52,7 @@ def cost_terms(costs: Iterable[Cost]) -> CostTerms:
 
 
 class Cost(Value):
-    """A number that is summed with those of the other costs and minimized.
+    """Number that is added to those of the other costs and minimized.
 
     additive: whether the cost of a plan is the sum of those of its phases.
     """
@@ -60,18 +62,21 @@ class Cost(Value):
     def terms(self) -> CostTerms:
         """Return the terms of the cost."""
         raise TypeError(
-            f"Problem.costs has {format_value(self)}: give a ControlCost, RunningCost or FinalCost"
+            f"Problem.costs has {format_value(self)}: give a ControlCost, RunningCost or TerminalCost"
         )
 
     def check(self, structure: Structure) -> None:
-        """Raise TypeError or ValueError, naming the field, where the cost does not fit the structure."""
+        """Raise TypeError or ValueError where the cost does not fit the structure."""
 
 
 class ControlCost(Cost):
-    """A cost of the force densities alone; where rest lengths are decided, it is integrated as a `RunningCost` of those that follow."""
+    """Cost of the force densities.
+
+    Under rest-length control it is integrated as a `RunningCost` of those that follow.
+    """
 
     def expression(self, force_density: Any, interval: Any) -> Any:
-        """Return the cost of force densities (α×intervals, N/m) held for `interval` (s) each, as a CasADi scalar."""
+        """Build the cost of force densities (α×intervals) [N/m], each for an interval [s]."""
         raise NotImplementedError
 
     def terms(self) -> CostTerms:
@@ -80,10 +85,13 @@ class ControlCost(Cost):
 
 
 class RunningCost(Cost):
-    """A cost that is integrated over time, by Simpson's rule on each interval, its middle on the cubic between its ends."""
+    """Cost that is integrated over time.
+
+    Simpson's rule is used on each interval, with the middle on the cubic between its ends.
+    """
 
     def rate(self, now: Instant) -> Any:
-        """Return the cost per second, a CasADi scalar."""
+        """Build the cost per second, a CasADi scalar."""
         raise NotImplementedError
 
     def terms(self) -> CostTerms:
@@ -91,47 +99,47 @@ class RunningCost(Cost):
         return CostTerms(running=(self.rate,))
 
 
-class FinalCost(Cost):
-    """A cost of the end."""
+class TerminalCost(Cost):
+    """Cost of the end of a plan."""
 
     additive: ClassVar[bool] = False
 
-    def final(self, end: Instant) -> Any:
-        """Return the cost, a CasADi scalar."""
+    def terminal(self, end: Instant) -> Any:
+        """Build the cost, a CasADi scalar."""
         raise NotImplementedError
 
     def terms(self) -> CostTerms:
         """Return the cost of the end."""
-        return CostTerms(instants=((1.0, self.final),))
+        return CostTerms(instants=((1.0, self.terminal),))
 
 
 @dataclass(frozen=True, eq=False)
 class CostAt(Cost):
-    """A cost of the end that is taken at a share of the duration, between 0 and 1."""
+    """Terminal cost at a fraction of the duration, between 0 and 1."""
 
     additive: ClassVar[bool] = False
-    cost: FinalCost
+    cost: TerminalCost
     share: float
 
     def __post_init__(self) -> None:
-        instance("CostAt.cost", self.cost, FinalCost, "a cost of the end")
+        instance("CostAt.cost", self.cost, TerminalCost, "a cost of the end")
         if not positive_number("CostAt.share", self.share) < 1:
             raise ValueError(
-                f"CostAt.share is {self.share:g}: give a share of the duration between 0 and 1"
+                f"CostAt.share is {self.share:g}: give a fraction of the duration between 0 and 1"
             )
 
     def check(self, structure: Structure) -> None:
-        """Raise TypeError or ValueError, naming the field, where the cost does not fit the structure."""
+        """Raise TypeError or ValueError where the cost does not fit the structure."""
         self.cost.check(structure)
 
     def terms(self) -> CostTerms:
         """Return the cost of the instant."""
-        return CostTerms(instants=((self.share, self.cost.final),))
+        return CostTerms(instants=((self.share, self.cost.terminal),))
 
 
 @dataclass(frozen=True)
 class Effort(ControlCost, kind="Effort"):
-    """The cost weight · ∫ Σ γ² dt over all strings.
+    """Cost weight · ∫ Σ γ² dt over all strings.
 
     Parameters
     ----------
@@ -160,7 +168,7 @@ class Effort(ControlCost, kind="Effort"):
         check_weight(self)
 
     def expression(self, force_density: Any, interval: Any) -> Any:
-        """Return the cost of some intervals.
+        """Build the cost of some intervals.
 
         Parameters
         ----------
@@ -179,10 +187,11 @@ class Effort(ControlCost, kind="Effort"):
 
 @dataclass(frozen=True)
 class Smoothness(ControlCost, kind="Smoothness"):
-    """The cost weight · Σ (γ⁺ − γ)²/h over neighbouring intervals, which stands for ∫ Σ γ̇² dt; of rest lengths where these are decided.
+    """Cost weight · Σ (γ⁺ − γ)²/h over neighboring intervals.
 
-    h is the time from the middle of one interval to that of the next; where force densities are
-    linear in each interval, its length.
+    It approximates ∫ Σ γ̇² dt, or that of rest lengths under rest-length control. h is the time
+    from the middle of one interval to that of the next; for controls that are linear in each
+    interval, its length.
 
     Parameters
     ----------
@@ -221,7 +230,7 @@ class Smoothness(ControlCost, kind="Smoothness"):
         return CostTerms(changes=(self.expression,))
 
     def expression(self, force_density: Any, interval: Any) -> Any:
-        """Return the cost of some intervals.
+        """Build the cost of some intervals.
 
         Parameters
         ----------
@@ -233,14 +242,14 @@ class Smoothness(ControlCost, kind="Smoothness"):
         Returns
         -------
         casadi.SX or casadi.MX
-            weight · Σ (γ⁺ − γ)²/h of neighbouring columns, a scalar, N²/(m²·s) for weight 1.
+            weight · Σ (γ⁺ − γ)²/h of neighboring columns, a scalar, N²/(m²·s) for weight 1.
         """
         return self.weight * ca.sumsqr(force_density[:, 1:] - force_density[:, :-1]) / interval
 
 
 @dataclass(frozen=True, eq=False)
 class Prestress(ControlCost, kind="Prestress"):
-    """The cost weight · ∫ Σ (γ − level)² dt, which keeps force densities near a level.
+    """Cost weight · ∫ Σ (γ − level)² dt.
 
     Parameters
     ----------
@@ -271,7 +280,7 @@ class Prestress(ControlCost, kind="Prestress"):
         nonnegative("Prestress.level", array, "string")
 
     def check(self, structure: Structure) -> None:
-        """Refuse a structure that this does not fit.
+        """Reject a structure that the cost does not fit.
 
         Parameters
         ----------
@@ -286,7 +295,7 @@ class Prestress(ControlCost, kind="Prestress"):
         per_item("Prestress.level", self.level, len(structure.strings))
 
     def expression(self, force_density: Any, interval: Any) -> Any:
-        """Return the cost of some intervals.
+        """Build the cost of some intervals.
 
         Parameters
         ----------
@@ -309,10 +318,10 @@ class Prestress(ControlCost, kind="Prestress"):
 
 
 @dataclass(frozen=True)
-class Duration(FinalCost, kind="Duration"):
-    """The cost weight · T of the duration T, s.
+class Duration(TerminalCost, kind="Duration"):
+    """Cost weight · T of the duration T [s].
 
-    It asks for ``Problem(duration=(shortest, longest))``, and for other costs or limits of force to
+    It needs ``Problem(duration=(shortest, longest))``, and for other costs or limits of force to
     weigh against.
 
     Parameters
@@ -338,8 +347,8 @@ class Duration(FinalCost, kind="Duration"):
     def __post_init__(self) -> None:
         check_weight(self)
 
-    def final(self, end: Instant) -> Any:
-        """Return the cost of the end.
+    def terminal(self, end: Instant) -> Any:
+        """Build the cost of the end.
 
         Parameters
         ----------
@@ -356,9 +365,9 @@ class Duration(FinalCost, kind="Duration"):
 
 @dataclass(frozen=True)
 class Work(RunningCost, kind="Work"):
-    """The cost weight · ∫ Σ max(0, −γ s ṡ) dt: the work, J, that strings do as they shorten.
+    """Cost weight · ∫ Σ max(0, −γ s ṡ) dt, the work of shortening strings [J].
 
-    Nothing is won back where strings are drawn out.
+    Lengthening strings return no work.
 
     Parameters
     ----------
@@ -392,7 +401,7 @@ class Work(RunningCost, kind="Work"):
         object.__setattr__(self, "smoothing", positive_number("Work.smoothing", self.smoothing))
 
     def rate(self, now: Instant) -> Any:
-        """Return the cost per second.
+        """Build the cost per second.
 
         Parameters
         ----------
@@ -413,7 +422,7 @@ class Work(RunningCost, kind="Work"):
 
 
 def check_weight(cost: Any) -> None:
-    """Refuse a weight that is no positive number."""
+    """Raise TypeError or ValueError for a weight that is not positive."""
     object.__setattr__(
         cost, "weight", positive_number(f"{type(cost).__name__}.weight", cost.weight)
     )

@@ -1,4 +1,4 @@
-"""Own costs and constraints: any CasADi expression of an instant of the plan, with a name."""
+"""Costs and constraints of own CasADi expressions, with a name."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ocp.problem.bounds.bound import Bound, PathBound, PathConstraint
-from ocp.problem.costs import Cost, FinalCost, RunningCost
+from ocp.problem.bounds.bound import Bound, Limit, PathBound, PathConstraint
+from ocp.problem.constraints import build_constraint
+from ocp.problem.costs import Cost, RunningCost, TerminalCost
 from ocp.problem.instant import Instant, symbolic
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import (
@@ -31,13 +32,15 @@ _NO_NUMBER = "is not a number at the start: keep roots, logarithms and quotients
 
 
 @dataclass(frozen=True, eq=False)
-class AtEnd(FinalCost):
-    """The cost weight · expression(end) of an own expression; within `Constraint`, what is limited there.
+class AtEnd(TerminalCost):
+    """Cost weight · expression(end) of an own expression.
+
+    Within `Constraint` it is the limited quantity.
 
     Parameters
     ----------
     name : str
-        What errors call it.
+        Name in errors.
     expression : callable
         Takes the `Instant` at the end and gives a CasADi scalar of it.
     weight : float, optional
@@ -72,8 +75,8 @@ class AtEnd(FinalCost):
         """The expression times the weight, a function of an instant."""
         return self.expression if self.weight == 1.0 else partial(_weighted, self)
 
-    def final(self, end: Instant) -> Any:
-        """Return the cost of the end.
+    def terminal(self, end: Instant) -> Any:
+        """Build the cost of the end.
 
         Parameters
         ----------
@@ -94,12 +97,14 @@ def _weighted(item: AtEnd, end: Instant) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class Constraint(PathBound):
-    """Own limits lower ≤ expression(now) ≤ upper, at both ends of every interval; or at the end of the plan alone.
+    """Limits lower ≤ expression(now) ≤ upper of an own expression.
+
+    They hold at both ends of every interval, or at the end of the plan only.
 
     Parameters
     ----------
     name : str or AtEnd
-        What reports and multipliers call it; each constraint of a problem has its own.
+        Name in reports and duals; each constraint of a problem has its own.
         ``Constraint(AtEnd(name, expression), lower=...)`` limits weight · expression at the end of
         the plan, and is the same as to give name, expression and ``at_end``.
     expression : callable
@@ -121,11 +126,8 @@ class Constraint(PathBound):
     Examples
     --------
     >>> import ocp
-    >>> import tenscasadi as tc
-    >>> model = tc.Model(tc.Scene(tc.shapes.prism(), control=tc.ForceDensity()))
-    >>> low = ocp.Constraint("height", lambda now: now.nodes[2, 3], upper=1.2)
-    >>> low.constraint(model).names
-    ('height',)
+    >>> ocp.Constraint("height", lambda now: now.nodes[2, 3], upper=1.2).ends
+    ('start', 'end')
     >>> ocp.Constraint(ocp.AtEnd("height", lambda end: end.nodes[2, 3]), upper=1.2).at_end
     True
     """
@@ -154,18 +156,23 @@ class Constraint(PathBound):
             if value is not None:
                 number_or_vector(f"Constraint {self.name!r}: {field}", value)
 
-    def constraint(self, model: Model) -> PathConstraint:
-        """Return the entries of the expression with their limits, as a path constraint.
+    @property
+    def ends(self) -> tuple[str, ...]:  # type: ignore[override]
+        """Ends of intervals at which the limits hold."""
+        return ("last",) if self.at_end else PathBound.ends
+
+    def limit(self, now: Instant) -> Limit:
+        """Build the entries of the expression with their limits.
 
         Parameters
         ----------
-        model : Model
-            The model of the problem.
+        now : Instant
+            Instant of symbols.
 
         Returns
         -------
-        PathConstraint
-            Expressions of an instant of symbols, between their limits.
+        Limit
+            Entries of the expression.
 
         Raises
         ------
@@ -173,18 +180,13 @@ class Constraint(PathBound):
             If the expression fails or is none, entries and limits differ in number, or limits
             cross.
         """
-        now = symbolic(model)
         value = _column(self, now)
         count = value.shape[0]
         lower, upper = self._limit("lower", count, -np.inf), self._limit("upper", count, np.inf)
         if np.any(lower > upper):
             raise ValueError(f"Constraint {self.name!r}: lower is above upper: give lower ≤ upper")
-        names = (
-            (str(self.name),) if count == 1 else tuple(f"{self.name} [{k}]" for k in range(count))
-        )
-        return PathConstraint(
-            value, lower, upper, names, "", now.symbols, ("last",) if self.at_end else self.ends
-        )
+        names = tuple(f"{self.name} [{k}]" for k in range(count))
+        return Limit(value, lower, upper, (str(self.name),) if count == 1 else names, "")
 
     def _limit(self, field: str, count: int, missing: float) -> Array:
         value = getattr(self, field)
@@ -200,12 +202,12 @@ class Constraint(PathBound):
 
 @dataclass(frozen=True, eq=False)
 class Integral(RunningCost):
-    """The cost weight · ∫ expression(now) dt of an own expression.
+    """Cost weight · ∫ expression(now) dt of an own expression.
 
     Parameters
     ----------
     name : str
-        What errors call it.
+        Name in errors.
     expression : callable
         Takes an `Instant` and gives a CasADi scalar of it.
     weight : float, optional
@@ -242,7 +244,7 @@ class Integral(RunningCost):
         )
 
     def rate(self, now: Instant) -> Any:
-        """Return the cost per second.
+        """Build the cost per second.
 
         Parameters
         ----------
@@ -260,9 +262,9 @@ class Integral(RunningCost):
 def check_expressions(
     model: Model, bounds: Sequence[Bound], costs: Sequence[Cost], start: Array | None
 ) -> None:
-    """Build each bound and cost once, so that a fault shows here.
+    """Build each bound and cost once, so that errors show here.
 
-    Refuses a start (nx,), None where it is free, that is out of bounds.
+    Rejects a start (nx,) outside the bounds; None if it is free.
     """
     names = [bound.name for bound in bounds if isinstance(bound, Constraint)]
     for name in names:
@@ -272,7 +274,7 @@ def check_expressions(
             )
     for bound in bounds:
         if isinstance(bound, PathBound):
-            limited = bound.constraint(model)
+            limited = build_constraint(bound, model)
             value, steered = _first(bound, limited.symbols, limited.value, start)
             undefined = np.isnan(value) & ~steered
             if undefined.any():
@@ -297,7 +299,10 @@ def check_expressions(
 def _first(
     item: Any, symbols: tuple[Any, ...], value: Any, start: Array | None
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the entries of an expression at the start under no forces, none without a start; and which of them force densities change."""
+    """Evaluate an expression at the start without forces; find entries that depend on controls.
+
+    There are no entries without a start.
+    """
     column = ca.densify(ca.vec(value))
     function = ca.Function("first", symbols, [column], {"allow_free": True})
     if function.get_free():
@@ -336,13 +341,13 @@ def _named(item: Any) -> None:
 
 
 def _label(item: Any) -> str:
-    """Return the name of a bound or a cost in errors."""
+    """Return the name of a bound or cost for errors."""
     name = getattr(item, "name", None)
     return type(item).__name__ + (f" {name!r}" if name else "")
 
 
 def _column(item: Any, now: Instant) -> Any:
-    """Return the entries of an own expression, whose faults are told by its name."""
+    """Build the entries of an own expression."""
     nodes, strings = now.model.scene.structure.nodes, now.model.scene.structure.strings
     hint = f"an instant has nodes and velocities 3×{len(nodes)}, lengths, rates, control ({len(strings)},), tension, bar_force, state, time"
     value = call_user_function(_label(item), item.expression, now, hint)

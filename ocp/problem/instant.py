@@ -8,7 +8,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ocp.problem.control import winds
+from ocp.problem.control import controls_rest_lengths
+from ocp.problem.rows import column_norms
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array, nonnegative, per_item
 
@@ -64,7 +65,7 @@ class Instant:
     @cached_property
     def lengths(self) -> Any:
         """Distances (α,) between the ends of the strings, m."""
-        return norms(self._across(self.nodes, self.model.scene.structure.strings))
+        return column_norms(self._across(self.nodes, self.model.scene.structure.strings))
 
     @cached_property
     def rates(self) -> Any:
@@ -78,7 +79,7 @@ class Instant:
     @cached_property
     def force_density(self) -> Any:
         """Force densities γ (α,), N/m: the control, or what the law of the strings makes of rest lengths."""
-        if not winds(self.model):
+        if not controls_rest_lengths(self.model):
             return self.control
         mean = self._gather(
             self.model.structure.string_fraction
@@ -94,7 +95,7 @@ class Instant:
     def bar_force(self) -> Any:
         """Forces of the bars (β,), N, positive in compression: λ ‖b‖."""
         b = self._across(self.nodes, self.model.scene.structure.bars)
-        return self.model.multiplier_function(self.state, self.control)[0] * norms(b)
+        return self.model.multiplier_function(self.state, self.control)[0] * column_norms(b)
 
     def rest_lengths(self, stiffness: Any) -> Any:
         """Return the rest lengths ρ = s (1 − γ/k) that give the force densities, summed over the segments of a string; or those decided.
@@ -114,10 +115,10 @@ class Instant:
         TypeError, ValueError
             The stiffness is not one number greater than 0 for each string.
         """
-        if winds(self.model):
+        if controls_rest_lengths(self.model):
             return self.control
         s = self.model.structure
-        along = norms(self._across(self.model.nodes(self.state).T, s.strings))
+        along = column_norms(self._across(self.model.nodes(self.state).T, s.strings))
         given = per_item("stiffness", stiffness, len(self.model.scene.structure.strings))
         whole = ca.DM(
             nonnegative("stiffness", given, "string", strict=True)[s.string_parent]
@@ -135,14 +136,9 @@ class Instant:
         return columns[:, pairs[:, 1].tolist()] - columns[:, pairs[:, 0].tolist()]
 
 
-def norms(vectors: Any) -> Any:
-    """Return the lengths (m,) of the columns of a 3×m expression."""
-    return ca.sqrt(ca.sum1(vectors * vectors)).T
-
-
 def forces_of(model: Model, states: Array, controls: Array) -> Array:
     """Return the force densities (K, α), N/m, of states (K, nx) under what is decided there (K, α)."""
-    if not winds(model):
+    if not controls_rest_lengths(model):
         return controls
     now = symbolic(model)
     follow = ca.Function("follow", [now.state, now.control], [ca.densify(now.force_density)]).map(

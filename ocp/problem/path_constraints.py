@@ -1,52 +1,62 @@
-"""All limits along a plan, symbolic and scaled: what programs and controllers impose, and reports list."""
+"""Path constraints of a plan: those that programs and controllers impose, and reports list."""
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
 
-from ocp.problem.bounds.bound import PathBound, PathConstraint, RateBound
+from ocp.problem.bounds.bound import Bound, PathBound, PathConstraint, RateBound
 from ocp.problem.bounds.string_bounds import ForceDensityLimits, RestLengthLimits
-from ocp.problem.control import winds
+from ocp.problem.constraints import build_constraint
+from ocp.problem.control import controls_rest_lengths
 from ocp.problem.instant import symbolic
-from ocp.problem.problem import Problem
-from ocp.problem.scaling import Scales
 from tenscasadi.util.validate import Array
+
+if TYPE_CHECKING:
+    from ocp.problem.problem import Problem
+    from ocp.problem.scaling import Scales
 
 
 def path_constraints(
-    problem: Problem, kind: type[PathBound] | type[RateBound]
+    problem: Problem, kind: type[PathBound] | type[RateBound], implied: bool = False
 ) -> list[PathConstraint]:
-    """Return what the bounds of one kind limit, each under a name of its own.
+    """Build the path constraints of the bounds of one kind, with unique names.
 
-    What several of them limit, such as the way of a bar round two obstacles, is called "obstacle
-    clear of bar 0 (bounds[2])", after the bound's place in Problem.bounds.
+    A quantity that several bounds limit is called "obstacle clear of bar 0 (bounds[2])", after the
+    place in Problem.bounds. implied: whether to build the weaker ones that bounds imply.
     """
-    decided = (
-        RestLengthLimits if winds(problem.model) else ForceDensityLimits
-    )  # which limit the unknowns themselves
-    found = {
-        k: bound.constraint(problem.model)
-        for k, bound in enumerate(problem.bounds)
-        if isinstance(bound, kind) and not isinstance(bound, decided)
-    }
+    found = dict(_build_constraints(problem, kind, implied))
     times = Counter(name for one in found.values() for name in set(one.names))
-
-    def told_apart(k: int, one: PathConstraint) -> PathConstraint:
-        return replace(
-            one,
-            names=tuple(f"{name} (bounds[{k}])" if times[name] > 1 else name for name in one.names),
-        )
-
-    own = [_pulling(problem)] if kind is PathBound and winds(problem.model) else []
-    return [*own, *(told_apart(k, one) for k, one in found.items() if one.names)]
+    own = []
+    if kind is PathBound and controls_rest_lengths(problem.model):
+        own = [_limit_force_densities(problem)]
+    for k, one in found.items():
+        names = tuple(f"{name} (bounds[{k}])" if times[name] > 1 else name for name in one.names)
+        own += [replace(one, names=names)] if names else []
+    return own
 
 
-def _pulling(problem: Problem) -> PathConstraint:
-    """Return the limits of the force densities that follow from rest lengths: at least 0, as strings do not push."""
+def _build_constraints(
+    problem: Problem, kind: type, implied: bool
+) -> Iterator[tuple[int, PathConstraint]]:
+    """Yield constraints by the place of their bound, but for limits of the control itself."""
+    model = problem.model
+    control = RestLengthLimits if controls_rest_lengths(model) else ForceDensityLimits
+    for k, bound in enumerate(problem.bounds):
+        if isinstance(bound, kind) and not isinstance(bound, control):
+            own: Bound = bound
+            if implied and isinstance(bound, PathBound):
+                own = bound.imply(model.scene.structure)
+            yield k, build_constraint(own, model)
+
+
+def _limit_force_densities(problem: Problem) -> PathConstraint:
+    """Limit the force densities that follow from rest lengths: strings do not push."""
     now, (lower, upper) = symbolic(problem.model), problem.force_density_limits
     names = tuple(f"force density of string {k}" for k in range(len(lower)))
     return PathConstraint(
@@ -56,7 +66,17 @@ def _pulling(problem: Problem) -> PathConstraint:
 
 @dataclass(frozen=True, eq=False)
 class ScaledRows:
-    """Rows lower ≤ function(symbols) ≤ upper of what is limited, divided by `scale`; symbols and ends as in `PathConstraint`."""
+    """Rows lower ≤ function(symbols) ≤ upper of order one.
+
+    Attributes
+    ----------
+    function : casadi.Function
+        Symbols → rows.
+    lower, upper, names, ends
+        As of `PathConstraint`.
+    scale : ndarray, shape (m,)
+        Size of each row, in the unit of its quantity.
+    """
 
     function: ca.Function
     lower: Array
@@ -69,20 +89,15 @@ class ScaledRows:
 def scaled_rows(
     problem: Problem, kind: type[PathBound] | type[RateBound], scales: Scales, strength: float
 ) -> list[ScaledRows]:
-    """Return the path constraints of one kind as rows of order one. strength: a typical γ, N/m."""
-    return [_scaled(one, scales, strength) for one in path_constraints(problem, kind)]
+    """Build the path constraints of one kind as rows of order one.
+
+    strength: typical force density [N/m].
+    """
+    return [_scale(one, scales, strength) for one in path_constraints(problem, kind)]
 
 
-def _scaled(limited: PathConstraint, scales: Scales, strength: float) -> ScaledRows:
-    scale = _row_scale(limited, scales, strength)
-    function = ca.Function("bound", limited.symbols, [ca.densify(limited.value / ca.DM(scale))])
-    return ScaledRows(
-        function, limited.lower / scale, limited.upper / scale, limited.names, limited.ends, scale
-    )
-
-
-def _row_scale(limited: PathConstraint, scales: Scales, strength: float) -> Array:
-    """Return the size that one row of each entry stands for: by its unit; of own constraints, which have none, by its limits."""
+def _scale(limited: PathConstraint, scales: Scales, strength: float) -> ScaledRows:
+    """Scale rows by their unit, or by the limits of own expressions, which have none."""
     sizes = {
         "N": strength * scales.length,
         "N/m": strength,
@@ -90,7 +105,12 @@ def _row_scale(limited: PathConstraint, scales: Scales, strength: float) -> Arra
         **scales.units,
     }
     if limited.unit:
-        return np.full(len(limited.names), sizes[limited.unit])
-    ends = np.array([limited.lower, limited.upper])
-    largest = np.max(np.where(np.isfinite(ends), np.abs(ends), 0.0), axis=0)
-    return np.where(largest > 0, largest, 1.0)
+        scale = np.full(len(limited.names), sizes[limited.unit])
+    else:
+        both = np.array([limited.lower, limited.upper])
+        largest = np.max(np.where(np.isfinite(both), np.abs(both), 0.0), axis=0)
+        scale = np.where(largest > 0, largest, 1.0)
+    function = ca.Function("bound", limited.symbols, [ca.densify(limited.value / ca.DM(scale))])
+    return ScaledRows(
+        function, limited.lower / scale, limited.upper / scale, limited.names, limited.ends, scale
+    )

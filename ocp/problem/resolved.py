@@ -1,4 +1,4 @@
-"""The arguments of a problem as planning takes them: read, checked, completed."""
+"""Arguments of a problem as planning takes them: read, checked and completed."""
 
 from __future__ import annotations
 
@@ -16,26 +16,32 @@ from ocp.problem.bounds.string_bounds import (
     StringLimits,
     TensionLimits,
 )
-from ocp.problem.control import check_control, refuse_wound
+from ocp.problem.control import check_control, reject_rest_length_control
 from ocp.problem.costs import Cost, CostAt, Effort
 from ocp.problem.expressions import check_expressions
 from ocp.problem.goals.goal import Goal, SoftGoal
-from ocp.problem.goals.periodic import Periodic
 from ocp.problem.goals.waypoints import Waypoint
-from ocp.problem.phase import Phase, check_phases, phases_between, read_duration, read_items
+from ocp.problem.phase import Phase, check_phases, phases_between
+from ocp.problem.reading import Duration, limits_of, read_duration, read_items
 from ocp.problem.start import FreeStart, read_start
 from tenscasadi.dynamics.model import Model
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, format_value, instance
 
-Duration = float | tuple[float, float]
-
 
 class Resolved(NamedTuple):
     """The fields of a `Problem` as planning takes them.
 
-    model: with the values of its parameters as constants. start: a state, or a `FreeStart` near
-    one. goals: those that are met; soft ones are among the costs.
+    Attributes
+    ----------
+    model : Model
+        The model, with the values of its parameters as constants.
+    duration : float or (float, float)
+        Duration [s], or its limits.
+    start : ndarray, shape (nx,), or FreeStart
+        The initial state.
+    goals, bounds, costs, phases : tuple
+        As given; soft goals are among the costs.
     """
 
     model: Model
@@ -63,46 +69,49 @@ def resolve(
     check_control(model)
     if model.nq == 0:
         raise ValueError("Problem.model has all nodes pinned: there is nothing to move")
+    structure = model.scene.structure
     for bar in np.flatnonzero(model.structure.elastic):
         raise ValueError(
             f"Problem.model has an elastic bar, {bar}: plan with rigid bars, of structure.replace(bar_stiffness=None)"
         )
     own_phases = read_items("Problem.phases", phases, Phase, "[Phase(0.5)]")
-    time = read_duration("Problem.duration", _whole_duration(duration, own_phases))
+    time = read_duration("Problem.duration", _add_durations(duration, own_phases))
     own_goals = read_items("Problem.goals", goals, Goal, "[AtRest()]")
-    own_goals, parts = _divide(model, own_goals, own_phases, time)
+    own_goals, parts = _divide(structure, own_goals, own_phases, time)
     begin = read_start(model, start)
     own_bounds = read_items("Problem.bounds", bounds, Bound, "[ForceDensityLimits(0, 200)]")
     own_costs = read_items("Problem.costs", costs, Cost, "[Effort()]")
     first_goals = begin.goals if isinstance(begin, FreeStart) else ()
     for item in (*own_goals, *own_bounds, *own_costs, *first_goals):
-        item.check(model.scene.structure)
-    begin, own_goals, own_costs = _complete(model, begin, own_goals, own_costs)
-    for goal in own_goals:
-        share_of(goal, time)  # refuses times that are none of the plan's
-    _check_limits(model.scene.structure, own_bounds)
-    upper = string_limits(model.scene.structure, own_bounds, ForceDensityLimits)[1]
-    if not own_costs and np.isposinf(upper).any():
-        # With nothing to keep them small, barriers of the solver let force densities grow without
-        # bound.
-        own_costs = (Effort(),)
-    own_goals, wishes = _split_soft(own_goals, own_costs, time)
-    own_costs = (*own_costs, *wishes)
+        item.check(structure)
     state = None if isinstance(begin, FreeStart) else begin
+    if isinstance(begin, FreeStart):
+        begin = replace(begin, goals=tuple(goal.bind(model, None) for goal in begin.goals))
+    own_goals = tuple(goal.bind(model, state) for goal in own_goals)
+    own_costs = tuple(
+        cost.bind(model, state) if isinstance(cost, SoftGoal) else cost for cost in own_costs
+    )
+    _check_limits(structure, own_bounds)
+    upper = string_limits(structure, own_bounds, ForceDensityLimits)[1]
+    if not own_costs and np.isposinf(upper).any():
+        # without a cost, barriers of the solver let force densities grow without bound
+        own_costs = (Effort(),)
+    own_goals, penalties = _split_soft(own_goals, own_costs, time)
+    own_costs = (*own_costs, *penalties)
     check_expressions(model, own_bounds, own_costs, state)
     found = Resolved(model, time, begin, own_goals, own_bounds, own_costs, parts)
-    _check_phases(found, divided=parts is not own_phases)
+    if parts:
+        _check_phases(found, divided=parts is not own_phases)
     return found
 
 
-def share_of(goal: Goal, duration: Duration) -> float:
-    """Return the share of the duration at which a goal is met. Raises ValueError for a time that is none of the plan's."""
-    shortest, longest = duration if isinstance(duration, tuple) else (duration, duration)
-    return goal.at(shortest, longest) if isinstance(goal, Waypoint) else 1.0
+def fraction_of(goal: Goal, duration: Duration) -> float:
+    """Return the fraction of the duration at which a goal is met. Raises ValueError."""
+    return goal.at(*limits_of(duration)) if isinstance(goal, Waypoint) else 1.0
 
 
 def string_limits(structure: Structure, bounds: Iterable[Bound], kind: type) -> tuple[Array, Array]:
-    """Return the limits (α,) that all bounds of one kind leave; infinite where there is none."""
+    """Return the limits (α,) of all bounds of one kind together; infinite if there are none."""
     given = [
         bound.limits(structure)
         for bound in bounds
@@ -114,11 +123,11 @@ def string_limits(structure: Structure, bounds: Iterable[Bound], kind: type) -> 
     return lower, upper
 
 
-def _whole_duration(given: Any, phases: tuple[Phase, ...]) -> Any:
-    """Return the duration that is given, or that of all phases."""
+def _add_durations(given: Any, phases: tuple[Phase, ...]) -> Any:
+    """Return the given duration, or that of all phases."""
     if not phases:
         return given
-    last = phases[-1].until
+    last = phases[-1].end_time
     sums = sum(phase.shortest for phase in phases), sum(phase.longest for phase in phases)
     whole = read_duration("Problem.duration", sums if last is None else last)
     if read_duration("Problem.duration", given) not in (1.0, whole):
@@ -129,60 +138,55 @@ def _whole_duration(given: Any, phases: tuple[Phase, ...]) -> Any:
 
 
 def _divide(
-    model: Model, goals: tuple[Goal, ...], phases: tuple[Phase, ...], duration: Duration
+    structure: Structure, goals: tuple[Goal, ...], phases: tuple[Phase, ...], duration: Duration
 ) -> tuple[tuple[Goal, ...], tuple[Phase, ...]]:
-    """Make waypoints of free times the ends of phases."""
+    """Convert waypoints of free times into ends of phases."""
     ways = [goal for goal in goals if isinstance(goal, Waypoint)]
     if phases or not any(isinstance(way.time, tuple) for way in ways):
         return goals, phases
     for way in ways:
-        way.check(model.scene.structure)
-    shortest, longest = duration if isinstance(duration, tuple) else (duration, duration)
+        way.check(structure)
     rest = tuple(goal for goal in goals if goal not in ways)
-    return rest, tuple(phases_between(ways, shortest, longest))
-
-
-def _complete(
-    model: Model, start: Array | FreeStart, goals: tuple[Goal, ...], costs: tuple[Cost, ...]
-) -> tuple[Array | FreeStart, tuple[Goal, ...], tuple[Cost, ...]]:
-    """Give goals what they take from the start: distances, or places that stay."""
-    begin = None
-    if isinstance(start, FreeStart):
-        start = replace(start, goals=tuple(goal.complete(model, None) for goal in start.goals))
-    else:
-        begin = start
-    own_goals = tuple(goal.complete(model, begin) for goal in goals)
-    own_costs: tuple[Any, ...] = tuple(
-        cost.complete(model, begin) if isinstance(cost, SoftGoal) else cost for cost in costs
-    )
-    return start, own_goals, own_costs
+    return rest, phases_between(ways, *limits_of(duration))
 
 
 def _split_soft(
     goals: tuple[Goal, ...], costs: tuple[Cost, ...], duration: Duration
 ) -> tuple[tuple[Goal, ...], tuple[Cost, ...]]:
-    """Return the goals that are met, and the costs of those that are not."""
+    """Split goals into constraints and penalties."""
     met: list[Goal] = []
-    wished: list[Cost] = []
+    penalties: list[Any] = []
     for goal in goals:
-        parts = list(goal.goals) if isinstance(goal, Waypoint) else [goal]
+        parts = goal.goals if isinstance(goal, Waypoint) else (goal,)
         soft = [part for part in parts if isinstance(part, SoftGoal)]
-        share = share_of(goal, duration)
-        wished += soft if share == 1.0 else [CostAt(part, share) for part in soft]
+        share = fraction_of(goal, duration)
+        penalties += soft if share == 1.0 else [CostAt(part, share) for part in soft]
         if isinstance(goal, Waypoint) and 0 < len(soft) < len(parts):
             met.append(replace(goal, goals=tuple(part for part in parts if part not in soft)))
         elif not soft:
             met.append(goal)
-    asked = [wish.cost if isinstance(wish, CostAt) else wish for wish in (*costs, *wished)]
-    if any(
-        isinstance(wish.goal, Periodic) and wish.goal.start is None
-        for wish in asked
-        if isinstance(wish, SoftGoal)
-    ):
-        raise ValueError(
-            "Problem.goals has Periodic().soft(), and the start is free: give Periodic(start=...), or Periodic()"
-        )
-    return tuple(met), tuple(wished)
+    for cost in (*costs, *penalties):
+        soft_goal = cost.cost if isinstance(cost, CostAt) else cost
+        if isinstance(soft_goal, SoftGoal) and soft_goal.goal.repeats_start:
+            raise ValueError(
+                "Problem.goals has Periodic().soft(), and the start is free: give Periodic(start=...), or Periodic()"
+            )
+    return tuple(met), tuple(penalties)
+
+
+def join_soft(
+    goals: Iterable[Goal], costs: Iterable[Cost]
+) -> tuple[tuple[Goal, ...], tuple[Cost, ...]]:
+    """Put penalties of a problem back among its goals, as a user gives them."""
+    given, own = list(goals), []
+    for cost in costs:
+        if isinstance(cost, CostAt) and isinstance(cost.cost, SoftGoal):
+            given.append(Waypoint([cost.cost], share=cost.share))
+        elif isinstance(cost, SoftGoal):
+            given.append(cost)
+        else:
+            own.append(cost)
+    return tuple(given), tuple(own)
 
 
 def _check_limits(structure: Structure, bounds: tuple[Bound, ...]) -> None:
@@ -197,14 +201,12 @@ def _check_limits(structure: Structure, bounds: tuple[Bound, ...]) -> None:
 
 
 def _check_phases(found: Resolved, divided: bool) -> None:
-    """Refuse phases that do not fit the rest. divided: whether they come from waypoints."""
-    if not found.phases:
-        return
+    """Raise errors for phases that do not fit the rest; `divided` if they come from waypoints."""
     try:
-        refuse_wound(found.model, "Problem.phases")
+        reject_rest_length_control(found.model, "Problem.phases")
         if isinstance(found.start, FreeStart):
             raise ValueError(
-                "Problem.start is free, and phases begin where nodes stand: give the start"
+                "Problem.start is free, and phases begin with nodes on the ground: give the start"
             )
         check_phases(found.model, found.start, found.phases, found.goals, found.bounds, found.costs)
     except (TypeError, ValueError) as error:

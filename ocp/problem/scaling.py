@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from ocp.problem.control import winds
+from ocp.problem.control import controls_rest_lengths
 from ocp.problem.costs import cost_terms
 from ocp.problem.instant import symbolic
 from ocp.problem.problem import Problem
@@ -46,7 +46,7 @@ class Scales:
 def control_scale(problem: Problem, strength: float) -> Array:
     """Return the size (α,) of changes of what is decided: a typical γ, N/m; or the rest lengths, m, that elastic strings give it by."""
     structure = problem.model.scene.structure
-    if not winds(problem.model):
+    if not controls_rest_lengths(problem.model):
         return np.full(len(structure.strings), strength)
     return np.asarray(structure.string_lengths * np.minimum(strength / structure.stiffness, 1.0))
 
@@ -64,7 +64,7 @@ def typical_cost(
     pattern = strength * (
         1 + np.sqrt(0.5) * (-1.0) ** string * np.sin(2 * np.pi * (interval + 0.5) / count)
     )
-    decided = force_density.T if winds(problem.model) else pattern
+    decided = force_density.T if controls_rest_lengths(problem.model) else pattern
     step, time = duration / count, np.linspace(0.0, duration, count + 1)
     now, terms = symbolic(problem.model), cost_terms(problem.costs)
     changed = np.diag(control_scale(problem, strength) / strength) @ pattern

@@ -1,4 +1,4 @@
-"""Where a motion starts: a given state, or one that the solver chooses."""
+"""Start of a motion: a given state, or one that the solver chooses."""
 
 from __future__ import annotations
 
@@ -9,10 +9,8 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ocp.problem.goals.goal import BAR_TOLERANCE, Goal, SoftGoal, check_bar_lengths
-from ocp.problem.goals.periodic import Periodic
-from ocp.problem.goals.waypoints import Waypoint
-from ocp.problem.phase import read_items
+from ocp.problem.goals.goal import BAR_TOLERANCE, Goal, check_bar_lengths
+from ocp.problem.reading import read_items
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import build_projection
 from tenscasadi.io.structure_section import OfStructure
@@ -24,19 +22,18 @@ from tenscasadi.util.validate import Array, finite_array, nesting
 
 @dataclass(frozen=True, eq=False)
 class FreeStart(Value, kind="FreeStart"):
-    """A start that the solver chooses, as for a gait, which repeats a motion that is not known before.
+    """Start that the solver chooses, as for an unknown gait.
 
-    Bars have their lengths at the start by constraints of their own; a clock starts as it does near
-    ``near``.
+    Bar lengths are constraints of the start; a clock starts as it does near ``near``.
 
     Parameters
     ----------
     near : array_like of shape (n, 3) or (nx,), optional
-        Nodes at rest, m, or a state, where the start is looked for; None for the model's initial
-        state.
+        Nodes at rest [m], or a state, near which the start is searched. Default: the model's
+        initial state.
     goals : iterable of goals, optional
-        What the start has to meet, such as `NodePositions` of a node where nothing else says where
-        on the ground a motion begins.
+        Goals of the start, such as `NodePositions` of a node if nothing else gives the position on
+        the ground.
 
     Raises
     ------
@@ -55,11 +52,10 @@ class FreeStart(Value, kind="FreeStart"):
     goals: Iterable[Goal] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(
-            self, "goals", read_items("FreeStart.goals", self.goals, Goal, "[AtRest()]")
-        )
-        for k, goal in enumerate(self.goals):
-            if isinstance(goal, (Waypoint, Periodic, SoftGoal)):
+        goals = read_items("FreeStart.goals", self.goals, Goal, "[AtRest()]")
+        object.__setattr__(self, "goals", goals)
+        for k, goal in enumerate(goals):
+            if goal.timing != "end":
                 raise TypeError(
                     f"FreeStart.goals[{k}] is a {type(goal).__name__}: give it to the problem, goals of the start are of that instant alone"
                 )
@@ -79,7 +75,7 @@ def read_start(model: Model, start: ArrayLike | FreeStart | None) -> Array | Fre
 
 
 def _read_state(model: Model, field: str, given: ArrayLike | None) -> Array:
-    """Read the state (nx,) that is given as nodes or as a state, on the constraints."""
+    """Read the state (nx,) on the constraints, given as nodes or as a state."""
     if given is None:
         return model.initial_state
     if nesting(given) == 1:
@@ -90,11 +86,7 @@ def _read_state(model: Model, field: str, given: ArrayLike | None) -> Array:
             state = model.state(nodes)
         except ValueError as error:
             raise ValueError(f"{field}: {error}") from None
-    s, nodes, velocities = (
-        model.structure,
-        model.nodes(state),
-        model.velocities(state),
-    )
+    s, nodes, velocities = model.structure, model.nodes(state), model.velocities(state)
     check_bar_lengths(f"{field} makes", nodes, s)
     bars, rates = (Z[s.bars[:, 1]] - Z[s.bars[:, 0]] for Z in (nodes, velocities))
     stretch = abs(np.sum(bars * rates, axis=1)) / s.bar_lengths

@@ -1,15 +1,14 @@
-"""The cost that keeps nodes near places that may move."""
+"""Cost of the distances of nodes from given places."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import casadi as ca
 
 from ocp.problem.costs import RunningCost, check_weight
-from ocp.problem.instant import Instant
 from tenscasadi.schema.containers import MapOf
 from tenscasadi.schema.field_types import MOVING_PLACE
 from tenscasadi.structure.structure import Structure
@@ -21,13 +20,16 @@ from tenscasadi.util.validate import (
     number,
 )
 
+if TYPE_CHECKING:
+    from ocp.problem.instant import Instant
+
 Place = tuple[float | None, float | None, float | None]
 UNTRACKED = "an axis that does not matter"
 
 
 @dataclass(frozen=True, eq=False)
 class Tracking(RunningCost, kind="Tracking"):
-    """The cost weight · ∫ Σ ‖node − place‖² dt, which keeps nodes near places that may move.
+    """Cost weight · ∫ Σ ‖node − place‖² dt of places that may move.
 
     Parameters
     ----------
@@ -77,7 +79,7 @@ class Tracking(RunningCost, kind="Tracking"):
         object.__setattr__(self, "positions", places)
 
     def check(self, structure: Structure) -> None:
-        """Refuse a structure that this does not fit.
+        """Reject a structure that the cost does not fit.
 
         Parameters
         ----------
@@ -93,7 +95,7 @@ class Tracking(RunningCost, kind="Tracking"):
             node_index("Tracking.positions: node", node, len(structure.nodes))
 
     def rate(self, now: Instant) -> Any:
-        """Return the cost per second.
+        """Build the cost per second.
 
         Parameters
         ----------
@@ -121,7 +123,7 @@ class Tracking(RunningCost, kind="Tracking"):
 
 
 def _moving(field: str, place: Callable[[Any], Any], time: Any) -> tuple[Any, ...]:
-    """Return the coordinates of a place at a symbolic time: expressions of it, numbers, or None."""
+    """Read the coordinates of a place at a symbolic time."""
 
     def read(field: str, entry: Any) -> Any:
         if not isinstance(entry, (ca.SX, ca.MX)):

@@ -14,16 +14,18 @@ from tenscasadi.scene.strings import RestLength, rest_length
 from tenscasadi.simulation.inputs.controls import ControlProfile
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import Array, instance, nonnegative, per_item, whole_number
 
 MOST_UPDATES = 1000  # of rest lengths in an interval
 WOUND_STEPS = 5  # steps of a replay from one change of rest lengths to the next
 
 
-def reachable(
-    plan: PlanResult, stiffness: ArrayLike | None = None, shortest: ArrayLike = 0.0
+@rename_keywords(shortest="min_rest_length")
+def is_realizable(
+    plan: PlanResult, stiffness: ArrayLike | None = None, min_rest_length: ArrayLike = 0.0
 ) -> Array:
-    """Tell which force densities of a plan elastic strings can carry: γ < k, and rest lengths that can be wound.
+    """Return whether elastic strings can carry the force densities of a plan.
 
     Parameters
     ----------
@@ -31,8 +33,8 @@ def reachable(
         The plan.
     stiffness : array_like, scalar or shape (α,), optional
         Stiffness k of the strings, N/m. Default: the structure's.
-    shortest : array_like, scalar or shape (α,)
-        Shortest rest length, m.
+    min_rest_length : array_like, scalar or shape (α,)
+        Smallest rest length [m].
 
     Returns
     -------
@@ -51,7 +53,7 @@ def reachable(
     >>> cross = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()))
     >>> goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()]
     >>> plan = ocp.solve(ocp.Problem(cross, goals=goals, costs=[ocp.Effort()]), ocp.MultipleShooting(10))
-    >>> bool(ocp.reachable(plan, stiffness=1000.0).all())
+    >>> bool(ocp.is_realizable(plan, stiffness=1000.0).all())
     True
     """
     instance("plan", plan, PlanResult, "an ocp.Plan")
@@ -59,13 +61,15 @@ def reachable(
     count = plan.force_density.shape[1]
     given = plan.structure.stiffness if stiffness is None else stiffness
     k = nonnegative("stiffness", per_item("stiffness", given, count), "string")
-    least = nonnegative("shortest", per_item("shortest", shortest, count), "string")
+    least = nonnegative(
+        "min_rest_length", per_item("min_rest_length", min_rest_length, count), "string"
+    )
     gamma = plan.force_density
     rest = rest_length(gamma, plan.lengths()[: len(gamma)], k)
     return np.asarray(((gamma < k) | (gamma == 0)) & (rest > 0) & (rest >= least))
 
 
-def replay_wound(
+def replay_rest_lengths(
     plan: PlanResult,
     stiffness: ArrayLike | None = None,
     damping: ArrayLike = 0.0,
@@ -105,7 +109,7 @@ def replay_wound(
     >>> cross = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()))
     >>> goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()]
     >>> plan = ocp.solve(ocp.Problem(cross, goals=goals, costs=[ocp.Effort()]), ocp.MultipleShooting(10))
-    >>> wound = ocp.replay_wound(plan, stiffness=1000.0)
+    >>> wound = ocp.replay_rest_lengths(plan, stiffness=1000.0)
     >>> bool(abs(wound.nodes[-1] - plan.trajectory.nodes[-1]).max() < 0.01)
     True
     """
@@ -113,7 +117,7 @@ def replay_wound(
     _check_pulled(plan)
     whole_number("updates", updates, 1, MOST_UPDATES)
     plan.rest_lengths(stiffness)  # names the string that is too soft
-    planned = plan.known_model("replay_wound")
+    planned = plan.require_model("replay_rest_lengths")
     k = per_item(
         "stiffness",
         plan.structure.stiffness if stiffness is None else stiffness,
@@ -136,5 +140,5 @@ def replay_wound(
 def _check_pulled(plan: PlanResult) -> None:
     if plan.rest_length is not None:
         raise ValueError(
-            "plan has decided rest lengths: Plan.rest_lengths tells them, and Plan.replay winds to them"
+            "plan has decided rest lengths: Plan.rest_lengths tells them, and Plan.replay controls_rest_lengths to them"
         )

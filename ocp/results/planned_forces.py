@@ -27,7 +27,7 @@ class PlannedForces(Tabular):
     trajectory: Trajectory
     structure: Structure
 
-    def known_model(self, user: str) -> Model:
+    def require_model(self, user: str) -> Model:
         """Return the model, which `user` needs. Raises ValueError where it is not known."""
         raise NotImplementedError
 
@@ -99,7 +99,7 @@ class PlannedForces(Tabular):
         ValueError
             The model is not known.
         """
-        model, count = self.known_model("bar_forces"), len(self.time) - 1
+        model, count = self.require_model("bar_forces"), len(self.time) - 1
         lam = model.multiplier_function.map(count)(
             self.trajectory.states[:-1].T, self.force_density[:count].T
         )[0]

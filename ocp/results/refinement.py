@@ -43,7 +43,7 @@ def refine_until_accurate(
     problem, transcription, solver = plan.problem, plan.transcription, plan.solver
     if problem is None or transcription is None or solver is None:
         raise ValueError(
-            f"refine needs to know how the plan was solved ({plan.unknown}): refine solve(problem, ..., guess=plan)"
+            f"refine needs to know how the plan was solved ({plan.not_restored}): refine solve(problem, ..., guess=plan)"
         )
     if isinstance(solver, Ipopt):
         solver = replace(solver, warm=True)
@@ -96,7 +96,7 @@ def _finer_mesh(plan: PlanResult, tolerance: float) -> dict[str, Any]:
     if known is not None and plan.problem is not None and plan.problem.phases:
         return {"intervals": tuple(np.repeat(known.fractions, 2).tolist())}
     too_large = error / tolerance if np.isfinite(error) else LOST
-    model = plan.known_model("refine")
+    model = plan.require_model("refine")
     lengths = finer(model, plan.time, plan.trajectory.states, plan.control, too_large)
     given = None if known is None else known.accuracy
     # The accuracy of the plan's own tolerance would undo what the finer mesh gains.

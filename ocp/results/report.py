@@ -10,10 +10,11 @@ import casadi as ca
 import numpy as np
 
 from ocp.problem.bounds.bound import PathBound, PathConstraint, RateBound
-from ocp.problem.control import control_name, winds
+from ocp.problem.control import control_name, controls_rest_lengths
 from ocp.problem.goals.goal import soft_goals
 from ocp.problem.path_constraints import path_constraints
 from ocp.problem.problem import Problem
+from ocp.problem.rows import goal_rows
 from ocp.solvers.multipliers import Duals
 from ocp.transcription.mesh import profile_at
 from tenscasadi.simulation.trajectory import Trajectory
@@ -39,7 +40,7 @@ class Finding(NamedTuple):
         In which share of the instants the limit holds or is broken.
     unit : str
         Unit of limit and value.
-    price : float
+    dual : float
         By how much the objective would fall for each unit by which the limit gave way, over the
         whole plan and to first order. NaN where it is not known: of what the replay breaks, and of
         the single strings of a group.
@@ -52,12 +53,12 @@ class Finding(NamedTuple):
     time: float
     share: float
     unit: str
-    price: float = np.nan
+    dual: float = np.nan
 
     def __str__(self) -> str:
         unit = f" {self.unit}" if self.unit else ""
         cost = (
-            f", costs {self.price:.3g} per {self.unit or 'unit'}" if np.isfinite(self.price) else ""
+            f", costs {self.dual:.3g} per {self.unit or 'unit'}" if np.isfinite(self.dual) else ""
         )
         worst = f"{self.worst:.6g}{unit} at t = {self.time:.4g} s, {self.share:.0%} of the time"
         return f"{self.name}: {self.side} limit {self.limit:g}{unit}, {worst}{cost}"
@@ -134,45 +135,56 @@ def report_of(
     problem: Problem,
     time: Array,
     states: Array,
-    force_density: Array,
+    controls: Array,
     replay: Trajectory,
     duals: Duals | None,
 ) -> Report:
-    """Report the limits of `problem` that hold at the nodes of a plan's mesh, and those that it breaks there, or its replay between them."""
-    # both ends of every interval, under the force densities in it
-    ends, before = np.append(time[:-1], time[1:]), np.append(time[:-1], time[1:] - 1e-9 * time[-1])
-    planned = _at_instants(
-        problem,
-        ends,
-        np.concatenate([states[:-1], states[1:]]),
-        profile_at(force_density, time, before),
-    )
-    planned += _between_instants(problem, time, states, force_density)
-    replayed = _at_instants(problem, replay.time, replay.states, replay.control)
-    broken = [
-        finding for course in (*planned, *replayed) for finding in course.findings(broken=True)
-    ]
-    held = [finding for course in planned for finding in course.findings(broken=False)]
+    """Report the limits that are active at mesh points, and those that a plan or its replay violates."""
+    planned = _planned_limits(problem, time, states, controls)
+    replayed = _limits_of_instants(problem, replay.time, replay.states, replay.control)
+    broken = [finding for one in (*planned, *replayed) for finding in one.findings(broken=True)]
     active = [
-        finding._replace(price=_price(finding, duals))
-        for finding in _merged(held, lambda one: one.share)
+        finding._replace(dual=_find_dual(finding, duals))
+        for finding in _merge(
+            [finding for one in planned for finding in one.findings(broken=False)],
+            lambda one: one.share,
+        )
     ]
     return Report(
-        tuple(sorted(active, key=lambda one: (-np.nan_to_num(one.price), -one.share))),
-        _merged(broken, lambda one: abs(one.worst - one.limit)),
-        _missed(problem, replay),
+        tuple(sorted(active, key=lambda one: (-np.nan_to_num(one.dual), -one.share))),
+        _merge(broken, lambda one: abs(one.worst - one.limit)),
+        _measure_soft_goals(problem, replay),
     )
 
 
-def _missed(problem: Problem, replay: Trajectory) -> tuple[Missed, ...]:
-    """Return the rows of all soft goals at the instants of a replay at which they are wished for."""
+def violated_limits(
+    problem: Problem, time: Array, states: Array, controls: Array
+) -> tuple[Finding, ...]:
+    """Find the limits that a plan violates at mesh points."""
+    planned = _planned_limits(problem, time, states, controls)
+    broken = [finding for one in planned for finding in one.findings(broken=True)]
+    return _merge(broken, lambda one: abs(one.worst - one.limit))
+
+
+def _planned_limits(
+    problem: Problem, time: Array, states: Array, controls: Array
+) -> list[_LimitedValues]:
+    """Evaluate limits at both ends of every interval, under the controls within."""
+    ends, before = np.append(time[:-1], time[1:]), np.append(time[:-1], time[1:] - 1e-9 * time[-1])
+    both = np.concatenate([states[:-1], states[1:]])
+    found = _limits_of_instants(problem, ends, both, profile_at(controls, time, before))
+    return found + _limits_of_rates(problem, time, states, controls)
+
+
+def _measure_soft_goals(problem: Problem, replay: Trajectory) -> tuple[Missed, ...]:
+    """Measure the rows of all soft goals at their instants of a replay."""
     found, model = [], problem.model
     for share, goal in soft_goals(problem.costs):
         state = [
             np.interp(share * replay.time[-1], replay.time, column) for column in replay.states.T
         ]
         x = ca.SX.sym("x", model.nx)
-        rows = goal.rows(model.scene.structure, model.nodes(x).T, model.velocities(x).T)
+        rows = goal_rows([goal], model, x)
         misses = np.abs(
             np.asarray(ca.Function("rows", [x], [ca.densify(rows.value)])(state).full()).ravel()
         )
@@ -184,7 +196,7 @@ def _missed(problem: Problem, replay: Trajectory) -> tuple[Missed, ...]:
     return tuple(sorted(found, key=lambda one: -np.nan_to_num(one.cost, nan=np.inf)))
 
 
-def _price(finding: Finding, duals: Duals | None) -> float:
+def _find_dual(finding: Finding, duals: Duals | None) -> float:
     if duals is None:
         return np.nan
     try:
@@ -194,15 +206,15 @@ def _price(finding: Finding, duals: Duals | None) -> float:
     return float(np.maximum(held if finding.side == "upper" else -held, 0.0).sum())
 
 
-class _Course(NamedTuple):
-    """How values (n, m) with limits run over time (n,)."""
+class _LimitedValues(NamedTuple):
+    """Values (n, m) of limited quantities at times (n,)."""
 
     limited: PathConstraint
     time: Array
     values: Array
 
     def findings(self, broken: bool) -> list[Finding]:
-        """Return the limits that are overstepped, or those that hold and are not."""
+        """Find the limits that are violated, or those that are active."""
         found = []
         lower, upper = self.limited.lower, self.limited.upper
         width = np.where(np.isfinite(upper - lower), upper - lower, np.inf)
@@ -227,40 +239,54 @@ class _Course(NamedTuple):
         return found
 
 
-def _at_instants(problem: Problem, time: Array, states: Array, controls: Array) -> list[_Course]:
+def _limits_of_instants(
+    problem: Problem, time: Array, states: Array, controls: Array
+) -> list[_LimitedValues]:
     """Return what is decided, and what bounds limit of instants."""
     lower, upper = problem.control_limits
     names = tuple(f"{control_name(problem.model)} of string {k}" for k in range(len(lower)))
-    own = _Course(
-        PathConstraint(None, lower, upper, names, "m" if winds(problem.model) else "N/m", (), ()),
+    own = _LimitedValues(
+        PathConstraint(
+            None,
+            lower,
+            upper,
+            names,
+            "m" if controls_rest_lengths(problem.model) else "N/m",
+            (),
+            (),
+        ),
         time,
         controls,
     )
-    courses = [own]
+    values = [own]
     for one in path_constraints(problem, PathBound):
         when = slice(-1, None) if one.ends == ("last",) else slice(None)
-        courses.append(_course(one, time[when], states[when].T, controls[when].T, time[None, when]))
-    return courses
+        values.append(
+            _evaluate(one, time[when], states[when].T, controls[when].T, time[None, when])
+        )
+    return values
 
 
-def _between_instants(
+def _limits_of_rates(
     problem: Problem, time: Array, states: Array, force_density: Array
-) -> list[_Course]:
+) -> list[_LimitedValues]:
     """Return what bounds limit from each time for which a profile has force densities to the next."""
     x, u, t = states[: len(force_density)].T, force_density.T, time[: len(force_density)]
     if len(t) < 2:
         return []
     return [
-        _course(one, t[1:], x[:, :-1], u[:, :-1], x[:, 1:], u[:, 1:], np.diff(t)[None])
+        _evaluate(one, t[1:], x[:, :-1], u[:, :-1], x[:, 1:], u[:, 1:], np.diff(t)[None])
         for one in path_constraints(problem, RateBound)
     ]
 
 
-def _course(limited: PathConstraint, time: Array, *arguments: Array) -> _Course:
-    return _Course(limited, time, np.asarray(limited.function.map(len(time))(*arguments).full()).T)
+def _evaluate(limited: PathConstraint, time: Array, *arguments: Array) -> _LimitedValues:
+    return _LimitedValues(
+        limited, time, np.asarray(limited.function.map(len(time))(*arguments).full()).T
+    )
 
 
-def _merged(findings: list[Finding], most: Callable[[Finding], float]) -> tuple[Finding, ...]:
+def _merge(findings: list[Finding], most: Callable[[Finding], float]) -> tuple[Finding, ...]:
     """One for each limit, the one that has most of something; those that hold longest come first."""
     best: dict[tuple[str, str], Finding] = {}
     for finding in findings:

@@ -17,7 +17,7 @@ def wind(plan: PlanResult, stiffness: Array, updates: int) -> tuple[Array, Array
     Of the middle of each step of a fine replay: s (1 − γ/k) (Eq. 99).
     """
     steps = updates * round(float(plan.time[-1] / np.diff(plan.time).min()))
-    model = plan.known_model("replay_wound")
+    model = plan.require_model("replay_rest_lengths")
     fine = replay_open(plan, model, RungeKutta4(), float(plan.time[-1]) / steps)
     ends = fine.nodes[:, plan.structure.strings]
     lengths = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2)

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import numpy as np
 
+from ocp.guess.initial_guess import resample_guess
 from ocp.problem.problem import Problem
 from ocp.results.error_growth import grown_errors
 from ocp.results.planned_forces import PlannedForces
@@ -17,7 +18,6 @@ from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.multipliers import Duals
 from ocp.targets.target import Target
 from ocp.transcription.base import Transcription
-from ocp.transcription.initial_guess import resample
 from ocp.transcription.mesh import Guess
 from tenscasadi.dynamics.model import Model
 from tenscasadi.schema.stored import Stored
@@ -47,10 +47,11 @@ class PlanResult(PlannedForces, Stored):
     problem: Problem | None = None
     transcription: Transcription | None = None
     solver: Solver | CondensedNewton | Sampling | None = None
-    unknown: str = "it was made by hand"
+    not_restored: str = "it was made by hand"
     tracked: bool = False
     rest_length: Annotated[Array | None, "ku", "f"] = None
-    starts: Annotated[Array | None, "n", "f"] = None
+    start_objectives: Annotated[Array | None, "n", "f"] = None
+    open_loop_error: float = np.nan
 
     def __repr__(self) -> str:
         count, strings = len(self.time) - 1, self.force_density.shape[1]
@@ -79,10 +80,10 @@ class PlanResult(PlannedForces, Stored):
         if self.problem is not None and self.problem.phases:
             return np.nan
         return grown_errors(
-            self.known_model("error_growth"), self.time, self.trajectory.states, self.control
+            self.require_model("error_growth"), self.time, self.trajectory.states, self.control
         )
 
-    def known_model(self, user: str) -> Model:
+    def require_model(self, user: str) -> Model:
         """Return the model.
 
         Parameters
@@ -137,7 +138,7 @@ class PlanResult(PlannedForces, Stored):
                 "guess is a plan for another structure: give one whose model has the same nodes and strings"
             )
         shares = self.time / self.time[-1]
-        return resample(
+        return resample_guess(
             problem,
             target,
             self.trajectory.states,

@@ -42,7 +42,7 @@ def describe_plan(plan: Any) -> ViewContent:
     return ViewContent(
         motions,
         () if plan.model is None else plan.model.scene.grounds,
-        tuple((bound.centre, bound.radius) for bound in bounds if isinstance(bound, Obstacle)),
+        tuple((bound.center, bound.radius) for bound in bounds if isinstance(bound, Obstacle)),
         tuple(bound.corners() for bound in bounds if isinstance(bound, InsideBox)),
         _find_targets(_list_goals(plan), planned),
         tuple(_build_charts(plan, replay, bounds)),

@@ -16,7 +16,7 @@ from ocp.problem.costs import cost_terms
 from ocp.problem.instant import symbolic
 from ocp.problem.path_constraints import ScaledRows, scaled_rows
 from ocp.problem.problem import Problem
-from ocp.problem.rows import stack
+from ocp.problem.rows import goal_rows
 from ocp.problem.scaling import Scales, typical_cost
 from ocp.sampling.horizon_costs import build_control_cost, build_rate_cost, build_running_cost
 from ocp.transcription.mesh import Profile, group_matrix, hermite_state, locate_share, spans
@@ -89,7 +89,7 @@ class BatchSimulation:
         self._threads = len(os.sched_getaffinity(0)) if threads is None else threads
         count, longest = len(fractions), problem.longest
         held = (
-            np.tile(problem.first_state, (count + 1, 1)),
+            np.tile(problem.initial_state, (count + 1, 1)),
             np.full((count, problem.model.nu), strength),
         )
         self._weight = (
@@ -121,11 +121,10 @@ class BatchSimulation:
     def asked(self) -> list[InstantGoals]:
         """Goals in the order of their instants."""
         problem, model = self.problem, self.problem.model
-        structure = model.scene.structure
         found = []
         for share, goals in [
-            *((share, part.goals) for share, part in problem.waypoints),
-            (1.0, problem.final_goals),
+            *problem.waypoints,
+            (1.0, problem.terminal_goals),
         ]:
             x, before, after, h = (
                 ca.SX.sym(name, size)
@@ -136,9 +135,7 @@ class BatchSimulation:
                     ("h", 1),
                 )
             )
-            rows = stack(
-                goal.rows(structure, model.nodes(x).T, model.velocities(x).T) for goal in goals
-            )
+            rows = goal_rows(goals, model, x)
             if not rows.names:
                 continue
             k, part = locate_share(self.fractions, share)

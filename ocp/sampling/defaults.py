@@ -81,7 +81,7 @@ def choose_defaults(problem: Problem) -> SamplingDefaults:
 def _find_self_stress(problem: Problem) -> Array:
     """Find force densities (α,) of self-stress, of mean 1."""
     structure = problem.model.scene.structure
-    nodes = problem.model.nodes(problem.first_state)[: len(structure.nodes)]
+    nodes = problem.model.nodes(problem.initial_state)[: len(structure.nodes)]
     try:
         gamma = equilibrium_force_density(structure.replace(nodes=nodes), minimum=1.0)
     except (EquilibriumError, ValueError):
@@ -95,7 +95,7 @@ def find_symmetry_groups(problem: Problem) -> tuple[tuple[int, ...], ...]:
     The strings of a group have equal lengths at the start, and ends of equal heights.
     """
     model, structure = problem.model, problem.model.scene.structure
-    nodes = model.nodes(problem.first_state)[: len(structure.nodes)]
+    nodes = model.nodes(problem.initial_state)[: len(structure.nodes)]
     down = (
         np.array([0.0, 0.0, -1.0])
         if model.scene.gravity is None

@@ -93,7 +93,7 @@ class Descent:
         motions = self._motions
         law, motions.law = motions.law, None
         states = motions.roll(
-            motions.problem.first_state[None],
+            motions.problem.initial_state[None],
             point.force_density[None],
             point.duration,
             finer=finer,
@@ -111,7 +111,7 @@ class Descent:
             ]
         duration, motions = durations[0], self._motions
         gamma, states, _ = motions.roll(
-            np.tile(motions.problem.first_state, (len(wanted), 1)),
+            np.tile(motions.problem.initial_state, (len(wanted), 1)),
             wanted,
             duration,
             finer=self._finer,

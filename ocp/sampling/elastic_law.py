@@ -31,7 +31,7 @@ def elastic_law(problem: Problem, strength: float, mass: float, interval: float)
     k = min(1.5 * strength, 0.7 * mass / (ends * interval**2))
     c = min(mass / (ends * interval), 1.6 * float(np.sqrt(k * mass / ends)))
     now = symbolic(problem.model)
-    first = ca.Function("lengths", list(now.symbols), [now.lengths])(problem.first_state, 0, 0)
+    first = ca.Function("lengths", list(now.symbols), [now.lengths])(problem.initial_state, 0, 0)
     return ca.Function(
         "law",
         [now.state],

@@ -13,7 +13,7 @@ from ocp.problem.goals.waypoints import Waypoint
 from ocp.problem.instant import Instant, symbolic
 from ocp.problem.path_constraints import ScaledRows, scaled_rows
 from ocp.problem.problem import Problem
-from ocp.problem.rows import stack
+from ocp.problem.rows import goal_rows
 from ocp.problem.scaling import Scales
 from ocp.problem.start import FreeStart
 from tenscasadi.simulation.engine.kernel import BROKEN_BARS
@@ -116,12 +116,9 @@ def _misses(problem: Problem, now: Instant, sizes: dict[str, float]) -> Any:
         raise ValueError(
             f"problem has {asked[0]}, which asks for a motion of a given duration: solve it, and keep to the plan by ocp.Tracking"
         )
-    model, structure = problem.model, problem.model.scene.structure
+    model = problem.model
     x = ca.SX.sym("x", model.nx)
-    rows = stack(
-        goal.rows(structure, model.nodes(x).T, model.velocities(x).T)
-        for goal in problem.final_goals
-    )
+    rows = goal_rows(problem.terminal_goals, model, x)
     misses = (
         ca.Function("misses", [x], [ca.sumsqr(rows.value / ca.DM(rows.sizes(sizes)))])
         if rows.names

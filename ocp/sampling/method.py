@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 
-from ocp.problem.control import refuse_wound
+from ocp.problem.control import reject_rest_length_control
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.sampling.batch_simulation import BatchSimulation
@@ -36,7 +36,7 @@ def default_intervals(problem: Problem) -> int:
 
 def check_sampling(problem: Problem, transcription: Transcription, solver: Sampling) -> None:
     """Raise ValueError if a problem or profile is unsupported."""
-    refuse_wound(problem.model, "Sampling")
+    reject_rest_length_control(problem.model, "Sampling")
     if problem.free_start:
         raise ValueError(
             "Problem.start is free, and sampled motions begin somewhere: give Problem(start=...), or another solver than Sampling"
@@ -229,7 +229,7 @@ class _Method:
                 best.worst <= 1.0
                 and "the motion is so unstable that steps of another length end elsewhere"
             )
-            why = f"no plan: {self._stopped or cure}; {unsteady or motions.describe_worst(best.states, best.force_density, best.duration)}"
+            why = f"{self._stopped or cure}; {unsteady or motions.describe_worst(best.states, best.force_density, best.duration)}"
         return Outcome(
             states=best.states,
             force_density=best.force_density,
@@ -247,7 +247,7 @@ def simulate_defaults(motions: BatchSimulation, given: SamplingDefaults) -> Cand
     """Simulate the initial force densities."""
     problem = motions.problem
     wanted = np.tile(given.force_density, (len(motions.fractions), 1))
-    gamma, states, _ = motions.roll(problem.first_state[None], wanted[None], problem.longest)
+    gamma, states, _ = motions.roll(problem.initial_state[None], wanted[None], problem.longest)
     return Candidate(wanted, problem.longest, gamma[0], states[0], np.full(1, np.inf))
 
 

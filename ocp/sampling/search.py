@@ -85,7 +85,7 @@ class Search:
         """Search leg by leg; return the final lineages, the best first."""
         problem, none = self._motions.problem, np.zeros((0, len(self._nominal)))
         span = problem.shortest, problem.longest
-        start = problem.first_state
+        start = problem.initial_state
         found = [
             Lineage(start, none, none, none, start, 0.0, np.inf, duration)
             for duration in np.linspace(*span, 2 * LINEAGES + 1)[1::2].tolist()

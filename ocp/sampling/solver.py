@@ -73,7 +73,7 @@ class Sampling(NamedSolver, kind="Sampling"):
     >>> prism = tc.shapes.prism(bar_mass=0.3)
     >>> ground = tc.Ground(stiffness=1e4, damping=20.0, friction=0.6, slip_speed=0.01)
     >>> model = tc.Model(tc.Scene(prism, control=tc.ForceDensity(), gravity=tc.Gravity(), ground=ground))
-    >>> goal = ocp.CentreOfMass((None, None, prism.nodes[:, 2].mean() + 0.2))
+    >>> goal = ocp.CenterOfMass((None, None, prism.nodes[:, 2].mean() + 0.2))
     >>> plan = ocp.solve(ocp.Problem(model, 0.5, goals=[goal], bounds=[ocp.ForceDensityLimits(5.0, 500.0)]), solver=ocp.Sampling(samples=64))
     >>> plan.success
     True

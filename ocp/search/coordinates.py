@@ -10,18 +10,18 @@ from typing import Any
 
 import numpy as np
 
+from ocp.guess.initial_guess import EquilibriumGuess, InitialGuess, InverseDynamics, TrajectoryGuess
 from ocp.problem.expressions import AtEnd, Constraint, Integral
 from ocp.problem.instant import Instant
 from ocp.problem.problem import Problem
 from ocp.results.result import PlanResult
-from ocp.transcription.initial_guess import Arrays, Equilibrium, InitialGuess, InverseDynamics
 from tenscasadi.dynamics.constraint_forces import RedundantConstraints
 from tenscasadi.dynamics.model import Model
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import Array, finite_array
 
 _OWN = Constraint, Integral, AtEnd  # have expressions of the user's
-_GUESSES = type(None), InverseDynamics, Equilibrium, Arrays, PlanResult
+_GUESSES = type(None), InverseDynamics, EquilibriumGuess, TrajectoryGuess, PlanResult
 
 
 @dataclass(frozen=True)
@@ -34,10 +34,12 @@ class ReducedCoordinates:
     def guess(self, value: InitialGuess | None) -> InitialGuess | None:
         """Return a guess for the given problem as one for its twin. Raises ValueError for arrays of another size."""
         full = self.given.model
-        if isinstance(value, Arrays):
+        if isinstance(value, TrajectoryGuess):
             return replace(
                 value,
-                states=_lowered(self, finite_array("Arrays.states", value.states, (None, full.nx))),
+                states=_lowered(
+                    self, finite_array("TrajectoryGuess.states", value.states, (None, full.nx))
+                ),
             )
         if isinstance(value, PlanResult) and value.trajectory.states.shape[1] == full.nx:
             motion = replace(value.trajectory, states=_lowered(self, value.trajectory.states))
@@ -57,26 +59,22 @@ class ReducedCoordinates:
 def reduce_coordinates(problem: Problem, guess: InitialGuess | None) -> ReducedCoordinates | None:
     """Return the twin of a problem in full coordinates; None for others, and where there is none.
 
-    There is none where constraints are redundant, as forces of bars then depend on coordinates, and
-    for bounds, costs or guesses of other classes than this package's.
+    There is none for bounds, costs or guesses of other classes than this package's. Where
+    constraints are redundant, forces of bars are those in reduced coordinates.
     """
     model = problem.model
     own = all(
         type(item).__module__.startswith("ocp.") for item in (*problem.bounds, *problem.costs)
     )
-    if not model.mechanism.joints or model.redundancy or not own or not isinstance(guess, _GUESSES):
+    if not model.mechanism.joints or not own or not isinstance(guess, _GUESSES):
         return None
     try:
         twin = _in_reduced(model)
         bounds = [_seen(bound, model) for bound in problem.bounds]
         costs = [_seen(cost, model) for cost in problem.costs]
-        start = _lower(model, twin, problem.first_state)
-        return (
-            None
-            if twin.redundancy
-            else ReducedCoordinates(
-                problem, replace(problem, model=twin, start=start, bounds=bounds, costs=costs)
-            )
+        start = _lower(model, twin, problem.initial_state)
+        return ReducedCoordinates(
+            problem, replace(problem, model=twin, start=start, bounds=bounds, costs=costs)
         )
     except (
         TypeError,

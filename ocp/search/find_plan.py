@@ -1,4 +1,4 @@
-"""From a problem to the result of a search: attempts in their order, each judged by its replay."""
+"""From a problem to a plan: attempts in their order, each judged by its replay."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ from typing import NamedTuple
 import numpy as np
 
 from ocp.control.lqr import replay_tracked
-from ocp.problem.control import winds
+from ocp.guess.initial_guess import InitialGuess
+from ocp.problem.control import controls_rest_lengths
 from ocp.problem.instant import forces_of
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
+from ocp.results.acceptance import assess_plan
 from ocp.results.replay import replay_open
 from ocp.results.result import PlanResult
-from ocp.results.verdict import assess_plan
 from ocp.search.coordinates import ReducedCoordinates, reduce_coordinates
-from ocp.search.methods import run_method
+from ocp.search.methods import run_attempt
 from ocp.search.policy import INEXACT, Attempt, attempts, complete, is_inexact
 from ocp.search.task import Method, Task, prepare
 from ocp.solvers.base import Outcome
 from ocp.solvers.monitor import Monitor
 from ocp.solvers.relaxation import TOO_SLOW
 from ocp.transcription.base import Transcription
-from ocp.transcription.initial_guess import InitialGuess
 from ocp.transcription.mesh import PiecewiseConstant
 from ocp.transcription.multiple_shooting import MultipleShooting
 from tenscasadi.integrators.runge_kutta import RungeKutta4
@@ -32,17 +32,14 @@ from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
 from tenscasadi.util.processes import one_blas_thread
 from tenscasadi.util.validate import Array
 
-# of the structure's size (and of it per duration): what a replay may miss by, unless a tolerance is
-# stated
-RELIABLE = 1e-2
+RELIABLE = 1e-2  # × the structure's size: default tolerance of replays
 
 
 class _Search(NamedTuple):
-    """Arguments of a search. reduced: None where the model is planned as it is."""
+    """Arguments of a search; `reduced` is None where the model is planned as it is."""
 
     task: Task
     tracked: bool
-    automatic: bool
     reduced: ReducedCoordinates | None
 
 
@@ -54,16 +51,13 @@ def find_plan(
     guess: InitialGuess | None = None,
     tolerance: float | None = None,
     *,
-    seconds: float | None = None,
+    monitor: Monitor | None = None,
     tracked: bool = False,
 ) -> PlanResult:
     """Find a plan; arguments and errors as of `ocp.solve`."""
-    monitor = Monitor(seconds)
-    given = (
-        None
-        if transcription is None and solver is None
-        else complete(transcription, solver, guess, problem)
-    )
+    monitor = Monitor() if monitor is None else monitor
+    automatic = transcription is None and solver is None
+    given = None if automatic else complete(transcription, solver, guess, problem)
     reduced = None
     shoots = given is not None and isinstance(given.transcription, MultipleShooting)
     if not problem.phases and not shoots:
@@ -72,21 +66,19 @@ def find_plan(
         problem, guess = reduced.problem, reduced.guess(guess)
     limit = RELIABLE * Scales.of(problem).length if tolerance is None else tolerance
     control = PiecewiseConstant() if given is None else given.transcription.control
-    task = prepare(problem, control, limit, monitor)
-    rows = attempts(task, guess) if given is None else [given._replace(guess=guess)]
     with monitor.catching_interrupts():
-        result = _walk(_Search(task, tracked, given is None, reduced), rows)
+        task = prepare(problem, control, limit, monitor)
+        rows = attempts(task, guess) if given is None else [given._replace(guess=guess)]
+        result = _walk(_Search(task, tracked, reduced), rows, automatic)
     if reduced is None:
         return result
-    if result.success:
-        result = replace(result, message=f"{result.message}; found in reduced coordinates")
-    return reduced.restore(result)
+    note = "; found in reduced coordinates" if result.success else ""
+    return reduced.restore(replace(result, message=f"{result.message}{note}"))
 
 
-def _walk(search: _Search, rows: Iterable[Attempt]) -> PlanResult:
+def _walk(search: _Search, rows: Iterable[Attempt], automatic: bool) -> PlanResult:
     """Make the attempts that fit the failures before them; stop at the first success."""
-    tried: dict[str, PlanResult] = {}
-    best: PlanResult | None = None
+    tried: list[tuple[str, PlanResult]] = []
     plan: PlanResult | None = None
     for attempt in rows:
         if not attempt.follows(plan):
@@ -94,72 +86,67 @@ def _walk(search: _Search, rows: Iterable[Attempt]) -> PlanResult:
         if plan is not None and attempt.after == INEXACT:
             attempt = attempt.refine(search.task.problem, plan)
         plan = _try(search, attempt)
-        tried[attempt.describe()] = plan
-        best = plan if best is None else max(best, plan, key=_worth)
+        tried.append((attempt.describe(), plan))
         if plan.success or plan.status == TOO_SLOW or search.task.monitor.status():
             break
-    if best is None:
+    if not tried:
         raise ValueError("no method takes the problem: give a transcription and a solver")
-    if not search.automatic:
+    chosen, best = max(tried, key=lambda pair: _worth(pair[1]))
+    if not automatic:
         return best
-    names = [name for name in tried if tried[name] is not best]
-    if best.success:
-        told = f"chosen: {next(name for name in tried if tried[name] is best)}"
-        told += f", after {', '.join(names)}" if names else ""
-    else:
-        told = f"tried: {', '.join(tried)}"
+    others = [name for name, other in tried if other is not best]
+    text = f"chosen: {chosen}" if best.success else f"tried: {', '.join(name for name, _ in tried)}"
+    text += f", after {', '.join(others)}" if best.success and others else ""
     return replace(
         best,
-        message=f"{best.message}; {told}",
-        iterations=sum(plan.iterations for plan in tried.values()),
+        message=f"{best.message}; {text}",
+        iterations=sum(other.iterations for _, other in tried),
         seconds=search.task.monitor.elapsed,
     )
 
 
 def _worth(plan: PlanResult) -> tuple[bool, bool, float]:
-    """Return what makes a plan better than another: success, an optimum, the smaller error."""
+    """Return the order of plans: success, an optimum, the smaller error."""
     return plan.success, is_inexact(plan), -plan.worst_error
 
 
 def _try(search: _Search, attempt: Attempt) -> PlanResult:
-    """Return what one attempt finds, judged by its replay."""
-    outcome, target = run_method(search.task, attempt.transcription, attempt.solver, attempt.guess)
-    plan = _record(search, attempt, outcome)
+    """Make one attempt, and judge it by its replay."""
+    outcome, target = run_attempt(search.task, attempt)
+    plan = _record(search.task, attempt, outcome)
 
-    def replay(plan: PlanResult) -> Trajectory:
+    def replay(plan: PlanResult, tracked: bool) -> Trajectory:
         given = plan if search.reduced is None else search.reduced.restore(plan)
-        if plan.tracked:
+        if tracked:
             motion = replay_tracked(given)
         else:
-            motion = replay_open(given, given.known_model("replay"), RungeKutta4(), None)
+            motion = replay_open(given, given.require_model("replay"), RungeKutta4(), None)
         return motion if search.reduced is None else search.reduced.lower(motion)
 
-    return assess_plan(plan, target, outcome, search.task.tolerance, replay, search.automatic)
+    return assess_plan(plan, target, outcome, search.task.tolerance, replay, search.tracked)
 
 
-def _record(search: _Search, attempt: Attempt, found: Outcome) -> PlanResult:
-    """Return what was found as a plan that is not yet replayed."""
-    problem, transcription = search.task.problem, attempt.transcription
+def _record(task: Task, attempt: Attempt, found: Outcome) -> PlanResult:
+    """Record the result of an attempt as a plan that is not yet replayed."""
+    problem, transcription = task.problem, attempt.transcription
     mesh = (
         found.duration * np.append(0.0, np.cumsum(transcription.fractions))
         if found.time is None
         else found.time.copy()
     )
     mesh[-1] = found.duration
-    motion = _trajectory(problem, mesh, found)
-    wound = found.force_density if winds(problem.model) else None
-    forces = (
-        found.force_density
-        if wound is None
-        else forces_of(problem.model, motion.states[: len(wound)], wound)
-    )
+    motion = _record_motion(problem, mesh, found)
+    rest_length = found.force_density if controls_rest_lengths(problem.model) else None
+    forces = found.force_density
+    if rest_length is not None:
+        forces = forces_of(problem.model, motion.states[: len(forces)], forces)
     return PlanResult(
         success=False,
         status=found.status,
         message="",
         objective=found.objective,
         iterations=found.iterations,
-        seconds=search.task.monitor.elapsed,
+        seconds=task.monitor.elapsed,
         time=mesh,
         force_density=forces,
         trajectory=motion,
@@ -171,14 +158,13 @@ def _record(search: _Search, attempt: Attempt, found: Outcome) -> PlanResult:
         problem=problem,
         transcription=transcription,
         solver=attempt.solver,
-        unknown="",
-        rest_length=wound,
-        tracked=search.tracked,
+        not_restored="",
+        rest_length=rest_length,
     )
 
 
-def _trajectory(problem: Problem, mesh: Array, found: Outcome) -> Trajectory:
-    """Return the planned motion at the nodes of the mesh."""
+def _record_motion(problem: Problem, mesh: Array, found: Outcome) -> Trajectory:
+    """Record the planned motion at mesh points."""
     controls = np.concatenate([found.force_density, found.force_density[-1:]])[: len(mesh)]
     with np.errstate(all="ignore"):
         return record_trajectory(
@@ -187,6 +173,6 @@ def _trajectory(problem: Problem, mesh: Array, found: Outcome) -> Trajectory:
             found.states,
             controls,
             step=float(mesh[1]),
-            message="planned motion at the ends of the intervals",
+            message="planned motion at mesh points",
             success=found.success or found.coarse,
         )

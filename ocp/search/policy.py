@@ -9,7 +9,8 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from ocp.problem.control import winds
+from ocp.guess.initial_guess import NOISE, InitialGuess, InverseDynamics, evaluate_guess
+from ocp.problem.control import controls_rest_lengths
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.results.result import PlanResult
@@ -20,12 +21,6 @@ from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.condensed_newton.method import NOT_SETTLED
 from ocp.solvers.ipopt import Ipopt
 from ocp.transcription.base import Transcription
-from ocp.transcription.initial_guess import (
-    NOISE,
-    InitialGuess,
-    InverseDynamics,
-    evaluate_guess,
-)
 from ocp.transcription.mesh import Guess
 from ocp.transcription.multiple_shooting import MultipleShooting
 from ocp.transcription.variational import Variational
@@ -33,25 +28,25 @@ from tenscasadi.integrators.stability import fastest_rate
 
 FIRST, INEXACT, FAILED = "first", "inexact", "failed"
 PHASE_INTERVALS = 20  # of each phase
-FEWEST, MOST = 30, 400  # intervals
-FOR_A_RADIAN = 3.0  # intervals for each radian of the fastest vibration
-# intervals times √bars: forces add up along rows of bars, so γ grows beyond the guess as bars do,
-# vibrations as its root
-FOR_BARS = 6.0
-EXACT = 0.3  # of the tolerance: how near motions come to those of fine steps,
-# and of the structure's size, at most: plans that end further from their goals than thrice this
-# count as missing them
-MISSED = 1e-4
-# of the structure's size: nodes that come nearer to a ground along the guess may touch it
-NEAR = 0.02
+MIN_INTERVALS, MAX_INTERVALS = 30, 400
+INTERVALS_PER_RADIAN = 3.0  # of the fastest vibration
+# × √bars: forces add up along rows of bars, so that γ grows beyond the guess as bars do
+INTERVALS_PER_BAR = 6.0
 CONDENSED_BARS = 9  # from which the condensed method is the faster one
 
 
 class Attempt(NamedTuple):
-    """One row of the policy: a transcription, a solver and a guess.
+    """One row of the policy.
 
-    why: the reason for the row. after: what it follows: nothing (FIRST), a settled optimum whose
-    replay misses (INEXACT), or any failure (FAILED).
+    Attributes
+    ----------
+    transcription, solver, guess
+        The method.
+    why : str
+        Reason for the row.
+    after : str
+        What it follows: nothing (FIRST), an optimum whose replay misses (INEXACT), or a failure of
+        the solver (FAILED).
     """
 
     transcription: Transcription
@@ -69,10 +64,10 @@ class Attempt(NamedTuple):
         """Return whether the attempt is made after a plan that failed, or None."""
         if last is None:
             return self.after == FIRST
-        return self.after == FAILED or (self.after == INEXACT and is_inexact(last))
+        return self.after == (INEXACT if is_inexact(last) else FAILED)
 
     def refine(self, problem: Problem, plan: PlanResult) -> Attempt:
-        """Return the attempt from an inexact plan, on as many intervals as its own vibration asks for."""
+        """Continue from an inexact plan, on as many intervals as its own vibration needs."""
         known = Guess(plan.trajectory.states, plan.control, float(plan.time[-1]))
         count = max(2 * (len(plan.time) - 1), choose_intervals(problem, known))
         finer = replace(self.transcription, intervals=count)
@@ -82,48 +77,43 @@ class Attempt(NamedTuple):
 def attempts(task: Task, guess: InitialGuess | None) -> Iterator[Attempt]:
     """Yield the attempts at a problem in their order.
 
-    `find_plan` makes those that follow the failure before them, and stops at the first success. The
-    figures are of 138 contact-free problems: the suite of examples/ocp_suite.py, and 40 random ones.
+    `find_plan` makes those that follow the failure before them, and stops at the first success.
     """
     problem, model = task.problem, task.problem.model
     if task.target is None:  # phases have a method of their own
         yield Attempt(Variational(PHASE_INTERVALS), Ipopt(), guess, "phases")
         return
-    # Without noise a symmetric guess is next to a saddle: with it IPOPT alone solves 137 of 138.
+    # Without noise a symmetric guess is next to a saddle: with it IPOPT alone solves 137 of 138
+    # problems without contact.
     start = InverseDynamics(noise=NOISE) if guess is None else guess
-    first = evaluate_guess(start, problem, task.target, FEWEST)
-    sampled = model.scene.grounds and not problem.free_start and not winds(model)
+    first = evaluate_guess(start, problem, task.target, MIN_INTERVALS)
+    sampled = model.scene.grounds and not problem.free_start and not controls_rest_lengths(model)
     near = sampled and is_near_ground(problem, first)
-    sampling = default_sampling(problem)
+    after = FIRST
     if near:  # IPOPT finds 0 of 8 jumps through a penalty ground, sampling 12 of 12
-        yield Attempt(sampling, Sampling(), guess, "contact")
-    count = choose_intervals(problem, first)
-    accuracy = min(EXACT * task.tolerance, MISSED * Scales.of(problem).length)
-    variational = Variational(count, accuracy=accuracy)
-    after = FAILED if near else FIRST
-    for solver in _programs(problem):
-        yield Attempt(variational, solver, start, "the fastest that converges", after)
-        yield Attempt(variational, solver, start, "mesh too coarse", INEXACT)
+        yield Attempt(_for_sampling(problem), Sampling(), guess, "contact")
         after = FAILED
+    count = choose_intervals(problem, first)
+    # corrections within 0.3 of the tolerance, and within 1e-4 of the structure's size
+    accuracy = min(0.3 * task.tolerance, 1e-4 * Scales.of(problem).length)
     shooting = MultipleShooting(count)
-    yield Attempt(shooting, Ipopt(), start, "other rows of the motion", after)
+    variational = Variational(count, accuracy=accuracy)
+    # Mean CPU time of CondensedNewton and of IPOPT [s]: up to 4 bars 0.36 and 0.21, 5 to 8 bars
+    # 0.81 and 0.79, where IPOPT fails less often, 9 to 12 bars 1.9 and 3.0, above 2.7 and 19.7.
+    few = model.mechanism.bars < CONDENSED_BARS
+    solver = Ipopt() if few else CondensedNewton()
+    yield Attempt(variational, solver, start, "the fastest that converges", after)
+    yield Attempt(variational, solver, start, "mesh too coarse", INEXACT)
+    if not few:
+        yield Attempt(variational, Ipopt(), start, "states kept as unknowns", FAILED)
+    yield Attempt(shooting, Ipopt(), start, "other equations", FAILED)
     yield Attempt(shooting, Ipopt(), start, "mesh too coarse", INEXACT)
     if sampled and not near:
-        yield Attempt(sampling, Sampling(), guess, "contact after all", FAILED)
+        yield Attempt(_for_sampling(problem), Sampling(), guess, "contact after all", FAILED)
 
 
-def _programs(problem: Problem) -> list[Method]:
-    """Return the solvers of Variational, the one that suits the size first.
-
-    Mean CPU time of CondensedNewton and of IPOPT, s: up to 4 bars 0.36 and 0.21, 5 to 8 bars 0.81
-    and 0.79, where IPOPT fails less often, 9 to 12 bars 1.9 and 3.0, above 2.7 and 19.7.
-    """
-    few = problem.model.mechanism.bars < CONDENSED_BARS
-    return [Ipopt(), CondensedNewton()] if few else [CondensedNewton(), Ipopt()]
-
-
-def default_sampling(problem: Problem) -> Transcription:
-    """Return the intervals of a plan by sampling."""
+def _for_sampling(problem: Problem) -> Transcription:
+    """Choose the intervals of a plan by sampling."""
     return MultipleShooting(default_intervals(problem))
 
 
@@ -133,13 +123,13 @@ def complete(
     guess: InitialGuess | None,
     problem: Problem,
 ) -> Attempt:
-    """Return the attempt that a user asks for by a transcription, a solver, or both."""
+    """Complete the attempt that a user asks for by a transcription, a solver, or both."""
     solver = Ipopt() if solver is None else solver
     if transcription is None:
         if problem.phases:
             transcription = Variational(PHASE_INTERVALS)
         elif isinstance(solver, Sampling):
-            transcription = default_sampling(problem)
+            transcription = _for_sampling(problem)
         else:
             condenses = isinstance(solver, CondensedNewton)
             transcription = Variational() if condenses else MultipleShooting()
@@ -160,14 +150,10 @@ def is_near_ground(problem: Problem, guess: Guess) -> bool:
     held = np.flatnonzero(structure.fixed.all(axis=1))
     if not len(held):
         return True
-    margin = NEAR * Scales.of(problem).length
+    margin = 0.02 * Scales.of(problem).length  # nearer nodes may touch it
     for ground in model.scene.grounds:
-        moving = np.setdiff1d(
-            np.arange(len(model.structure.nodes))
-            if ground.nodes is None
-            else np.array(list(ground.nodes)),
-            held,
-        )
+        own = range(len(model.structure.nodes)) if ground.nodes is None else ground.nodes
+        moving = np.setdiff1d(list(own), held)
         if len(moving) and any(
             float(ca.mmax(ground.depth(model.nodes(x)[moving].T))) > -margin for x in guess.states
         ):
@@ -176,11 +162,11 @@ def is_near_ground(problem: Problem, guess: Guess) -> bool:
 
 
 def choose_intervals(problem: Problem, guess: Guess) -> int:
-    """Return how many intervals follow the fastest vibration: under the guess, and of many bars."""
+    """Choose the number of intervals that follow the fastest vibration."""
     middle = len(guess.force_density) // 2
     rate = fastest_rate(problem.model, guess.states[middle], guess.force_density[middle])
     # Elastic strings hardly vibrate along their plans; corrections do the rest.
-    each = 1.0 if winds(problem.model) else FOR_A_RADIAN
-    wanted = np.ceil(each * rate * guess.duration) if np.isfinite(rate) else FEWEST
-    least = np.ceil(FOR_BARS * np.sqrt(problem.model.mechanism.bars))
-    return int(np.clip(max(wanted, least), FEWEST, MOST))
+    each = 1.0 if controls_rest_lengths(problem.model) else INTERVALS_PER_RADIAN
+    wanted = np.ceil(each * rate * guess.duration) if np.isfinite(rate) else MIN_INTERVALS
+    least = np.ceil(INTERVALS_PER_BAR * np.sqrt(problem.model.mechanism.bars))
+    return int(np.clip(max(wanted, least), MIN_INTERVALS, MAX_INTERVALS))

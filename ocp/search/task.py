@@ -4,31 +4,46 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import casadi as ca
+import numpy as np
+
+from ocp.problem.control import control_name, controls_rest_lengths
+from ocp.problem.limit_conflict import find_conflict
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.sampling.solver import Sampling
-from ocp.search.presolve import check_end, check_groups, check_start
 from ocp.solvers.base import Solver
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.monitor import Monitor
 from ocp.targets.find_target import find_target
+from ocp.targets.infeasible_goal import Certificate, InfeasibleGoalError
 from ocp.targets.target import Target
-from ocp.transcription.mesh import Profile
+from ocp.transcription.mesh import Profile, group_matrix
 
 MOST_STARTS = 1000  # of a multistart
 Method = Solver | CondensedNewton | Sampling
 
 
 class Task(NamedTuple):
-    """A problem that passed the checks, where its goals lead, and how long a method may take.
+    """A problem that passed the checks, its target, and the limits of a search.
 
-    target, scales: None for problems with phases, each of which has its own. tolerance: m, that the
-    replay may end from the goals. monitor: time limit, stop request and progress.
+    Attributes
+    ----------
+    problem : Problem
+        The problem.
+    target : Target or None
+        Target of its goals; None for phases, which have their own.
+    scales : Scales
+        Its scales.
+    tolerance : float
+        Tolerance of the replay [m].
+    monitor : Monitor
+        Time limit, stop request and progress.
     """
 
     problem: Problem
     target: Target | None
-    scales: Scales | None
+    scales: Scales
     tolerance: float
     monitor: Monitor
 
@@ -36,14 +51,65 @@ class Task(NamedTuple):
 def prepare(
     problem: Problem, control: Profile, tolerance: float, monitor: Monitor | None = None
 ) -> Task:
-    """Find where the goals lead. Raises ValueError, InfeasibleGoalError for what has no solution."""
+    """Check a problem and find its target. Raises ValueError, InfeasibleGoalError."""
     check_groups(problem, control)
     monitor = Monitor() if monitor is None else monitor
-    if problem.phases:
-        return Task(problem, None, None, tolerance, monitor)
     scales = Scales.of(problem)
+    if problem.phases:
+        return Task(problem, None, scales, tolerance, monitor)
     target = find_target(problem, scales)
     if not problem.free_start:
         check_start(problem)
-    check_end(problem, target)
+        check_end(problem, target)
     return Task(problem, target, scales, tolerance, monitor)
+
+
+def check_groups(problem: Problem, profile: Profile) -> None:
+    """Raise ValueError where the limits of a group's strings contradict each other."""
+    lower, upper = problem.control_limits
+    name, unit = control_name(problem.model), "m" if controls_rest_lengths(problem.model) else "N/m"
+    for together in group_matrix(profile, len(lower)).T > 0:
+        strings = np.flatnonzero(together)
+        low, high = strings[np.argmax(lower[strings])], strings[np.argmin(upper[strings])]
+        if lower[low] > upper[high]:
+            raise ValueError(
+                f"{type(profile).__name__}.groups: strings {', '.join(map(str, strings))} share a {name}, and Problem.bounds keep "
+                f"that of string {low} at {lower[low]:g} {unit} or more and that of string {high} at {upper[high]:g} {unit} or less: "
+                "widen one, or take the group apart"
+            )
+
+
+def check_start(problem: Problem) -> None:
+    """Raise ValueError where no controls meet all limits at the start."""
+    conflict = find_conflict(problem, np.asarray(problem.start), "start")
+    if conflict is not None:
+        raise ValueError(
+            f"Problem.bounds leave no controls at the start: {conflict.message}: widen one, or start elsewhere"
+        )
+
+
+def check_end(problem: Problem, target: Target) -> None:
+    """Raise InfeasibleGoalError where limits exclude coordinates that the goals give."""
+    if target.state is None or problem.periodic_goals:
+        return
+    x = ca.SX.sym("x", len(target.state))
+    rows = target.single(x)[: len(target.names)]
+    linear = ~np.array(ca.which_depends(rows, x, 2, True), dtype=bool)
+    row, column = np.array(ca.jacobian(rows, x).sparsity().get_triplet(), dtype=np.intp)
+    alone = linear[row] & (np.bincount(row, minlength=len(target.names))[row] == 1)
+    fixed = np.isin(np.arange(len(target.state)), column[alone])
+    conflict = find_conflict(problem, target.state, "end", fixed)
+    if conflict is None:
+        return
+    certificate = Certificate({conflict.name: 1.0}, conflict.excess, "linear")
+    placed = row[alone & conflict.needed[column]]
+    goal = target.names[placed[0]] if placed.size else "the goals"
+    if conflict.fixed:
+        raise InfeasibleGoalError(
+            f"{goal} and {conflict.message} where the goals are met: move the goal, or give another limit",
+            certificate,
+        )
+    raise InfeasibleGoalError(
+        f"Problem.bounds leave no controls where the goals are met: {conflict.message}: widen one, or move the goal",
+        certificate,
+    )

@@ -6,6 +6,9 @@ determine it to first order.
 
 from __future__ import annotations
 
+from typing import Any
+
+import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
@@ -14,45 +17,34 @@ from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, Indices
 
 
-def all_pairs(count: int) -> Indices:
-    """List all pairs (m, 2) of nodes."""
-    return np.column_stack(np.triu_indices(count, 1))
-
-
-def neighbours(structure: Structure) -> Indices:
-    """List pairs of nodes at most two members apart.
-
-    The result is (m, 2).
-    """
+def list_neighbors(structure: Structure) -> Indices:
+    """List pairs (m, 2) of nodes at most two members apart."""
     n, members = len(structure.nodes), np.concatenate([structure.bars, structure.strings])
     one = sp.coo_array((np.ones(len(members)), (members[:, 0], members[:, 1])), shape=(n, n))
     steps = sp.csr_array(one + one.T)
     return np.argwhere(np.triu((steps + steps @ steps).toarray(), 1) > 0)
 
 
-def squared_distances(nodes: Array, pairs: Indices) -> Array:
-    """Compute the squared distances (m,) of pairs of nodes.
-
-    Pairs are (m, 2), nodes (n, 3).
-    """
-    apart = nodes[pairs[:, 0]] - nodes[pairs[:, 1]]
-    return np.asarray((apart * apart).sum(axis=1))
+def squared_distances(nodes: Any, pairs: Indices) -> Any:
+    """Compute the squared distances (m,) of pairs (m, 2) of nodes (n, 3)."""
+    apart = nodes[pairs[:, 0].tolist(), :] - nodes[pairs[:, 1].tolist(), :]
+    return ca.sum2(apart * apart) if isinstance(apart, ca.SX) else (apart * apart).sum(axis=1)
 
 
-def feel(
+def find_distance_rows(
     nodes: Array, moves: sp.csr_array, directions: Array, pairs: Indices
 ) -> tuple[Array, Array, Indices]:
-    """Find distance rows that depend on given directions (ny, k).
+    """Find distance rows that change along directions (ny, k).
 
     The rows are invariant to rigid motions. They use pairs (m, 2), or all nodes if these are not
     sufficient. `moves` is the derivative (3n, ny) of the nodes (n, 3). Returns combinations (j, m)
     of squared distances, their gradients (j, ny), and the pairs.
     """
     moved = (moves @ directions).reshape(len(nodes), 3, -1)
-    every = all_pairs(len(nodes))
-    apart, weights = _felt(nodes, moved, pairs)
+    every = np.column_stack(np.triu_indices(len(nodes), 1))
+    apart, weights = _differentiate(nodes, moved, pairs)
     if len(pairs) < len(every) and _rank(weights) < len(weights):
-        more, others = _felt(nodes, moved, every)
+        more, others = _differentiate(nodes, moved, every)
         if _rank(weights) < _rank(others):
             pairs, apart, weights = every, more, others
     norms = np.linalg.norm(weights, axis=1, keepdims=True)
@@ -65,7 +57,7 @@ def feel(
     return weights, (moves.T @ forces.reshape(len(weights), -1).T).T, pairs
 
 
-def _felt(nodes: Array, moved: Array, pairs: Indices) -> tuple[Array, Array]:
+def _differentiate(nodes: Array, moved: Array, pairs: Indices) -> tuple[Array, Array]:
     """Compute the derivatives of squared distances along directions.
 
     Returns twice the vectors (m, 3) between pairs of nodes, and the derivatives (k, m).

@@ -14,9 +14,9 @@ import casadi as ca
 import numpy as np
 
 from ocp.problem.problem import Problem
-from ocp.problem.rows import Rows, stack
+from ocp.problem.rows import Rows, goal_rows
 from ocp.problem.scaling import Scales
-from ocp.targets.infeasible_goal import InfeasibleGoalError
+from ocp.targets.infeasible_goal import Certificate, InfeasibleGoalError
 from ocp.targets.invariants import invariants
 from ocp.targets.row_reduction import Reduction, RowFunction, reduce_rows
 from ocp.targets.target import FreeStartRows
@@ -32,29 +32,30 @@ def find_free_start(problem: Problem, scales: Scales) -> FreeStartRows | None:
     """
     if not problem.free_start:
         return None
-    model, near, structure = problem.model, problem.first_state, problem.model.scene.structure
+    model, near, structure = problem.model, problem.initial_state, problem.model.scene.structure
     first, last = ca.SX.sym("x0", model.nx), ca.SX.sym("x", model.nx)
-    N0, V0 = model.nodes(first).T, model.velocities(first).T
     kept = {rows.kind: rows for rows in invariants(model, near, first, ca.SX(problem.shortest))}
     known: list[tuple[str, Array]] = []
     imposed = []
     if "bar" in kept:
         known.append(("bar", _gradient(kept["bar"], first, near, scales)))
         imposed.append(_combined(reduce_rows(known[0][1], []), kept["bar"], scales))
-    met = stack(goal.rows(structure, N0, V0) for goal in problem.start_goals)
+    met = goal_rows(problem.initial_goals, model, first)
     if met.names:
         imposed.append(
             _combined(reduce_rows(_gradient(met, first, near, scales), known), met, scales)
         )
-    if "momentum" in kept and problem.repeating:
+    if "momentum" in kept and problem.periodic_goals:
         momentum = kept["momentum"].select(
             "m/s", "m²/s"
         )  # the path of the center of mass follows from its initial velocity
         _check_momentum(momentum, first, near, scales)
         known.append(("momentum", _gradient(momentum, first, near, scales)))
-    before = N0[:, : len(structure.nodes)].T, V0[:, : len(structure.nodes)].T
-    N, V = model.nodes(last).T, model.velocities(last).T
-    repeats = stack(replace(goal, start=before).rows(structure, N, V) for goal in problem.repeating)
+    before = tuple(
+        moving(first)[: len(structure.nodes), :] for moving in (model.nodes, model.velocities)
+    )
+    periodic = [replace(goal, start=before) for goal in problem.periodic_goals]
+    repeats = goal_rows(periodic, model, last)
     at_near = replace(repeats, value=ca.substitute(repeats.value, first, ca.DM(near)))
     reduction = reduce_rows(
         _gradient(at_near, last, near, scales), known, repeats.names, repeats.sizes(scales.units)
@@ -62,9 +63,8 @@ def find_free_start(problem: Problem, scales: Scales) -> FreeStartRows | None:
     return FreeStartRows(
         ca.Function("start", [first], [ca.densify(ca.vertcat(ca.SX(0, 1), *imposed))]),
         ca.Function("repeats", [first, last], [ca.densify(_combined(reduction, repeats, scales))]),
-        ca.Function(
-            "misfit", [first, last], [repeats.select("m").value, repeats.select("m/s").value]
-        ),
+        ca.Function("misfit", [first, last], [repeats.value]),
+        repeats.units,
         reduction,
     )
 
@@ -82,7 +82,9 @@ def _check_momentum(momentum: Rows, x: Any, near: Array, scales: Scales) -> None
     scaled = momentum.value / ca.DM(momentum.sizes(scales.units))
     change = np.abs(np.asarray(ca.Function("change", [x], [scaled])(near).full()).ravel())
     if change.max(initial=0.0) > 1e-6:  # relative to typical momenta: above rounding errors
-        name = momentum.names[int(np.argmax(change))]
+        k = int(np.argmax(change))
+        name = momentum.names[k]
         raise InfeasibleGoalError(
-            f"Periodic cannot be met, as {name} whatever the strings do: give a scene with a ground, or pin a node"
+            f"Periodic cannot be met, as {name} whatever the strings do: give a scene with a ground, or pin a node",
+            Certificate({name: 1.0}, float(change[k]), "linear"),
         )

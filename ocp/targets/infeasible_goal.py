@@ -1,40 +1,71 @@
-"""Error for infeasible goals."""
+"""Error for goals that are proven infeasible."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import NamedTuple
+
+
+class Certificate(NamedTuple):
+    """Proof that some constraints have no common solution.
+
+    The sum of the rows, each times its multiplier, is at least `bound` for every state. Where all
+    rows vanish it would be zero.
+
+    Attributes
+    ----------
+    multipliers : mapping of str to float
+        Multipliers of the rows by name; rows are scaled to order one.
+    bound : float
+        Least value of the sum, greater than 0.
+    relaxation : str
+        "linear" or "convex": the kind of the sum, as a function of the state.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> import tenscasadi as tc
+    >>> model = tc.Model(tc.Scene(tc.shapes.prism(), control=tc.ForceDensity()))
+    >>> places = [ocp.NodePositions({0: (x, None, None)}) for x in (0.0, 1.0)]
+    >>> try:
+    ...     ocp.solve(ocp.Problem(model, goals=places))
+    ... except ocp.InfeasibleGoalError as error:
+    ...     print(error.certificate.relaxation, error.certificate.bound > 0)
+    linear True
+    """
+
+    multipliers: Mapping[str, float]
+    bound: float
+    relaxation: str
+
 
 class InfeasibleGoalError(ValueError):
-    """Infeasible goals, found before the problem is solved.
+    """Goals that are proven infeasible before the problem is solved.
 
     `solve` raises it, and `Mpc` if it tracks goals without a plan. The message names the goal row
-    with the largest violation, its amount, and the constraint that prevents it. The search for a
-    state that meets the goals starts at the initial state. It uses Gauss-Newton steps that satisfy
-    the constraints below. A goal is rejected
+    with the largest violation, its amount at the nearest state that was found, and the constraint
+    that prevents it.
 
-    - if it contradicts other goals, the lengths of bars, joints, or a clock: the nearest state
-      violates it by more than 2·10⁻⁴ of the structure's size, or of this size per longest duration
-      for velocities;
-    - if it contradicts momentum. Without ground, pressure, nodal forces and moving supports,
-      strings do not change the path of the center of mass of each connected part along free axes.
-      Nor do they change its angular momentum about free axes;
-    - if it contradicts the plane or line of the initial nodes, velocities and gravity in such
-      scenes;
-    - if it is too far away by a factor of 100. The distance that force densities at their upper
-      limits can cover in the longest duration follows from the initial accelerations. All these
-      limits must be finite, and the scene must have no clock;
-    - if it belongs to a `Waypoint` and fails the same tests from the start to that instant;
-    - if it belongs to a `FreeStart` and contradicts its other goals, bars or joints. Goals of the
-      end count if it repeats the start;
-    - if it is `Periodic` and the center of mass falls, or a momentum must change. Momentum, plane
-      and distance are not checked for other goals of such problems.
+    Attributes
+    ----------
+    certificate : Certificate or None
+        The proof.
 
-    Other infeasible goals are not detected. Examples are goals that need more force or time than
-    available, up to the factor above, or that path constraints or contact forbid. A goal that no
-    string affects to first order is another, such as a speed that only the wind changes. The plan
-    of such a problem has ``success`` False and a message with the violation. With fewer force
-    densities than goal rows, or without admissible controls at the start, `solve` raises a
-    ValueError. Because the search is local, a goal may be rejected although a distant state meets
-    it.
+    Notes
+    -----
+    Goals, bar lengths, joints, the clock, momenta and the plane of a flat structure are rows that
+    are quadratic in the state at their instant. A goal is rejected if a combination of the rows is
+    convex and has a positive minimum [1]_. Momenta and plane count in scenes without ground,
+    pressure, nodal forces and moving supports, and for a given start. A `Periodic` motion is
+    rejected if it needs a change of a momentum that no string can cause. Limits reject a goal if
+    linear rows alone determine all coordinates on which they depend.
+
+    Other goals are tried, with a `TargetNotFoundWarning` if the search finds no state that meets
+    them. Examples are goals that need more force or time than available.
+
+    References
+    ----------
+    .. [1] S. Boyd, L. Vandenberghe, Convex Optimization, 2004, section 5.2 and appendix B.
 
     Examples
     --------
@@ -46,5 +77,13 @@ class InfeasibleGoalError(ValueError):
     Traceback (most recent call last):
         ...
     ocp.targets.infeasible_goal.InfeasibleGoalError: NodePositions: node ... misses its goal by 1 m
-    at best, as the centre of mass ...
+    at best, as the center of mass ...
     """
+
+    def __init__(self, message: str, certificate: Certificate | None = None) -> None:
+        super().__init__(message)
+        self.certificate = certificate
+
+
+class TargetNotFoundWarning(UserWarning):
+    """No state was found that meets the goals; the solver tries nevertheless."""

@@ -26,12 +26,15 @@ AXES = "xyz"
 Flags = NDArray[np.bool_]
 
 
-def invariants(model: Model, start: Array, x: Any, time: Any) -> list[Rows]:
+def invariants(
+    model: Model, start: Array, x: Any, time: Any, half_square: Any = None
+) -> list[Rows]:
     """Build the rows that vanish in every motion, by kind.
 
-    They are functions of the symbolic state x (nx), `time` seconds after `start` (nx,). Kinds are
-    "bar", "joint", "clock", "momentum" and "plane", if the model has them.
+    They are functions of the symbolic state x (nx), `time` seconds after `start` (nx,), and of
+    time²/2. Kinds are "bar", "joint", "clock", "momentum" and "plane", if the model has them.
     """
+    half_square = time**2 / 2 if half_square is None else half_square
     N, V, clock = model.unpack(x)
     N0, V0 = (np.asarray(Z).T for Z in _numbers(model, start))
     scene = model.scene
@@ -46,7 +49,7 @@ def invariants(model: Model, start: Array, x: Any, time: Any) -> list[Rows]:
     ):
         gravity = np.zeros(3) if scene.gravity is None else np.array(scene.gravity.acceleration)
         rows = [
-            _momentum_rows(body, model.mechanism, (N, V), x, start, gravity, time)
+            _momentum_rows(body, model.mechanism, (N, V), x, start, gravity, (time, half_square))
             for body in bodies(model.structure, gravity)
         ]
         values, names, units = zip(*rows, strict=True)
@@ -164,7 +167,7 @@ def free_motions(
 
     Returns the free axes (3,) of its nodes (n, 3), and the rotations (t, ω) with conserved
     momentum. A rotation moves node r by t + ω×(r − c), with c the center of mass along the free
-    axes. Its momentum is conserved if it moves no `fixed` (n, 3) coordinate and no weight, wherever
+    axes. Its momentum is conserved if it moves no `with_parameters` (n, 3) coordinate and no weight, wherever
     the nodes are (Noether's theorem). A single pin leaves three rotations, and two pins leave one.
     """
     along: Flags = np.logical_not(np.asarray(fixed.any(axis=0)))
@@ -204,22 +207,23 @@ def _momentum_rows(
     x: Any,
     start: Array,
     gravity: Array,
-    time: Any,
+    times: tuple[Any, Any],
 ) -> tuple[Any, tuple[str, ...], tuple[str, ...]]:
     """Build the rows of linear and angular momentum per mass.
 
     They include the path of the center of mass. `now` is N and V (3×n) as expressions of the state
-    x (nx), `time` seconds after its start (nx,).
+    x (nx), `times` are T and T²/2 after its start (nx,).
     """
+    time, half_square = times
     c, v, spin = _momenta(body, mech, *now)
     c0, v0, spin0 = ca.Function("begun", [x], [c, v, spin])(start)
     g = ca.DM(gravity)
     axes = np.flatnonzero(body.along).tolist()
     value = ca.vertcat(
-        (c - c0 - v0 * time - g * time**2 / 2)[axes], (v - v0 - g * time)[axes], spin - spin0
+        (c - c0 - v0 * time - g * half_square)[axes], (v - v0 - g * time)[axes], spin - spin0
     )
     names = [
-        f"the centre of mass{body.name} {what} along {AXES[axis]}"
+        f"the center of mass{body.name} {what} along {AXES[axis]}"
         for what in ("follows its path", "keeps its speed")
         for axis in axes
     ]
@@ -239,8 +243,8 @@ def _momenta(body: Body, mech: Mechanism, N: Any, V: Any) -> tuple[Any, Any, Any
     own = np.isin(mech.physical, body.nodes)
     weight = np.asarray(mech.M.sum(axis=1)).ravel() * own
     mass = float(weight.sum())
-    centre, drift = (ca.mtimes(Z, ca.DM(weight)) / mass for Z in (N, V))
-    arms = N - ca.repmat(centre * ca.DM(body.along.astype(float)), 1, N.shape[1])
+    center, drift = (ca.mtimes(Z, ca.DM(weight)) / mass for Z in (N, V))
+    arms = N - ca.repmat(center * ca.DM(body.along.astype(float)), 1, N.shape[1])
     P = ca.mtimes(V, sparse(mech.M)) * ca.repmat(
         ca.DM(own.astype(float)).T, 3, 1
     )  # 3×n momenta of the columns
@@ -251,4 +255,4 @@ def _momenta(body: Body, mech: Mechanism, N: Any, V: Any) -> tuple[Any, Any, Any
         ca.dot(ca.DM(t), ca.sum2(P)) + ca.sum2(sum(omega[a] * turning[a] for a in range(3)))
         for t, omega in body.rotations
     ]
-    return centre, drift, ca.vertcat(*spin) / mass if spin else ca.DM.zeros(0, 1)
+    return center, drift, ca.vertcat(*spin) / mass if spin else ca.DM.zeros(0, 1)

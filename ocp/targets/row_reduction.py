@@ -62,6 +62,17 @@ class RowFunction:
         """Compute the norm of the scaled rows."""
         return float(np.linalg.norm(self._code.value(y)[0].ravel()[self._rows]))
 
+    def second_derivatives(self, y: Array) -> tuple[Indices, Indices, Indices, Array]:
+        """Compute the second derivatives of all rows.
+
+        Returns the row and the two unknowns of each entry, and its scaled value.
+        """
+        code = self._code.second
+        entry = np.repeat(np.arange(len(code.row)), np.diff(code.pointers))
+        values = code.function(y)[0].ravel()[code.order]
+        one, other = code.one[entry], code.other
+        return code.row[entry], one, other, values * self.scale[one] * self.scale[other]
+
     def curvatures(self, y: Array, weights: Array, basis: Array) -> Array:
         """Compute second derivatives (j, k, k) of combinations of rows.
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import casadi as ca
@@ -11,6 +12,37 @@ import scipy.linalg
 
 from ocp.targets.row_reduction import Reduction
 from tenscasadi.util.validate import Array
+
+StateAt = Callable[[float], Array]  # fraction of the duration → state (nx,), or states (n, nx)
+
+
+class GoalResiduals(NamedTuple):
+    """Absolute residuals of the goals that a user named, of one or several motions.
+
+    Attributes
+    ----------
+    values : ndarray, shape (n, m)
+        Residuals [m or m/s].
+    names, units : tuple of str
+        Name and unit of each row.
+    """
+
+    values: Array
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+
+    def select(self, unit: str) -> Array:
+        """Select the residuals (n, ·) in a unit."""
+        return self.values[:, [own == unit for own in self.units]]
+
+    def find_worst(self, duration: float) -> tuple[str, float, str]:
+        """Find the name, value and unit of the largest residual of the first motion.
+
+        Velocities count as the distance over the duration.
+        """
+        sizes = self.values[0] * [duration if unit == "m/s" else 1.0 for unit in self.units]
+        k = int(np.argmax(sizes))
+        return self.names[k], float(self.values[0, k]), self.units[k]
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,21 +54,23 @@ class Target:
     start : ndarray, shape (nx,)
         Initial state x₀ on the constraints.
     state : ndarray, shape (nx,), or None
-        Nearest state that meets the goals; None without goals.
+        State nearest to the goals; None without goals.
     single : casadi.Function
         x → m rows, all zero at the goal. Their derivatives are sparse.
     weights : ndarray, shape (count, m)
         Independent combinations of these rows, dense.
     misfit : casadi.Function
-        x → (distance [m], speed [m/s]) from each goal.
-    names : tuple of str
-        Names of the goals, those in meters first.
+        x → residuals of the goals that were named.
+    names, units : tuple of str
+        Names and units of these goals.
     reduction : Reduction
         Composition of the rows.
     shape : int
-        Number of final rows that replace singular string lengths.
+        Number of rows that replace singular string lengths.
     adjusted : float
         Adjustment of goals to the bar lengths [m].
+    met : bool
+        Whether `state` meets the goals.
     waypoints : tuple of WaypointTarget
         Targets of waypoints.
     free_start : FreeStartRows or None
@@ -49,9 +83,11 @@ class Target:
     weights: Array
     misfit: ca.Function
     names: tuple[str, ...]
-    reduction: Reduction
+    units: tuple[str, ...]
+    reduction: Reduction = field(default_factory=lambda: Reduction(np.zeros((0, 0))))
     shape: int = 0
     adjusted: float = 0.0
+    met: bool = True
     waypoints: tuple[WaypointTarget, ...] = ()
     free_start: FreeStartRows | None = None
 
@@ -76,6 +112,20 @@ class Target:
             "goal", [x], [ca.mtimes(ca.DM(self.weights), self.single(x))], ["x"], ["rows"]
         )
 
+    def measure(self, state_at: StateAt) -> GoalResiduals:
+        """Measure the residuals of all goals, those of waypoints at their instants."""
+        values: list[Array] = []
+        names: tuple[str, ...] = ()
+        units: tuple[str, ...] = ()
+        for share, part, label in self.instants:
+            states = np.atleast_2d(state_at(share))
+            found = part.misfit.map(len(states))(states.T) if part.names else np.zeros((0, 1))
+            values.append(np.abs(np.asarray(ca.DM(found).full())).T)
+            names += tuple(label + name for name in part.names)
+            units += part.units
+        count = max(len(one) for one in values)
+        return GoalResiduals(np.hstack([one for one in values if len(one) == count]), names, units)
+
     def keep(self, kept: Array, reason: str) -> Target:
         """Keep the combinations `kept` (k, count) of rows.
 
@@ -88,32 +138,20 @@ class Target:
     def begin_at(self, start: Array) -> Target:
         """Build the target for a start that was found.
 
-        Its rows and misfit include those of a periodic motion.
+        Its goals include those of a periodic motion.
         """
         free = self.free_start
         if free is None:
             return self
         x = ca.MX.sym("x", len(start))
-        (metres, speeds), (more_metres, more_speeds) = self.misfit(x), free.misfit(start, x)
-        count, more = metres.shape[0], more_metres.shape[0]
         return replace(
             self,
             start=start,
             single=ca.Function("single", [x], [ca.vertcat(self.single(x), free.repeats(start, x))]),
             weights=scipy.linalg.block_diag(self.weights, np.eye(free.repeats.size1_out(0))),
-            misfit=ca.Function(
-                "misfit",
-                [x],
-                [ca.vertcat(metres, more_metres), ca.vertcat(speeds, more_speeds)],
-                ["x"],
-                ["metres", "speeds"],
-            ),
-            names=(
-                *self.names[:count],
-                *free.reduction.names[:more],
-                *self.names[count:],
-                *free.reduction.names[more:],
-            ),
+            misfit=ca.Function("misfit", [x], [ca.vertcat(self.misfit(x), free.misfit(start, x))]),
+            names=self.names + free.reduction.names,
+            units=self.units + free.units,
             reduction=self.reduction.join(free.reduction),
             free_start=None,
         )
@@ -123,19 +161,18 @@ class Target:
 
         An example is "36 → 21 rows: 6 bar, 9 momentum".
         """
+        waypoints = [one.label + one.target.describe() for one in self.waypoints]
         given = len(self.reduction.names) - self.shape
         if not given:
-            return (
-                "; ".join(one.label + one.target.describe() for one in self.waypoints) or "no goals"
-            )
-        text = f"{given} → {self.count} rows"
+            return "; ".join(waypoints) or "no goals"
         left_out = [f"{count} {kind}" for kind, count in self.reduction.repeated.items()]
         left_out += [f"{self.shape} added for the shape"] if self.shape else []
-        text += ": " + ", ".join(left_out) if left_out else ""
+        text = f"{given} → {self.count} rows" + (": " + ", ".join(left_out) if left_out else "")
+        text += "" if self.met else "; no state was found that meets the goals"
         text += (
             f"; goals adjusted by {self.adjusted:.1e} m to fit the bars" if self.adjusted else ""
         )
-        return "; ".join([text, *(one.label + one.target.describe() for one in self.waypoints)])
+        return "; ".join([text, *waypoints])
 
 
 class WaypointTarget(NamedTuple):
@@ -161,7 +198,9 @@ class FreeStartRows:
     repeats : casadi.Function
         (x₀, x) → independent rows, zero if the end repeats the start.
     misfit : casadi.Function
-        (x₀, x) → (distance [m], speed [m/s]) of each goal row.
+        (x₀, x) → residual of each goal row.
+    units : tuple of str
+        Units of these residuals.
     reduction : Reduction
         Composition of `repeats`.
     """
@@ -169,4 +208,5 @@ class FreeStartRows:
     start: ca.Function
     repeats: ca.Function
     misfit: ca.Function
+    units: tuple[str, ...]
     reduction: Reduction

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from ocp.problem.bounds.bound import PathBound, RateBound
-from ocp.problem.control import winds
+from ocp.problem.control import controls_rest_lengths
 from ocp.problem.costs import ControlTerm, InstantTerm, cost_terms
 from ocp.problem.instant import symbolic
 from ocp.problem.path_constraints import ScaledRows, scaled_rows
@@ -21,6 +21,7 @@ from ocp.transcription.base import Defects, Transcription
 from ocp.transcription.mesh import Guess, hermite_state, locate_share
 from ocp.transcription.sparse_nlp import (
     Block,
+    Kind,
     Program,
     Separable,
     gather,
@@ -148,7 +149,7 @@ def build_path_blocks(v: Variables) -> list[Block]:
 def build_cost_blocks(v: Variables) -> list[Block]:
     """Build all costs: integrals, differences of neighboring controls, and instants."""
     terms = cost_terms(v.problem.costs)
-    if winds(v.model):
+    if controls_rest_lengths(v.model):
         found = [_build_force_term(v, one) for one in terms.control]
     else:
         found = [_build_integral(v, one) for one in terms.control]
@@ -179,37 +180,25 @@ def build_start_blocks(v: Variables) -> list[Block]:
 
 
 def build_waypoint_blocks(v: Variables) -> list[Block]:
-    """Build the rows of all waypoints."""
-    blocks, nx = [], v.model.nx
-    for number, waypoint in enumerate(v.target.waypoints):
-        if not waypoint.target.count:
-            continue
-        k, share = locate_share(v.fractions, waypoint.share)
-        z, (x, y, T, part) = split_symbol(ca.MX, nx, nx, 1, 1)
-        state = hermite_state(v.model, x, y, T * part, share)
-        function = ca.Function("waypoint", [z], [waypoint.target.rows(state)])
-        names = tuple(
-            f"goal of waypoint {number}, combination {row}" for row in range(waypoint.target.count)
-        )
-        blocks.append(
-            Block(
-                function,
-                np.concatenate([v.states[k], v.states[k + 1], v.duration, v.share[k]])[None],
-                names,
-                kind="waypoint",
-            )
+    """Build the rows of all waypoints, from the ends of the interval of each."""
+    blocks: list[Block] = []
+    nx = v.model.nx
+    for number, (share, target) in enumerate(v.target.waypoints):
+        k, part = locate_share(v.fractions, share)
+        z, (x, y, T, length) = split_symbol(ca.MX, nx, nx, 1, 1)
+        state = hermite_state(v.model, x, y, T * length, part)
+        function = ca.Function("waypoint", [z], [target.single(state)])
+        index = np.concatenate([v.states[k], v.states[k + 1], v.duration, v.share[k]])[None]
+        blocks += _build_goal_blocks(
+            target, function, index, f"goal of waypoint {number}", "waypoint"
         )
     return blocks
 
 
 def build_end_blocks(v: Variables) -> list[Block]:
-    """Build the rows of terminal and of periodic goals."""
-    blocks, target, free = [], v.target, v.target.free_start
-    if target.count:
-        names = tuple(f"goal, combination {k}" for k in range(target.count))
-        blocks.append(
-            Block(target.single, v.states[-1:], names, combination=target.weights, kind="end")
-        )
+    """Build the rows of goals at the end, and those of an end that repeats the start."""
+    target, free = v.target, v.target.free_start
+    blocks = _build_goal_blocks(target, target.single, v.states[-1:], "goal", "end")
     if free is not None and free.reduction.names:
         names = tuple(
             f"goal of repeating, combination {k}" for k in range(free.repeats.size1_out(0))
@@ -220,6 +209,16 @@ def build_end_blocks(v: Variables) -> list[Block]:
             Block(function, np.hstack([v.states[:1], v.states[-1:]]), names, kind="periodic")
         )
     return blocks
+
+
+def _build_goal_blocks(
+    target: Target, function: ca.Function, index: Indices, name: str, kind: Kind
+) -> list[Block]:
+    """Build the independent combinations of the rows of a target."""
+    if not target.count:
+        return []
+    names = tuple(f"{name}, combination {k}" for k in range(target.count))
+    return [Block(function, index, names, combination=target.weights, kind=kind)]
 
 
 def _build_bound(v: Variables, rows: ScaledRows, end: str) -> Block:

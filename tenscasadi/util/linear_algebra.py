@@ -55,6 +55,13 @@ def semidefinite_inverse(S: Array) -> Array:
         return np.asarray(inverse * scales)
 
 
+def fit_rotation(vectors: Array, others: Array) -> Array:
+    """Find the rotation (3, 3) that turns vectors (n, 3) nearest to others (Kabsch, 1976)."""
+    left, _, right = np.linalg.svd(others.T @ vectors)
+    handed = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right)) or 1.0])
+    return np.asarray((left * handed) @ right)
+
+
 def null_space(A: Array, tolerance: float) -> Array:
     """Compute an orthonormal basis of a null space.
 

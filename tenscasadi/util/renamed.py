@@ -91,3 +91,25 @@ def rename_keywords(**names: str) -> Callable[[_Function], _Function]:
         return call  # type: ignore[return-value]
 
     return decorate
+
+
+_Class = TypeVar("_Class", bound=type)
+
+
+def rename_fields(**names: str) -> Callable[[_Class], _Class]:
+    """Accept old names of a dataclass's fields, given as old="new", with a warning.
+
+    Files may use both; see `tenscasadi.schema.value.Value.earlier_names`.
+    """
+
+    def decorate(kind: _Class) -> _Class:
+        made: Any = kind
+        made.earlier_names = names
+        made.__init__ = rename_keywords(**names)(made.__init__)
+        for old, new in names.items():
+            attribute = RenamedAttribute(new)
+            attribute.__set_name__(made, old)
+            setattr(made, old, attribute)
+        return kind
+
+    return decorate

@@ -11,9 +11,9 @@ import pytest
 
 import ocp
 import tenscasadi as tc
+from ocp.guess.path import make_guess
 from ocp.problem.scaling import Scales
 from ocp.targets.find_target import find_target
-from ocp.transcription.initial_guess import make_guess
 
 BAR, LEAST, MOST, COUNT = 1.4, 5.0, 100.0, 8
 QUIET = {"ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": False}

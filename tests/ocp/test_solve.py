@@ -46,16 +46,16 @@ def test_a_time_limit_stops_the_solver_with_the_best_so_far(plan, monkeypatch):
     )  # however loaded the machine is
     monkeypatch.setattr("ocp.solvers.monitor.time", late)
     endless = ocp.Ipopt(tolerance=1e-30, max_iterations=10**6, watch=seen.append)
-    stopped = ocp.solve(plan.problem, plan.transcription, endless, seconds=1e3)
-    assert not stopped.success
-    assert "stopped at the time limit" in stopped.message
+    stopped = ocp.solve(plan.problem, plan.transcription, endless, time_limit=1e3)
+    assert stopped.success
+    assert "the cost is not settled: stopped at the time limit" in stopped.message
     assert stopped.objective == pytest.approx(plan.objective, rel=1e-3)
-    at_once = ocp.solve(plan.problem, seconds=1e-6)
+    at_once = ocp.solve(plan.problem, time_limit=1e-6)
     assert not at_once.success
     assert "before the solver began" in at_once.message
     assert at_once.iterations == 0
-    with pytest.raises(ValueError, match="seconds"):
-        ocp.solve(plan.problem, seconds=-1.0)
+    with pytest.raises(ValueError, match="time_limit"):
+        ocp.solve(plan.problem, time_limit=-1.0)
 
 
 def test_a_prism_rises(plan):
@@ -158,7 +158,7 @@ def test_four_bars():
 
 @pytest.mark.parametrize("mass", [1.0, [1.0, 2.0, 3.0, 4.0]])
 def test_a_pinned_d_bar_folds(mass):
-    """Class 2. Pinned at a node its place follows from its shape: a goal for the place is out of control, and may be asked where it is met."""
+    """Class 2. Pinned at a node its place follows from its shape, and may be asked where it is met."""
     bar = tc.shapes.d_bar(pinned=[0], bar_mass=mass)
     model = driven(bar)
     lengths = ocp.StringLengths(tc.shapes.d_bar(angle=0.6).string_lengths)
@@ -175,7 +175,6 @@ def test_a_pinned_d_bar_folds(mass):
         ocp.Problem(model, goals=goals, costs=[ocp.Effort()]), ocp.MultipleShooting(20, substeps=2)
     )
     assert placed.success
-    assert "1 out of control" in placed.message
     assert placed.objective == pytest.approx(folded.objective, rel=1e-3)
 
 
@@ -275,11 +274,10 @@ def test_too_little_force_is_said(plan):
     )  # rounding decides what IPOPT sees first
     for words in (
         "no plan",
-        "misses its goal by",
-        "upper limits hold",
+        "largest violation: ",
+        "upper limits are active",
         "force density of string",
-        "the strings move 18 of 18 rows",
-        "longer duration",
+        "increase ",
     ):
         assert words in found.message
     assert found.replay_error > 1e-3
@@ -287,10 +285,12 @@ def test_too_little_force_is_said(plan):
 
 def test_too_few_iterations_are_said():
     problem = ocp.Problem(driven(prism(1.0)), **asked())
-    found = ocp.solve(problem, ocp.MultipleShooting(12), ocp.Ipopt(max_iterations=1))
+    found = ocp.solve(
+        problem, ocp.MultipleShooting(12), ocp.Ipopt(max_iterations=1), tolerance=1e-6
+    )
     assert not found.success
     assert found.iterations == 1
-    assert "raise max_iterations" in found.message
+    assert "increase max_iterations" in found.message
     assert "largest violation" in found.message
     assert found.force_density.shape == (12, 9)
 
@@ -302,8 +302,8 @@ def test_what_is_feasible_but_not_settled_is_said():
         ocp.Ipopt(max_iterations=3),
         ocp.InverseDynamics(noise=0.0),
     )
-    assert not found.success
-    assert "all constraints are met, but the cost is not settled" in found.message
+    assert found.success
+    assert "the cost is not settled: stopped at the iteration limit" in found.message
 
 
 def test_a_goal_that_external_forces_keep_away_is_said():
@@ -312,8 +312,7 @@ def test_a_goal_that_external_forces_keep_away_is_said():
     wind[:, 0] = 0.5
     found = raised(model=driven(prism(1.0), forces=tc.NodalForce(wind)))
     assert not found.success
-    assert "AtRest" in found.message
-    assert "no string moves it there" in found.message
+    assert "farthest in AtRest" in found.message
     assert found.replay_speed_error == pytest.approx(1.0, abs=0.05)  # 3 N on 3 kg for 1 s
 
 
@@ -323,7 +322,7 @@ def test_plans_whose_replay_misses_the_tolerance_are_no_success(plan):
     assert found.status == "Solve_Succeeded"
     assert not found.success
     assert found.replay_error > 1e-2
-    assert found.message.startswith("too coarse: a plan was found after ")
+    assert found.message.startswith("a plan was found after ")
     assert "plan.refine(" in found.message
     problem, allowed = ocp.Problem(driven(prism(1.0)), **asked()), plan.worst_error
     for tolerance, met in ((1.01 * allowed, True), (0.99 * allowed, False)):

@@ -152,8 +152,8 @@ def planning_calls() -> dict[str, Call]:
                 "parameters": {"bar_mass": 1.1},
             },
         ),
-        "replay_wound": (
-            ocp.replay_wound,
+        "replay_rest_lengths": (
+            ocp.replay_rest_lengths,
             {"plan": short_plan(), "stiffness": np.full(2, 1000.0), "damping": 0.0, "updates": 1},
         ),
         "Plan.replay": (short_plan().replay, {"scheme": tc.RungeKutta4(), "step": 0.05}),

@@ -38,11 +38,11 @@ def standing(stiffness=1e4, damping=60.0, **ground):
 
 
 def push(**changes):
-    return ocp.Phase(**{"duration": (0.1, 0.5), "stands": FEET, **changes})
+    return ocp.Phase(**{"duration": (0.1, 0.5), "contact_nodes": FEET, **changes})
 
 
 def flight(rise, **changes):
-    goals = [ocp.CentreOfMass((None, None, HEIGHT / 2 + rise))]
+    goals = [ocp.CenterOfMass((None, None, HEIGHT / 2 + rise))]
     return ocp.Phase(**{"duration": (0.02, 0.5), "goals": goals, **changes})
 
 

@@ -10,11 +10,11 @@ from scipy.integrate import solve_ivp
 
 import ocp
 import tenscasadi as tc
+from ocp.guess.path import make_guess
 from ocp.plan.plan_files import read_parts, write_parts
 from ocp.problem.scaling import Scales
 from ocp.targets.find_target import find_target
 from ocp.transcription.assemble import build_program
-from ocp.transcription.initial_guess import make_guess
 from tenscasadi.io.document import read_tables
 
 BAR = 1.4
@@ -133,6 +133,6 @@ def leaning_arm(bars, lean, weight=False, duration=1.0):
 
 def save_and_load(**parts):
     """Model, problem and method of solution from the text that the file of a plan holds for them."""
-    given = dict.fromkeys(("problem", "transcription", "solver")) | {"unknown": "none"} | parts
+    given = dict.fromkeys(("problem", "transcription", "solver")) | {"not_restored": "none"} | parts
     plan = SimpleNamespace(structure=parts["model"].structure, **given)
     return read_tables("plan", write_parts(plan), read_parts)

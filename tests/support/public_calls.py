@@ -236,13 +236,13 @@ def planning_calls() -> dict[str, Call]:
     mesh = {"intervals": 5, "control": ocp.PiecewiseConstant(), "accuracy": None}
     found: dict[str, Call] = {
         "Problem": (ocp.Problem, {"model": m, "duration": (0.5, 1.0), "start": x, "goals": [ocp.AtRest()], "bounds": [ocp.ForceDensityLimits(1.0, 100.0)], "costs": [ocp.Effort()]}),
-        "Phase": (ocp.Phase, {"duration": (0.1, 0.5), "stands": [0, 1], "goals": [ocp.AtRest()], "bounds": [ocp.ForceDensityLimits(0.0, 9.0)], "until": (0.1, 0.5)}),
+        "Phase": (ocp.Phase, {"duration": (0.1, 0.5), "contact_nodes": [0, 1], "goals": [ocp.AtRest()], "bounds": [ocp.ForceDensityLimits(0.0, 9.0)], "until": (0.1, 0.5)}),
         "FreeStart": (ocp.FreeStart, {"near": x, "goals": [ocp.AtRest()]}),
         "StringLengths": (bounded(ocp.StringLengths, goal=True), {"lengths": {0: 1.0, 1: 1.0}}),
         "NodePositions": (bounded(ocp.NodePositions, goal=True), {"positions": {0: (None, 0.0, 1.0)}}),
         "Shape": (bounded(ocp.Shape, goal=True), {"nodes": m.structure.nodes}),
         "NodeVelocities": (bounded(ocp.NodeVelocities, goal=True), {"velocities": {0: (None, 0.0, 1.0)}}),
-        "CentreOfMass": (bounded(ocp.CentreOfMass, goal=True), {"position": (None, 0.0, 1.0), "masses": np.full(n, 0.5)}),
+        "CenterOfMass": (bounded(ocp.CenterOfMass, goal=True), {"position": (None, 0.0, 1.0), "masses": np.full(n, 0.5)}),
         "Periodic": (bounded(ocp.Periodic, goal=True), {"shift": (0.0, None, 0.0), "start": (m.structure.nodes, np.zeros((n, 3)))}),
         "Waypoint": (bounded(ocp.Waypoint, goal=True), {"goals": [ocp.AtRest()], "time": 0.5, "share": None}),
         "SoftGoal": (bounded(ocp.SoftGoal, goal=True), {"goal": ocp.AtRest(), **weight}),
@@ -283,8 +283,11 @@ def planning_calls() -> dict[str, Call]:
             | {"verbose": False, "watch": None},
         ),
         "InverseDynamics": (ocp.InverseDynamics, {"path": np.array([m.structure.nodes] * 2), "noise": 0.3, "seed": 0}),
-        "Arrays": (ocp.Arrays, {"states": np.array([x] * 4), "force_density": np.array([u] * 3), "duration": 1.0}),
-        "reachable": (ocp.reachable, {"plan": plan(), "stiffness": 1000.0, "shortest": np.full(9, 0.01)}),
+        "TrajectoryGuess": (ocp.TrajectoryGuess, {"states": np.array([x] * 4), "force_density": np.array([u] * 3), "duration": 1.0}),
+        "is_realizable": (
+            ocp.is_realizable,
+            {"plan": plan(), "stiffness": 1000.0, "min_rest_length": np.full(9, 0.01)},
+        ),
         "Plan.rest_lengths": (plan().rest_lengths, {"stiffness": np.full(9, 1000.0)}),
         "Plan.tension": (plan().tension, {"end": True}),
         "Plan.save": (plan().save, {"path": "plan.npz"}),
@@ -293,7 +296,7 @@ def planning_calls() -> dict[str, Call]:
         "load_problem": (ocp.load_problem, {"path": "missing.toml"}),
         "load_arguments": (ocp.load_arguments, {"path": "missing.toml"}),
         "save_problem": (ocp.save_problem, {"problem": problem(), "path": "problem.toml", "tolerance": 1e-3, "seconds": 1.0, "starts": 1}),
-        "Plan.known_model": (plan().known_model, {"user": "a test"}),
+        "Plan.require_model": (plan().require_model, {"user": "a test"}),
         "Progress": (ocp.Progress, {"iteration": 1, "objective": 1.0, "infeasibility": 0.0}),
     }  # fmt: skip
     return found

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ocp.problem.bounds.bound import PathBound, PathConstraint, broadcast_limits, replace_inf
-from ocp.problem.instant import symbolic
-from tenscasadi.dynamics.model import Model
+from ocp.problem.bounds.bound import (
+    Limit,
+    PathBound,
+    broadcast_limits,
+    drop_infinite,
+    replace_inf,
+)
 from tenscasadi.schema.field_types import LIMITS, PER_ITEM
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, nonnegative, number_or_vector, per_item, positive_number
+
+if TYPE_CHECKING:
+    from ocp.problem.instant import Instant
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,24 +89,22 @@ class BarForceLimits(PathBound, kind="BarForceLimits"):
         )
         return compression, broadcast_limits("BarForceLimits.tension", self.tension, count, np.inf)
 
-    def constraint(self, model: Model) -> PathConstraint:
-        """Return the force in each bar, N, positive in compression, with the limits, as a path constraint.
+    def limit(self, now: Instant) -> Limit:
+        """Build the limited quantities.
 
         Parameters
         ----------
-        model : Model
-            The model of the problem.
+        now : Instant
+            Instant of symbols.
 
         Returns
         -------
-        PathConstraint
-            Expressions of an instant of symbols, between their limits.
+        Limit
+            Force of each bar [N], positive in compression.
         """
-        now, (compression, tension) = symbolic(model), self._most(model.scene.structure)
+        compression, tension = self._most(now.model.scene.structure)
         names = tuple(f"compression of bar {k}" for k in range(len(tension)))
-        return PathConstraint(
-            now.bar_force, -tension, compression, names, "N", now.symbols, self.ends
-        ).drop_open()
+        return drop_infinite(Limit(now.bar_force, -tension, compression, names, "N"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,24 +184,22 @@ class Buckling(PathBound, kind="Buckling"):
         inertia = np.pi * structure.bar_radius**4 / 4
         return np.asarray(np.pi**2 * E * inertia / structure.bar_lengths**2 / self.safety)
 
-    def constraint(self, model: Model) -> PathConstraint:
-        """Return the compression of each bar, N, with the limits, as a path constraint.
+    def limit(self, now: Instant) -> Limit:
+        """Build the limited quantities.
 
         Parameters
         ----------
-        model : Model
-            The model of the problem.
+        now : Instant
+            Instant of symbols.
 
         Returns
         -------
-        PathConstraint
-            Expressions of an instant of symbols, between their limits.
+        Limit
+            Compression of each bar [N].
         """
-        now, loads = symbolic(model), self.loads(model.scene.structure)
+        loads = self.loads(now.model.scene.structure)
         names = tuple(f"buckling of bar {k}" for k in range(len(loads)))
-        return PathConstraint(
-            now.bar_force, np.full(len(loads), -np.inf), loads, names, "N", now.symbols, self.ends
-        )
+        return Limit(now.bar_force, np.full(len(loads), -np.inf), loads, names, "N")
 
 
 def _check_bars(name: str, structure: Structure) -> None:

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import casadi as ca
 import numpy as np
 
-from ocp.problem.bounds.bound import Bound, PathBound, PathConstraint
-from ocp.problem.instant import norms, symbolic
-from tenscasadi.dynamics.model import Model
+from ocp.problem.bounds.bound import Bound, Limit, PathBound
+from ocp.problem.rows import column_norms
 from tenscasadi.schema.containers import ListOf
 from tenscasadi.schema.field_types import POINT, VECTOR, Members
 from tenscasadi.structure.structure import Structure
+from tenscasadi.util.renamed import rename_fields
 from tenscasadi.util.validate import (
     Array,
     as_tuple,
@@ -27,6 +27,9 @@ from tenscasadi.util.validate import (
     positive_number,
     whole_number,
 )
+
+if TYPE_CHECKING:
+    from ocp.problem.instant import Instant
 
 Corner = Sequence[float | None]
 # of a bar: over which the nearest point of a segment is led past its end, to have smooth
@@ -125,32 +128,32 @@ class InsideBox(PathBound, kind="InsideBox"):
                         f"{type(self).__name__} leaves out node {node}, pinned at {'xyz'[axis]} = {place:g} m: widen it or name nodes"
                     )
 
-    def constraint(self, model: Model) -> PathConstraint:
-        """Return the coordinates, m, that have a limit and may move, with the limits, as a path constraint.
+    def limit(self, now: Instant) -> Limit:
+        """Build the limited quantities.
 
         Parameters
         ----------
-        model : Model
-            The model of the problem.
+        now : Instant
+            Instant of symbols.
 
         Returns
         -------
-        PathConstraint
-            Expressions of an instant of symbols, between their limits.
+        Limit
+            Coordinates that have a limit and may move [m].
         """
-        now, structure = symbolic(model), model.scene.structure
+        structure = now.model.scene.structure
         lower, upper = self.corners()
         sides = np.flatnonzero(np.isfinite(lower) | np.isfinite(upper))
         entries = [
-            (node, axis)
+            (node, int(axis))
             for node in self._chosen(structure)
             for axis in sides
             if not structure.fixed[node, axis]
         ]
         axes = [axis for _, axis in entries]
-        value = ca.vertcat(*(now.nodes[int(axis), int(node)] for node, axis in entries))
+        value = ca.vertcat(*(now.nodes[axis, node] for node, axis in entries))
         names = tuple(f"{'xyz'[axis]} of node {node}" for node, axis in entries)
-        return PathConstraint(value, lower[axes], upper[axes], names, "m", now.symbols, self.ends)
+        return Limit(value, lower[axes], upper[axes], names, "m")
 
     def _chosen(self, structure: Structure) -> list[int]:
         """Return the nodes that stay inside."""
@@ -278,20 +281,20 @@ class BarClearance(PathBound, kind="BarClearance"):
         ends = [set(bar) for bar in structure.bars.tolist()]
         return [(i, j) for i, j in combinations(range(len(ends)), 2) if not ends[i] & ends[j]]
 
-    def constraint(self, model: Model) -> PathConstraint:
-        """Return the distance of each pair of bars, m, with the limits, as a path constraint.
+    def limit(self, now: Instant) -> Limit:
+        """Build the limited quantities.
 
         Parameters
         ----------
-        model : Model
-            The model of the problem.
+        now : Instant
+            Instant of symbols.
 
         Returns
         -------
-        PathConstraint
-            Expressions of an instant of symbols, between their limits.
+        Limit
+            Distance of each pair of bars [m].
         """
-        now, structure = symbolic(model), model.scene.structure
+        structure = now.model.scene.structure
         pairs = np.array(self._bar_pairs(structure))
         sides = [
             [now.nodes[:, structure.bars[pairs[:, k], end].tolist()] for end in (0, 1)]
@@ -299,25 +302,19 @@ class BarClearance(PathBound, kind="BarClearance"):
         ]
         value = segment_distance(*sides[0], *sides[1])
         names = tuple(f"clearance of bars {i} and {j}" for i, j in pairs)
-        return PathConstraint(
-            value,
-            np.full(len(pairs), self.distance),
-            np.full(len(pairs), np.inf),
-            names,
-            "m",
-            now.symbols,
-            self.ends,
-        )
+        lower = np.full(len(pairs), self.distance)
+        return Limit(value, lower, np.full(len(pairs), np.inf), names, "m")
 
 
+@rename_fields(centre="center")
 @dataclass(frozen=True, eq=False)
 class Obstacle(PathBound, kind="Obstacle"):
     """A ball that bars (their axes) and nodes keep out of, at the end of every interval.
 
     Parameters
     ----------
-    centre : array_like, shape (3,)
-        Centre (x, y, z), m.
+    center : array_like, shape (3,)
+        Center (x, y, z) [m].
     radius : float
         Radius, m, > 0.
     bars : iterable of int, optional
@@ -328,7 +325,7 @@ class Obstacle(PathBound, kind="Obstacle"):
     Raises
     ------
     TypeError, ValueError
-        If centre or radius is none; with a problem, if a bar or node does not exist, or one is
+        If center or radius is none; with a problem, if a bar or node does not exist, or one is
         inside at the start.
 
     Examples
@@ -338,7 +335,7 @@ class Obstacle(PathBound, kind="Obstacle"):
     0.3
     """
 
-    centre: Annotated[Sequence[float], VECTOR]
+    center: Annotated[Sequence[float], VECTOR]
     radius: float
     bars: Annotated[Iterable[int] | None, Members("bar")] = None
     nodes: Annotated[Iterable[int] | None, Members("node")] = None
@@ -346,7 +343,7 @@ class Obstacle(PathBound, kind="Obstacle"):
     ends: ClassVar[tuple[str, ...]] = ("end",)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "centre", finite_array("Obstacle.centre", self.centre, (3,)))
+        object.__setattr__(self, "center", finite_array("Obstacle.center", self.center, (3,)))
         object.__setattr__(self, "radius", positive_number("Obstacle.radius", self.radius))
         for field in ("bars", "nodes"):
             object.__setattr__(
@@ -373,39 +370,55 @@ class Obstacle(PathBound, kind="Obstacle"):
                         f"Obstacle.{field} is {index}: give indices from 0 to {count - 1}"
                     )
 
-    def constraint(self, model: Model) -> PathConstraint:
-        """Return the distance of each bar and node from the centre, m, with the limits, as a path constraint.
+    def limit(self, now: Instant) -> Limit:
+        """Build the limited quantities.
 
         Parameters
         ----------
-        model : Model
-            The model of the problem.
+        now : Instant
+            Instant of symbols.
 
         Returns
         -------
-        PathConstraint
-            Expressions of an instant of symbols, between their limits.
+        Limit
+            Distance of each bar and node from the center [m].
         """
-        now, structure = symbolic(model), model.scene.structure
+        structure = now.model.scene.structure
         bars = list(range(len(structure.bars)) if self.bars is None else self.bars)
         on_bars = set(structure.bars[bars].ravel().tolist())
         given = range(len(structure.nodes)) if self.nodes is None else self.nodes
         nodes = [node for node in given if node not in on_bars and not structure.fixed[node].all()]
-        values, names = [], []
+        values, names = [type(now.state)(0, 1)], []
         if bars:
             a, b = (now.nodes[:, structure.bars[bars, end].tolist()] for end in (0, 1))
-            centre = ca.repmat(ca.DM(self.centre), 1, len(bars))
+            center = ca.repmat(ca.DM(self.center), 1, len(bars))
             along = b - a
-            share = _within_segment(ca.sum1((centre - a) * along) / ca.sum1(along * along))
-            values.append(norms(a + ca.repmat(share, 3, 1) * along - centre))
+            share = _within_segment(ca.sum1((center - a) * along) / ca.sum1(along * along))
+            values.append(column_norms(a + ca.repmat(share, 3, 1) * along - center))
             names += [f"obstacle clear of bar {k}" for k in bars]
         if nodes:
-            values.append(norms(now.nodes[:, nodes] - ca.repmat(ca.DM(self.centre), 1, len(nodes))))
+            center = ca.repmat(ca.DM(self.center), 1, len(nodes))
+            values.append(column_norms(now.nodes[:, nodes] - center))
             names += [f"obstacle clear of node {k}" for k in nodes]
-        least, most = np.full(len(names), self.radius), np.full(len(names), np.inf)
-        return PathConstraint(
-            ca.vertcat(*values), least, most, tuple(names), "m", now.symbols, self.ends
-        )
+        lower, upper = np.full(len(names), self.radius), np.full(len(names), np.inf)
+        return Limit(ca.vertcat(*values), lower, upper, tuple(names), "m")
+
+    def imply(self, structure: Structure) -> Obstacle:
+        """Build the bound of nodes alone, which that of their bars implies.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure of the problem's model.
+
+        Returns
+        -------
+        Obstacle
+            The same ball, for nodes.
+        """
+        ends = structure.bars if self.bars is None else structure.bars[list(self.bars)]
+        nodes = None if self.nodes is None else sorted({*self.nodes, *ends.ravel().tolist()})
+        return replace(self, bars=[], nodes=nodes)
 
 
 def segment_distance(a: Any, b: Any, c: Any, d: Any) -> Any:
@@ -424,7 +437,7 @@ def segment_distance(a: Any, b: Any, c: Any, d: Any) -> Any:
     t = _within_segment((uv * s + vw) / vv)
     s = _within_segment((uv * t - uw) / uu)
     gap = w + ca.repmat(s, 3, 1) * u - ca.repmat(t, 3, 1) * v
-    return norms(gap)
+    return column_norms(gap)
 
 
 def _within_segment(share: Any) -> Any:

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 
-from ocp.problem.bounds.bound import PathBound, PathConstraint
-from ocp.problem.instant import symbolic
-from tenscasadi.dynamics.model import Model
+from ocp.problem.bounds.bound import Limit, PathBound
 from tenscasadi.scene.ground import Surface
 from tenscasadi.schema.field_types import Members
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import as_tuple, instance, node_index, number
+
+if TYPE_CHECKING:
+    from ocp.problem.instant import Instant
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,33 +79,24 @@ class AboveSurface(PathBound, kind="AboveSurface"):
         if not self._chosen(structure):
             raise ValueError("AboveSurface.nodes names nodes that are pinned alone: leave it out")
 
-    def constraint(self, model: Model) -> PathConstraint:
-        """Return the distances of the nodes that may move, m, with the limit, as a path constraint.
+    def limit(self, now: Instant) -> Limit:
+        """Build the limited quantities.
 
         Parameters
         ----------
-        model : Model
-            The model of the problem.
+        now : Instant
+            Instant of symbols.
 
         Returns
         -------
-        PathConstraint
-            Expressions of an instant of symbols, between their limits.
+        Limit
+            Distances of the nodes that may move [m].
         """
-        now, nodes = symbolic(model), self._chosen(model.scene.structure)
-        names = tuple(
-            f"distance of node {node} from the {type(self.ground).__name__}" for node in nodes
-        )
-        least, most = np.full(len(nodes), self.distance), np.full(len(nodes), np.inf)
-        return PathConstraint(
-            -self.ground.depth(now.nodes[:, nodes]).T,
-            least,
-            most,
-            names,
-            "m",
-            now.symbols,
-            self.ends,
-        )
+        nodes, kind = self._chosen(now.model.scene.structure), type(self.ground).__name__
+        names = tuple(f"distance of node {node} from the {kind}" for node in nodes)
+        value = -self.ground.depth(now.nodes[:, nodes]).T
+        lower = np.full(len(nodes), self.distance)
+        return Limit(value, lower, np.full(len(nodes), np.inf), names, "m")
 
     def _chosen(self, structure: Structure) -> list[int]:
         """Return the nodes that stay above, but for those that cannot move."""

@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ocp.problem.bounds.bound import (
     Bound,
+    Limit,
     PathBound,
-    PathConstraint,
     RateBound,
     broadcast_limits,
+    drop_infinite,
     replace_inf,
 )
-from ocp.problem.instant import symbolic
-from tenscasadi.dynamics.model import Model
 from tenscasadi.schema.field_types import LIMITS, PER_ITEM
 from tenscasadi.structure.structure import Structure
+from tenscasadi.util.renamed import rename_fields
 from tenscasadi.util.validate import Array, nonnegative, number_or_vector, per_item
+
+if TYPE_CHECKING:
+    from ocp.problem.instant import Instant
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,28 +150,26 @@ class ForceDensityRateLimits(RateBound, kind="ForceDensityRateLimits"):
         """
         broadcast_limits("ForceDensityRateLimits.rate", self.rate, len(structure.strings), np.inf)
 
-    def constraint(self, model: Model) -> PathConstraint:
-        """Return the mean rate of each force density, N/(m s), with the limits, as a path constraint.
+    def limit(self, before: Instant, after: Instant, interval: Any) -> Limit:
+        """Build the limited rates.
 
         Parameters
         ----------
-        model : Model
-            The model of the problem.
+        before, after : Instant
+            Instants of symbols at the starts of two intervals.
+        interval : casadi.SX or casadi.MX
+            Time between them [s].
 
         Returns
         -------
-        PathConstraint
-            Expressions of two instants of symbols, between their limits.
+        Limit
+            Mean rate of each force density [N/(m s)].
         """
-        before, after = symbolic(model), symbolic(model)
-        interval: Any = type(before.state).sym("h")
-        rate = broadcast_limits(
-            "ForceDensityRateLimits.rate", self.rate, len(model.scene.structure.strings), np.inf
-        )
-        names = tuple(f"force density rate of string {i}" for i in range(len(rate)))
-        symbols = (before.state, before.control, after.state, after.control, interval)
+        count = len(before.model.scene.structure.strings)
+        rate = broadcast_limits("ForceDensityRateLimits.rate", self.rate, count, np.inf)
+        names = tuple(f"force density rate of string {i}" for i in range(count))
         value = (after.force_density - before.force_density) / interval
-        return PathConstraint(value, -rate, rate, names, "N/(m s)", symbols, self.ends).drop_open()
+        return drop_infinite(Limit(value, -rate, rate, names, "N/(m s)"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,26 +198,24 @@ class TensionLimits(StringLimits, PathBound, kind="TensionLimits"):
     True
     """
 
-    def constraint(self, model: Model) -> PathConstraint:
-        """Return the tension of each modelled string, N, with the limits, as a path constraint.
+    def limit(self, now: Instant) -> Limit:
+        """Build the limited quantities.
 
         Parameters
         ----------
-        model : Model
-            The model of the problem.
+        now : Instant
+            Instant of symbols.
 
         Returns
         -------
-        PathConstraint
-            Expressions of an instant of symbols, between their limits.
+        Limit
+            Tension of each modelled string [N].
         """
-        now, parent = symbolic(model), model.structure.string_parent
-        lower, upper = (limit[parent] for limit in self.limits(model.scene.structure))
+        parent = now.model.structure.string_parent
+        lower, upper = (limit[parent] for limit in self.limits(now.model.scene.structure))
         lower = np.where(lower > 0, lower, -np.inf)  # γ ≥ 0 says so already
         names = tuple(f"tension of string {k}" for k in parent)
-        return PathConstraint(
-            now.tension, lower, upper, names, "N", now.symbols, self.ends
-        ).drop_open()
+        return drop_infinite(Limit(now.tension, lower, upper, names, "N"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,39 +269,38 @@ class RestLengthLimits(StringLimits, PathBound, kind="RestLengthLimits"):
         super().check(structure)
         read_stiffness("RestLengthLimits.stiffness", self.stiffness, structure)
 
-    def constraint(self, model: Model) -> PathConstraint:
-        """Return the rest length of each string, m, with the limits, as a path constraint.
+    def limit(self, now: Instant) -> Limit:
+        """Build the limited quantities.
 
         Parameters
         ----------
-        model : Model
-            The model of the problem.
+        now : Instant
+            Instant of symbols.
 
         Returns
         -------
-        PathConstraint
-            Expressions of an instant of symbols, between their limits.
+        Limit
+            Rest length of each string [m].
         """
-        now, structure = symbolic(model), model.scene.structure
-        rest = now.rest_lengths(
-            read_stiffness("RestLengthLimits.stiffness", self.stiffness, structure)
-        )
+        structure = now.model.scene.structure
+        stiffness = read_stiffness("RestLengthLimits.stiffness", self.stiffness, structure)
         lower, upper = self.limits(structure)
         names = tuple(f"rest length of string {k}" for k in range(len(lower)))
-        return PathConstraint(rest, lower, upper, names, "m", now.symbols, self.ends).drop_open()
+        return drop_infinite(Limit(now.rest_lengths(stiffness), lower, upper, names, "m"))
 
 
+@rename_fields(speed="rate")
 @dataclass(frozen=True, eq=False)
 class RestLengthRateLimits(RateBound, kind="RestLengthRateLimits"):
     """Limits of how fast motors wind: of the mean rate of each rest length over an interval.
 
-    From the start of each interval, of h s, to that of the next, ρ changes by at most ``speed`` ·
+    From the start of each interval, of h s, to that of the next, ρ changes by at most ``rate`` ·
     h. Where force densities are linear in each interval (`PiecewiseLinear`), this also holds to the
     end of the last one.
 
     Parameters
     ----------
-    speed : float or array_like, shape (α,)
+    rate : float or array_like, shape (α,)
         Greatest rate, m/s, > 0; one number, or one for each string; inf for no limit.
     stiffness : float or array_like, shape (α,), optional
         k of ρ = s (1 − γ/k), N/m, one number, or one for each string; None for that of the
@@ -311,22 +309,22 @@ class RestLengthRateLimits(RateBound, kind="RestLengthRateLimits"):
     Raises
     ------
     TypeError, ValueError
-        If a speed is no number, zero or negative; with a problem, if there is not one for each
+        If a rate is no number, zero or negative; with a problem, if there is not one for each
         string, or a string has no stiffness.
 
     Examples
     --------
     >>> import ocp
-    >>> ocp.RestLengthRateLimits(0.4, stiffness=1000.0).speed
+    >>> ocp.RestLengthRateLimits(0.4, stiffness=1000.0).rate
     0.4
     """
 
-    speed: Annotated[ArrayLike, LIMITS]
+    rate: Annotated[ArrayLike, LIMITS]
     stiffness: Annotated[ArrayLike | None, PER_ITEM] = None
 
     def __post_init__(self) -> None:
-        array = number_or_vector("RestLengthRateLimits.speed", replace_inf(self.speed, 1.0))
-        nonnegative("RestLengthRateLimits.speed", array, "string", strict=True)
+        array = number_or_vector("RestLengthRateLimits.rate", replace_inf(self.rate, 1.0))
+        nonnegative("RestLengthRateLimits.rate", array, "string", strict=True)
 
     def check(self, structure: Structure) -> None:
         """Refuse a structure that this does not fit.
@@ -339,34 +337,33 @@ class RestLengthRateLimits(RateBound, kind="RestLengthRateLimits"):
         Raises
         ------
         TypeError, ValueError
-            If speed or stiffness do not fit the strings.
+            If rate or stiffness do not fit the strings.
         """
-        broadcast_limits("RestLengthRateLimits.speed", self.speed, len(structure.strings), np.inf)
+        broadcast_limits("RestLengthRateLimits.rate", self.rate, len(structure.strings), np.inf)
         read_stiffness("RestLengthRateLimits.stiffness", self.stiffness, structure)
 
-    def constraint(self, model: Model) -> PathConstraint:
-        """Return the mean rate of each rest length, m/s, with the limits, as a path constraint.
+    def limit(self, before: Instant, after: Instant, interval: Any) -> Limit:
+        """Build the limited rates.
 
         Parameters
         ----------
-        model : Model
-            The model of the problem.
+        before, after : Instant
+            Instants of symbols at the starts of two intervals.
+        interval : casadi.SX or casadi.MX
+            Time between them [s].
 
         Returns
         -------
-        PathConstraint
-            Expressions of two instants of symbols, between their limits.
+        Limit
+            Mean rate of each rest length [m/s].
         """
-        before, after, structure = symbolic(model), symbolic(model), model.scene.structure
-        interval: Any = type(before.state).sym("h")
+        structure = before.model.scene.structure
         k = read_stiffness("RestLengthRateLimits.stiffness", self.stiffness, structure)
-        rate = (after.rest_lengths(k) - before.rest_lengths(k)) / interval
-        speed = broadcast_limits(
-            "RestLengthRateLimits.speed", self.speed, len(structure.strings), np.inf
-        )
-        names = tuple(f"rest length rate of string {i}" for i in range(len(speed)))
-        symbols = (before.state, before.control, after.state, after.control, interval)
-        return PathConstraint(rate, -speed, speed, names, "m/s", symbols, self.ends).drop_open()
+        value = (after.rest_lengths(k) - before.rest_lengths(k)) / interval
+        count = len(structure.strings)
+        rate = broadcast_limits("RestLengthRateLimits.rate", self.rate, count, np.inf)
+        names = tuple(f"rest length rate of string {i}" for i in range(count))
+        return drop_infinite(Limit(value, -rate, rate, names, "m/s"))
 
 
 def read_stiffness(field: str, given: ArrayLike | None, structure: Structure) -> Array:

@@ -1,25 +1,24 @@
-"""Goals of the end of a plan, as values: each turns a state into rows that are zero there. Here those of distances."""
+"""Goals of the end of a plan, and those of distances."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ocp.problem.costs import Cost, CostAt, FinalCost, check_weight
-from ocp.problem.instant import Instant
-from ocp.problem.rows import Rows
-from tenscasadi.dynamics.model import Model
+from ocp.problem.costs import Cost, CostAt, TerminalCost, check_weight
+from ocp.problem.rows import Rows, distance_rows, goal_rows
 from tenscasadi.io.structure_section import OfStructure
 from tenscasadi.schema.containers import Either, MapOf
 from tenscasadi.schema.field_types import NUMBER, PER_ITEM, POINTS
 from tenscasadi.schema.value import Value
 from tenscasadi.structure.structure import Structure
+from tenscasadi.util.linear_algebra import fit_rotation
 from tenscasadi.util.validate import (
     Array,
     finite_array,
@@ -30,13 +29,27 @@ from tenscasadi.util.validate import (
     whole_number,
 )
 
-# relative: rounded nodes are put right without a word, those that give bars other lengths are
-# refused
+if TYPE_CHECKING:
+    from ocp.problem.instant import Instant
+    from tenscasadi.dynamics.model import Model
+
+# relative: rounded nodes are corrected, those that give bars other lengths are rejected
 BAR_TOLERANCE = 1e-3
 
 
 class Goal(Value):
-    """Anything that can be asked of the final state."""
+    """Rows of a state that vanish where a goal is met.
+
+    Attributes
+    ----------
+    timing : str
+        "end"; "way" for goals at other instants; "period" for goals that compare end and start;
+        "soft" for penalties.
+    repeats_start : bool
+        Whether the goal repeats a start that it does not hold itself.
+    """
+
+    timing: ClassVar[str] = "end"
 
     @property
     def repeats_start(self) -> bool:
@@ -44,23 +57,31 @@ class Goal(Value):
         return False
 
     def check(self, structure: Structure) -> None:
-        """Raise TypeError or ValueError, naming the field, where the goal does not fit the structure."""
+        """Raise TypeError or ValueError where the goal does not fit the structure."""
 
-    def complete(self, model: Model, start: Array | None) -> Goal:
-        """Return the goal with what its problem knows: the model, and the start (nx,), None where it is free."""
+    def bind(self, model: Model, start: Array | None) -> Goal:
+        """Complete the goal by the model and the start (nx,), None if that is free."""
         return self
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
-        """Return the rows that vanish when the goal is met, of nodes and velocities 3×n (CasADi)."""
+        """Build the rows as functions of nodes and velocities 3×n."""
         raise NotImplementedError
 
+    def places(self, structure: Structure) -> list[tuple[int, int, float]]:
+        """Return the coordinates that the goal gives: node, axis and value [m]."""
+        return []
+
+    def move(self, structure: Structure, nodes: Array) -> Array:
+        """Move nodes (n, 3) to where the goal wants them, whatever the bars."""
+        return nodes
+
     def soft(self, weight: float = 1.0) -> Goal:
-        """Return the goal as a wish: a cost of what it is missed by, in place of a constraint; see `SoftGoal`.
+        """Convert the goal into a quadratic penalty; see `SoftGoal`.
 
         Parameters
         ----------
         weight : float, optional
-            What a miss of 1 m, or of 1 m/s, costs; > 0.
+            Cost of a residual of 1 m, or of 1 m/s; > 0.
 
         Returns
         -------
@@ -71,20 +92,20 @@ class Goal(Value):
 
 
 @dataclass(frozen=True, eq=False)
-class SoftGoal(Goal, FinalCost, kind="SoftGoal"):
-    """The cost weight · Σ miss² of a goal's rows, in place of constraints that say that they vanish; made by `Goal.soft`.
+class SoftGoal(Goal, TerminalCost, kind="SoftGoal"):
+    """Cost weight · Σ residual² of a goal's rows, made by `Goal.soft`.
 
-    Nothing tests whether it can be met, and it counts neither in the success of a plan nor in its
-    replay's errors: `Plan.report` tells by how much the replay misses it.
+    It counts neither in the success of a plan nor in the errors of its replay: `Plan.report` lists
+    the residuals of the replay.
 
     Parameters
     ----------
     goal : Goal
         The goal.
     weight : float, optional
-        Factor of the cost, > 0: what a miss of 1 m, or of 1 m/s, costs. Other costs have units of
-        their own (`Effort` that of N²·s/m²), so that a miss of a centimetre weighs against them
-        with 10⁻⁴ · weight.
+        Factor of the cost, > 0: cost of a residual of 1 m, or of 1 m/s. Other costs have units of
+        their own (`Effort` has N²·s/m²), so that a residual of 1 cm weighs 10⁻⁴ · weight against
+        them.
 
     Raises
     ------
@@ -98,6 +119,7 @@ class SoftGoal(Goal, FinalCost, kind="SoftGoal"):
     100000.0
     """
 
+    timing: ClassVar[str] = "soft"
     goal: Goal
     weight: float = 1.0
 
@@ -106,14 +128,14 @@ class SoftGoal(Goal, FinalCost, kind="SoftGoal"):
             raise TypeError(
                 f"SoftGoal.goal is {format_value(self.goal)}: give a goal that is met, such as AtRest()"
             )
-        if type(self.goal).rows is Goal.rows:  # goals of another instant
+        if self.goal.timing == "way":
             raise TypeError(
                 f"SoftGoal.goal is {format_value(self.goal)}: give its goals, or call its soft(weight)"
             )
         check_weight(self)
 
     def check(self, structure: Structure) -> None:
-        """Refuse a structure that this does not fit.
+        """Reject a structure that the goal does not fit.
 
         Parameters
         ----------
@@ -127,25 +149,25 @@ class SoftGoal(Goal, FinalCost, kind="SoftGoal"):
         """
         self.goal.check(structure)
 
-    def complete(self, model: Model, start: Array | None) -> Goal:
-        """Return the goal with what a problem knows.
+    def bind(self, model: Model, start: Array | None) -> Goal:
+        """Complete the goal.
 
         Parameters
         ----------
         model : Model
             The model of the problem.
         start : ndarray of shape (nx,), optional
-            Its start; None where it is free.
+            Its start; None if it is free.
 
         Returns
         -------
         Goal
-            The same wish for a complete goal.
+            The same penalty for a complete goal.
         """
-        return replace(self, goal=self.goal.complete(model, start))
+        return replace(self, goal=self.goal.bind(model, start))
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
-        """Return the rows of the goal.
+        """Build the rows of the goal.
 
         Parameters
         ----------
@@ -163,25 +185,20 @@ class SoftGoal(Goal, FinalCost, kind="SoftGoal"):
         """
         return self.goal.rows(structure, nodes, velocities)
 
-    def final(self, end: Instant) -> Any:
-        """Return the cost of the end.
+    def terminal(self, end: Instant) -> Any:
+        """Build the cost of an instant.
 
         Parameters
         ----------
         end : Instant
-            The instant at which the goal is wished for.
+            The instant of the goal.
 
         Returns
         -------
         casadi.SX or casadi.MX
-            weight · Σ miss², a scalar.
+            weight · Σ residual², a scalar.
         """
-        model = end.model
-        return self.weight * ca.sumsqr(
-            self.rows(
-                model.scene.structure, model.nodes(end.state).T, model.velocities(end.state).T
-            ).value
-        )
+        return self.weight * ca.sumsqr(goal_rows([self.goal], end.model, end.state).value)
 
 
 def soft_goals(costs: Iterable[Cost]) -> Iterator[tuple[float, SoftGoal]]:
@@ -194,7 +211,7 @@ def soft_goals(costs: Iterable[Cost]) -> Iterator[tuple[float, SoftGoal]]:
 
 @dataclass(frozen=True, eq=False)
 class StringLengths(Goal, kind="StringLengths"):
-    """Strings that have given lengths at the end.
+    """String lengths at the end.
 
     The length of a string that is modelled in segments is the distance between its ends.
 
@@ -239,7 +256,7 @@ class StringLengths(Goal, kind="StringLengths"):
         )
 
     def check(self, structure: Structure) -> None:
-        """Refuse a structure that this does not fit.
+        """Reject a structure that the goal does not fit.
 
         Parameters
         ----------
@@ -262,7 +279,7 @@ class StringLengths(Goal, kind="StringLengths"):
             per_item("StringLengths.lengths", self.lengths, count)
 
     def _wanted(self, structure: Structure) -> dict[int, float]:
-        """Return {string: length}."""
+        """List the lengths by string."""
         if isinstance(self.lengths, Mapping):
             return dict(self.lengths)
         return dict(
@@ -272,7 +289,7 @@ class StringLengths(Goal, kind="StringLengths"):
         )
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
-        """Return length minus wanted length, m, of each string.
+        """Build length minus wanted length of each string.
 
         Parameters
         ----------
@@ -289,19 +306,17 @@ class StringLengths(Goal, kind="StringLengths"):
             Named rows that vanish where the goal is met.
         """
         wanted = self._wanted(structure)
-        ends = structure.strings[list(wanted)]
-        vectors = nodes[:, ends[:, 1].tolist()] - nodes[:, ends[:, 0].tolist()]
-        value = ca.sqrt(ca.sum1(vectors * vectors)).T - ca.DM(list(wanted.values()))
-        return Rows(
-            value,
+        return distance_rows(
+            nodes,
+            structure.strings[list(wanted)],
+            np.array(list(wanted.values())),
             tuple(f"StringLengths: string {string}" for string in wanted),
-            ("m",) * len(wanted),
         )
 
 
 @dataclass(frozen=True, eq=False)
 class Shape(Goal, kind="Shape"):
-    """The shape of the structure at the end, wherever it is and however it is turned.
+    """Shape of the structure at the end, wherever and however it is turned.
 
     It is given by all distances of nodes that no bar keeps. A shape and its mirror image have the
     same distances.
@@ -335,7 +350,7 @@ class Shape(Goal, kind="Shape"):
         object.__setattr__(self, "nodes", finite_array("Shape.nodes", self.nodes, (None, 3)))
 
     def check(self, structure: Structure) -> None:
-        """Refuse a structure that this does not fit.
+        """Reject a structure that the goal does not fit.
 
         Parameters
         ----------
@@ -356,7 +371,7 @@ class Shape(Goal, kind="Shape"):
             )
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
-        """Return distance minus wanted distance, m, of each pair of nodes that is no bar.
+        """Build distance minus wanted distance of each pair of nodes without a bar.
 
         Parameters
         ----------
@@ -373,26 +388,44 @@ class Shape(Goal, kind="Shape"):
             Named rows that vanish where the goal is met.
         """
         kept = {frozenset(bar) for bar in structure.bars.tolist()}
-        pairs = [
-            (a, b)
-            for a, b in combinations(range(len(structure.nodes)), 2)
-            if frozenset((a, b)) not in kept
-        ]
-        first, second = ([pair[k] for pair in pairs] for k in (0, 1))
-        wanted = np.asarray(self.nodes)
-        vectors = nodes[:, second] - nodes[:, first]
-        value = ca.sqrt(ca.sum1(vectors * vectors)).T - ca.DM(
-            np.linalg.norm(wanted[second] - wanted[first], axis=1)
+        pairs = np.array(
+            [
+                (a, b)
+                for a, b in combinations(range(len(structure.nodes)), 2)
+                if frozenset((a, b)) not in kept
+            ]
         )
-        return Rows(
-            value,
+        own = np.asarray(self.nodes)
+        return distance_rows(
+            nodes,
+            pairs,
+            np.linalg.norm(own[pairs[:, 1]] - own[pairs[:, 0]], axis=1),
             tuple(f"Shape: distance of nodes {a} and {b}" for a, b in pairs),
-            ("m",) * len(pairs),
         )
+
+    def move(self, structure: Structure, nodes: Array) -> Array:
+        """Move nodes to those of the shape, turned rigidly onto them.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure of the problem's model, before strings are cut into segments.
+        nodes : ndarray, shape (n, 3)
+            Nodes [m], those inside strings last.
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            Nodes of the shape, where the given ones are.
+        """
+        own, before = np.asarray(self.nodes), nodes[: len(structure.nodes)]
+        turn = fit_rotation(own - own.mean(axis=0), before - before.mean(axis=0))
+        moved = (own - own.mean(axis=0)) @ turn.T + before.mean(axis=0)
+        return np.vstack([moved, nodes[len(moved) :]])
 
 
 def check_bar_lengths(subject: str, nodes: Array, structure: Structure) -> None:
-    """Refuse nodes (n, 3), m, that give a bar another length; the message begins with the subject."""
+    """Raise ValueError for nodes (n, 3) [m] that give a bar another length."""
     lengths = np.linalg.norm(nodes[structure.bars[:, 1]] - nodes[structure.bars[:, 0]], axis=1)
     bad = np.flatnonzero(abs(lengths / structure.bar_lengths - 1) > BAR_TOLERANCE)
     if bad.size:

@@ -1,10 +1,10 @@
-"""Goals of nodes, or of all of them together: where they are at the end, and how fast."""
+"""Goals of node positions and velocities, and of the center of mass."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import casadi as ca
 import numpy as np
@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 
 from ocp.problem.goals.goal import Goal
 from ocp.problem.rows import Rows
-from tenscasadi.dynamics.model import Model
 from tenscasadi.io.structure_section import OfStructure
 from tenscasadi.schema.containers import Either, MapOf
 from tenscasadi.schema.field_types import PER_ITEM, POINT, POINTS
@@ -26,12 +25,15 @@ from tenscasadi.util.validate import (
     nonnegative,
 )
 
+if TYPE_CHECKING:
+    from tenscasadi.dynamics.model import Model
+
 _EACH = OfStructure("nodes", Either((dict,), MapOf("node", POINT), POINTS))
 
 
 @dataclass(frozen=True, eq=False)
 class NodePositions(Goal, kind="NodePositions"):
-    """Nodes that are in given places at the end.
+    """Node positions at the end.
 
     Parameters
     ----------
@@ -59,7 +61,7 @@ class NodePositions(Goal, kind="NodePositions"):
         )
 
     def check(self, structure: Structure) -> None:
-        """Refuse a structure that this does not fit.
+        """Reject a structure that the goal does not fit.
 
         Parameters
         ----------
@@ -81,7 +83,7 @@ class NodePositions(Goal, kind="NodePositions"):
                 )
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
-        """Return coordinate minus wanted coordinate, m; pinned ones, which are there already, have no row.
+        """Build coordinate minus wanted coordinate; pinned ones have no row.
 
         Parameters
         ----------
@@ -99,16 +101,51 @@ class NodePositions(Goal, kind="NodePositions"):
         """
         return _rows(
             "NodePositions",
-            _entries("NodePositions.positions", self.positions, structure),
+            self.places(structure),
             structure,
             nodes,
             "m",
         )
 
+    def places(self, structure: Structure) -> list[tuple[int, int, float]]:
+        """List the coordinates that the goal gives.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure of the problem's model, before strings are cut into segments.
+
+        Returns
+        -------
+        list of (int, int, float)
+            Node, axis and value [m].
+        """
+        return _entries("NodePositions.positions", self.positions, structure)
+
+    def move(self, structure: Structure, nodes: Array) -> Array:
+        """Move nodes to their places, whatever the bars.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure of the problem's model, before strings are cut into segments.
+        nodes : ndarray, shape (n, 3)
+            Nodes [m], those inside strings last.
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            The nodes with the coordinates of the goal.
+        """
+        moved = nodes.copy()
+        for node, axis, value in self.places(structure):
+            moved[node, axis] = value
+        return moved
+
 
 @dataclass(frozen=True, eq=False)
 class NodeVelocities(Goal, kind="NodeVelocities"):
-    """Nodes that have given velocities at the end.
+    """Node velocities at the end.
 
     Parameters
     ----------
@@ -141,7 +178,7 @@ class NodeVelocities(Goal, kind="NodeVelocities"):
         )
 
     def check(self, structure: Structure) -> None:
-        """Refuse a structure that this does not fit.
+        """Reject a structure that the goal does not fit.
 
         Parameters
         ----------
@@ -161,7 +198,7 @@ class NodeVelocities(Goal, kind="NodeVelocities"):
                 )
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
-        """Return velocity minus wanted velocity, m/s; along pinned axes there is no row.
+        """Build velocity minus wanted velocity; pinned axes have no row.
 
         Parameters
         ----------
@@ -188,7 +225,7 @@ class NodeVelocities(Goal, kind="NodeVelocities"):
 
 @dataclass(frozen=True)
 class AtRest(Goal, kind="AtRest"):
-    """No node moves at the end.
+    """All velocities are zero at the end.
 
     Examples
     --------
@@ -198,7 +235,7 @@ class AtRest(Goal, kind="AtRest"):
     """
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
-        """Return the velocities of all modelled nodes, m/s.
+        """Build the velocities of all modelled nodes.
 
         Parameters
         ----------
@@ -230,8 +267,8 @@ class AtRest(Goal, kind="AtRest"):
 
 
 @dataclass(frozen=True, eq=False)
-class CentreOfMass(Goal, kind="CentreOfMass"):
-    """The centre of mass is in a given place at the end, such as at the height of a jump.
+class CenterOfMass(Goal, kind="CenterOfMass", earlier="CentreOfMass"):
+    """Position of the center of mass at the end.
 
     All mass of the model counts: of bars, nodes and strings, also of those that are pinned.
 
@@ -240,8 +277,8 @@ class CentreOfMass(Goal, kind="CentreOfMass"):
     position : sequence of float or None, length 3
         (x, y, z), m, None for an axis that is free.
     masses : array_like of shape (n,), optional
-        What each node of the model weighs, kg, those inside strings last; None for the masses of
-        the problem's model.
+        Mass of each node of the model [kg], those inside strings last; None for the masses of the
+        problem's model.
 
     Raises
     ------
@@ -252,7 +289,7 @@ class CentreOfMass(Goal, kind="CentreOfMass"):
     Examples
     --------
     >>> import ocp
-    >>> ocp.CentreOfMass((None, None, 1.2)).position
+    >>> ocp.CenterOfMass((None, None, 1.2)).position
     (None, None, 1.2)
     """
 
@@ -263,22 +300,22 @@ class CentreOfMass(Goal, kind="CentreOfMass"):
         object.__setattr__(
             self,
             "position",
-            coordinates("CentreOfMass.position", self.position, "an axis that is free", some=True),
+            coordinates("CenterOfMass.position", self.position, "an axis that is free", some=True),
         )
         if self.masses is not None:
             masses = nonnegative(
-                "CentreOfMass.masses",
-                finite_array("CentreOfMass.masses", self.masses, (None,)),
+                "CenterOfMass.masses",
+                finite_array("CenterOfMass.masses", self.masses, (None,)),
                 "node",
             )
             if not masses.any():
                 raise ValueError(
-                    "CentreOfMass.masses are all 0: give those of the nodes, or None for those of the model"
+                    "CenterOfMass.masses are all 0: give those of the nodes, or None for those of the model"
                 )
             object.__setattr__(self, "masses", masses)
 
     def check(self, structure: Structure) -> None:
-        """Refuse a structure that this does not fit.
+        """Reject a structure that the goal does not fit.
 
         Parameters
         ----------
@@ -293,11 +330,11 @@ class CentreOfMass(Goal, kind="CentreOfMass"):
         if self.masses is not None and len(np.asarray(self.masses)) < len(structure.nodes):
             given = len(np.asarray(self.masses))
             raise ValueError(
-                f"CentreOfMass.masses has {given} entries: give one for each of {len(structure.nodes)} nodes, or None"
+                f"CenterOfMass.masses has {given} entries: give one for each of {len(structure.nodes)} nodes, or None"
             )
 
-    def complete(self, model: Model, start: Array | None) -> Goal:
-        """Return the goal with what a problem knows.
+    def bind(self, model: Model, start: Array | None) -> Goal:
+        """Complete the goal.
 
         Parameters
         ----------
@@ -322,11 +359,11 @@ class CentreOfMass(Goal, kind="CentreOfMass"):
             return replace(
                 self, masses=np.bincount(mechanism.physical, mechanism.node_weight, count)
             )
-        finite_array("CentreOfMass.masses", self.masses, (count,))
+        finite_array("CenterOfMass.masses", self.masses, (count,))
         return self
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
-        """Return coordinate minus wanted coordinate of the centre of mass, m.
+        """Build coordinate minus wanted coordinate of the center of mass.
 
         Parameters
         ----------
@@ -349,19 +386,19 @@ class CentreOfMass(Goal, kind="CentreOfMass"):
         """
         if self.masses is None:
             raise ValueError(
-                "CentreOfMass.masses is None: give it to a Problem, which knows its model"
+                "CenterOfMass.masses is None: give it to a Problem, which knows its model"
             )
         masses = np.asarray(self.masses)
-        centre = ca.mtimes(nodes, ca.DM(masses / masses.sum()))
+        center = ca.mtimes(nodes, ca.DM(masses / masses.sum()))
         wanted = {axis: value for axis, value in enumerate(self.position) if value is not None}
-        value = ca.vertcat(*(centre[axis] - value for axis, value in wanted.items()))
+        value = ca.vertcat(*(center[axis] - value for axis, value in wanted.items()))
         return Rows(
-            value, tuple(f"CentreOfMass: {'xyz'[axis]}" for axis in wanted), ("m",) * len(wanted)
+            value, tuple(f"CenterOfMass: {'xyz'[axis]}" for axis in wanted), ("m",) * len(wanted)
         )
 
 
 def _read(field: str, given: Any, example: str) -> Any:
-    """Return three numbers or None for each node of a mapping, or an array (n, 3)."""
+    """Read three numbers or None for each node of a mapping, or an array (n, 3)."""
     if not isinstance(given, Mapping):
         return finite_array(field, given, (None, 3))
     if not given:
@@ -375,7 +412,7 @@ def _read(field: str, given: Any, example: str) -> Any:
 
 
 def _entries(field: str, given: Any, structure: Structure) -> list[tuple[int, int, float]]:
-    """Return (node, axis, value) of all that is given, for nodes that exist."""
+    """List node, axis and value of all entries."""
     count = len(structure.nodes)
     if not isinstance(given, Mapping):
         given = dict(enumerate(finite_array(field, given, (count, 3)).tolist()))
@@ -392,7 +429,7 @@ def _entries(field: str, given: Any, structure: Structure) -> list[tuple[int, in
 def _rows(
     goal: str, entries: list[tuple[int, int, float]], structure: Structure, columns: Any, unit: str
 ) -> Rows:
-    """Return entry minus wanted entry of columns (3×n), but for pinned axes."""
+    """Build entry minus wanted entry of columns (3×n), but for pinned axes."""
     free = [(node, axis, value) for node, axis, value in entries if not structure.fixed[node, axis]]
     value = ca.vertcat(*(columns[axis, node] - wanted for node, axis, wanted in free))
     return Rows(

@@ -1,10 +1,10 @@
-"""The goal of a motion that ends as it began."""
+"""Goal of a motion that ends as it began."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -12,17 +12,19 @@ from numpy.typing import ArrayLike
 
 from ocp.problem.goals.goal import Goal
 from ocp.problem.rows import Rows
-from tenscasadi.dynamics.model import Model
 from tenscasadi.io.structure_section import OfStructure
 from tenscasadi.schema.containers import ListOf
 from tenscasadi.schema.field_types import POINT, POINTS
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, coordinates, finite_array
 
+if TYPE_CHECKING:
+    from tenscasadi.dynamics.model import Model
+
 
 @dataclass(frozen=True, eq=False)
 class Periodic(Goal, kind="Periodic"):
-    """The end repeats the start, so that the motion may be run again and again.
+    """The end repeats the start.
 
     Each node is back in its place, or moved by ``shift``, at the velocity it had.
 
@@ -48,6 +50,7 @@ class Periodic(Goal, kind="Periodic"):
     (0.3, None, 0.0)
     """
 
+    timing: ClassVar[str] = "period"
     shift: Annotated[Sequence[float | None], POINT] = (0.0, 0.0, 0.0)
     start: Annotated[
         tuple[ArrayLike, ArrayLike] | None, ListOf(OfStructure("nodes", POINTS), count=2)
@@ -70,7 +73,7 @@ class Periodic(Goal, kind="Periodic"):
             )
 
     def check(self, structure: Structure) -> None:
-        """Refuse a structure that this does not fit.
+        """Reject a structure that the goal does not fit.
 
         Parameters
         ----------
@@ -91,8 +94,8 @@ class Periodic(Goal, kind="Periodic"):
                     f"Periodic.shift moves node {node}, which is pinned along {'xyz'[axis]}: give 0 for that axis"
                 )
 
-    def complete(self, model: Model, start: Array | None) -> Goal:
-        """Return the goal with what a problem knows.
+    def bind(self, model: Model, start: Array | None) -> Goal:
+        """Complete the goal.
 
         Parameters
         ----------
@@ -112,7 +115,7 @@ class Periodic(Goal, kind="Periodic"):
         return replace(self, start=(model.nodes(start)[:count], model.velocities(start)[:count]))
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
-        """Return coordinates, m, and velocities, m/s, minus those of the start.
+        """Build coordinates and velocities minus those of the start.
 
         Parameters
         ----------

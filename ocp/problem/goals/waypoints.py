@@ -1,22 +1,24 @@
-"""Goals that are met on the way, at a time or a share of the duration."""
+"""Goals at a time, or at a fraction of the duration."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from ocp.problem.goals.goal import Goal
-from tenscasadi.dynamics.model import Model
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, finite_array, format_value, nesting, positive_number
 
-INSTANT = 1e-9  # of the duration: what lies nearer together is one instant
+if TYPE_CHECKING:
+    from tenscasadi.dynamics.model import Model
+
+INSTANT = 1e-9  # of the duration: nearer times are one instant
 
 
 @dataclass(frozen=True, eq=False)
 class Waypoint(Goal, kind="Waypoint"):
-    """Goals that are met on the way, or at the end, at a time or a share of the duration.
+    """Goals at a time, or at a fraction of the duration.
 
     Between the ends of intervals the motion is taken as cubic. Give either ``time`` or ``share``.
 
@@ -24,13 +26,13 @@ class Waypoint(Goal, kind="Waypoint"):
     ----------
     goals : sequence of goals
         All met at that instant: `NodePositions`, `Shape`, ...; or wished for (`Goal.soft`), where
-        one time or a share is given.
+        one time or a fraction is given.
     time : float or (float, float), optional
         Seconds from the start; only where the duration is given. Or (earliest, latest) to let the
         solver choose, also where the duration is free: such waypoints are met in the order in which
         they are given, and divide the plan into phases (`Phase`).
     share : float, optional
-        Share of the duration, more than 0; 1 is the end, where the goals are goals of the end.
+        Fraction of the duration, more than 0; 1 is the end, where the goals are goals of the end.
 
     Raises
     ------
@@ -46,6 +48,7 @@ class Waypoint(Goal, kind="Waypoint"):
     0.5
     """
 
+    timing: ClassVar[str] = "way"
     goals: Sequence[Goal]
     time: float | tuple[float, float] | None = None
     share: float | None = None
@@ -71,11 +74,11 @@ class Waypoint(Goal, kind="Waypoint"):
             and not INSTANT < positive_number("Waypoint.share", self.share) <= 1
         ):
             raise ValueError(
-                f"Waypoint.share is {self.share:g}: give a share of the duration between 0 and 1"
+                f"Waypoint.share is {self.share:g}: give a fraction of the duration between 0 and 1"
             )
 
     def check(self, structure: Structure) -> None:
-        """Refuse a structure that this does not fit.
+        """Reject a structure that the goals do not fit.
 
         Parameters
         ----------
@@ -90,8 +93,8 @@ class Waypoint(Goal, kind="Waypoint"):
         for goal in self.goals:
             goal.check(structure)
 
-    def complete(self, model: Model, start: Array | None) -> Goal:
-        """Return the goals with what a problem knows.
+    def bind(self, model: Model, start: Array | None) -> Goal:
+        """Complete the goals.
 
         Parameters
         ----------
@@ -110,7 +113,7 @@ class Waypoint(Goal, kind="Waypoint"):
         ValueError
             If one of them repeats a start that is free.
         """
-        goals = tuple(goal.complete(model, start) for goal in self.goals)
+        goals = tuple(goal.bind(model, start) for goal in self.goals)
         if any(goal.repeats_start for goal in goals):
             raise ValueError(
                 "Waypoint.goals has Periodic(), and the start is free: give Periodic(start=...), or Periodic() as a goal of the end"
@@ -118,12 +121,12 @@ class Waypoint(Goal, kind="Waypoint"):
         return replace(self, goals=goals)
 
     def soft(self, weight: float = 1.0) -> Waypoint:
-        """Return the waypoint with all its goals as wishes; see `SoftGoal`.
+        """Convert all goals into quadratic penalties; see `SoftGoal`.
 
         Parameters
         ----------
         weight : float, optional
-            What a miss of 1 m, or of 1 m/s, costs; > 0.
+            Cost of a residual of 1 m, or of 1 m/s; > 0.
 
         Returns
         -------
@@ -133,7 +136,7 @@ class Waypoint(Goal, kind="Waypoint"):
         return replace(self, goals=[goal.soft(weight) for goal in self.goals])
 
     def at(self, shortest: float, longest: float) -> float:
-        """Return when the goals are met.
+        """Compute the fraction of the duration at which the goals are met.
 
         Parameters
         ----------
@@ -145,7 +148,7 @@ class Waypoint(Goal, kind="Waypoint"):
         Returns
         -------
         float
-            Share of the duration: 1 for what is nearer to the end than planning tells apart.
+            Fraction of the duration: 1 for what is nearer to the end than planning tells apart.
 
         Raises
         ------

@@ -10,6 +10,7 @@ import pytest
 
 import ocp
 import tenscasadi as tc
+from ocp.guess.initial_guess import NamedGuess
 from ocp.problem.bounds.bound import Bound
 from ocp.problem.costs import Cost
 from ocp.problem.goals.goal import Goal
@@ -17,7 +18,6 @@ from ocp.problem.phase import Phase
 from ocp.problem.problem import FreeStart
 from ocp.solvers.base import NamedSolver
 from ocp.transcription.base import Transcription
-from ocp.transcription.initial_guess import NamedGuess
 from ocp.transcription.mesh import NamedProfile
 from tenscasadi.integrators.scheme import NamedScheme
 from tenscasadi.integrators.stabilization import Correction
@@ -74,7 +74,7 @@ def test_members_are_public(family: type[Any]) -> None:
 
 def test_solvers_and_guesses_are_members() -> None:
     assert set(NamedSolver.members) == {"Ipopt", "CondensedNewton", "Sampling"}
-    assert set(NamedGuess.members) == {"InverseDynamics", "Equilibrium", "Arrays"}
+    assert set(NamedGuess.members) == {"InverseDynamics", "EquilibriumGuess", "TrajectoryGuess"}
 
 
 @pytest.mark.parametrize("name", MEMBERS)

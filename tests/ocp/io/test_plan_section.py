@@ -54,7 +54,7 @@ def test_files_are_valid(path):
         "goals = [{ kind = 'NodePositions', positions = { 3 = [0, 'free', 1] } }]",
         "start = { near = { shape = 'prism' } }",
         "start = 'FreeStart'",
-        "phases = [{ duration = 1, stands = [0] }]",
+        "phases = [{ duration = 1, contact_nodes = [0] }]",
         "transcription = { kind = 'Variational', intervals = [1, 2] }",
     ],
 )
@@ -68,7 +68,7 @@ def test_right_plans_are_valid(line):
         "duration = true",
         "goals = ['AtREst']",
         "goals = [{ kind = 'NodePositions', position = { 3 = [0, 0, 1] } }]",
-        "goals = [{ kind = 'CentreOfMass', position = [0, 0] }]",
+        "goals = [{ kind = 'CenterOfMass', position = [0, 0] }]",
         "bounds = [{ lower = 1 }]",
         "costs = [{ kind = 'Effort', wight = 2 }]",
         "solver = 'Snopt'",

@@ -54,8 +54,10 @@ def jump():
         gravity=tc.Gravity(),
         ground=plane(),
     )
-    push = ocp.Phase((0.1, 0.5), stands=[0, 1, 2], bounds=[ocp.ForceDensityLimits(2.0, 400.0)])
-    flight = ocp.Phase((0.05, 0.5), goals=[ocp.CentreOfMass((None, None, 0.7))])
+    push = ocp.Phase(
+        (0.1, 0.5), contact_nodes=[0, 1, 2], bounds=[ocp.ForceDensityLimits(2.0, 400.0)]
+    )
+    flight = ocp.Phase((0.05, 0.5), goals=[ocp.CenterOfMass((None, None, 0.7))])
     return ocp.Problem(
         tc.Model(standing),
         goals=[ocp.NodeVelocities({0: (None, None, 0.0)})],
@@ -176,8 +178,8 @@ def test_problems_come_back(name, tmp_path):
     problem = PROBLEMS[name]()
     again = ocp.load_problem(ocp.save_problem(problem, tmp_path / "problem.toml"))
     assert told(again) == told(problem)
-    assert np.array_equal(again.first_state, problem.first_state)
-    assert repr(again.start_goals) == repr(problem.start_goals)
+    assert np.array_equal(again.initial_state, problem.initial_state)
+    assert repr(again.initial_goals) == repr(problem.initial_goals)
     assert [type(cost) for cost in again.costs] == [type(cost) for cost in problem.costs]
     x, u = np.linspace(0.3, 1.7, problem.model.nx), np.linspace(0.5, 2.0, problem.model.nu)
     assert np.array_equal(np.asarray(again.model.ode(x, u)), np.asarray(problem.model.ode(x, u)))
@@ -223,9 +225,9 @@ WAYS = [
     },
     {
         "solver": ocp.Sampling(groups=[(0, 1)], samples=64),
-        "guess": ocp.Equilibrium(),
-        "starts": 3,
-        "seconds": 9.0,
+        "guess": ocp.EquilibriumGuess(),
+        "n_starts": 3,
+        "time_limit": 9.0,
         "tracked": True,
     },
     {
@@ -236,7 +238,7 @@ WAYS = [
             warm=True,
         )
     },
-    {"guess": ocp.Arrays(np.arange(12.0).reshape(2, 6), np.ones((3, 4)), 0.5)},
+    {"guess": ocp.TrajectoryGuess(np.arange(12.0).reshape(2, 6), np.ones((3, 4)), 0.5)},
 ]
 
 
@@ -324,9 +326,9 @@ def test_the_start_is_that_of_the_scene_unless_the_plan_has_its_own(written):
         + "[start]\nvelocities = { tip = [0.5, 0, 0] }\n[plan]\ncosts = ['Effort']\nbounds = ['ForceDensityLimits']\n"
     )
     problem = ocp.load_problem(written(moving))
-    assert problem.model.velocities(problem.first_state)[1].tolist() == [0.5, 0, 0]
+    assert problem.model.velocities(problem.initial_state)[1].tolist() == [0.5, 0, 0]
     problem = ocp.load_problem(written(moving + "start = 'structure'"))
-    assert not problem.model.velocities(problem.first_state).any()
+    assert not problem.model.velocities(problem.initial_state).any()
     assert ocp.load_problem(written(moving + "start = 'FreeStart'")).free_start
 
 
@@ -390,9 +392,9 @@ WRONG = {  # what stands in [plan]: the key, and words of the message
         "leave it out",
     ),
     "solver = { kind = 'Ipopt', watch = 1 }": ("plan.solver.watch", "is no field"),
-    "starts = 1e9": ("plan.starts", "must be"),
+    "n_starts = 1e9": ("plan.n_starts", "must be"),
     "tolerance = 0": ("plan.tolerance", "must be"),
-    "seconds = -3": ("plan.seconds", "must be"),
+    "time_limit = -3": ("plan.time_limit", "must be"),
     "tracked = 1": ("plan.tracked", "true or false"),
     "kind = 'Effort'": ("plan.kind", "is no field of plan"),
     "gaols = []": ("plan.gaols", "did you mean 'goals'?"),

@@ -240,7 +240,7 @@ def test_a_plan_is_replayed_from_the_clock_that_it_starts_at(late):
     linear = replace(
         late, force_density=np.concatenate([late.force_density, late.force_density[-1:]])
     )
-    for motion in (late.replay(), linear.replay(), ocp.replay_wound(late, 1000.0, 1.0)):
+    for motion in (late.replay(), linear.replay(), ocp.replay_rest_lengths(late, 1000.0, 1.0)):
         assert motion.states[[0, -1], -1] == pytest.approx([0.7, 1.7])
         assert motion.time[[0, -1]] == pytest.approx([0.0, 1.0])
     assert motion.nodes[-1, 1] == pytest.approx(late.trajectory.nodes[-1, 1], abs=5e-3)
@@ -249,7 +249,7 @@ def test_a_plan_is_replayed_from_the_clock_that_it_starts_at(late):
 def test_a_plan_under_functions_of_time_needs_its_problem(late, tmp_path):
     path = late.save(tmp_path / "plan.npz")
     alone = ocp.Plan.load(path)
-    for use in (alone.replay, alone.bar_forces, lambda: ocp.replay_wound(alone)):
+    for use in (alone.replay, alone.bar_forces, lambda: ocp.replay_rest_lengths(alone)):
         with pytest.raises(
             ValueError,
             match=r"needs the model, .* functions of time; give Plan.load\(path, problem=...\)",

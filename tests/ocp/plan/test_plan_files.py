@@ -164,7 +164,7 @@ def test_functions_of_time_are_stored_as_samples(name):
     own, part = FUNCTIONS[name](), name.split(".")[1]
     found = save_and_load(model=own)
     assert found["model"] is None
-    assert found["unknown"].startswith(f"Scene.{part}")
+    assert found["not_restored"].startswith(f"Scene.{part}")
     sampled, fields = sample_functions(own.scene, CLOCK)
     assert fields == (part,)
     assert not differences(again(tc.Model(sampled, "full")).scene, sampled)
@@ -200,4 +200,4 @@ class OwnLaw(tc.Clip):
 def test_reason_takes_the_place_of_a_model_that_no_file_holds():
     found = save_and_load(model=model(slack=OwnLaw()))
     assert found["model"] is None
-    assert "OwnLaw" in found["unknown"]
+    assert "OwnLaw" in found["not_restored"]

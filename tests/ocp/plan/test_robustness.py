@@ -124,7 +124,7 @@ def test_stiffness_acts_through_wound_strings(stiff):
         assert found.speed_error[k] == pytest.approx(missed(stiff, once.states[-1])[1], rel=1e-6)
     assert np.ptp(found.error) > 1e-5
     nominal = stiff.robustness({"stiffness": 1e-12}, samples=1)
-    wound = ocp.replay_wound(stiff)
+    wound = ocp.replay_rest_lengths(stiff)
     assert nominal.speed_error[0] == pytest.approx(missed(stiff, wound.states[-1])[1], rel=1e-6)
 
 

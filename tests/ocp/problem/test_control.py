@@ -169,10 +169,6 @@ BAD = {
         ),
         "RestLengthLimits leave string 0",
     ),
-    "few intervals": (
-        lambda: planned(transcription=ocp.Variational(1)),
-        "9 rest lengths in each cannot meet 18 rows",
-    ),
 }
 
 
@@ -184,7 +180,7 @@ def test_what_no_rest_length_does_is_refused(name):
 
 
 def test_plans_of_rest_lengths_are_not_wound_again(plan):
-    for ask in (ocp.reachable, ocp.replay_wound):
+    for ask in (ocp.is_realizable, ocp.replay_rest_lengths):
         with pytest.raises(ValueError, match="plan has decided rest lengths"):
             ask(plan)
     with pytest.raises(ValueError, match="robustness is for force densities"):

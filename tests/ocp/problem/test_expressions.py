@@ -77,7 +77,7 @@ def test_a_replay_that_breaks_a_limit_of_the_end_is_no_success():
     beyond = coarse.replay().nodes[-1, 4, 0] - node
     assert 6e-4 < beyond == pytest.approx(coarse.replay_error, rel=0.1)
     assert not coarse.success
-    assert "aside breaks its limits" in coarse.message
+    assert "aside violates its limit" in coarse.message
     fine = coarse.refine(6e-4)
     assert fine.success, fine.message
     assert fine.replay().nodes[-1, 4, 0] <= node + 6e-4

@@ -80,7 +80,7 @@ def test_values_are_checked_by_name():
 def test_a_problem_is_solved_at_other_values():
     problem = ocp.Problem(
         GIVEN,
-        goals=[*GOALS, ocp.CentreOfMass((None, None, 0.0)).soft(1.0)],
+        goals=[*GOALS, ocp.CenterOfMass((None, None, 0.0)).soft(1.0)],
         parameters={"bar_mass": 0.7},
     )
     again = copy.deepcopy(problem)
@@ -90,7 +90,7 @@ def test_a_problem_is_solved_at_other_values():
     assert plan.success
     assert np.array_equal(plan.model.structure.bar_mass, VALUES["bar_mass"])
     np.testing.assert_allclose(plan.force_density, own.force_density, rtol=1e-6, atol=1e-6)
-    wish = problem.fixed(VALUES).costs[-1].goal  # of the masses that are given now
+    wish = problem.with_parameters(VALUES).costs[-1].goal  # of the masses that are given now
     np.testing.assert_array_equal(wish.masses, asked.costs[-1].goal.masses)
     assert not np.array_equal(wish.masses, problem.costs[-1].goal.masses)
     with pytest.raises(ValueError, match="parameters: bar_mass of bar 0 is -1 kg"):

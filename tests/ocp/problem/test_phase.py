@@ -15,8 +15,8 @@ import tenscasadi as tc
     [
         ({"duration": 0.0}, r"Phase\.duration"),
         ({"duration": (0.5, 0.1)}, r"Phase\.duration is \(0\.5, 0\.1\)"),
-        ({"stands": [0, 0]}, r"Phase\.stands is \(0, 0\)"),
-        ({"stands": [-1]}, r"Phase\.stands"),
+        ({"contact_nodes": [0, 0]}, r"Phase\.contact_nodes is \(0, 0\)"),
+        ({"contact_nodes": [-1]}, r"Phase\.contact_nodes"),
         ({"goals": [ocp.Effort()]}, r"Phase\.goals\[0\]"),
         ({"bounds": [ocp.AtRest()]}, r"Phase\.bounds\[0\]"),
     ],
@@ -29,11 +29,11 @@ def test_a_phase_refuses_by_name(given, named):
 @pytest.mark.parametrize(
     ("phases", "changes", "named"),
     [
-        ([push(stands=[0, 9])], {}, r"Problem\.phases\[0\]\.stands.*9"),
+        ([push(contact_nodes=[0, 9])], {}, r"Problem\.phases\[0\]\.contact_nodes.*9"),
         (
-            [push(stands=[0, 4])],
+            [push(contact_nodes=[0, 4])],
             {},
-            r"phases\[0\]\.stands has node 4, which starts 0\.6 m above the ground",
+            r"phases\[0\]\.contact_nodes has node 4, which starts 0\.6 m above the ground",
         ),
         (
             [push(goals=[ocp.Waypoint([ocp.AtRest()], share=0.5)])],

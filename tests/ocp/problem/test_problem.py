@@ -307,7 +307,7 @@ BAD = {
         lambda: ocp.solve(
             problem(),
             ocp.MultipleShooting(8),
-            guess=ocp.Arrays(np.zeros((9, MODEL.nx)), np.ones((8, MODEL.nu))),
+            guess=ocp.TrajectoryGuess(np.zeros((9, MODEL.nx)), np.ones((8, MODEL.nu))),
         ),
         ValueError,
         "guess has states at 0.125 of the duration that are no motion, such as bars without a length",
@@ -329,13 +329,6 @@ BAD = {
     "solve no problem": (lambda: ocp.solve(MODEL), TypeError, "problem"),
     "solve swapped": (lambda: ocp.solve(problem(), ocp.Ipopt()), TypeError, "transcription"),
     "solve without solver": (lambda: ocp.solve(problem(), None, "ipopt"), TypeError, "solver"),
-    "too few intervals": (
-        lambda: ocp.solve(
-            problem(goals=[ocp.AtRest(), ocp.StringLengths({0: 0.8})]), ocp.MultipleShooting(1)
-        ),
-        ValueError,
-        "MultipleShooting.intervals is 1",
-    ),
     "load nothing": (lambda: ocp.Plan.load("nowhere.npz"), FileNotFoundError, "nowhere"),
     "load for no problem": (
         lambda: ocp.Plan.load("nowhere.npz", problem=MODEL),

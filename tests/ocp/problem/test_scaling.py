@@ -24,7 +24,7 @@ def test_scales_are_those_of_the_structure_and_the_longest_duration():
 def test_a_typical_cost_does_not_grow_with_the_intervals():
     """Σ γ² dt of force densities that swing about 3 by √½ of that is 9 · 9 strings · (1 + ¼), and rates swing once, however fine the mesh."""
     problem = raising(costs=[ocp.Effort()])
-    state = problem.first_state
+    state = problem.initial_state
     for count in (8, 40):
         found = typical_cost(
             problem, 3.0, np.tile(state, (count + 1, 1)), np.zeros((count, 9)), 1.0

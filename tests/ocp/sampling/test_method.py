@@ -97,11 +97,11 @@ def test_without_a_compiler_motions_go_one_by_one(monkeypatch):
 def test_a_limit_of_time_keeps_the_best():
     problem = contact_problems.prism_jumps(3.0)  # too high
     began = time.perf_counter()
-    plan = ocp.solve(problem, solver=ocp.Sampling(attempts=1000), seconds=1.0)
+    plan = ocp.solve(problem, solver=ocp.Sampling(attempts=1000), time_limit=1.0)
     assert time.perf_counter() - began < 30.0  # compiling counts
     assert not plan.success
     assert "time limit" in plan.message
-    assert "CentreOfMass: z misses its goal by" in plan.message
+    assert "CenterOfMass: z misses its goal by" in plan.message
     assert np.all(np.isfinite(plan.trajectory.states))
 
 
@@ -130,7 +130,7 @@ def test_what_cannot_be_met_is_said():
     )
     assert not plan.success
     assert "no plan: " in plan.message
-    assert "CentreOfMass: z misses its goal by" in plan.message
+    assert "CenterOfMass: z misses its goal by" in plan.message
 
 
 def test_a_plan_is_polished_where_it_is_a_guess():
@@ -143,7 +143,7 @@ def test_a_plan_is_polished_where_it_is_a_guess():
 
 
 def test_a_search_follows_a_guess_that_leads_nowhere():
-    plan = ocp.solve(contact_problems.prism_jumps(0.2), solver=QUICK, guess=ocp.Equilibrium())
+    plan = ocp.solve(contact_problems.prism_jumps(0.2), solver=QUICK, guess=ocp.EquilibriumGuess())
     assert plan.success, plan.message
     assert rise(plan.replay()) == pytest.approx(0.2, abs=0.02)
 
@@ -179,7 +179,7 @@ def test_limits_that_a_bounce_breaks_between_the_nodes_of_the_mesh_are_said():
     model = contact_problems.low_prism()
     start = model.structure.nodes + [0, 0, 0.1]
     goal, bounds = (
-        ocp.CentreOfMass((None, None, 0.3)),
+        ocp.CenterOfMass((None, None, 0.3)),
         [ocp.ForceDensityLimits(5.0, 500.0), ocp.AboveGround(-0.002)],
     )
     plan = ocp.solve(
@@ -299,7 +299,7 @@ def test_it_is_found_by_default(name):
         ca.SX.sym("V", 3, len(structure.nodes)),
         [],
     )
-    for goal in problem.final_goals:
+    for goal in problem.terminal_goals:
         rows = goal.rows(structure, end, velocities)
         x.append(
             (

@@ -17,7 +17,7 @@ SHORT = ocp.Variational(8)
 
 
 def solved(executor=None, **given):
-    return ocp.solve(raising(), SHORT, tolerance=0.1, starts=3, executor=executor, **given)
+    return ocp.solve(raising(), SHORT, tolerance=0.1, n_starts=3, executor=executor, **given)
 
 
 def test_the_best_of_all_starts_is_returned_with_the_objectives_of_all(tmp_path):
@@ -27,37 +27,39 @@ def test_the_best_of_all_starts_is_returned_with_the_objectives_of_all(tmp_path)
         for seed in range(3)
     ]
     assert plan.success
-    assert plan.starts == pytest.approx(alone, rel=1e-12)
-    assert plan.objective == min(plan.starts)
+    assert plan.start_objectives == pytest.approx(alone, rel=1e-12)
+    assert plan.objective == min(plan.start_objectives)
     assert "best of 3 starts, 3 of which found a plan" in plan.message
-    assert np.array_equal(ocp.Plan.load(plan.save(tmp_path / "plan.npz")).starts, plan.starts)
-    assert ocp.solve(raising(), SHORT, tolerance=0.1).starts is None
+    assert np.array_equal(
+        ocp.Plan.load(plan.save(tmp_path / "plan.npz")).start_objectives, plan.start_objectives
+    )
+    assert ocp.solve(raising(), SHORT, tolerance=0.1).start_objectives is None
 
 
 class Backwards(Executor):
     """Does last what is asked first."""
 
     def __init__(self) -> None:
-        self.jobs: list[tuple[Future, dict]] = []
+        self.jobs: list[tuple[Future, tuple]] = []
 
-    def submit(self, function, /, **given):
+    def submit(self, function, /, *given):
         self.jobs.append((Future(), given))
         if len(self.jobs) == 3:
             for future, kept in reversed(self.jobs):
-                future.set_result(function(**kept))
+                future.set_result(function(*kept))
         return self.jobs[-1][0]
 
 
 def test_what_finishes_first_does_not_matter():
-    assert np.array_equal(solved(Backwards()).starts, solved().starts)
+    assert np.array_equal(solved(Backwards()).start_objectives, solved().start_objectives)
     with ThreadPoolExecutor(2) as threads:
-        assert np.array_equal(solved(threads).starts, solved().starts)
+        assert np.array_equal(solved(threads).start_objectives, solved().start_objectives)
 
 
 def test_processes_solve_starts():
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as processes:
         plan = solved(processes)
-    assert np.array_equal(plan.starts, solved().starts)
+    assert np.array_equal(plan.start_objectives, solved().start_objectives)
     assert plan.replay().nodes[-1] == pytest.approx(plan.trajectory.nodes[-1], abs=0.01)
 
 
@@ -67,7 +69,7 @@ def pickled(value):
 
 VALUES = [
     ocp.InverseDynamics(),
-    ocp.Equilibrium(),
+    ocp.EquilibriumGuess(),
     ocp.Variational(8, accuracy=1e-3),
     ocp.MultipleShooting(5),
     ocp.Ipopt(),
@@ -96,19 +98,23 @@ def test_problems_and_plans_are_copied(copied):
 
 def test_starts_without_seeds_are_refused():
     with pytest.raises(
-        ValueError, match="starts is 3, and guess is Equilibrium, whose start has no seed"
+        ValueError, match="n_starts is 3, and guess is EquilibriumGuess, whose start has no seed"
     ):
-        solved(guess=ocp.Equilibrium())
+        solved(guess=ocp.EquilibriumGuess())
     with pytest.raises(ValueError, match="starts"):
-        ocp.solve(raising(), SHORT, starts=0)
+        ocp.solve(raising(), SHORT, n_starts=0)
     with pytest.raises(TypeError, match="executor"):
-        ocp.solve(raising(), SHORT, starts=2, executor="threads")
+        ocp.solve(raising(), SHORT, n_starts=2, executor="threads")
 
 
 def test_a_time_limit_holds_for_all_starts():
     plan = ocp.solve(
-        raising(), SHORT, ocp.Ipopt(tolerance=1e-30, max_iterations=10**6), starts=2, seconds=0.05
+        raising(),
+        SHORT,
+        ocp.Ipopt(tolerance=1e-30, max_iterations=10**6),
+        n_starts=2,
+        time_limit=0.05,
     )
     assert not plan.success
-    assert np.isnan(plan.starts).all()
-    assert "stopped at the time limit" in plan.message
+    assert np.isnan(plan.start_objectives).all()
+    assert "increase time_limit" in plan.message

@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 
 import ocp
 import tenscasadi as tc
+from ocp.problem.constraints import build_constraint
 from ocp.search.methods import program_of
 from ocp.solvers.condensed_newton import method
 from ocp.solvers.condensed_newton.interior_point import InteriorPoint
@@ -213,9 +214,9 @@ def test_limits_along_the_way_are_kept_at_what_ipopt_pays(case):
     assert plan.objective == pytest.approx(known.objective, rel=5e-3)
     assert free.objective < 0.999 * plan.objective  # the limits matter
     for bound in problem.bounds[1:]:
-        assert beyond(plan, bound.constraint(problem.model)) < 1e-6
+        assert beyond(plan, build_constraint(bound, problem.model)) < 1e-6
     # so do their prices
-    own, other = ({one.name: one.price for one in found.report().active} for found in (plan, known))
+    own, other = ({one.name: one.dual for one in found.report().active} for found in (plan, known))
     for name in {name for name, price in other.items() if price > 0.05 * max(other.values())}:
         assert own[name] == pytest.approx(other[name], rel=0.1)
 
@@ -241,7 +242,7 @@ def test_limits_that_bars_share_are_kept_by_fine_steps_of_scipy():
     assert plan.success, plan.message
     state, functions = (
         plan.trajectory.states[0],
-        [limit.constraint(problem.model) for limit in limits],
+        [build_constraint(limit, problem.model) for limit in limits],
     )
     for k, (begin, end) in enumerate(pairwise(plan.time)):
         state = integrated(problem.model, state, begin, end, plan.control[k], plan.control[k])
@@ -335,9 +336,9 @@ def test_growing_errors_are_recognized_before_the_first_step():
 def test_limits_of_iterations_and_time_are_kept():
     problem, transcription = CASES["ball"]
     few = ocp.solve(problem, transcription, ocp.CondensedNewton(max_iterations=2))
-    assert (few.success, few.iterations) == (False, 2)
-    assert "stopped at the iteration limit: raise max_iterations" in few.message
-    late = ocp.solve(problem, transcription, ocp.CondensedNewton(), seconds=1e-3)
+    assert few.iterations == 2
+    assert "stopped at the iteration limit: increase max_iterations" in few.message
+    late = ocp.solve(problem, transcription, ocp.CondensedNewton(), time_limit=1e-3)
     assert not late.success
     assert "stopped at the time limit" in late.message
 
@@ -404,7 +405,7 @@ def test_motions_along_which_errors_grow_are_corrected():
     )
     assert plain.replay_error > 0.1
     assert fine.replay_error < 1e-4
-    assert "open-loop unstable" in fine.message
+    assert fine.error_growth > 1e3
     replay = fine.replay(step=fine.time[-1] / 2400)
     assert np.abs(replay.states[-1] - fine.trajectory.states[-1])[: model.nq].max() < 1e-5
 

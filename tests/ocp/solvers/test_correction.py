@@ -108,13 +108,13 @@ def test_motions_along_which_errors_grow_are_corrected(bars, lean, weight):
         leaning_arm(bars, lean, weight), ocp.Variational(50, accuracy=3e-4), tolerance=1e-3
     )
     assert plan.success, plan.message
-    assert "open-loop unstable" in plan.message
+    assert plan.error_growth > 1e3
     replay = plan.replay(step=plan.time[-1] / 4000)
     assert np.abs(replay.states[-1] - plan.trajectory.states[-1])[: plan.model.nq].max() < 3e-4
 
 
 def test_more_than_corrections_can_do_is_said():
-    plan = ocp.solve(rising(), ocp.Variational(20, accuracy=1e-16))
+    plan = ocp.solve(rising(), ocp.Variational(20, accuracy=1e-16), tolerance=1e-16)
     assert not plan.success
     assert "too coarse: corrections end" in plan.message
     assert "give more intervals" in plan.message

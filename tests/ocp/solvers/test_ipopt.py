@@ -19,7 +19,7 @@ def test_progress_is_told_and_a_stop_keeps_the_best():
         seen.append(now)
         return now.iteration < 3
 
-    plan = ocp.solve(raising(), ocp.Variational(10), ocp.Ipopt(watch=watch))
+    plan = ocp.solve(raising(), ocp.Variational(10), ocp.Ipopt(watch=watch), tolerance=1e-9)
     assert not plan.success
     assert plan.status == "User_Requested_Stop"
     assert [now.iteration for now in seen] == [0, 1, 2, 3]
@@ -98,7 +98,7 @@ def test_what_a_watcher_raises_is_raised(capfd):
 
 def test_a_time_limit_stops():
     plan = ocp.solve(raising(), ocp.Variational(10), ocp.Ipopt(seconds=1e-6))
-    assert "raise Ipopt(seconds=...)" in plan.message
+    assert "stopped at the time limit of the solver: increase it" in plan.message
     assert not plan.success
     assert plan.status == "Maximum_WallTime_Exceeded"
 

@@ -53,8 +53,8 @@ def test_multipliers_are_what_giving_way_saves(transcription):
     density = sum(plan.duals[f"force density of string {k}"].sum() for k in range(9))
     assert density < -1.0  # lower limits hold
     assert slope(transcription, "least", 5.0, 1e-3) == pytest.approx(-density, rel=1e-3)
-    prices = {(one.name, one.side): one.price for one in plan.report().active}
-    assert prices["tension of string 6", "upper"] == pytest.approx(
+    duals = {(one.name, one.side): one.dual for one in plan.report().active}
+    assert duals["tension of string 6", "upper"] == pytest.approx(
         plan.duals["tension of string 6"].sum(), rel=1e-3
     )
     assert "costs" in str(plan.report())

@@ -1,4 +1,4 @@
-"""Distances that fix a shape: of neighbours, of all nodes where these do not tell."""
+"""Distances that fix a shape: of neighbors, of all nodes where these do not tell."""
 
 from __future__ import annotations
 
@@ -7,32 +7,32 @@ import pytest
 import scipy.sparse as sp
 
 import tenscasadi as tc
-from ocp.targets.distance_rows import all_pairs, feel, neighbours, squared_distances
+from ocp.targets.distance_rows import find_distance_rows, list_neighbors, squared_distances
 
 NODES = [(k, 0.3 * (k % 2), 0) for k in range(6)]
 CHAIN = tc.Structure(NODES, [(k, k + 1) for k in range(5)], [(0, 2)])
 TWO_PARTS = tc.Structure(NODES, [(0, 1), (1, 2), (3, 4), (4, 5)], [(0, 2)])
 
 
-def test_neighbours_are_two_members_apart():
-    pairs = {tuple(pair) for pair in neighbours(CHAIN).tolist()}
+def test_neighbors_are_two_members_apart():
+    pairs = {tuple(pair) for pair in list_neighbors(CHAIN).tolist()}
     assert pairs == {(k, k + 1) for k in range(5)} | {(k, k + 2) for k in range(4)} | {(0, 3)}
-    assert len(neighbours(tc.shapes.prism())) == len(all_pairs(6)) == 15
+    assert len(list_neighbors(tc.shapes.prism())) == 15
 
 
 @pytest.mark.parametrize(("moved", "near"), [(1, True), (5, True), (None, False)])
 def test_rows_feel_a_direction(moved, near):
-    """A node that moves is felt by its neighbours; parts that no member joins are felt by all distances."""
+    """A node that moves is felt by its neighbors; parts that no member joins are felt by all distances."""
     structure = CHAIN if near else TWO_PARTS
     direction = np.zeros((6, 3))
     direction[[moved] if near else [3, 4, 5]] = 0.4, 0.5, 0.0
-    weights, gradient, pairs = feel(
+    weights, gradient, pairs = find_distance_rows(
         structure.nodes,
         sp.eye_array(18, format="csr"),
         direction.reshape(18, 1),
-        neighbours(structure),
+        list_neighbors(structure),
     )
-    assert len(pairs) == (len(neighbours(structure)) if near else 15)
+    assert len(pairs) == (len(list_neighbors(structure)) if near else 15)
 
     def value(nodes):
         return weights @ squared_distances(nodes, pairs)

@@ -106,7 +106,7 @@ BAD = {
     "falls": (
         lambda: ocp.solve(problem(FALLING, goals=[ocp.Periodic()])),
         ocp.InfeasibleGoalError,
-        "Periodic cannot be met, as the centre of mass",
+        "Periodic cannot be met, as the center of mass",
     ),
     "joints": (lambda: problem(SPLIT, goals=[]), ValueError, "Problem.start is free"),
     "no value": (lambda: problem(start=ocp.FreeStart), TypeError, "the class FreeStart"),

@@ -58,7 +58,8 @@ def test_shape_rows_feel_the_flex_that_lengths_do_not():
     moved = model.initial_state + 1e-3 * directions[:, 0]
     assert np.abs(goal_misfit(goal, x, moved)).max() < 1e-5
     assert np.abs(found.rows(moved).full()).max() > 1e-4
-    assert np.abs(found.misfit(moved)[0].full()).max() > 1e-4
+    # nobody named the distances that fix the shape
+    assert found.measure(lambda share: moved).values.max() < 1e-5
     turned = model.state((PRISM.nodes - PRISM.nodes.mean(axis=0)) @ rotation(0.3))
     assert np.abs(found.rows(turned).full()).max() < 1e-12
 

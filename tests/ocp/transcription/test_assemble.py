@@ -9,11 +9,11 @@ from planning import raising
 
 import ocp
 import tenscasadi as tc
+from ocp.guess.path import make_guess
 from ocp.problem.instant import symbolic
 from ocp.problem.scaling import Scales
 from ocp.targets.find_target import find_target
 from ocp.transcription.assemble import build_program
-from ocp.transcription.initial_guess import make_guess
 
 PRISM = tc.shapes.prism()
 MODEL = tc.Model(tc.Scene(PRISM, control=tc.ForceDensity(), gravity=tc.Gravity()))

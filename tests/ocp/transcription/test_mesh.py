@@ -53,11 +53,9 @@ def test_few_changes(make):
 
 
 def test_goals_need_changes():
-    with pytest.raises(
-        ValueError,
-        match="changes is 0: 9 force densities in each of the 1 up to there cannot meet 18 rows of goals, allow",
-    ):
-        ocp.solve(raising(), ocp.Variational(14, control=ocp.PiecewiseConstant(changes=0)))
+    plan = ocp.solve(raising(), ocp.Variational(14, control=ocp.PiecewiseConstant(changes=0)))
+    assert not plan.success
+    assert "18 rows of goals need more than 9 controls before them" in plan.message
     with pytest.raises(ValueError, match=r"PiecewiseConstant.changes"):
         ocp.PiecewiseConstant(changes=-1)
 
@@ -93,10 +91,6 @@ def test_groups_share_their_force_density():
     assert found.objective == pytest.approx(
         ocp.solve(raising(), ocp.Variational(12)).objective, rel=1e-4
     )  # which is symmetric by itself
-    assert (
-        "out of control" in found.message
-    )  # rows that only single strings could move are not imposed on groups
-    assert "out of control" not in ocp.solve(raising(), ocp.Variational(12)).message
     with pytest.raises(
         ValueError, match=r"PiecewiseConstant.groups has string 9: strings run from 0 to 8"
     ):

@@ -104,8 +104,8 @@ def test_bounds_of_one_kind_are_told_apart():
     names = [f"obstacle clear of bar 0 (bounds[{k}])" for k in (0, 1)]
     assert [found[name].limit for name in names] == [0.25, 0.38]
     for name in names:
-        assert found[name].price == pytest.approx(-plan.duals[name].sum(), rel=1e-3)
-        assert found[name].price > 1.0
+        assert found[name].dual == pytest.approx(-plan.duals[name].sum(), rel=1e-3)
+        assert found[name].dual > 1.0
     with pytest.raises(KeyError, match=r"bounds\[0\].* or .*bounds\[1\]"):
         plan.duals["obstacle clear of bar 0"]
 

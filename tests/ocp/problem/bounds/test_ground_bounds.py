@@ -10,6 +10,7 @@ import pytest
 
 import ocp
 import tenscasadi as tc
+from ocp.problem.constraints import build_constraint
 
 PRISM = tc.shapes.prism(prestress=20.0, stiffness=1000.0)
 LOW = float(PRISM.nodes[:, 2].min())
@@ -25,7 +26,7 @@ def model(structure=PRISM):
 @pytest.mark.parametrize("ground", [SLOPE, HILLS])
 def test_the_rows_are_distances_from_the_surface(ground):
     driven = model(PRISM.replace(pinned=[1]))
-    row = ocp.AboveSurface(ground, 0.02, nodes=[1, 2, 5]).constraint(driven)
+    row = build_constraint(ocp.AboveSurface(ground, 0.02, nodes=[1, 2, 5]), driven)
     assert len(row.names) == 2  # node 1 cannot move
     x = driven.initial_state + 0.1 * np.random.default_rng(0).normal(size=driven.nx)
     values = [

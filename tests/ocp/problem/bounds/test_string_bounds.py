@@ -134,7 +134,7 @@ BAD = {
     "speed in words": (
         lambda: ocp.RestLengthRateLimits("12"),
         TypeError,
-        "RestLengthRateLimits.speed is not a real number",
+        "RestLengthRateLimits.rate is not a real number",
     ),
     "groups without common ground": (
         lambda: ocp.solve(
@@ -161,7 +161,7 @@ BAD = {
         ValueError,
         "ForceDensityLimits.upper has masked entries",
     ),
-    "speed zero": (lambda: ocp.RestLengthRateLimits(0.0), ValueError, "RestLengthRateLimits.speed"),
+    "speed zero": (lambda: ocp.RestLengthRateLimits(0.0), ValueError, "RestLengthRateLimits.rate"),
     "no stiffness": (
         lambda: raised(ocp.RestLengthLimits(), model=driven(prism(1.0, stiffness=0.0))),
         ValueError,

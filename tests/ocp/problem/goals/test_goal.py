@@ -131,7 +131,7 @@ BAD = {
     "periodic leaves": (
         lambda: planned(ocp.Periodic((1.0, 0.0, 0.0))),
         ocp.InfeasibleGoalError,
-        "Periodic: node 0 x misses its goal by 1 m at best, as the centre of mass",
+        "Periodic: node . x misses its goal by 1 m at best, as the center of mass",
     ),
     "waypoint out of reach": (
         lambda: planned(

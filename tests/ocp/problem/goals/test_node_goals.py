@@ -23,9 +23,9 @@ def planned(model, *goals, duration=0.6, **changes):
 def test_the_centre_of_mass_is_put_in_its_place_at_the_end_and_on_the_way():
     model = driven(prism(1.0, pinned=[0, 1, 2], node_mass=[0.1, 0.2, 0.3, 0.4, 0.5, 2.0]))
     begun = centre(model, model.structure.nodes)
-    goals = [ocp.CentreOfMass((begun[0] + 0.01, None, begun[2] - 0.02)), ocp.AtRest()]
+    goals = [ocp.CenterOfMass((begun[0] + 0.01, None, begun[2] - 0.02)), ocp.AtRest()]
     plan = planned(
-        model, *goals, ocp.Waypoint([ocp.CentreOfMass((None, begun[1] + 0.01, None))], share=0.5)
+        model, *goals, ocp.Waypoint([ocp.CenterOfMass((None, begun[1] + 0.01, None))], share=0.5)
     )
     assert plan.success, plan.message
     ended, passed = (centre(model, model.nodes(integrated(plan, share))) for share in (1.0, 0.5))
@@ -62,7 +62,7 @@ def test_a_waypoint_at_the_end_is_a_goal_of_the_end():
 def test_strings_do_not_give_what_is_free_a_speed():
     with pytest.raises(
         ocp.InfeasibleGoalError,
-        match=r"NodeVelocities: node 0 x misses its goal by .* as the centre of mass keeps its speed along x",
+        match=r"NodeVelocities: node . x misses its goal by .* as the center of mass keeps its speed along x",
     ):
         planned(driven(prism(1.0)), ocp.NodeVelocities(np.tile([1.0, 0.0, 0.0], (6, 1))))
 
@@ -70,7 +70,7 @@ def test_strings_do_not_give_what_is_free_a_speed():
 def test_masses_inside_strings_count():
     structure = prism(1.0, string_mass=0.5)
     model = driven(structure, segments=2)
-    problem = ocp.Problem(model, goals=[ocp.CentreOfMass((None, None, 0.5))])
+    problem = ocp.Problem(model, goals=[ocp.CenterOfMass((None, None, 0.5))])
     assert np.sum(problem.goals[0].masses) == pytest.approx(
         structure.bar_mass.sum() + structure.string_mass.sum()
     )
@@ -82,30 +82,30 @@ def test_strings_do_not_move_the_centre_of_mass_of_what_is_free():
     height = centre(model, model.structure.nodes)[2]
     with pytest.raises(
         ocp.InfeasibleGoalError,
-        match=r"CentreOfMass: z misses its goal by 0\.1 m at best, as the centre of mass follows",
+        match=r"CenterOfMass: z misses its goal by 0\.1 m at best, as the center of mass follows",
     ):
-        planned(model, ocp.CentreOfMass((None, None, height + 0.1)))
+        planned(model, ocp.CenterOfMass((None, None, height + 0.1)))
     with pytest.raises(
-        ocp.InfeasibleGoalError, match=r"waypoint at 0\.5 of the duration: CentreOfMass: x misses"
+        ocp.InfeasibleGoalError, match=r"waypoint at 0\.5 of the duration: CenterOfMass: x misses"
     ):
-        planned(model, ocp.Waypoint([ocp.CentreOfMass((9.0, None, None))], share=0.5))
+        planned(model, ocp.Waypoint([ocp.CenterOfMass((9.0, None, None))], share=0.5))
 
 
 def test_what_falls_is_where_galilei_says():
     model = driven(prism(1.0), gravity=tc.Gravity((0, 0, -9.81)))
     height = centre(model, model.structure.nodes)[2]
-    plan = planned(model, ocp.CentreOfMass((None, None, height - 9.81 * 0.6**2 / 2)))
+    plan = planned(model, ocp.CenterOfMass((None, None, height - 9.81 * 0.6**2 / 2)))
     assert plan.success, plan.message
     with pytest.raises(
-        ocp.InfeasibleGoalError, match=r"CentreOfMass: z misses its goal by 1\.77 m at best"
+        ocp.InfeasibleGoalError, match=r"CenterOfMass: z misses its goal by 1\.77 m at best"
     ):
-        planned(model, ocp.CentreOfMass((None, None, height)))
+        planned(model, ocp.CenterOfMass((None, None, height)))
 
 
 def test_files_and_pickles_hold_them(tmp_path):
     model = driven(prism(1.0, pinned=[0, 1, 2]))
     height = centre(model, model.structure.nodes)[2]
-    plan = planned(model, ocp.CentreOfMass((None, None, height - 0.01)))
+    plan = planned(model, ocp.CenterOfMass((None, None, height - 0.01)))
     plan.save(tmp_path / "plan.npz")
     again = ocp.Plan.load(tmp_path / "plan.npz").problem.goals[0]
     assert again.position == (None, None, height - 0.01)
@@ -114,20 +114,20 @@ def test_files_and_pickles_hold_them(tmp_path):
 
 BAD = {
     "two coordinates": (
-        lambda: ocp.CentreOfMass((1.0, 2.0)),
+        lambda: ocp.CenterOfMass((1.0, 2.0)),
         ValueError,
-        "CentreOfMass.position .* give three coordinates",
+        "CenterOfMass.position .* give three coordinates",
     ),
     "no coordinate": (
-        lambda: ocp.CentreOfMass((None, None, None)),
+        lambda: ocp.CenterOfMass((None, None, None)),
         ValueError,
-        "CentreOfMass.position",
+        "CenterOfMass.position",
     ),
-    "no place": (lambda: ocp.CentreOfMass(1.0), TypeError, "CentreOfMass.position is 1.0"),
+    "no place": (lambda: ocp.CenterOfMass(1.0), TypeError, "CenterOfMass.position is 1.0"),
     "no mass": (
-        lambda: ocp.CentreOfMass((1.0, None, None), np.zeros(6)),
+        lambda: ocp.CenterOfMass((1.0, None, None), np.zeros(6)),
         ValueError,
-        "CentreOfMass.masses are all 0",
+        "CenterOfMass.masses are all 0",
     ),
     "two components": (
         lambda: ocp.NodeVelocities({0: (1.0, 2.0)}),
@@ -150,14 +150,14 @@ BAD = {
         "wants x = 1 m/s of a node that is pinned along it: leave that axis None",
     ),
     "few masses": (
-        lambda: planned(driven(prism(1.0)), ocp.CentreOfMass((1.0, None, None), np.ones(5))),
+        lambda: planned(driven(prism(1.0)), ocp.CenterOfMass((1.0, None, None), np.ones(5))),
         ValueError,
-        "CentreOfMass.masses has 5",
+        "CenterOfMass.masses has 5",
     ),
     "many masses": (
-        lambda: planned(driven(prism(1.0)), ocp.CentreOfMass((1.0, None, None), np.ones(7))),
+        lambda: planned(driven(prism(1.0)), ocp.CenterOfMass((1.0, None, None), np.ones(7))),
         ValueError,
-        r"CentreOfMass.masses .* \(6",
+        r"CenterOfMass.masses .* \(6",
     ),
 }
 

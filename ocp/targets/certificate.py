@@ -1,0 +1,142 @@
+"""Proofs that rows of a state have no common zero, by Lagrangian relaxation.
+
+The rows are quadratic in the state. Let μ be the residuals at a local minimum of their sum of
+squares. The function μᵀ rows is stationary there and has the value |μ|² > 0. If it is convex, this
+is its minimum, so that no state satisfies all rows. Affine rows are satisfied exactly: convexity is
+needed on their solutions only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.optimize
+import scipy.sparse as sp
+
+from ocp.targets.infeasible_goal import Certificate
+from ocp.targets.row_reduction import RANK, RowFunction
+from tenscasadi.util.linear_algebra import null_space
+from tenscasadi.util.validate import Array, Indices
+
+RADIUS = 100.0  # bound on scaled states: no coordinate is more structure sizes away
+
+
+class QuadraticRows(NamedTuple):
+    """Rows c + A z + zᵀ Q z / 2 of scaled unknowns z.
+
+    Attributes
+    ----------
+    names : list of str
+        Names of the m rows.
+    c, A : ndarray, shape (m,) and (m, n)
+        Constant and linear parts.
+    row, one, other, value : ndarray
+        Entries of Q by row and unknowns.
+    """
+
+    names: list[str]
+    c: Array
+    A: Array
+    row: Indices
+    one: Indices
+    other: Indices
+    value: Array
+
+    def select(self, kept: Indices) -> QuadraticRows:
+        """Select some rows."""
+        place = np.full(len(self.c), -1)
+        place[kept] = np.arange(len(kept))
+        own = place[self.row] >= 0
+        names = [self.names[k] for k in kept]
+        entries = place[self.row[own]], self.one[own], self.other[own], self.value[own]
+        return QuadraticRows(names, self.c[kept], self.A[kept], *entries)
+
+    @property
+    def affine(self) -> Any:
+        """Whether each row (m,) is affine."""
+        return ~np.isin(np.arange(len(self.c)), self.row[self.value != 0])
+
+    def hessian(self, multipliers: Array) -> sp.csr_array:
+        """Compute the Hessian (n, n) of multipliersᵀ rows."""
+        entries = multipliers[self.row] * self.value, (self.one, self.other)
+        return sp.csr_array(sp.coo_array(entries, shape=(self.A.shape[1],) * 2))
+
+    def at(self, z: Array) -> tuple[Array, Array]:
+        """Compute the rows (m,) and their gradient (m, n)."""
+        entries = self.value * z[self.other], (self.row, self.one)
+        J = self.A + sp.coo_array(entries, shape=self.A.shape).toarray()
+        return self.c + (self.A + J) @ z / 2, J
+
+
+def read_quadratic(rows: RowFunction, names: Sequence[str]) -> QuadraticRows:
+    """Read the rows that are quadratic; others are left out, as fewer rows prove as much."""
+    zero = np.zeros(len(rows.scale))
+    c, A = rows(zero)
+    row, one, other, value = rows.second_derivatives(zero)
+    probe = np.random.default_rng(0).uniform(-1.0, 1.0, len(zero)) * rows.scale
+    varying = np.abs(rows.second_derivatives(probe)[3] - value) > 1e-9
+    every = QuadraticRows(list(names), c, A, row, one, other, value)
+    return every.select(np.setdiff1d(np.arange(len(c)), row[varying]))
+
+
+def prove_infeasible(
+    rows: QuadraticRows, z: Array, box: Array, tolerance: float
+) -> Certificate | None:
+    """Prove that no state satisfies all rows; None if the proof fails.
+
+    The search for multipliers starts at the scaled state z (n,), whose entries are within a box (2,
+    n). Rows with smaller residuals than the tolerance count as satisfied.
+    """
+    linear = rows.select(np.flatnonzero(rows.affine))
+    known = solve_affine(linear, box)
+    rest = linear.at(known)[0]
+    if np.abs(rest).max(initial=0.0) > tolerance:
+        slope = linear.A.T @ rest
+        least = np.minimum(*(slope * np.clip(side, -RADIUS, RADIUS) for side in box)).sum()
+        return _certificate(linear, rest, rest @ linear.c + least, "linear")
+    timed = np.isfinite(box).all(axis=0)
+    linear = linear.select(np.flatnonzero(~linear.A[:, timed].any(axis=1)))
+    bent = rows.select(np.flatnonzero(~rows.affine & ~rows.A[:, timed].any(axis=1)))
+    if not bent.names:
+        return None
+    Z = null_space(np.vstack([linear.A, np.eye(len(z))[timed]]), RANK)
+
+    def residual(s: Array) -> tuple[Array, Array]:
+        value, J = bent.at(known + Z @ s)
+        return value, J @ Z
+
+    s = Z.T @ (z - known)
+    if len(s):
+        exact = {"xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15}
+        s = scipy.optimize.least_squares(
+            lambda s: residual(s)[0], s, lambda s: residual(s)[1], **exact
+        ).x
+    weights, J = residual(s)
+    if np.abs(weights).max(initial=0.0) <= tolerance:
+        return None
+    values, vectors = np.linalg.eigh(Z.T @ (bent.hessian(weights) @ Z))
+    steep = values > 1e-6 * np.abs(values).max(initial=1e-300)
+    slope = np.abs(vectors.T @ (J.T @ weights))
+    falls = (slope[steep] ** 2 / values[steep]).sum() / 2
+    falls += (RADIUS * slope[~steep] - RADIUS**2 * np.minimum(values[~steep], 0.0)).sum()
+    return _certificate(bent, weights, weights @ weights - falls, "convex")
+
+
+def solve_affine(rows: QuadraticRows, box: Array) -> Array:
+    """Solve affine rows by least squares, for a scaled state within a box."""
+    if np.isfinite(box).any() and len(rows.c):
+        return np.asarray(scipy.optimize.lsq_linear(rows.A, -rows.c, box, tol=1e-14).x)
+    return np.asarray(np.linalg.lstsq(rows.A, -rows.c, rcond=RANK)[0])
+
+
+def _certificate(
+    rows: QuadraticRows, weights: Array, bound: float, relaxation: str
+) -> Certificate | None:
+    if not bound > 0.5 * (weights @ weights):
+        return None
+    multipliers = dict.fromkeys(rows.names, 0.0)
+    for name, weight in zip(rows.names, weights.tolist(), strict=True):
+        multipliers[name] = max(multipliers[name], weight, key=abs)
+    return Certificate(multipliers, float(bound), relaxation)
