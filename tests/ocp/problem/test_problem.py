@@ -301,7 +301,7 @@ BAD = {
     "scheme of whole models": (
         lambda: ocp.MultipleShooting(scheme=tc.Rattle()),
         ValueError,
-        r"MultipleShooting.scheme is Rattle\(\), .* give RungeKutta4\(\), .* or Collocation\(\)",
+        r"MultipleShooting.scheme is Rattle\(.*\): give RungeKutta4\(\), .* or a scheme with coefficients",
     ),
     "guess of bars without a length": (
         lambda: ocp.solve(

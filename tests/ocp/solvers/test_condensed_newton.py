@@ -339,8 +339,7 @@ def test_limits_of_iterations_and_time_are_kept():
     assert few.iterations == 2
     assert "stopped at the iteration limit: increase max_iterations" in few.message
     late = ocp.solve(problem, transcription, ocp.CondensedNewton(), time_limit=1e-3)
-    assert not late.success
-    assert "stopped at the time limit" in late.message
+    assert "increase time_limit" in late.message
 
 
 def test_corrections_make_the_motion_that_of_fine_steps():
@@ -403,8 +402,8 @@ def test_motions_along_which_errors_grow_are_corrected():
         ocp.solve(problem, ocp.Variational(60, accuracy=accuracy), ocp.CondensedNewton())
         for accuracy in (None, 1e-6)
     )
-    assert plain.replay_error > 0.1
-    assert fine.replay_error < 1e-4
+    assert plain.open_loop_error > 0.1
+    assert fine.open_loop_error < 1e-4
     assert fine.error_growth > 1e3
     replay = fine.replay(step=fine.time[-1] / 2400)
     assert np.abs(replay.states[-1] - fine.trajectory.states[-1])[: model.nq].max() < 1e-5
