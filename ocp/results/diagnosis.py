@@ -228,7 +228,9 @@ def _find_runaway(program: Program, solution: Solution) -> str:
     if solution.last is None or not np.all(np.isfinite(solution.last)):
         return ""
     limits = np.where(solution.last > 0, program.w_upper, program.w_lower)
-    size = np.where(np.isfinite(limits), 0.0, np.abs(solution.last))
+    stages = np.array([", stage " in name for name in program.w_names])
+    # rates within intervals are large where steps are too long
+    size = np.where(np.isfinite(limits) | stages, 0.0, np.abs(solution.last))
     controls = ("force density of string", "rest length of string")
     of_controls = size * [name.startswith(controls) for name in program.w_names]
     # controls make the rest grow
