@@ -13,7 +13,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array
 
 
-class Equilibrium(NamedTuple):
+class HeldState(NamedTuple):
     """Force densities that hold a state at rest.
 
     Attributes
@@ -34,7 +34,7 @@ class Equilibrium(NamedTuple):
     exact: bool
 
 
-def find_equilibrium(model: Model, state: Array, lower: Array, upper: Array) -> Equilibrium:
+def find_equilibrium(model: Model, state: Array, lower: Array, upper: Array) -> HeldState:
     """Find the least force densities that hold a state at rest.
 
     Loads are those at the time of the state. If nothing holds it, the accelerations are least.
@@ -65,7 +65,7 @@ def find_equilibrium(model: Model, state: Array, lower: Array, upper: Array) -> 
     left = np.abs(free + A @ gamma)
     worst = int(np.argmax(left))
     pull = max(float(np.abs(free).max()), float(np.abs(A).max(initial=0.0)) * strength)
-    return Equilibrium(
+    return HeldState(
         np.clip(gamma, lower, upper),
         float(left[worst]),
         model.mechanism.coordinate_names[worst],

@@ -44,7 +44,7 @@ class Conflict(NamedTuple):
     excess: float
 
 
-class _Row(NamedTuple):
+class _LimitRow(NamedTuple):
     """One-sided limit slope · u ≤ room, relative to its size."""
 
     slope: Array
@@ -99,7 +99,7 @@ def find_conflict(
     )
 
 
-def _read_linear_rows(limited: PathConstraint, state: Array) -> list[_Row]:
+def _read_linear_rows(limited: PathConstraint, state: Array) -> list[_LimitRow]:
     """Read the limits that are linear in the controls at a state."""
     value, control = ca.densify(limited.value), limited.symbols[1]
     linear = ~np.array(ca.which_depends(value, control, 2, True), dtype=bool)
@@ -117,5 +117,5 @@ def _read_linear_rows(limited: PathConstraint, state: Array) -> list[_Row]:
             limit, size = float(limits[k]), max(abs(float(limits[k])), 1e-9)
             room = float(sign * (limit - at_none[k, 0]) / size)
             own = limited.names[k], limited.unit, sign, size, needed[k]
-            rows.append(_Row(sign * slope[k] / size, room, limit, *own))
+            rows.append(_LimitRow(sign * slope[k] / size, room, limit, *own))
     return rows

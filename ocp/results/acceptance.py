@@ -23,7 +23,7 @@ from tenscasadi.util.validate import Array
 Replay = Callable[[PlanResult, bool], Trajectory]  # of a plan, in open loop or under `track`
 
 
-class ReplayErrors(NamedTuple):
+class ReplayMeasures(NamedTuple):
     """Distances of the ends of several replays from the goals.
 
     Attributes
@@ -44,7 +44,7 @@ class ReplayErrors(NamedTuple):
 
 def measure_errors(
     plan: PlanResult, target: Target | None, times: Array, states: Array
-) -> ReplayErrors:
+) -> ReplayMeasures:
     """Measure replays with states (n, T, nx) at times (T,) against the goals that were named.
 
     Without goals the planned end takes their place.
@@ -68,7 +68,7 @@ def measure_errors(
         )
     rows = np.hstack([position, velocity * duration])
     largest, fastest = (part.max(axis=1, initial=0.0) for part in (position, velocity))
-    return ReplayErrors(largest, fastest, rows, worst)
+    return ReplayMeasures(largest, fastest, rows, worst)
 
 
 class _Verified(NamedTuple):

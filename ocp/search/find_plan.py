@@ -20,7 +20,7 @@ from ocp.results.result import PlanResult
 from ocp.search.coordinates import ReducedCoordinates, reduce_coordinates
 from ocp.search.methods import run_attempt
 from ocp.search.policy import INEXACT, Attempt, attempts, complete, is_inexact
-from ocp.search.task import Method, Task, prepare
+from ocp.search.task import Method, PlanningTask, prepare
 from ocp.solvers.base import Outcome
 from ocp.solvers.monitor import Monitor
 from ocp.solvers.relaxation import TOO_SLOW
@@ -35,10 +35,10 @@ from tenscasadi.util.validate import Array
 RELIABLE = 1e-2  # × the structure's size: default tolerance of replays
 
 
-class _Search(NamedTuple):
+class _PlanSearch(NamedTuple):
     """Arguments of a search; `reduced` is None where the model is planned as it is."""
 
-    task: Task
+    task: PlanningTask
     tracked: bool
     reduced: ReducedCoordinates | None
 
@@ -69,14 +69,14 @@ def find_plan(
     with monitor.catching_interrupts():
         task = prepare(problem, control, limit, monitor)
         rows = attempts(task, guess) if given is None else [given._replace(guess=guess)]
-        result = _walk(_Search(task, tracked, reduced), rows, automatic)
+        result = _walk(_PlanSearch(task, tracked, reduced), rows, automatic)
     if reduced is None:
         return result
     note = "; found in reduced coordinates" if result.success else ""
     return reduced.restore(replace(result, message=f"{result.message}{note}"))
 
 
-def _walk(search: _Search, rows: Iterable[Attempt], automatic: bool) -> PlanResult:
+def _walk(search: _PlanSearch, rows: Iterable[Attempt], automatic: bool) -> PlanResult:
     """Make the attempts that fit the failures before them; stop at the first success."""
     tried: list[tuple[str, PlanResult]] = []
     plan: PlanResult | None = None
@@ -110,7 +110,7 @@ def _worth(plan: PlanResult) -> tuple[bool, bool, float]:
     return plan.success, is_inexact(plan), -plan.worst_error
 
 
-def _try(search: _Search, attempt: Attempt) -> PlanResult:
+def _try(search: _PlanSearch, attempt: Attempt) -> PlanResult:
     """Make one attempt, and judge it by its replay."""
     outcome, target = run_attempt(search.task, attempt)
     plan = _record(search.task, attempt, outcome)
@@ -126,7 +126,7 @@ def _try(search: _Search, attempt: Attempt) -> PlanResult:
     return assess_plan(plan, target, outcome, search.task.tolerance, replay, search.tracked)
 
 
-def _record(task: Task, attempt: Attempt, found: Outcome) -> PlanResult:
+def _record(task: PlanningTask, attempt: Attempt, found: Outcome) -> PlanResult:
     """Record the result of an attempt as a plan that is not yet replayed."""
     problem, transcription = task.problem, attempt.transcription
     mesh = (

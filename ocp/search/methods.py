@@ -17,7 +17,7 @@ from ocp.results.result import PlanResult
 from ocp.sampling.method import solve_sampled
 from ocp.sampling.solver import Sampling
 from ocp.search.policy import Attempt
-from ocp.search.task import Task, prepare
+from ocp.search.task import PlanningTask, prepare
 from ocp.solvers.base import Outcome, Solution
 from ocp.solvers.condensed_newton.method import REMARKS
 from ocp.solvers.correction import (
@@ -36,7 +36,7 @@ from ocp.transcription.sparse_nlp import Program
 from tenscasadi.util.validate import instance
 
 
-def run_attempt(task: Task, attempt: Attempt) -> tuple[Outcome, Target]:
+def run_attempt(task: PlanningTask, attempt: Attempt) -> tuple[Outcome, Target]:
     """Make an attempt at a task; return its result, and the target that its replay is measured by."""
     problem, target, monitor = task.problem, task.target, task.monitor
     transcription, solver, guess, *_ = attempt
@@ -81,7 +81,9 @@ def program_of(
     return build_program(transcription, _drop_slack(problem), task.target, task.scales, first)
 
 
-def _stop_early(task: Task, transcription: Transcription, guess: Guess, status: str) -> Outcome:
+def _stop_early(
+    task: PlanningTask, transcription: Transcription, guess: Guess, status: str
+) -> Outcome:
     """Return the guess, as the time was over before a solver began."""
     own = on_mesh(task.problem.model, guess, transcription.fractions, transcription.control)
     why = "stopped before the solver began, with the guess: increase time_limit"
@@ -94,7 +96,7 @@ def _drop_slack(problem: Problem) -> Problem:
     return problem if model is problem.model else replace(problem, model=model)
 
 
-def _solve_program(task: Task, attempt: Attempt, target: Target, guess: Guess) -> Outcome:
+def _solve_program(task: PlanningTask, attempt: Attempt, target: Target, guess: Guess) -> Outcome:
     """Solve the nonlinear program that a transcription makes of a problem."""
     transcription, solver, origin, *_ = attempt
     problem, monitor = _drop_slack(task.problem), task.monitor

@@ -16,7 +16,7 @@ from ocp.problem.scaling import Scales
 from ocp.results.result import PlanResult
 from ocp.sampling.method import default_intervals
 from ocp.sampling.solver import Sampling
-from ocp.search.task import Method, Task
+from ocp.search.task import Method, PlanningTask
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.condensed_newton.method import NOT_SETTLED
 from ocp.solvers.ipopt import Ipopt
@@ -74,7 +74,7 @@ class Attempt(NamedTuple):
         return self._replace(transcription=finer, guess=plan)
 
 
-def attempts(task: Task, guess: InitialGuess | None) -> Iterator[Attempt]:
+def attempts(task: PlanningTask, guess: InitialGuess | None) -> Iterator[Attempt]:
     """Yield the attempts at a problem in their order.
 
     `find_plan` makes those that follow the failure before them, and stops at the first success.

@@ -24,7 +24,7 @@ MOST_STARTS = 1000  # of a multistart
 Method = Solver | CondensedNewton | Sampling
 
 
-class Task(NamedTuple):
+class PlanningTask(NamedTuple):
     """A problem that passed the checks, its target, and the limits of a search.
 
     Attributes
@@ -50,18 +50,18 @@ class Task(NamedTuple):
 
 def prepare(
     problem: Problem, control: Profile, tolerance: float, monitor: Monitor | None = None
-) -> Task:
+) -> PlanningTask:
     """Check a problem and find its target. Raises ValueError, InfeasibleGoalError."""
     check_groups(problem, control)
     monitor = Monitor() if monitor is None else monitor
     scales = Scales.of(problem)
     if problem.phases:
-        return Task(problem, None, scales, tolerance, monitor)
+        return PlanningTask(problem, None, scales, tolerance, monitor)
     target = find_target(problem, scales)
     if not problem.free_start:
         check_start(problem)
         check_end(problem, target)
-    return Task(problem, target, scales, tolerance, monitor)
+    return PlanningTask(problem, target, scales, tolerance, monitor)
 
 
 def check_groups(problem: Problem, profile: Profile) -> None:

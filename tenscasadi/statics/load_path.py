@@ -20,7 +20,7 @@ from tenscasadi.statics.equilibrium import (
     read_load,
     read_problem,
 )
-from tenscasadi.statics.solver.continuation import LoadChange, Row, Tracer
+from tenscasadi.statics.solver.continuation import LoadChange, PathRow, Tracer
 from tenscasadi.statics.solver.newton_system import NewtonSystem
 from tenscasadi.statics.solver.settling import prepare_friction, settle
 from tenscasadi.statics.solver.static_equations import Conditions
@@ -239,7 +239,7 @@ def _read_parameters(scene: Scene, given: Any) -> Array:
     return changes
 
 
-def _collect(system: NewtonSystem, rows: list[Row], fault: str) -> LoadPath:
+def _collect(system: NewtonSystem, rows: list[PathRow], fault: str) -> LoadPath:
     """Compute all quantities of a path."""
     equations = system.equations
     strings, bars = len(equations.structure.strings), len(equations.structure.bars)

@@ -88,7 +88,7 @@ class PathPoint(NamedTuple):
     neutral: Array
 
 
-class Row(NamedTuple):
+class PathRow(NamedTuple):
     """Point of a path; `kind` is "limit" or "bifurcation" at critical points, otherwise ""."""
 
     place: PathPoint
@@ -134,7 +134,7 @@ class Tracer:
         ahead[-1] = 1.0 if factor < self.factors[1] else -1.0
         return self._complete(point, tension, factor, ahead)
 
-    def follow(self, place: PathPoint, most: int) -> tuple[list[Row], str]:
+    def follow(self, place: PathPoint, most: int) -> tuple[list[PathRow], str]:
         """Follow the path until the factor leaves its range.
 
         Parameters
@@ -149,7 +149,7 @@ class Tracer:
         tuple
             Rows of the path, and the reason for an early end; "" if there is none.
         """
-        rows, step = [Row(place, "")], 0.5 * LONGEST
+        rows, step = [PathRow(place, "")], 0.5 * LONGEST
         low, high = self.factors
         for _ in range(most):
             try:
@@ -163,7 +163,7 @@ class Tracer:
                 continue
             except PathEnd as error:
                 return rows, str(error)
-            rows += [*critical, Row(new, "")]
+            rows += [*critical, PathRow(new, "")]
             if out:
                 return rows, ""
             if len(rows) > _FLAT and np.ptp([row.place.factor for row in rows[-_FLAT:]]) < 1e-9 * (
@@ -327,7 +327,7 @@ class Tracer:
 
     # --- critical points ---
 
-    def _find_critical(self, place: PathPoint, new: PathPoint) -> list[Row]:
+    def _find_critical(self, place: PathPoint, new: PathPoint) -> list[PathRow]:
         """Find limit points and bifurcations between two equilibria, in order."""
         reach = float(place.direction @ self._way(place, new))
         low, high = sorted((place.unstable, new.unstable))
@@ -340,7 +340,7 @@ class Tracer:
         across = np.hstack(
             [place.neutral, motions[:, sideways & (np.arange(motions.shape[1]) >= low)]]
         )
-        found: list[tuple[float, Row]] = []
+        found: list[tuple[float, PathRow]] = []
 
         def at(step: float) -> PathPoint:
             if step <= 0.0 or step >= reach:
@@ -353,7 +353,7 @@ class Tracer:
         if place.direction[-1] * new.direction[-1] < 0.0:
             step = _root(lambda s: float(at(s).direction[-1]), reach)
             self._check_continuity(at, step, reach)
-            found.append((step, Row(at(step), "limit")))
+            found.append((step, PathRow(at(step), "limit")))
         for k in range(low, high):
             step = _root(lambda s, k=k: float(self._softest(at(s), k + 1)[0][k]), reach)  # type: ignore[misc]
             known = (0.0, *(other for other, _ in found))
@@ -361,7 +361,7 @@ class Tracer:
                 continue
             self._check_continuity(at, step, reach)
             if self._is_bifurcation(at(step), k):
-                found.append((step, Row(at(step), "bifurcation")))
+                found.append((step, PathRow(at(step), "bifurcation")))
         return [row for _, row in sorted(found, key=lambda entry: entry[0])]
 
     def _is_bifurcation(self, place: PathPoint, k: int) -> bool:
