@@ -175,6 +175,7 @@ CLAIMS = (
 
 
 IN_A_BROWSER = "benchmark_viewer"
+SLOW = ("extremes", "ocp_tradeoff", "plan_growth", "prism_gait")  # a quarter of a minute and more
 NAMES = sorted(path.stem for path in EXAMPLES.glob("*.py"))
 
 
@@ -183,7 +184,7 @@ NAMES = sorted(path.stem for path in EXAMPLES.glob("*.py"))
     [
         pytest.param(
             name,
-            marks=[pytest.mark.slow] * name.startswith("benchmark_"),
+            marks=[pytest.mark.slow] * (name in SLOW or name.startswith("benchmark_")),
         )
         for name in NAMES
     ],

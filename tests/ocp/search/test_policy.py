@@ -183,6 +183,7 @@ def test_shooting_follows_a_failure(monkeypatch):
     assert all(type(guess) is ocp.InverseDynamics for *_, guess in asked)
 
 
+@pytest.mark.slow
 def test_message_lists_attempts_where_no_plan_is_found():
     """A tenth of a second is too short for limits as low as these."""
     problem = ocp.Problem(

@@ -53,6 +53,7 @@ def test_waypoints_count_in_the_replay_error():
     )
 
 
+@pytest.mark.slow
 def test_a_missed_waypoint_is_named():
     asked = ocp.Waypoint([ocp.Shape(prism(1.3).nodes), ocp.AtRest()], share=0.1)
     coarse = planned(asked, intervals=10)
