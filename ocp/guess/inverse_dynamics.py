@@ -84,7 +84,7 @@ def _convert_to_rest_lengths(problem: Problem, states: Array, force_density: Arr
 def _interpolate_equilibria(problem: Problem, states: Array) -> Array:
     """Interpolate the equilibrium γ of the first and last state.
 
-    Lower limits take the place of an equilibrium that does not exist.
+    Lower limits take the place of an equilibrium that does not exist within the limits.
     """
     lower, upper = problem.force_density_limits
     model = problem.model
@@ -104,7 +104,7 @@ def _interpolate_equilibria(problem: Problem, states: Array) -> Array:
             )
         except (EquilibriumError, ValueError):
             gamma = lower
-        ends.append(np.clip(gamma, lower, upper))
+        ends.append(lower if np.any(gamma > upper) else np.maximum(gamma, lower))
     s = (np.arange(len(states) - 1)[:, None] + 0.5) / (len(states) - 1)
     return np.asarray((1 - s) * ends[0] + s * ends[1])
 
