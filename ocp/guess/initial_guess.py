@@ -1,4 +1,4 @@
-"""Initial guesses: motions on equal intervals."""
+"""Initial guesses: trajectories on equal intervals."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from tenscasadi.util.validate import (
     whole_number,
 )
 
-NOISE = 0.3  # of the strongest force density
-NOISY = 16.0  # rad of the fastest vibration: along longer motions there is less noise
+NOISE = 0.3  # relative to the largest force density
+NOISY = 16.0  # rad, phase of the fastest vibration above which the noise decreases
 
 
 class NamedGuess(Value):
-    """Initial guess with a kind in files."""
+    """Initial guess that problem files can store by its kind."""
 
 
 @runtime_checkable
@@ -45,28 +45,30 @@ class InitialGuess(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class InverseDynamics(NamedGuess, kind="InverseDynamics"):
-    """Initial guess by inverse dynamics along a path of the nodes.
+    """Initial guess by inverse dynamics along a path.
 
-    Accelerations are linear in the force densities, which therefore follow from a small convex
-    problem in each interval.
+    The path gives the positions of all nodes. Accelerations are linear in the force densities,
+    which therefore follow from a small convex problem in each interval.
 
     Parameters
     ----------
     path : array_like, shape (P, n, 3), optional
-        Nodes [m] at equal times from the start to the end. They are projected onto bars and joints.
-        Default: a smooth line from the start to the goals, which is also the default of `solve`.
+        Nodes [m] at equal times from the start to the end. They are projected onto the constraints
+        of bars and joints. Default: a smooth path from the start to the goals, which is also the
+        default of `solve`.
     noise : float, optional
-        Largest random change of a force density, relative to the strongest. Symmetric guesses are
-        often next to a saddle, which costs a solver many iterations. The noise is smaller if the
-        motion lasts more than 16 rad of the fastest vibration. Rest lengths get none. Default: 0.3,
-        which `Ipopt` adds only if it meets a saddle, or if the start is free.
+        Largest random change of a force density, relative to the largest force density. Symmetric
+        guesses are often close to a saddle point, which costs a solver many iterations. The noise
+        is smaller if the phase of the fastest vibration grows by more than 16 rad within the
+        duration. Rest lengths get no noise. Default: 0.3, which `Ipopt` adds only if it meets a
+        saddle point, or if the start is free.
     seed : int
-        Seed of the noise. With other seeds than 0, it is always added.
+        Seed of the noise. With seeds other than 0, the noise is always added.
 
     Raises
     ------
     TypeError, ValueError
-        If a value has another type or is out of bounds.
+        If a value has the wrong type or is out of range.
 
     Examples
     --------
@@ -119,7 +121,7 @@ class InverseDynamics(NamedGuess, kind="InverseDynamics"):
         Raises
         ------
         ValueError
-            If the path has another number of nodes.
+            If the number of nodes of the path differs from that of the model.
         """
         guess = (
             make_guess(problem, target, intervals)
@@ -149,7 +151,9 @@ class InverseDynamics(NamedGuess, kind="InverseDynamics"):
 
 @dataclass(frozen=True)
 class EquilibriumGuess(NamedGuess, kind="EquilibriumGuess", earlier="Equilibrium"):
-    """A guess in which nothing moves: the start for all times, under the force densities that hold it as nearly as they can.
+    """Initial guess that is constant in time.
+
+    Every state is the start. The controls balance it as nearly as their limits allow.
 
     Examples
     --------
@@ -191,7 +195,7 @@ class EquilibriumGuess(NamedGuess, kind="EquilibriumGuess", earlier="Equilibrium
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryGuess(NamedGuess, kind="TrajectoryGuess", earlier="Arrays"):
-    """A guess given as arrays at equal times.
+    """Initial guess given by arrays at equal times.
 
     Parameters
     ----------
@@ -205,7 +209,7 @@ class TrajectoryGuess(NamedGuess, kind="TrajectoryGuess", earlier="Arrays"):
     Raises
     ------
     TypeError, ValueError
-        If a value has another type or is out of bounds, or an array does not fit the model.
+        If a value has the wrong type or is out of range, or if an array does not fit the model.
 
     Examples
     --------
@@ -282,7 +286,10 @@ class TrajectoryGuess(NamedGuess, kind="TrajectoryGuess", earlier="Arrays"):
 def evaluate_guess(
     value: InitialGuess | None, problem: Problem, target: Target, intervals: int
 ) -> Guess:
-    """Build the guess of a value; see `InitialGuess.guess`. Raises TypeError, ValueError."""
+    """Evaluate an initial guess; see `InitialGuess.guess`.
+
+    None stands for `InverseDynamics`. Raises TypeError, ValueError.
+    """
     value = InverseDynamics() if value is None else value
     if isinstance(value, type) or not isinstance(value, InitialGuess):
         raise TypeError(
@@ -304,7 +311,9 @@ def resample_guess(
 ) -> Guess:
     """Resample states and controls on equal intervals.
 
-    They begin at the start, on the constraints, and keep the limits. Raises ValueError.
+    The states are projected onto the constraints; unless the start is free, the first one is the
+    start. Controls and duration are clipped to their limits. Raises ValueError if a projection
+    fails.
     """
     shares = np.linspace(0.0, 1.0, intervals + 1)
     moved = project_states(
@@ -326,10 +335,14 @@ def resample_guess(
 
 
 def _with_noise(problem: Problem, guess: Guess, share: float, seed: int) -> Guess:
-    """Return the guess with what parts its strings where a solver meets a saddle: at most a share of the strongest force density."""
+    """Attach the noise that a solver adds at a saddle.
+
+    It differs from string to string, which breaks symmetries. It is at most ``share`` times the
+    largest force density. Guesses of rest lengths get none.
+    """
     if controls_rest_lengths(
         problem.model
-    ):  # rest lengths: a share of them is far from any that hold the structure
+    ):  # such relative changes of rest lengths are far from equilibrium
         return guess
     change = np.random.default_rng(seed).uniform(size=guess.force_density.shape[1])
     strength = float(np.abs(guess.force_density).max()) or 1.0
@@ -338,10 +351,11 @@ def _with_noise(problem: Problem, guess: Guess, share: float, seed: int) -> Gues
 
 
 def _limit_noise(model: Model, guess: Guess) -> float:
-    """Compute the share of the noise along which errors hardly grow.
+    """Compute the factor that limits the noise of long motions.
 
-    They grow at up to √noise times the rate of the fastest vibration.
+    Perturbations grow at a rate of up to √noise times that of the fastest vibration. The factor
+    (at most 1) keeps this growth small.
     """
     middle = len(guess.force_density) // 2
     turned = fastest_rate(model, guess.states[middle], guess.force_density[middle]) * guess.duration
-    return min(1.0, (NOISY / turned) ** 3) if turned > 0.0 else 1.0  # NaN: no rate is known
+    return min(1.0, (NOISY / turned) ** 3) if turned > 0.0 else 1.0  # NaN: the rate is unknown

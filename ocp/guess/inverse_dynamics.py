@@ -1,4 +1,4 @@
-"""Inverse dynamics: force densities of a given motion."""
+"""Inverse dynamics: force densities of a given trajectory."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from tenscasadi.statics.force_density import EquilibriumError, equilibrium_force
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array
 
-# weight of the reference force densities against the accelerations, both scaled
+# weight of the regularization toward reference force densities, relative to scaled accelerations
 REFERENCE_WEIGHT = 1e-3
 
 
 def inverse_dynamics(problem: Problem, states: Array, interval: float) -> tuple[Array, float]:
-    """Find the controls (K, α) whose accelerations are nearest to those of states.
+    """Find the controls that best reproduce the accelerations of states.
 
-    The states (K + 1, nx) are an interval [s] apart. Returns the controls within their limits, and
-    the mean square of the error of accelerations.
+    The states (K + 1, nx) are an interval [s] apart. Returns the controls (K, α), within their
+    limits, and the mean squared error of the accelerations.
 
-    Accelerations are linear in γ: a small least-squares problem with bounds for every interval.
-    What it leaves open (self-stress) follows the equilibrium force densities of the first and the
-    last state.
+    Accelerations are linear in γ, which leads to a small bounded least-squares problem in each
+    interval. Self-stress does not change accelerations: it follows the equilibrium force densities
+    of the first and the last state.
     """
     model = build_force_density_model(problem.model)
     middle = (states[:-1] + states[1:]) / 2
@@ -63,9 +63,11 @@ def inverse_dynamics(problem: Problem, states: Array, interval: float) -> tuple[
 
 
 def _convert_to_rest_lengths(problem: Problem, states: Array, force_density: Array) -> Array:
-    """Return the rest lengths (K, α), within their limits, by which elastic strings pull so at states (K, nx): s − (s γ − c ṡ)/k.
+    """Convert force densities into rest lengths of elastic strings.
 
-    Strings keep 2 % of the greatest force density: slack ones would not respond to their controls.
+    At states (K, nx), the rest lengths (K, α) are s − (s γ − c ṡ)/k [m], clipped to their limits.
+    Strings keep at least 2 % of the largest force density, as slack ones do not respond to their
+    controls.
     """
     structure, now = problem.model.scene.structure, symbolic(problem.model)
     measure = ca.Function(
@@ -82,9 +84,10 @@ def _convert_to_rest_lengths(problem: Problem, states: Array, force_density: Arr
 
 
 def _interpolate_equilibria(problem: Problem, states: Array) -> Array:
-    """Interpolate the equilibrium γ of the first and last state.
+    """Interpolate between the equilibrium γ of first and last state.
 
-    Lower limits take the place of an equilibrium that does not exist within the limits.
+    If a state has no equilibrium within the limits, the lower limits are used. The result (K, α)
+    [N/m] is within the limits.
     """
     lower, upper = problem.force_density_limits
     model = problem.model
@@ -119,10 +122,11 @@ def _weights(structure: Structure, gravity: Gravity | None) -> Array | None:
 
 
 def _solve_least_squares(A: Array, b: Array, lower: Array, upper: Array) -> Array:
-    """Solve n least-squares problems |A x − b| with bounds.
+    """Solve n bounded least-squares problems min ‖A x − b‖.
 
     A primal-dual active-set method solves all n at once (Hintermüller, Ito, Kunisch, SIAM J. Optim.
-    2002, 13, 865). It mostly needs five rounds, but may cycle: SciPy solves the rest.
+    2002, 13, 865). It usually needs five iterations, but may cycle: SciPy then solves the remaining
+    problems.
     """
     H, c = A.transpose(0, 2, 1) @ A, (A.transpose(0, 2, 1) @ b[:, :, None])[:, :, 0]
     held = lower == upper
@@ -146,7 +150,7 @@ def _solve_least_squares(A: Array, b: Array, lower: Array, upper: Array) -> Arra
         open_ = np.any(before != side, axis=1)
         if not open_.any():
             return np.asarray(x)
-    loose = ~held  # lsq_linear wants room between its bounds
+    loose = ~held  # lsq_linear requires lower < upper
     for k in np.flatnonzero(open_):
         inner = scipy.optimize.lsq_linear(
             A[k][:, loose],

@@ -1,7 +1,7 @@
-"""Paths from the start to the target, as kinematic guesses of a motion.
+"""Kinematic paths to the target, for initial guesses.
 
-A path moves nodes along lines. Where the structure turns as a whole, the lines are those of a frame
-that turns with it; where bars turn by more, each bar turns about its own axis.
+A path moves nodes along straight lines. If the structure rotates as a whole, the lines are straight
+in a frame that rotates with it. If bars rotate far, each bar rotates about its own axis.
 """
 
 from __future__ import annotations
@@ -21,13 +21,14 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.util.linear_algebra import fit_rotation
 from tenscasadi.util.validate import Array
 
-LARGE_TURN = 0.5  # rad: along smaller turns lines are good paths
+LARGE_TURN = 0.5  # rad; for smaller rotations, straight lines are good paths
 
 
 def make_guess(problem: Problem, target: Target, intervals: int) -> Guess:
-    """Build the guess of a smooth path to the target, without noise.
+    """Build the guess along a smooth path to the target.
 
-    Of several paths, it follows the one whose accelerations the controls meet best.
+    It has no noise. Of several paths, it follows the one whose accelerations the controls reproduce
+    best.
     """
     duration = problem.typical_duration
     paths = find_paths(target, problem.model, intervals, duration)
@@ -36,9 +37,10 @@ def make_guess(problem: Problem, target: Target, intervals: int) -> Guess:
 
 
 def follow(problem: Problem, target: Target, positions: Array, duration: float) -> Guess:
-    """Build the guess that follows free coordinates (K + 1, nq) at equal times.
+    """Build the guess that follows given coordinates.
 
-    They are projected onto bars and joints; controls follow by inverse dynamics.
+    The free coordinates (K + 1, nq) are at equal times. They are projected onto the constraints of
+    bars and joints. The controls follow by inverse dynamics.
     """
     return _follow(problem, target, positions, duration)[0]
 
@@ -46,9 +48,13 @@ def follow(problem: Problem, target: Target, positions: Array, duration: float) 
 def _follow(
     problem: Problem, target: Target, positions: Array, duration: float
 ) -> tuple[Guess, float]:
-    """Build the guess that follows a path, and its error of accelerations."""
+    """Build the guess along a path, and its acceleration error.
+
+    The error is the mean squared error of the accelerations. It is inf if a bar turns by 90° or
+    more within an interval; the guess is then constant in time.
+    """
     states = _add_velocities(problem, target, positions, duration)
-    if states is None:  # a bar flips over on the way: nothing moves
+    if states is None:  # a bar turns too far within an interval: guess a constant state
         states = np.repeat(target.start[None], len(positions), axis=0)
         controls, _ = inverse_dynamics(problem, states, duration / (len(states) - 1))
         return Guess(states, controls, duration), np.inf
@@ -58,14 +64,24 @@ def _follow(
 
 
 class _Quintic(NamedTuple):
-    """Quintic polynomials of time: of the change, and of the velocities at both ends."""
+    """Quintic Hermite polynomials at given times.
+
+    Attributes
+    ----------
+    change : factor of the difference between both ends.
+    leave : factor of the derivative at the start.
+    arrive : factor of the derivative at the end.
+    """
 
     change: Array
     leave: Array
     arrive: Array
 
     def between(self, first: Array, last: Array, leaving: Array, arriving: Array) -> Array:
-        """Interpolate values with given derivatives at both ends; one row for each time."""
+        """Interpolate values with given derivatives at both ends.
+
+        The result has one row for each time. Second derivatives are zero at both ends.
+        """
         shape = (-1, *(1 for _ in np.shape(first)))
         change, leave, arrive = (part.reshape(shape) for part in self)
         return np.asarray(first + change * (last - first) + leave * leaving + arrive * arriving)
@@ -81,9 +97,10 @@ def _quintic(intervals: int) -> _Quintic:
 
 
 def find_paths(target: Target, model: Model, intervals: int, duration: float) -> list[Array]:
-    """Find free coordinates (K + 1, nq) from start to target, through the waypoints.
+    """Find paths from start to target through the waypoints.
 
-    There are several paths if the structure or its bars turn far.
+    A path has the free coordinates (K + 1, nq) at equal times. There are several paths if the
+    structure or its bars rotate far.
     """
     start, end = target.start, target.start if target.state is None else target.state
     (q0, v0, _), (q1, v1, _) = model.split(start), model.split(end)
@@ -106,7 +123,10 @@ def find_paths(target: Target, model: Model, intervals: int, duration: float) ->
 
 
 def select_coordinates(model: Model, nodes: Array) -> Array:
-    """Select the free coordinates (P, nq) of nodes (P, n, 3)."""
+    """Select the free coordinates from nodes.
+
+    Nodes are (P, n, 3) [m], the coordinates (P, nq).
+    """
     columns = nodes[:, model.mechanism.physical].reshape(len(nodes), -1)
     return np.asarray(model.mechanism.local(columns)[:, model.mechanism.free_index])
 
@@ -114,7 +134,10 @@ def select_coordinates(model: Model, nodes: Array) -> Array:
 def _turn_nodes(
     model: Model, start: Array, end: Array, quintic: _Quintic, duration: float
 ) -> Iterator[Array]:
-    """Yield nodes (K + 1, n, 3) along paths with large turns of the structure or its bars."""
+    """Yield paths with large rotations of structure or bars.
+
+    Each path has the nodes (K + 1, n, 3) [m] at equal times.
+    """
     (first, v0), (last, v1) = (
         (model.nodes(state), duration * model.velocities(state)) for state in (start, end)
     )
@@ -145,7 +168,11 @@ def _turn_nodes(
 
 
 def _list_turns(first: Array, last: Array, v0: Array, v1: Array) -> list[Array]:
-    """List rotation vectors from nodes (n, 3) to others: none, and the two nearest to their spin."""
+    """List candidate rotation vectors from nodes to others.
+
+    Nodes are (n, 3) [m]. The candidates are the zero vector, and those two of the rotation with one
+    turn less, as many or one turn more that are nearest to the mean angular velocity.
+    """
     turn = Rotation.from_matrix(fit_rotation(first, last)).as_rotvec()
     angle = np.linalg.norm(turn)
     if angle < 1e-9:
@@ -156,7 +183,10 @@ def _list_turns(first: Array, last: Array, v0: Array, v1: Array) -> list[Array]:
 
 
 def _spin(arms: Array, velocities: Array) -> Array:
-    """Compute the mean angular velocity of nodes (n, 3) about their center."""
+    """Compute the mean angular velocity of nodes.
+
+    ``arms`` (n, 3) [m] point from the center of rotation to the nodes.
+    """
     inertia = (arms**2).sum() * np.eye(3) - arms.T @ arms
     return np.asarray(np.linalg.pinv(inertia) @ np.cross(arms, velocities).sum(axis=0))
 
@@ -164,10 +194,11 @@ def _spin(arms: Array, velocities: Array) -> Array:
 def _turn_bars(
     model: Model, nodes: Array, leaving: Array, arriving: Array, change: Array
 ) -> Array | None:
-    """Move nodes (P, n, 3) so that each bar turns about its own axis; None if no bar turns far.
+    """Move nodes so that bars rotate about own axes.
 
-    Bars turn by the angle nearest to that of their velocities at the ends. They keep their lengths
-    as nearly as possible, and other nodes stay near their lines.
+    Nodes are (P, n, 3) [m]. Each bar rotates by the angle nearest to that of its velocities at both
+    ends of the path. Bars keep their lengths as nearly as possible, and other nodes stay near their
+    lines. Returns None if no bar rotates far.
     """
     structure, ends = model.structure, model.structure.bars
     b0, b1, r0, r1 = (
@@ -180,7 +211,7 @@ def _turn_bars(
     expected = (np.cross(b0, r0) / l0**2 + np.cross(b1, r1) / l1**2) / 2
     axes = np.cross(b0 / l0, b1 / l1)
     angles = np.arctan2(np.linalg.norm(axes, axis=1), (b0 * b1 / (l0 * l1)).sum(axis=1))
-    # opposite or equal directions: about the expected axis, or the normal of the structure
+    # Parallel directions define no axis: take the expected one, or the normal of the structure.
     normal = np.linalg.svd(structure.nodes - structure.nodes.mean(axis=0))[2][-1]
     others = expected + 1e-3 * normal
     others -= b0 * ((others * b0).sum(axis=1)[:, None] / l0**2)
@@ -206,7 +237,12 @@ def _turn_bars(
 
 
 def _add_velocities(problem: Problem, target: Target, q: Array, duration: float) -> Array | None:
-    """Build states (K + 1, nx) on the constraints from free coordinates at equal times."""
+    """Build states on the constraints from free coordinates.
+
+    Coordinates (K + 1, nq) are at equal times; velocities are their central differences. The states
+    (K + 1, nx) have the start and, if it is known, the target at the ends. Returns None if they are
+    not finite or if a bar turns by 90° or more within an interval.
+    """
     model, intervals = problem.model, len(q) - 1
     start = target.start
     clock = (

@@ -1,1 +1,4 @@
-"""Plans in phases: which nodes stand when; nodes land with an impact, and all phases are one program."""
+"""Plans with phases of given contact nodes, linked by impacts.
+
+All phases form one nonlinear program.
+"""

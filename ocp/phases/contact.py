@@ -1,4 +1,4 @@
-"""Rows of contact: nodes above the ground, and reactions within the cone of friction."""
+"""Contact constraints: ground clearance and friction cones."""
 
 from __future__ import annotations
 
@@ -12,20 +12,22 @@ from ocp.transcription.sparse_nlp import Block, split_symbol
 from ocp.transcription.variables import Variables
 from tenscasadi.scene.ground import Surface
 
-# of the pyramid inside the cone: its rows are linear, and have gradients also where nothing pushes
+# number of sides of the friction pyramid inside the cone; its rows are linear, and have gradients
+# also at zero reaction
 SIDES = 8
-# of the friction there is: with all of it nodes creep on a ground whose friction is smooth in the
-# speed
+# fraction of the friction coefficient that plans use; at the full coefficient, nodes creep on a
+# ground whose friction is a smooth function of the slip velocity
 SHARE = 0.8
 
-# of its share of the weight: less holds no node that stands where the ground gives way a little
+# minimum normal reaction, relative to the node's share of the weight; smaller ones do not keep the
+# contact on a compliant ground
 PRESSED = 0.1
 
 
 def cone_blocks(v: Variables, contact: ContactSet, ground: Surface, least: float) -> list[Block]:
-    """Keep reactions and impulses in the cone of friction about the ground's normal.
+    """Build the friction-cone constraints of reactions and impulses.
 
-    least: N, of every reaction along the normal.
+    Cones are about the normal of the ground. `least` is the minimum normal reaction [N].
     """
     place = v.states[0, contact.held].reshape(-1, 3)
     blocks = []
@@ -51,7 +53,11 @@ def cone_blocks(v: Variables, contact: ContactSet, ground: Surface, least: float
 def height_blocks(
     v: Variables, contact: ContactSet, grounds: Sequence[Surface], landing: Sequence[int]
 ) -> list[Block]:
-    """Keep nodes that do not stand above all grounds, and put those that land onto theirs."""
+    """Build the clearance constraints of nodes without contact.
+
+    They remain above all grounds that act on them. Nodes that land at the end of the phase are on
+    the ground there.
+    """
     size, coordinates = v.scales.length, find_node_coordinates(v.model)
     blocks = []
     for ground in grounds:
@@ -79,16 +85,18 @@ def height_blocks(
 
 
 def friction_cone(ground: Surface, least: float = 0.0) -> ca.Function:
-    """Return the Function (place, push) → rows (SIDES,), positive in a pyramid inside the cone: friction · normal part − part along a side.
+    """Build the rows of a friction pyramid inside the cone.
 
-    least: N, the push at the pyramid's tip.
+    The Function is (position, reaction) → rows (SIDES,), which are nonnegative inside the pyramid.
+    A row is friction coefficient × normal component − component along a tangent. `least` is the
+    normal reaction at the apex of the pyramid [N].
     """
     z, (place, push) = split_symbol(ca.SX, 3, 3)
     outward = ca.densify(ground.contact(place).outward)
     normal = outward / ca.norm_2(outward)
     axis = ca.if_else(
         ca.fabs(normal[0]) < 0.8, ca.DM([1, 0, 0]), ca.DM([0, 1, 0])
-    )  # any that is not along the normal
+    )  # an axis that is not parallel to the normal
     first = ca.cross(normal, axis)
     first = first / ca.norm_2(first)
     second = ca.cross(normal, first)

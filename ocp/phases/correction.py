@@ -1,4 +1,8 @@
-"""Solving again for what the true ground leaves: phases know neither how it gives way nor what its springs give back."""
+"""Deferred correction of phased plans on the compliant ground.
+
+The program of the phases assumes rigid contact. The replay has penalty contact, which is compliant
+and stores elastic energy.
+"""
 
 from __future__ import annotations
 
@@ -20,12 +24,12 @@ from tenscasadi.simulation.simulate import simulate
 from tenscasadi.util.validate import Array
 
 MOST_ROUNDS = 8
-MOST_LEFT = 0.7  # a round that leaves more than this share of the miss leads nowhere
-ENOUGH = 0.5  # of the tolerance
+MOST_LEFT = 0.7  # ratio of successive errors above which a round counts as ineffective
+ENOUGH = 0.5  # sufficient error, in units of the tolerance
 
 Read = Callable[
     [Array], tuple[Array, Array, Array]
-]  # of w: time (K + 1,), states (K + 1, nx), force densities (K, α)
+]  # w → time (K + 1,), states (K + 1, nx), force densities (K, α)
 
 
 def correct(
@@ -39,14 +43,13 @@ def correct(
     tolerance: float,
     monitor: Monitor,
 ) -> Solution:
-    """Return the solution whose replay misses its goals least: of the program, and of it with goals moved against what the replay misses.
+    """Correct a solution until its replay meets the goals.
 
-    Where that does not help, nodes slip that ought to stand: they are made to press harder, round
-    by round.
-
-    harder: least reaction that is added in a round, as a share of a typical one. tolerance: m, and
-    m per duration, of which half is enough. Only limits of rows change, so
-    nothing is built again.
+    Each round shifts the goals by the residuals of the replay, and solves again. If the error
+    hardly decreases, contact nodes slip in the replay. The minimum normal reaction is then
+    increased by `harder`, relative to a typical reaction. Rounds end at half the tolerance [m],
+    where velocities count as velocity × duration. Only limits of rows change, so that the solver is
+    built once. Returns the solution with the smallest error.
     """
     again, best = None, solution
     least, residuals = _replayed(model, *read(solution.w), targets)
@@ -85,7 +88,11 @@ def correct(
 def _replayed(
     model: Model, time: Array, states: Array, gamma: Array, targets: Sequence[Target]
 ) -> tuple[float, Array]:
-    """Return how far the replay misses all goals, m, and the rows of the goals at the ends of the phases."""
+    """Compute the goal residuals of a replay.
+
+    Returns the largest residual [m], and the rows of the goals at the ends of the phases.
+    Velocities count as velocity × duration. The largest residual is inf if the replay diverges.
+    """
     count = len(gamma) // len(targets)
     step = min(np.diff(time).max() / 10, contact_step(model))
     motion = simulate(

@@ -1,4 +1,4 @@
-"""Where the program of phases starts: a motion from the start through the targets, under force densities that differ from string to string."""
+"""Initial guess of a program with phases."""
 
 from __future__ import annotations
 
@@ -14,13 +14,19 @@ from ocp.targets.target import Target
 from ocp.transcription.mesh import Guess, held_values
 from tenscasadi.util.validate import Array, format_value
 
-PULLS = 3.0  # times the weight, over the structure's size: force densities of the guess, N/m
+PULLS = 3.0  # force density of the guess, in units of weight / size of the structure
 
 
 def guess_phases(
     parts: Sequence[Problem], targets: Sequence[Target], count: int, scales: Scales, weight: float
 ) -> list[Guess]:
-    """Return for each phase a motion from target to target; phases without goals stay where they begin."""
+    """Build the initial guess of each phase.
+
+    States move smoothly from one target to the next at zero velocity. In phases without goals they
+    are constant. Force densities are random about a typical value, so that they differ between
+    strings, and within their limits. `count` is the number of intervals of a phase, and `weight`
+    the weight of the structure [N].
+    """
     typical = PULLS * weight / scales.length or scales.mass / scales.time**2
     drawn, nq, at = np.random.default_rng(0), parts[0].model.nq, targets[0].start
     found = []
@@ -40,7 +46,10 @@ def guess_phases(
 
 
 def split_plan(plan: PlanResult, parts: Sequence[Problem], count: int) -> list[Guess]:
-    """Return a plan of as many phases as a guess of each. Raises ValueError for another plan."""
+    """Split a plan into the initial guesses of its phases.
+
+    Raises ValueError for a plan of another structure or number of phases.
+    """
     phases = len(parts)
     nx, nu = parts[0].model.nx, parts[0].model.nu
     before, remainder = divmod(len(plan.time) - 1, phases)

@@ -1,4 +1,4 @@
-"""Plans in phases: one program, corrected for the errors that remain on the true ground."""
+"""Planning with phases by one corrected nonlinear program."""
 
 from __future__ import annotations
 
@@ -35,12 +35,23 @@ from tenscasadi.util.validate import Array, format_value
 
 
 class PhaseValues(NamedTuple):
-    """A solution of a phase, in which s nodes stand.
+    """Solution of a phase with s contact nodes.
 
-    The state before its impact, if it has one, is the end of the phase before.
+    If the phase begins with an impact, the state before it is the final state of the preceding
+    phase.
 
-    states (K + 1, nx); force_density (K, α), N/m; duration, s; reactions (K + 1, s, 3), N; impulses
-    of the impact (0 or 1, s, 3), N·s.
+    Attributes
+    ----------
+    states : ndarray, shape (K + 1, nx)
+        States at the mesh points.
+    force_density : ndarray, shape (K, α)
+        Force densities [N/m].
+    duration : float
+        Duration [s].
+    reactions : ndarray, shape (K + 1, s, 3)
+        Ground reactions [N].
+    impulses : ndarray, shape (0, s, 3) or (1, s, 3)
+        Impulses of the impact [N·s].
     """
 
     states: Array
@@ -51,10 +62,18 @@ class PhaseValues(NamedTuple):
 
 
 class PhasedTask(NamedTuple):
-    """A problem with phases as a program.
+    """Problem with phases as a nonlinear program.
 
-    parts, targets, stages, contacts: of each phase. harder: the least reaction of a node that
-    stands, as a share of a typical one.
+    Attributes
+    ----------
+    problem : Problem
+        The problem.
+    parts, targets, stages, contacts : list
+        Problem, target, blocks and contact set of each phase.
+    harder : float
+        Minimum normal reaction of a contact node, relative to a typical reaction.
+    program : Program
+        The nonlinear program.
     """
 
     problem: Problem
@@ -71,7 +90,7 @@ class PhasedTask(NamedTuple):
         return self.stages[0].variables.count
 
     def values(self, w: Array) -> list[PhaseValues]:
-        """Return the values of each phase that scaled unknowns stand for."""
+        """Convert scaled unknowns to the values of each phase."""
         phases, count = len(self.parts), self.intervals
         states, gamma, durations = (np.asarray(one.full()).T for one in self.program.unpack(w))
         y = self.stages[0].variables.entries.values(w)
@@ -93,7 +112,11 @@ class PhasedTask(NamedTuple):
         ]
 
     def joined(self, w: Array) -> tuple[Array, Array, Array]:
-        """Return time (K + 1,), states (K + 1, nx) and force densities of all phases, where nodes land those after the impact."""
+        """Join time, states and force densities of all phases.
+
+        Shapes are (K + 1,), (K + 1, nx) and (K, α) for K intervals of all phases. At an impact, the
+        state is that after it.
+        """
         values, nodes = self.values(w), self.stages[0].variables.fractions
         durations = [
             float(np.clip(one.duration, part.shortest, part.longest))
@@ -116,11 +139,11 @@ def solve_phased(
     monitor: Monitor,
     tolerance: float,
 ) -> tuple[Outcome, Target]:
-    """Return what was found for a problem with phases, and the target that its replay is measured by.
+    """Solve a problem with phases.
 
-    transcription: a `Variational`, whose intervals are those of each phase. tolerance: how far the
-    replay may end from the goals, m.
-    Raises TypeError, ValueError, InfeasibleGoalError.
+    The transcription must be a `Variational`, whose intervals are those of each phase. `tolerance`
+    is the permitted distance of the replay from the goals [m]. Returns the result, and the target
+    of its acceptance test. Raises TypeError, ValueError or InfeasibleGoalError.
     """
     if not isinstance(solver, Ipopt):
         raise ValueError(f"solver is {type(solver).__name__}: phases take ocp.Ipopt()")
@@ -139,14 +162,17 @@ def solve_phased(
         tolerance,
         monitor,
     )
-    # goals were moved: the replay is what counts
+    # The goals of the program were shifted, so that only the replay decides on success.
     return _read_outcome(task, corrected._replace(success=True))
 
 
 def link_problem(
     problem: Problem, transcription: Transcription, guess: InitialGuess | None = None
 ) -> PhasedTask:
-    """Return a problem with phases as a program. Raises TypeError, ValueError, InfeasibleGoalError."""
+    """Build the nonlinear program of a problem with phases.
+
+    Linkage constraints connect the phases. Raises TypeError, ValueError or InfeasibleGoalError.
+    """
     if (
         not isinstance(transcription, Variational)
         or transcription.accuracy is not None
@@ -217,7 +243,11 @@ def link_problem(
 
 
 def _end_times(problem: Problem, stages: list[Stage]) -> list[Block]:
-    """Limit the times at which phases end: sums of durations; the first one's are those of its duration."""
+    """Build the limits of the end times of phases.
+
+    An end time is the sum of the durations up to it. That of the first phase is limited by its
+    duration.
+    """
     durations = np.concatenate([stage.variables.duration for stage in stages])
     blocks = []
     for k, phase in enumerate(problem.phases):
@@ -235,7 +265,11 @@ def _end_times(problem: Problem, stages: list[Stage]) -> list[Block]:
 
 
 def _without_end(part: Problem, problem: Problem) -> Problem:
-    """Return a phase before the last without the problem's own costs and limits of the end; but its duration is a part of the whole."""
+    """Drop the terminal costs and limits from an intermediate phase.
+
+    Additive costs remain, such as that of the duration, which is a part of the whole. Limits at the
+    end remain if they belong to the phase and not to the problem.
+    """
     costs = [cost for cost in part.costs if cost.additive]
     return replace(
         part,
@@ -249,7 +283,10 @@ def _without_end(part: Problem, problem: Problem) -> Problem:
 
 
 def _read_outcome(task: PhasedTask, solution: Solution) -> tuple[Outcome, Target]:
-    """Read the result of the program, and the target that its replay is measured by."""
+    """Read the result of the program.
+
+    Returns it with the target of its acceptance test.
+    """
     values, program = task.values(solution.w), task.program
     time, states, gamma = task.joined(solution.w)
     ends = time[task.intervals :: task.intervals] / time[-1]

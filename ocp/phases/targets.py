@@ -1,4 +1,4 @@
-"""Where the goals of phases lead: what is met at the end of each, without what standing nodes keep by themselves."""
+"""Targets of phases, without rows that contact nodes satisfy."""
 
 from __future__ import annotations
 
@@ -20,7 +20,11 @@ from tenscasadi.util.validate import Array
 
 
 def phase_problems(problem: Problem, air: Problem) -> list[Problem]:
-    """Return the problem of each phase by itself, as if it began where the plan does; air: the problem without its ground and its phases."""
+    """Build the separate problem of each phase.
+
+    All of them have the initial state of the plan, and the last one has also the goals of the whole
+    problem. `air` is the problem without its ground and its phases.
+    """
     goals = [phase.goals for phase in problem.phases]
     goals[-1] = (*goals[-1], *problem.goals)
     return [
@@ -30,7 +34,11 @@ def phase_problems(problem: Problem, air: Problem) -> list[Problem]:
 
 
 def find_targets(problem: Problem, parts: Sequence[Problem], scales: Scales) -> list[Target]:
-    """Return the target of each phase, near that of the one before. Raises `InfeasibleGoalError`, naming the phase."""
+    """Find the target of each phase.
+
+    The search starts at the target of the preceding phase. Raises `InfeasibleGoalError`, which
+    names the phase.
+    """
     targets, near, since_start = [], problem.initial_state, set(problem.phases[0].contact_nodes)
     for k, (phase, part) in enumerate(zip(problem.phases, parts, strict=True)):
         try:
@@ -49,7 +57,10 @@ def find_targets(problem: Problem, parts: Sequence[Problem], scales: Scales) -> 
 
 
 def join_targets(targets: Sequence[Target], ends: Array) -> Target:
-    """Join the targets of phases that end at fractions of the duration."""
+    """Join the targets of phases.
+
+    Those of intermediate phases become waypoints at the fractions `ends` of the duration.
+    """
     start = targets[0].start
     on_the_way = [
         WaypointTarget(float(end), part) for end, part in zip(ends[:-1], targets[:-1], strict=True)
@@ -64,10 +75,11 @@ def join_targets(targets: Sequence[Target], ends: Array) -> Target:
 def _without_standing(
     target: Target, part: Problem, stands: Sequence[int], since_start: Sequence[int], scales: Scales
 ) -> Target:
-    """Return the target without the combinations of its rows that nodes which stand keep, together with the bars.
+    """Drop the rows that contact nodes and bars satisfy.
 
-    These are velocities of all nodes that stand, and places of those that have stood since the
-    start: where others land, their goals decide.
+    They are combinations of the target's rows. Contact nodes fix their velocities. Nodes in contact
+    since the start of the plan also fix their positions; other contact nodes land at positions that
+    the goals determine.
     """
     if not target.count or not stands or target.state is None:
         return target

@@ -13,9 +13,10 @@ from tenscasadi.util.validate import LARGEST
 
 
 def check_plan(given: Mapping[str, Any]) -> None:
-    """Raise ValueError naming the first field that no plan can have, or that does not fit others.
+    """Check the fields of a plan for validity and consistency.
 
-    Numbers that are not finite are unknown.
+    Raises ValueError, which names the first invalid field. Numbers that are not finite count as
+    unknown.
     """
     trajectory, model, structure = given["trajectory"], given["model"], given["structure"]
     if model is not None and trajectory.states.shape[1] != model.nx:
@@ -34,7 +35,7 @@ def check_plan(given: Mapping[str, Any]) -> None:
             fault = f"not finite or above {LARGEST:g}, although the plan succeeded"
             raise ValueError(f"field {name!r} is {fault}")
     _check_numbers(given, trajectory)
-    if model is None:  # its scene may be subdivided
+    if model is None:  # The scene may subdivide strings, so that counts cannot be checked.
         return
     if controls_rest_lengths(model) is (given.get("rest_length") is None):
         raise ValueError("field 'rest_length' does not fit the model's control")

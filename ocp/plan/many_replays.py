@@ -1,4 +1,7 @@
-"""Many replays of a plan at once: open loop, wound by motors, or kept to by a tracker."""
+"""Batches of replays for the robustness of plans.
+
+Replays are in open loop or under a tracker, by force-density or rest-length control.
+"""
 
 from __future__ import annotations
 
@@ -31,9 +34,9 @@ from tenscasadi.simulation.rollouts import rollouts
 from tenscasadi.util.validate import Array, positive_number, whole_number
 
 MOST_SAMPLES = 1_000_000  # replays
-UPDATES = 10  # of rest lengths in each interval
-WOUND_STEPS = 5  # from one change of rest lengths to the next
-RELIABLE = 1e-2  # of the structure's size: the tolerance where none is given
+UPDATES = 10  # rest-length updates in each interval
+WOUND_STEPS = 5  # integration steps between two rest-length updates
+RELIABLE = 1e-2  # default tolerance, relative to the structure's size
 
 
 def measure_robustness(
@@ -45,7 +48,11 @@ def measure_robustness(
     tolerance: float | None,
     track: Callable[..., Any] | None,
 ) -> Robustness:
-    """Replay a `Plan` many times; arguments and errors as of `Plan.robustness`. track: what makes a `Tracker` of it; None: open loop."""
+    """Replay a plan with varied parameters and initial states.
+
+    Arguments and errors are those of `Plan.robustness`. `track` builds a `Tracker` of the plan;
+    None replays it in open loop.
+    """
     spreads, place = check_spreads(parameters), check_start(start)
     whole_number("samples", samples, 1, MOST_SAMPLES)
     rng = np.random.default_rng(whole_number("seed", seed, 0))
@@ -104,7 +111,10 @@ def measure_robustness(
 
 
 def _driven(plan: Any, tracker: Any) -> tuple[Feedback | ControlProfile, float]:
-    """Return the force densities of the plan, or of its tracker, and the longest step of a replay, s."""
+    """Build the force-density control of a replay, and its step.
+
+    It is the profile of the plan, or the feedback of its tracker. The step is the longest one [s].
+    """
     longest = float(np.diff(plan.time).min()) / STEPS
     if tracker is not None:
         return Feedback(
@@ -119,12 +129,15 @@ def _driven(plan: Any, tracker: Any) -> tuple[Feedback | ControlProfile, float]:
 
 
 def _wound(plan: Any, tracker: Any) -> tuple[Feedback, float]:
-    """Return the rest lengths that bring the plan about, or the tracker's force densities at the planned lengths, and the longest step, s.
+    """Build the rest-length control of a replay, and its step.
 
-    ρ = s (1 − γ/k) (Eq. 99) with the planned lengths s: of γ_k − G (x − x_k) that is ρ_k + (s/k) G
-    (x − x_k).
+    It realizes the force densities of the plan, or of its tracker, at the planned string lengths s.
+    The step is the longest one [s].
+
+    With ρ = s (1 − γ/k) (Eq. 99), the feedback law γ_k − G (x − x_k) becomes
+    ρ_k + (s/k) G (x − x_k).
     """
-    plan.rest_lengths()  # names the string that is too soft
+    plan.rest_lengths()  # raises an error that names a string of too low stiffness
     k, size = plan.structure.stiffness, plan.trajectory.states.shape[1]
     time, rest = wind(plan, k, UPDATES)
     if tracker is None:
@@ -143,6 +156,9 @@ def _wound(plan: Any, tracker: Any) -> tuple[Feedback, float]:
 
 
 def _open_loop(time: Array, controls: Array, size: int) -> Feedback:
-    """Return controls (K, α) that are held from each time (K + 1,) to the next, whatever the state is."""
+    """Build a feedback with zero gains from piecewise constant controls.
+
+    Controls (K, α) apply between successive times (K + 1,).
+    """
     count, strings = controls.shape
     return Feedback(time, controls, np.zeros((count + 1, size)), np.zeros((count, strings, size)))

@@ -1,4 +1,7 @@
-"""Models in files of plans of version 0.1: arrays by name."""
+"""Reader of plan files of version 0.1.
+
+They hold models as named arrays.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +35,8 @@ _LAWS: Mapping[str, Any] = {
 def upgrade(content: Fields, trajectory: Trajectory) -> dict[str, Any]:
     """Restore structure, model, problem and method of solution.
 
-    The model is None if there is none, or if its scene has functions of time. Raises ValueError.
+    The model is None if the file has none, or if its scene has functions of time. Raises ValueError
+    for damaged content.
     """
     none = dict.fromkeys(("model", "problem", "transcription", "solver"))
     unknown = {"not_restored": "its file is of an older version"}

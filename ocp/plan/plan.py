@@ -1,4 +1,4 @@
-"""The plan that a solver found: force densities over time, the motion they cause, and how far its replay ends from the goal."""
+"""Plans: solutions of optimal control problems."""
 
 from __future__ import annotations
 
@@ -33,53 +33,62 @@ from tenscasadi.util.viewable import Viewable
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
-    """Force densities over time, the motion that they cause, and how far its replay ends from the goals.
+    """Solution of an optimal control problem.
 
-    `solve` returns one; also where no plan was found: it then holds the best that there is, and
-    says why.
+    A plan has the controls over time, the resulting motion, and the errors of its replay. `solve`
+    returns a plan also after a failure. It is then the best iterate, and `message` gives the cause.
 
     Attributes
     ----------
     success : bool
-        Whether an optimum was found whose replay meets the tolerance.
-    status, message : str
-        The solver's own word; what was imposed and what came of it, after a failure why, and what
-        to try.
+        Whether the replay meets goals, waypoints and terminal limits within the tolerance, and the
+        plan meets all limits.
+    status : str
+        Return status of the solver.
+    message : str
+        Imposed rows and the result. After a failure, its cause and a cure.
     objective : float
         Sum of the costs.
-    iterations, seconds : int, float
-        Iterations of the solver, and wall time of building and solving, s.
+    iterations : int
+        Iterations of the solver.
+    seconds : float
+        Wall time to build and solve the program [s].
     time : ndarray, shape (K + 1,)
-        Nodes of the mesh, s.
+        Mesh points [s].
     force_density : ndarray, shape (K, α) or (K + 1, α)
-        Force densities, N/m: held from each node of the mesh to the next, or given at the nodes and
-        linear between them.
+        Force densities [N/m], constant on each interval, or given at the mesh points and linear
+        between them.
     trajectory : Trajectory
-        The planned motion at the nodes of the mesh.
-    replay_error, replay_speed_error : float
-        Distance of the replay that counts from the goals, and from states that keep the limits of
-        the end [m], and difference of velocities [m/s]; NaN if it diverges.
+        Planned motion at the mesh points.
+    replay_error : float
+        Distance of the replay from the goals and from states within the terminal limits [m]; NaN if
+        the replay diverges.
+    replay_speed_error : float
+        Residual of velocity goals in the replay [m/s]; NaN if the replay diverges.
     open_loop_error : float
-        Larger of both errors of the open-loop replay, velocities as the distance over the duration
-        [m]; inf if it diverges.
+        Larger error of the open-loop replay [m]: of positions, or velocities × duration. It is inf
+        if the replay diverges.
     tracked : bool
-        Whether the replay that counts is the one under `track`.
-    structure, model : Structure, and Model or None
-        What was planned for, and its model; None for a loaded plan whose scene has functions of
-        time (moved supports, nodal forces).
+        Whether `replay_error` and `success` are those of the replay under `track`. By default they
+        are those of the open-loop replay.
+    structure : Structure
+        Structure of the plan.
+    model : Model or None
+        Model of the plan; None if it was loaded and its scene has functions of time (moving
+        supports, nodal forces).
     duals : Duals or None
-        Multipliers of the constraints; None where no optimum was found.
+        Duals of the constraints; None if no optimum was found.
     problem, transcription, solver : Problem, transcription and solver, or None
-        What was asked, how it was made a program, and what solved it; None where a file does not
-        hold it, and `not_restored` says why.
+        Problem and method of solution; None if a file does not hold them. `not_restored` gives the
+        reason.
     start_objectives : ndarray, shape (n,), or None
-        Objectives of the plans from several starts, of which this is the best; NaN where none was
-        found. None: there was one start.
+        Objectives of the plans from n starts, of which this is the best; NaN for starts that
+        failed. None for one start.
     not_restored : str
-        See above.
+        Reason why a loaded plan has no problem, transcription or solver; "" if it has them.
     rest_length : ndarray, shape (K, α) or (K + 1, α), or None
-        Rest lengths, m, where these were decided (``control=RestLength()``), and not force
-        densities: those are then what follows at the same times.
+        Rest lengths [m] under rest-length control (``control=RestLength()``). `force_density` has
+        the resulting force densities at the same times. None under force-density control.
 
     Examples
     --------
@@ -95,12 +104,12 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
 
     @classmethod
     def of(cls, result: PlanResult) -> Plan:
-        """Return a result of a search with the methods of a plan.
+        """Convert the result of a search to a plan.
 
         Parameters
         ----------
         result : PlanResult
-            The result, such as of `ocp.search.find_plan`.
+            Result of a search, such as by `ocp.search.find_plan`.
 
         Returns
         -------
@@ -110,7 +119,7 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
         return cls(**{field.name: getattr(result, field.name) for field in fields(PlanResult)})
 
     def summary(self) -> str:
-        """Describe what was found and how.
+        """Describe the plan and its replay.
 
         Returns
         -------
@@ -135,33 +144,36 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
         tracked: bool = False,
         parameters: Any = None,
     ) -> Trajectory:
-        """Simulate the motion under the planned force densities, or rest lengths, from the plan's start, without corrections or under `track`.
+        """Simulate the plan, in open loop or tracked.
+
+        The simulation applies the planned force densities or rest lengths from the plan's initial
+        state. With `tracked`, the time-varying LQR of `track` corrects them.
 
         Parameters
         ----------
         scheme : Scheme, optional
             Integration scheme. Default: `RungeKutta4()`.
         step : float, optional
-            Longest step, s. Default: a tenth of an interval, less where nodes on a ground ask for
-            it.
+            Longest step [s]. Default: a tenth of an interval, or less if contact with a ground
+            requires it.
         tracked : bool
-            Whether `track` keeps to the plan, in steps of its own: of `RungeKutta4`, a tenth of an
+            Whether to replay under `track`. Its steps are those of `RungeKutta4`, a tenth of an
             interval long.
         parameters : array_like, shape (np,), or mapping of str to array_like, optional
-            Values of the parameters of the model that the problem was made of, see `Problem.with_parameters`:
-            what becomes of the plan where they are other than planned for. Default: those that it
-            was planned for.
+            Parameter values of the simulated model, see `Problem.with_parameters`. They show the
+            effect of model errors on the plan. Default: the planned values.
 
         Returns
         -------
         Trajectory
-            The motion. Clocks of scenes with functions of time start where the plan's does.
+            The simulated motion. The clock of a scene with functions of time starts at that of the
+            plan.
 
         Raises
         ------
         TypeError, ValueError
-            An argument is wrong, or the model is not known: a loaded plan whose scene has functions
-            of time.
+            If an argument is invalid, or the model is unknown, as for a loaded plan whose scene has
+            functions of time.
         """
         flag("tracked", tracked)
         if tracked:
@@ -185,17 +197,19 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
         return replay_open(self, model, RungeKutta4() if scheme is None else scheme, step)
 
     def report(self) -> Report:
-        """Report the limits that hold the plan back, with what they cost, and those that it or its replay breaks.
+        """List active limits with their duals, and violated limits.
+
+        Violations are those of the plan, and those of its open-loop replay.
 
         Returns
         -------
         Report
-            The limits by name; it prints as a text.
+            The limits by name. It prints as text.
 
         Raises
         ------
         ValueError
-            The problem is not known.
+            If the problem is unknown.
         """
         if self.problem is None:
             raise ValueError(
@@ -206,29 +220,30 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
         )
 
     def refine(self, tolerance: float, attempts: int = 5) -> Plan:
-        """Solve again, from what was found, until the replay ends near enough to the goals or that no longer halves its error.
+        """Refine the mesh until the replay meets a tolerance.
 
-        On a finer mesh, or where that does not get there with corrections, as by `accuracy` of a
-        transcription.
+        Each attempt solves on a finer mesh, starting from the last plan. If finer meshes are not
+        sufficient, deferred correction follows, as with `accuracy` of a transcription. Refinement
+        ends when the error is within the tolerance, or a finer mesh no longer halves it.
 
         Parameters
         ----------
         tolerance : float
-            How far the replay may end from the goals, m, and as many m per duration in speed.
+            Permitted distance of the replay from the goals [m], also for velocities × duration.
         attempts : int
-            Most times that is solved.
+            Maximum number of attempts.
 
         Returns
         -------
         Plan
-            One that meets the tolerance, or the best, whose message says that it does not. A plan
-            that was not found is returned as it is.
+            The best plan. Its message reports if it misses the tolerance. A plan that is no optimum
+            is returned unchanged.
 
         Raises
         ------
         TypeError, ValueError
-            An argument is wrong, or it is not known how the plan was solved: a file holds no own
-            functions, costs or schemes.
+            If an argument is invalid, or problem, transcription or solver are unknown. Files do not
+            hold user-defined functions, costs and schemes.
         """
         limit = positive_number("tolerance", tolerance)
         whole_number("attempts", attempts, 1)
@@ -249,42 +264,42 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
         tracked: bool = False,
         tolerance: float | None = None,
     ) -> Robustness:
-        """Replay the plan many times, where the structure or the start is not quite as planned.
+        """Simulate the plan under random parameter and state errors.
 
-        Each parameter of a replay is the planned one times a factor of its own, and each coordinate
-        of its start the planned one plus a change, which bars and joints then put right; both are
-        drawn uniformly and independently within ± their spread.
+        This is a Monte Carlo study. Each parameter is multiplied by a random factor, and each
+        coordinate and velocity of the initial state has a random error. The distributions are
+        independent and uniform within ± their spread. Initial states are then projected onto bars
+        and joints.
 
         Parameters
         ----------
         parameters : mapping of str to float, optional
-            Relative spreads by name, at least 0 and less than 1, of quantities of
-            `tenscasadi.Parameters`. With ``"stiffness"`` or ``"damping"`` motors wind elastic
-            strings to the rest lengths of the plan, as `replay_rest_lengths` does: force densities do not
-            depend on these.
+            Relative spreads of quantities of `tenscasadi.Parameters` by name, at least 0 and less
+            than 1. With ``"stiffness"`` or ``"damping"``, replays are under rest-length control as
+            in `replay_rest_lengths`, because prescribed force densities do not depend on them.
         start : float or (float, float)
-            Spread of the nodes' coordinates, m, and of their velocities, m/s.
+            Spread of the nodes' coordinates [m], and of their velocities [m/s].
         samples : int
             Number of replays.
         seed : int
-            Seed of the draws.
+            Seed of the random numbers.
         tracked : bool
-            Whether `track` keeps to the plan, by the state of each replay. Wound strings then get
-            the rest lengths that pull as it decides at the planned lengths.
+            Whether to replay under the feedback of `track`. Under rest-length control, its force
+            densities are converted to rest lengths at the planned string lengths.
         tolerance : float, optional
-            How far a replay may end from the goals, m, and as many m per duration in speed.
+            Permitted distance of a replay from the goals [m], also for velocities × duration.
             Default: 1 % of the structure's size.
 
         Returns
         -------
         Robustness
-            The errors of all replays, the share that meets the tolerance, and what matters most.
+            Errors of all replays, their success rate, and the importance of each varied quantity.
 
         Raises
         ------
         TypeError, ValueError
-            An argument is wrong, nothing varies, the scene does not have what a parameter names, or
-            the model is not known.
+            If an argument is invalid, nothing varies, the scene has no quantity of a given name, or
+            the model is unknown.
         """
         flag("tracked", tracked)
         return measure_robustness(
@@ -293,17 +308,17 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], problem: Problem | None = None) -> Plan:
-        """Load a plan that was saved.
+        """Load a saved plan.
 
         No code in the file is ever run.
 
         Parameters
         ----------
         path : str or PathLike
-            Name of the file, as it is.
+            Name of the file, including its suffix.
         problem : Problem, optional
-            The problem. Needed if it holds functions of Python, which no file does. Default: that
-            of the file, with its model.
+            The problem. It is needed if it has Python functions, which files do not hold. Default:
+            the problem and model of the file.
 
         Returns
         -------
@@ -313,10 +328,10 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
         Raises
         ------
         FileNotFoundError
-            There is no such file.
+            If the file does not exist.
         ValueError
-            The file cannot be read, is no plan or one that cannot be, or the model of `problem` is
-            another; the message names the differences.
+            If the file is damaged, has no valid plan, or the model of `problem` is another one. The
+            message names the differences.
         """
         if problem is not None:
             instance("problem", problem, Problem, "an ocp.Problem or None")
@@ -331,7 +346,9 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
 
     @classmethod
     def from_arrays(cls, content: Mapping[str, Any]) -> Plan:
-        """Build from arrays; names of earlier versions are read, too.
+        """Build a plan from arrays.
+
+        Field names of earlier versions are also accepted.
 
         Parameters
         ----------
@@ -346,7 +363,7 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
         Raises
         ------
         ValueError
-            A field is missing or has a wrong type, shape or value. The message names the field.
+            If a field is missing or has a wrong type, shape or value. The message names the field.
         """
         return super().from_arrays({_RENAMED.get(name, name): content[name] for name in content})
 
@@ -364,11 +381,14 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
         return read_tables("plan", str(content["plan"]), read_parts)
 
 
-_RENAMED = {"unknown": "not_restored", "starts": "start_objectives"}  # fields of older files
+_RENAMED = {"unknown": "not_restored", "starts": "start_objectives"}  # field names of older files
 
 
 def _find_differences(plan: Plan, model: Model) -> list[str]:
-    """Find the fields, but for names, in which the model of a plan differs from another one."""
+    """Find fields that differ between a plan's model and another.
+
+    Names of nodes and members do not count.
+    """
     motion = plan.trajectory
     one: Any = plan.model
     other: Any = model

@@ -1,4 +1,4 @@
-"""Models, problems and methods of solution in files of plans."""
+"""Models, problems and methods of solution in plan files."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _METHOD = ("transcription", "solver")
 def write_parts(plan: PlanResult) -> str:
     """Format the parts of a plan as a scene file.
 
-    Reasons take the place of parts that files cannot hold.
+    Parts that files cannot hold are replaced by the reason.
     """
     left_out: dict[str, str] = {}
 

@@ -1,4 +1,4 @@
-"""How much of a plan's worth remains where the structure or the start is not quite as planned: many replays at once."""
+"""Monte Carlo robustness of plans to parameter and state errors."""
 
 from __future__ import annotations
 
@@ -23,36 +23,39 @@ from tenscasadi.util.validate import (
     text,
 )
 
-SHARES = (0.05, 0.5, 0.95)  # of the replays, whose errors a summary tells
-STRINGS = ("stiffness", "damping")  # quantities that act through the strings' law
-ROOM = 10  # replays for each coefficient of a regression
+SHARES = (0.05, 0.5, 0.95)  # probabilities of the quantiles in a summary
+STRINGS = ("stiffness", "damping")  # quantities of the string law, without effect under given γ
+ROOM = 10  # minimum number of replays for each regression coefficient
 
 
 @dataclass(frozen=True, eq=False)
 class Robustness(ReadOnlyArrays):
-    """Errors of many replays of a plan, each with other parameters and another start; see `Plan.robustness`.
+    """Errors of replays with random parameters and initial states.
+
+    `Plan.robustness` returns it.
 
     Attributes
     ----------
     names : tuple of str
-        What varies: parameters, and "start".
+        Varied quantities: parameters, and "start" for the initial state.
     factors : ndarray, shape (n, k)
-        What each parameter of each replay is multiplied by.
+        Factors of the k parameters in each of the n replays.
     starts : ndarray, shape (n, nx)
-        The starts.
+        Initial states.
     error, speed_error : ndarray, shape (n,)
-        How far each replay ends from the goals, m, and in velocities, m/s; inf where it diverges.
+        Largest residual of the goals in each replay, of positions [m] and of velocities [m/s]; inf
+        if the replay diverges.
     duration : float
-        Duration of the plan, s.
+        Duration of the plan [s].
     tolerance : float
-        How far a replay may end from the goals, m, and as many m per duration in speed.
+        Permitted distance of a replay from the goals [m], also for velocities × duration.
     importance : dict of str to float
-        The share of the variance of the misses that each of `names` brings about, that of "start"
-        is what the parameters leave; NaN where replays are too few to tell.
+        Fraction of the residuals' variance that each of `names` explains. That of "start" is the
+        fraction that the parameters do not explain. NaN if there are too few replays.
     tracked : bool
-        Whether the plan was kept to by `track`.
+        Whether the replays are under `track`.
     seconds : float
-        Wall time of the replays, s.
+        Wall time of the replays [s].
 
     Examples
     --------
@@ -82,7 +85,10 @@ class Robustness(ReadOnlyArrays):
 
     @property
     def worst_error(self) -> Array:
-        """The larger of the errors in place, and in speed times the duration (n,), m."""
+        """Larger of both errors of each replay (n,) [m].
+
+        They are the position error, and velocity error × duration.
+        """
         return np.maximum(self.error, self.speed_error * self.duration)
 
     @property
@@ -92,12 +98,15 @@ class Robustness(ReadOnlyArrays):
 
     @property
     def share(self) -> float:
-        """The share of the replays that meet the tolerance."""
+        """Success rate: fraction of the replays that meet the tolerance."""
         return float(np.mean(self.meets))
 
     @property
     def matters_most(self) -> str:
-        """The parameter, or "start", that brings about most of the misses; "" where replays are too few to tell."""
+        """Varied quantity that explains most variance of the residuals.
+
+        It is a parameter or "start", and "" if there are too few replays.
+        """
         return (
             max(self.importance, key=self.importance.__getitem__)
             if np.all(np.isfinite(list(self.importance.values())))
@@ -105,22 +114,22 @@ class Robustness(ReadOnlyArrays):
         )
 
     def quantiles(self, shares: Sequence[float] = SHARES) -> Array:
-        """Return errors that shares of the replays stay below.
+        """Compute quantiles of the replay error.
 
         Parameters
         ----------
         shares : sequence of float
-            Shares, from 0 to 1.
+            Probabilities, from 0 to 1.
 
         Returns
         -------
         ndarray, shape (len(shares),)
-            Values of `worst_error`, m; inf where as many diverge.
+            Quantiles of `worst_error` [m]. A quantile among diverging replays is inf.
 
         Raises
         ------
         TypeError, ValueError
-            A share is no number from 0 to 1.
+            If a probability is no number from 0 to 1.
         """
         wanted = finite_array("shares", shares, (None,))
         if np.any((wanted < 0) | (wanted > 1)):
@@ -129,7 +138,7 @@ class Robustness(ReadOnlyArrays):
         return np.asarray(ordered[np.ceil(wanted * (len(ordered) - 1)).astype(int)])
 
     def summary(self) -> str:
-        """Describe how the replays end.
+        """Describe success rate, errors, and importance of the variations.
 
         Returns
         -------
@@ -159,7 +168,10 @@ class Robustness(ReadOnlyArrays):
 
 
 def check_spreads(parameters: Any) -> dict[str, float]:
-    """Return relative spreads by name, each at least 0 and less than 1. Raises TypeError, ValueError."""
+    """Check relative parameter spreads by name.
+
+    Each must be at least 0 and less than 1. Raises TypeError or ValueError.
+    """
     if parameters is None:
         return {}
     if not isinstance(parameters, Mapping):
@@ -185,7 +197,10 @@ def check_spreads(parameters: Any) -> dict[str, float]:
 
 
 def check_start(start: Any) -> tuple[float, float]:
-    """Return the spreads of places, m, and velocities, m/s. Raises TypeError, ValueError."""
+    """Check the spreads of initial positions and velocities.
+
+    Returns them in m and m/s. Raises TypeError or ValueError.
+    """
     if nesting(start) == 0:
         return positive_number("start", start, zero=True), 0.0
     pair = finite_array("start", start, (2,))
@@ -198,7 +213,11 @@ _VARIED: WeakKeyDictionary[Model, dict[Any, Model]] = WeakKeyDictionary()
 
 
 def vary_model(model: Model, names: tuple[str, ...], control: Any) -> Model:
-    """Return the model with factors of some quantities as its parameters, under another control; the same one each time."""
+    """Build the model with factors of some quantities as parameters.
+
+    Its control is replaced. Models are cached. Raises ValueError if the model already has
+    parameters.
+    """
     if model.np:
         raise ValueError(
             "robustness varies the values of the scene: plan with a model whose scene has no parameters="
@@ -222,7 +241,29 @@ def draw_starts(
     parameters: Array,
     rng: np.random.Generator,
 ) -> tuple[Array, Array]:
-    """Return starts (n, nx) about a state, on bars and joints, and the changes (n, 2nq) of its coordinates and velocities before that."""
+    """Draw initial states about a given state.
+
+    Parameters
+    ----------
+    model : Model
+        Model of the replays.
+    state : ndarray, shape (nx,)
+        Planned initial state.
+    spread : (float, float)
+        Spreads of coordinates [m] and velocities [m/s].
+    parameters : ndarray, shape (n, k)
+        Parameters of the replays.
+    rng : Generator
+        Generator of random numbers.
+
+    Returns
+    -------
+    starts : ndarray, shape (n, nx)
+        Initial states, projected onto bars and joints.
+    changes : ndarray, shape (n, 2nq)
+        Errors of coordinates and velocities before the projection, relative to their spread.
+        Columns with zero spread are omitted.
+    """
     count = len(parameters)
     changes = rng.uniform(-1, 1, (count, 2 * model.nq))
     starts = np.repeat(state[None], count, axis=0)
@@ -234,11 +275,25 @@ def draw_starts(
 
 
 def share_variance(draws: Mapping[str, Array], misses: Array) -> dict[str, float]:
-    """Return the share of the variance of misses (n, m) that each of the independent draws (n, c), of mean zero, brings about.
+    """Decompose the variance of residuals by independent inputs.
 
-    Of single columns by least squares on them and their squares, which are not correlated, beside
-    the products of any two. What all of these leave is that of draws of several columns, whose
-    effects need not be polynomials.
+    A quadratic regression yields first-order sensitivity indices (Sobol). Its terms are each scalar
+    input, its square, and the products of any two; they are uncorrelated. The index of an input is
+    the fraction of the variance that its linear and quadratic terms explain. Inputs with several
+    columns are not part of the regression, as their effects need not be polynomial. They have the
+    fraction of the variance that the regression leaves.
+
+    Parameters
+    ----------
+    draws : mapping of str to ndarray, shape (n, c)
+        Independent inputs of mean zero by name.
+    misses : ndarray, shape (n, m)
+        Residuals of the replays; NaN for diverging ones, which do not count.
+
+    Returns
+    -------
+    dict of str to float
+        Fraction of the variance by name; NaN if there are too few replays, or no variance.
     """
     single = {name: x for name, x in draws.items() if x.shape[1] == 1}
     products = [single[one] * single[other] for one, other in combinations(single, 2)]

@@ -1,1 +1,1 @@
-"""A plan that is asked for: goals, bounds, costs, and the expressions they become."""
+"""Optimal control problems: goals, bounds, costs and their expressions."""

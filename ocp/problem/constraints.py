@@ -1,4 +1,4 @@
-"""Path constraints of single bounds."""
+"""Symbolic path constraints of single bounds."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tenscasadi.dynamics.model import Model
 
 
 def build_constraint(bound: Bound, model: Model) -> PathConstraint:
-    """Build the path constraint of a bound, in symbols of its own."""
+    """Build the path constraint of a bound in new symbols."""
     now = symbolic(model)
     if isinstance(bound, RateBound):
         after = symbolic(model)

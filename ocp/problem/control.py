@@ -1,4 +1,4 @@
-"""Control of a plan: force densities of strings, or rest lengths of elastic ones."""
+"""Control of a plan: force densities, or rest lengths."""
 
 from __future__ import annotations
 
@@ -29,14 +29,18 @@ def build_force_density_model(model: Model) -> Model:
 def build_smooth_model(model: Model) -> Model:
     """Build the model whose elastic strings do not go slack.
 
-    Limits of a program keep them from pushing, so that it needs no law with a corner.
+    The force densities of a nonlinear program are limited to γ ≥ 0, which makes the nonsmooth slack
+    law unnecessary.
     """
     smooth = not controls_rest_lengths(model) or model.scene.slack == Linear()
     return model if smooth else _change(model, slack=Linear())
 
 
 def _change(model: Model, **changes: Any) -> Model:
-    """Build the model of a changed scene; the model keeps it, as its functions take time to build."""
+    """Build the model of a changed scene.
+
+    It is cached in the model, as its functions take time to build.
+    """
     kept: dict[Any, Any] = model.functions
     key = "changed", tuple(changes)
     if key not in kept:
@@ -50,7 +54,7 @@ def _change(model: Model, **changes: Any) -> Model:
 
 
 def check_control(model: Model) -> None:
-    """Raise ValueError for a model whose strings have no control."""
+    """Raise ValueError if the strings cannot be controlled."""
     control = model.scene.control
     if not isinstance(control, (ForceDensity, RestLength)):
         raise ValueError(
@@ -66,7 +70,7 @@ def check_control(model: Model) -> None:
 
 
 def reject_rest_length_control(model: Model, user: str) -> None:
-    """Raise ValueError for a model that is controlled by rest lengths."""
+    """Raise ValueError if the control is rest lengths."""
     if controls_rest_lengths(model):
         raise ValueError(
             f"{user} is for force densities, and the model has control=RestLength(): give a model of Scene(..., control=ForceDensity())"

@@ -1,4 +1,4 @@
-"""Costs of a plan, whose weighted sum is minimized."""
+"""Costs of a plan, whose sum is minimized."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ InstantTerm = Callable[["Instant"], Any]
 
 
 class CostTerms(NamedTuple):
-    """Expressions of costs by the part of a plan that they are taken of.
+    """Terms of the objective by the variables they depend on.
 
     Attributes
     ----------
-    control : of the force densities of each interval.
-    changes : of the force densities of neighboring intervals.
-    running : of each instant, integrated over time.
-    instants : of an instant, with its fraction of the duration, 1 at the end.
+    control : functions of the force densities of each interval.
+    changes : functions of the force densities of neighboring intervals.
+    running : functions of each instant, which are integrated over time.
+    instants : functions of one instant, with its fraction of the duration (1 at the end).
     """
 
     control: tuple[ControlTerm, ...] = ()
@@ -52,31 +52,38 @@ def cost_terms(costs: Iterable[Cost]) -> CostTerms:
 
 
 class Cost(Value):
-    """Number that is added to those of the other costs and minimized.
+    """Base class of terms of the objective.
 
-    additive: whether the cost of a plan is the sum of those of its phases.
+    The objective is the sum of all costs. ``additive`` says whether the cost of a plan is the sum
+    of the costs of its phases.
     """
 
     additive: ClassVar[bool] = True
 
     def terms(self) -> CostTerms:
-        """Return the terms of the cost."""
+        """Return the terms of the objective."""
         raise TypeError(
             f"Problem.costs has {format_value(self)}: give a ControlCost, RunningCost or TerminalCost"
         )
 
     def check(self, structure: Structure) -> None:
-        """Raise TypeError or ValueError where the cost does not fit the structure."""
+        """Reject a structure that the cost does not fit.
+
+        Raises TypeError, ValueError.
+        """
 
 
 class ControlCost(Cost):
-    """Cost of the force densities.
+    """Base class of costs of the force densities.
 
-    Under rest-length control it is integrated as a `RunningCost` of those that follow.
+    Under rest-length control, the resulting force densities are integrated as in a `RunningCost`.
     """
 
     def expression(self, force_density: Any, interval: Any) -> Any:
-        """Build the cost of force densities (α×intervals) [N/m], each for an interval [s]."""
+        """Build the cost of force densities on some intervals.
+
+        Force densities are (α×intervals) [N/m]; ``interval`` is the length of each interval [s].
+        """
         raise NotImplementedError
 
     def terms(self) -> CostTerms:
@@ -85,13 +92,14 @@ class ControlCost(Cost):
 
 
 class RunningCost(Cost):
-    """Cost that is integrated over time.
+    """Base class of running costs (Lagrange terms).
 
-    Simpson's rule is used on each interval, with the middle on the cubic between its ends.
+    The integral is computed by Simpson's rule on each interval, with the midpoint of the cubic
+    Hermite interpolation between its ends.
     """
 
     def rate(self, now: Instant) -> Any:
-        """Build the cost per second, a CasADi scalar."""
+        """Build the integrand, a CasADi scalar."""
         raise NotImplementedError
 
     def terms(self) -> CostTerms:
@@ -100,7 +108,7 @@ class RunningCost(Cost):
 
 
 class TerminalCost(Cost):
-    """Cost of the end of a plan."""
+    """Base class of terminal costs (Mayer terms)."""
 
     additive: ClassVar[bool] = False
 
@@ -115,7 +123,10 @@ class TerminalCost(Cost):
 
 @dataclass(frozen=True, eq=False)
 class CostAt(Cost):
-    """Terminal cost at a fraction of the duration, between 0 and 1."""
+    """Terminal cost that applies before the end.
+
+    ``share`` is the fraction of the duration, between 0 and 1.
+    """
 
     additive: ClassVar[bool] = False
     cost: TerminalCost
@@ -129,7 +140,10 @@ class CostAt(Cost):
             )
 
     def check(self, structure: Structure) -> None:
-        """Raise TypeError or ValueError where the cost does not fit the structure."""
+        """Reject a structure that the cost does not fit.
+
+        Raises TypeError, ValueError.
+        """
         self.cost.check(structure)
 
     def terms(self) -> CostTerms:
@@ -144,16 +158,17 @@ class Effort(ControlCost, kind="Effort"):
     Parameters
     ----------
     weight : float, optional
-        Factor of the cost, > 0.
+        Weight of the cost, > 0.
 
     Raises
     ------
     TypeError, ValueError
-        If the weight is no number, zero or negative.
+        If the weight is not a positive number.
 
     Notes
     -----
-    The integral is exact for the profile of the force densities; its unit is N²·s/m².
+    The integral is exact for piecewise-constant and piecewise-linear force densities. Its unit is
+    N²·s/m².
 
     Examples
     --------
@@ -168,19 +183,19 @@ class Effort(ControlCost, kind="Effort"):
         check_weight(self)
 
     def expression(self, force_density: Any, interval: Any) -> Any:
-        """Build the cost of some intervals.
+        """Build the cost on some intervals.
 
         Parameters
         ----------
         force_density : casadi.SX or casadi.MX
-            Force densities, α×intervals, N/m.
+            Force densities, α×intervals [N/m].
         interval : casadi.SX, casadi.MX or float
-            Length of each interval, s.
+            Length of each interval [s].
 
         Returns
         -------
         casadi.SX or casadi.MX
-            weight · h Σ γ², a scalar, N²·s/m² for weight 1.
+            weight · h Σ γ², a scalar [N²·s/m² for weight 1].
         """
         return self.weight * interval * ca.sumsqr(force_density)
 
@@ -189,23 +204,23 @@ class Effort(ControlCost, kind="Effort"):
 class Smoothness(ControlCost, kind="Smoothness"):
     """Cost weight · Σ (γ⁺ − γ)²/h over neighboring intervals.
 
-    It approximates ∫ Σ γ̇² dt, or that of rest lengths under rest-length control. h is the time
-    from the middle of one interval to that of the next; for controls that are linear in each
-    interval, its length.
+    It approximates ∫ Σ γ̇² dt. Under rest-length control, rest lengths take the place of γ. The
+    time h separates the midpoints of neighboring intervals; for piecewise-linear controls, it is
+    the length of an interval.
 
     Parameters
     ----------
     weight : float, optional
-        Factor of the cost, > 0.
+        Weight of the cost, > 0.
 
     Raises
     ------
     TypeError, ValueError
-        If the weight is no number, zero or negative.
+        If the weight is not a positive number.
 
     Notes
     -----
-    Its unit is N²/(m²·s); of rest lengths m²/s.
+    Its unit is N²/(m²·s), or m²/s for rest lengths.
 
     Examples
     --------
@@ -225,24 +240,24 @@ class Smoothness(ControlCost, kind="Smoothness"):
         Returns
         -------
         CostTerms
-            Of changes alone.
+            Terms of the changes only.
         """
         return CostTerms(changes=(self.expression,))
 
     def expression(self, force_density: Any, interval: Any) -> Any:
-        """Build the cost of some intervals.
+        """Build the cost on some intervals.
 
         Parameters
         ----------
         force_density : casadi.SX or casadi.MX
-            Force densities, α×intervals, N/m.
+            Force densities, α×intervals [N/m].
         interval : casadi.SX, casadi.MX or float
-            Length of each interval, s.
+            Length of each interval [s].
 
         Returns
         -------
         casadi.SX or casadi.MX
-            weight · Σ (γ⁺ − γ)²/h of neighboring columns, a scalar, N²/(m²·s) for weight 1.
+            weight · Σ (γ⁺ − γ)²/h of neighboring columns, a scalar [N²/(m²·s) for weight 1].
         """
         return self.weight * ca.sumsqr(force_density[:, 1:] - force_density[:, :-1]) / interval
 
@@ -254,15 +269,15 @@ class Prestress(ControlCost, kind="Prestress"):
     Parameters
     ----------
     level : float or array_like, shape (α,)
-        Wanted force density, N/m, ≥ 0; one number, or one for each string.
+        Desired force density [N/m], ≥ 0: one number, or one for each string.
     weight : float, optional
-        Factor of the cost, > 0.
+        Weight of the cost, > 0.
 
     Raises
     ------
     TypeError, ValueError
-        If weight or level is no number, or negative; with a problem, if there is not one level for
-        each string.
+        If the weight is not a positive number, or if a level is negative or not a number. In a
+        `Problem`: if the number of levels differs from that of strings.
 
     Examples
     --------
@@ -290,24 +305,24 @@ class Prestress(ControlCost, kind="Prestress"):
         Raises
         ------
         ValueError
-            If there is not one level for each string.
+            If the number of levels differs from that of strings.
         """
         per_item("Prestress.level", self.level, len(structure.strings))
 
     def expression(self, force_density: Any, interval: Any) -> Any:
-        """Build the cost of some intervals.
+        """Build the cost on some intervals.
 
         Parameters
         ----------
         force_density : casadi.SX or casadi.MX
-            Force densities, α×intervals, N/m.
+            Force densities, α×intervals [N/m].
         interval : casadi.SX, casadi.MX or float
-            Length of each interval, s.
+            Length of each interval [s].
 
         Returns
         -------
         casadi.SX or casadi.MX
-            weight · h Σ (γ − level)², a scalar, N²·s/m² for weight 1.
+            weight · h Σ (γ − level)², a scalar [N²·s/m² for weight 1].
         """
         level = ca.DM(per_item("Prestress.level", self.level, force_density.shape[0]))
         return (
@@ -321,18 +336,18 @@ class Prestress(ControlCost, kind="Prestress"):
 class Duration(TerminalCost, kind="Duration"):
     """Cost weight · T of the duration T [s].
 
-    It needs ``Problem(duration=(shortest, longest))``, and for other costs or limits of force to
-    weigh against.
+    It requires a free duration, ``Problem(duration=(shortest, longest))``. Other costs or limits of
+    forces should make short durations expensive or infeasible.
 
     Parameters
     ----------
     weight : float, optional
-        Factor of the cost, > 0.
+        Weight of the cost, > 0.
 
     Raises
     ------
     TypeError, ValueError
-        If the weight is no number, zero or negative.
+        If the weight is not a positive number.
 
     Examples
     --------
@@ -348,7 +363,7 @@ class Duration(TerminalCost, kind="Duration"):
         check_weight(self)
 
     def terminal(self, end: Instant) -> Any:
-        """Build the cost of the end.
+        """Build the terminal cost.
 
         Parameters
         ----------
@@ -365,26 +380,28 @@ class Duration(TerminalCost, kind="Duration"):
 
 @dataclass(frozen=True)
 class Work(RunningCost, kind="Work"):
-    """Cost weight · ∫ Σ max(0, −γ s ṡ) dt, the work of shortening strings [J].
+    """Work of shortening strings.
 
-    Lengthening strings return no work.
+    The cost is weight · ∫ Σ max(0, −γ s ṡ) dt, with the integral in J. Lengthening strings return
+    no work.
 
     Parameters
     ----------
     weight : float, optional
-        Factor of the cost, > 0.
+        Weight of the cost, > 0.
     smoothing : float, optional
-        Power, W, > 0, over which the maximum is rounded off.
+        Power [W], > 0, over which the maximum is smoothed.
 
     Raises
     ------
     TypeError, ValueError
-        If weight or smoothing is no number, zero or negative.
+        If weight or smoothing is not a positive number.
 
     Notes
     -----
-    With P = −γ s ṡ and w the smoothing, max(0, P) is taken as (P + √(P² + w²) − w)/2. Integrated by
-    Simpson's rule on each interval, its middle on the cubic between its ends.
+    With P = −γ s ṡ and the smoothing w, max(0, P) is replaced by (P + √(P² + w²) − w)/2. The
+    integral is computed by Simpson's rule on each interval, with the midpoint state of the cubic
+    Hermite interpolation between its ends.
 
     Examples
     --------
@@ -401,7 +418,7 @@ class Work(RunningCost, kind="Work"):
         object.__setattr__(self, "smoothing", positive_number("Work.smoothing", self.smoothing))
 
     def rate(self, now: Instant) -> Any:
-        """Build the cost per second.
+        """Build the integrand.
 
         Parameters
         ----------
@@ -411,7 +428,7 @@ class Work(RunningCost, kind="Work"):
         Returns
         -------
         casadi.SX or casadi.MX
-            weight · Σ max(0, −γ s ṡ), rounded off, a scalar.
+            weight · Σ max(0, −γ s ṡ), smoothed, a scalar.
         """
         power = -now.force_density * now.lengths * now.rates
         return (
@@ -422,7 +439,10 @@ class Work(RunningCost, kind="Work"):
 
 
 def check_weight(cost: Any) -> None:
-    """Raise TypeError or ValueError for a weight that is not positive."""
+    """Check that the weight of a cost is positive.
+
+    Raises TypeError, ValueError.
+    """
     object.__setattr__(
         cost, "weight", positive_number(f"{type(cost).__name__}.weight", cost.weight)
     )

@@ -1,4 +1,4 @@
-"""Costs and constraints of own CasADi expressions, with a name."""
+"""Named costs and constraints of user-defined CasADi expressions."""
 
 from __future__ import annotations
 
@@ -27,30 +27,30 @@ from tenscasadi.util.validate import (
 
 Expression = Callable[[Instant], Any]
 
-START_TOLERANCE = 1e-6  # of the structure's size: beyond it a start is out of bounds
+START_TOLERANCE = 1e-6  # relative to the structure's size; tolerance of a start's violation
 _NO_NUMBER = "is not a number at the start: keep roots, logarithms and quotients away from their limits, or start elsewhere"
 
 
 @dataclass(frozen=True, eq=False)
 class AtEnd(TerminalCost):
-    """Cost weight · expression(end) of an own expression.
+    """Cost weight · expression(end) of a user-defined expression.
 
-    Within `Constraint` it is the limited quantity.
+    Within a `Constraint`, it is the constrained quantity.
 
     Parameters
     ----------
     name : str
-        Name in errors.
+        Name in error messages.
     expression : callable
-        Takes the `Instant` at the end and gives a CasADi scalar of it.
+        Function of the `Instant` at the end, with a CasADi scalar as its value.
     weight : float, optional
-        Factor of the cost, > 0.
+        Weight of the cost, > 0.
 
     Raises
     ------
     TypeError, ValueError
-        If there is no name, no function or no weight; with a problem, if the expression fails or is
-        no scalar of the instant alone.
+        If the name is not a string, the expression not a function, or the weight not a positive
+        number. In a `Problem`: if the expression fails, or is not a scalar of the instant alone.
 
     Examples
     --------
@@ -72,11 +72,11 @@ class AtEnd(TerminalCost):
 
     @property
     def weighted(self) -> Expression:
-        """The expression times the weight, a function of an instant."""
+        """Expression times weight, as a function of an instant."""
         return self.expression if self.weight == 1.0 else partial(_weighted, self)
 
     def terminal(self, end: Instant) -> Any:
-        """Build the cost of the end.
+        """Build the terminal cost.
 
         Parameters
         ----------
@@ -97,31 +97,31 @@ def _weighted(item: AtEnd, end: Instant) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class Constraint(PathBound):
-    """Limits lower ≤ expression(now) ≤ upper of an own expression.
+    """Limits lower ≤ expression(now) ≤ upper of a user-defined expression.
 
     They hold at both ends of every interval, or at the end of the plan only.
 
     Parameters
     ----------
     name : str or AtEnd
-        Name in reports and duals; each constraint of a problem has its own.
+        Name in reports and duals, unique in a problem.
         ``Constraint(AtEnd(name, expression), lower=...)`` limits weight · expression at the end of
-        the plan, and is the same as to give name, expression and ``at_end``.
+        the plan, like ``Constraint(name, expression, lower=..., at_end=True)``.
     expression : callable
-        Takes an `Instant` and gives a CasADi scalar or column of it.
+        Function of an `Instant`, with a CasADi scalar or column as its value.
     lower : float or array_like, optional
-        One number, or one for each entry; None for no limit.
+        Lower limit: one number, or one for each entry. None for no limit.
     upper : float or array_like, optional
-        One number, or one for each entry; None for no limit.
+        Upper limit: one number, or one for each entry. None for no limit.
     at_end : bool, optional
-        Whether the limits hold at the end of the plan alone, not along the way.
+        Whether the limits are a terminal constraint instead of a path constraint.
 
     Raises
     ------
     TypeError, ValueError
-        If there is no name or no function, or both limits are None; with a problem, if the
-        expression fails, is no expression of the instant alone, is not a number at the start, or
-        has not as many entries as the limits.
+        If the name is not a string, the expression not a function, or both limits are None. In a
+        `Problem`: if the expression fails, depends on more than the instant, is not a number at the
+        start, or differs from the limits in its number of entries.
 
     Examples
     --------
@@ -133,7 +133,7 @@ class Constraint(PathBound):
     """
 
     name: str | AtEnd
-    expression: Expression | None = None  # AtEnd has its own
+    expression: Expression | None = None  # None if the name is an AtEnd, which has its own
     lower: ArrayLike | None = None
     upper: ArrayLike | None = None
     at_end: bool = False
@@ -167,7 +167,7 @@ class Constraint(PathBound):
         Parameters
         ----------
         now : Instant
-            Instant of symbols.
+            Symbolic instant.
 
         Returns
         -------
@@ -177,8 +177,8 @@ class Constraint(PathBound):
         Raises
         ------
         TypeError, ValueError
-            If the expression fails or is none, entries and limits differ in number, or limits
-            cross.
+            If the expression fails or is not a CasADi expression, if entries and limits differ in
+            number, or if a lower limit is above the upper one.
         """
         value = _column(self, now)
         count = value.shape[0]
@@ -202,27 +202,28 @@ class Constraint(PathBound):
 
 @dataclass(frozen=True, eq=False)
 class Integral(RunningCost):
-    """Cost weight · ∫ expression(now) dt of an own expression.
+    """Cost weight · ∫ expression(now) dt of a user-defined expression.
 
     Parameters
     ----------
     name : str
-        Name in errors.
+        Name in error messages.
     expression : callable
-        Takes an `Instant` and gives a CasADi scalar of it.
+        Function of an `Instant`, with a CasADi scalar as its value.
     weight : float, optional
-        Factor of the cost, > 0.
+        Weight of the cost, > 0.
 
     Raises
     ------
     TypeError, ValueError
-        If there is no name, no function or no weight; with a problem, if the expression fails, is
-        no scalar of the instant alone, or is not a
-    number at the start.
+        If the name is not a string, the expression not a function, or the weight not a positive
+        number. In a `Problem`: if the expression fails, is not a scalar of the instant alone, or is
+        not a number at the start.
 
     Notes
     -----
-    Integrated by Simpson's rule on each interval, its middle on the cubic between its ends.
+    The integral is computed by Simpson's rule on each interval, with the midpoint of the cubic
+    Hermite interpolation between its ends.
 
     Examples
     --------
@@ -244,7 +245,7 @@ class Integral(RunningCost):
         )
 
     def rate(self, now: Instant) -> Any:
-        """Build the cost per second.
+        """Build the integrand.
 
         Parameters
         ----------
@@ -262,9 +263,10 @@ class Integral(RunningCost):
 def check_expressions(
     model: Model, bounds: Sequence[Bound], costs: Sequence[Cost], start: Array | None
 ) -> None:
-    """Build each bound and cost once, so that errors show here.
+    """Check bounds and costs by building each of them once.
 
-    Rejects a start (nx,) outside the bounds; None if it is free.
+    Raises TypeError or ValueError if one fails, or if the start (nx,) violates a bound on the
+    state. The start is None if it is free.
     """
     names = [bound.name for bound in bounds if isinstance(bound, Constraint)]
     for name in names:
@@ -299,9 +301,10 @@ def check_expressions(
 def _first(
     item: Any, symbols: tuple[Any, ...], value: Any, start: Array | None
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Evaluate an expression at the start without forces; find entries that depend on controls.
+    """Evaluate an expression at the start with zero controls.
 
-    There are no entries without a start.
+    Returns its entries, and whether they depend on the controls. Both are empty if the start is
+    None.
     """
     column = ca.densify(ca.vec(value))
     function = ca.Function("first", symbols, [column], {"allow_free": True})
@@ -341,13 +344,13 @@ def _named(item: Any) -> None:
 
 
 def _label(item: Any) -> str:
-    """Return the name of a bound or cost for errors."""
+    """Return the name of a bound or cost in messages."""
     name = getattr(item, "name", None)
     return type(item).__name__ + (f" {name!r}" if name else "")
 
 
 def _column(item: Any, now: Instant) -> Any:
-    """Build the entries of an own expression."""
+    """Build the entries of a user-defined expression."""
     nodes, strings = now.model.scene.structure.nodes, now.model.scene.structure.strings
     hint = f"an instant has nodes and velocities 3×{len(nodes)}, lengths, rates, control ({len(strings)},), tension, bar_force, state, time"
     value = call_user_function(_label(item), item.expression, now, hint)

@@ -1,4 +1,4 @@
-"""A plan at one instant: nodes, lengths, forces, as CasADi expressions that are built only where something asks for them."""
+"""Expressions of a plan at one instant, built on demand."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from tenscasadi.util.validate import Array, nonnegative, per_item
 
 
 class Instant:
-    """The structure at one instant of a plan: nodes, lengths and forces, as CasADi expressions.
+    """Positions, lengths and forces at one instant of a plan.
 
-    `Constraint`, `Integral` and `AtEnd` are functions of it. Expressions are built where they are
-    asked for.
+    They are CasADi expressions, built at their first use. User-defined functions of `Constraint`,
+    `Integral` and `AtEnd` take an instant as their argument.
 
     Parameters
     ----------
@@ -27,10 +27,10 @@ class Instant:
     state : casadi.SX or casadi.MX, shape (nx,)
         State of the model.
     control : casadi.SX or casadi.MX, shape (α,)
-        What is decided: force densities γ, N/m, or rest lengths, m, of a model with
+        Control: force densities γ [N/m], or rest lengths [m] of a model with
         ``control=RestLength()``.
     time : casadi.SX or casadi.MX
-        Time since the start, s.
+        Time since the start [s].
 
     Examples
     --------
@@ -54,22 +54,22 @@ class Instant:
 
     @cached_property
     def nodes(self) -> Any:
-        """Nodes 3×n of the scene's structure, m."""
+        """Node positions of the scene's structure, 3×n [m]."""
         return self.model.nodes(self.state).T[:, : len(self.model.scene.structure.nodes)]
 
     @cached_property
     def velocities(self) -> Any:
-        """Velocities 3×n of these nodes, m/s."""
+        """Node velocities of the scene's structure, 3×n [m/s]."""
         return self.model.velocities(self.state).T[:, : len(self.model.scene.structure.nodes)]
 
     @cached_property
     def lengths(self) -> Any:
-        """Distances (α,) between the ends of the strings, m."""
+        """Distances between the ends of strings (α,) [m]."""
         return column_norms(self._across(self.nodes, self.model.scene.structure.strings))
 
     @cached_property
     def rates(self) -> Any:
-        """How fast these distances grow (α,), m/s."""
+        """Time derivatives of these distances (α,) [m/s]."""
         strings = self.model.scene.structure.strings
         return (
             ca.sum1(self._across(self.nodes, strings) * self._across(self.velocities, strings)).T
@@ -78,42 +78,51 @@ class Instant:
 
     @cached_property
     def force_density(self) -> Any:
-        """Force densities γ (α,), N/m: the control, or what the law of the strings makes of rest lengths."""
+        """Force densities γ (α,) [N/m].
+
+        They are the control, or follow from rest lengths by the string law.
+        """
         if not controls_rest_lengths(self.model):
             return self.control
         mean = self._gather(
             self.model.structure.string_fraction
-        )  # of the tensions of segments, which are alike but for their masses
+        )  # weighted mean over segments: their tensions differ by the inertia of inner nodes
         return ca.mtimes(mean, self.tension) / self.lengths
 
     @cached_property
     def tension(self) -> Any:
-        """Tensions of the modelled strings, N: one for each segment, in the order of `model.structure.strings`."""
+        """Tensions of the strings or segments of the model [N].
+
+        They are in the order of ``model.structure.strings``.
+        """
         return self.model.tension(self.state, self.control)
 
     @cached_property
     def bar_force(self) -> Any:
-        """Forces of the bars (β,), N, positive in compression: λ ‖b‖."""
+        """Bar forces λ ‖b‖ (β,) [N], positive in compression."""
         b = self._across(self.nodes, self.model.scene.structure.bars)
         return self.model.multiplier_function(self.state, self.control)[0] * column_norms(b)
 
     def rest_lengths(self, stiffness: Any) -> Any:
-        """Return the rest lengths ρ = s (1 − γ/k) that give the force densities, summed over the segments of a string; or those decided.
+        """Compute the rest lengths that give the force densities.
+
+        They are ρ = s (1 − γ/k), summed over the segments of a string. Under rest-length control,
+        they are the control itself.
 
         Parameters
         ----------
         stiffness : array_like, shape (α,)
-            k of each string, N/m.
+            Stiffness k of each string [N/m].
 
         Returns
         -------
         casadi.SX or casadi.MX, shape (α,)
-            Rest lengths, m (Eq. 99).
+            Rest lengths [m] (Eq. 99).
 
         Raises
         ------
         TypeError, ValueError
-            The stiffness is not one number greater than 0 for each string.
+            If the stiffness is not one positive number for each string.
         """
         if controls_rest_lengths(self.model):
             return self.control
@@ -128,7 +137,10 @@ class Instant:
         return ca.mtimes(self._gather(np.ones(len(s.strings))), parts)
 
     def _gather(self, weights: Array) -> ca.DM:
-        """Return what sums over the segments of each string, with weights (modelled strings,)."""
+        """Build the matrix that sums over the segments of strings.
+
+        Its nonzero entries are ``weights``, one for each segment.
+        """
         parent, count = self.model.structure.string_parent, len(self.model.scene.structure.strings)
         return ca.sparsify(ca.DM((np.arange(count)[:, None] == parent[None]) * weights[None]))
 
@@ -137,7 +149,10 @@ class Instant:
 
 
 def forces_of(model: Model, states: Array, controls: Array) -> Array:
-    """Return the force densities (K, α), N/m, of states (K, nx) under what is decided there (K, α)."""
+    """Evaluate force densities at states under given controls.
+
+    States are (K, nx), controls (K, α), force densities (K, α) [N/m].
+    """
     if not controls_rest_lengths(model):
         return controls
     now = symbolic(model)
@@ -148,7 +163,10 @@ def forces_of(model: Model, states: Array, controls: Array) -> Array:
 
 
 def symbolic(model: Model) -> Instant:
-    """Return an instant of symbols: SX where the model's equations are, MX for large ones."""
+    """Build a symbolic instant of a model.
+
+    Its symbols are SX if the model's equations are SX functions; MX otherwise, for large models.
+    """
     kind: Any = (
         ca.SX if model.ode.is_a("SXFunction") and model.observe.is_a("SXFunction") else ca.MX
     )

@@ -1,7 +1,7 @@
-"""Limits of one instant that contradict each other.
+"""Contradictory limits at one instant.
 
-Most limits are linear in the controls at a given state: a linear program tells whether controls
-exist that meet all of them.
+At a given state, most limits are linear in the controls. A linear program then decides whether
+there are controls that satisfy all of them.
 """
 
 from __future__ import annotations
@@ -17,24 +17,24 @@ from ocp.problem.path_constraints import path_constraints
 from ocp.problem.problem import Problem
 from tenscasadi.util.validate import Array
 
-CLEAR = 1e-3  # of a limit: smaller contradictions are left to the solver
+CLEAR = 1e-3  # relative violation; smaller contradictions are left to the solver
 
 
 class Conflict(NamedTuple):
-    """Limit of an instant that cannot be met with all others.
+    """Limit that is infeasible together with the others.
 
     Attributes
     ----------
     name : str
-        Limited quantity.
-    needed : Any
-        Which entries of the state (nx,) it depends on.
+        Name of the constrained quantity.
+    needed : ndarray of bool, shape (nx,)
+        Whether the quantity depends on an entry of the state.
     message : str
-        Limit, and the nearest value that the other limits leave.
+        Limit, and the nearest value that the other limits permit.
     fixed : bool
-        Whether no control changes the quantity.
+        Whether the quantity is independent of the controls.
     excess : float
-        Relative violation of the limit, if all others are violated as much.
+        Relative violation of the limit, if the largest violation of all limits is minimized.
     """
 
     name: str
@@ -45,7 +45,16 @@ class Conflict(NamedTuple):
 
 
 class _LimitRow(NamedTuple):
-    """One-sided limit slope · u ≤ room, relative to its size."""
+    """One-sided limit slope · u ≤ room on controls u.
+
+    Attributes
+    ----------
+    slope, room : gradient (α,) and right-hand side, both divided by ``size``.
+    limit, name, unit : limit, name and unit of the quantity.
+    sign : 1 for an upper limit, −1 for a lower one.
+    size : magnitude of the limit.
+    needed : whether the quantity depends on an entry of the state (nx,).
+    """
 
     slope: Array
     room: float
@@ -60,10 +69,11 @@ class _LimitRow(NamedTuple):
 def find_conflict(
     problem: Problem, state: Array, moment: str, fixed: Any = None
 ) -> Conflict | None:
-    """Find the limit that is violated most at a state, whatever the controls; None if there is none.
+    """Find the most violated limit at a state.
 
-    moment: "start" or "end" of an interval. fixed: which entries of the state are known (nx,); only
-    quantities that depend on no other entries count. None: all are known.
+    The controls are those that minimize the largest relative violation. Returns None if this
+    violation is negligible. ``moment`` is "start" or "end" of an interval. ``fixed`` (nx,) marks the
+    known entries of the state (None: all of them); quantities that depend on others are ignored.
     """
     moments = {moment, "last"} if moment == "end" else {moment}
     rows = [
@@ -100,7 +110,10 @@ def find_conflict(
 
 
 def _read_linear_rows(limited: PathConstraint, state: Array) -> list[_LimitRow]:
-    """Read the limits that are linear in the controls at a state."""
+    """Extract the limits that are linear in the controls.
+
+    Coefficients are those at the given state.
+    """
     value, control = ca.densify(limited.value), limited.symbols[1]
     linear = ~np.array(ca.which_depends(value, control, 2, True), dtype=bool)
     function = ca.Function(

@@ -1,4 +1,7 @@
-"""Path constraints of a plan: those that programs and controllers impose, and reports list."""
+"""Path constraints of a plan.
+
+Nonlinear programs and controllers impose them, and reports list them.
+"""
 
 from __future__ import annotations
 
@@ -25,10 +28,11 @@ if TYPE_CHECKING:
 def path_constraints(
     problem: Problem, kind: type[PathBound] | type[RateBound], implied: bool = False
 ) -> list[PathConstraint]:
-    """Build the path constraints of the bounds of one kind, with unique names.
+    """Build the path constraints of the bounds of one kind.
 
-    A quantity that several bounds limit is called "obstacle clear of bar 0 (bounds[2])", after the
-    place in Problem.bounds. implied: whether to build the weaker ones that bounds imply.
+    Names are unique: if several bounds limit a quantity, its name includes the index of the bound,
+    as in "obstacle clear of bar 0 (bounds[2])". ``implied`` selects the weaker constraints that the
+    bounds imply (`PathBound.imply`).
     """
     found = dict(_build_constraints(problem, kind, implied))
     times = Counter(name for one in found.values() for name in set(one.names))
@@ -44,7 +48,10 @@ def path_constraints(
 def _build_constraints(
     problem: Problem, kind: type, implied: bool
 ) -> Iterator[tuple[int, PathConstraint]]:
-    """Yield constraints by the place of their bound, but for limits of the control itself."""
+    """Yield constraints with the index of their bound.
+
+    Limits of the control itself are left out, as they are bounds on decision variables.
+    """
     model = problem.model
     control = RestLengthLimits if controls_rest_lengths(model) else ForceDensityLimits
     for k, bound in enumerate(problem.bounds):
@@ -56,7 +63,10 @@ def _build_constraints(
 
 
 def _limit_force_densities(problem: Problem) -> PathConstraint:
-    """Limit the force densities that follow from rest lengths: strings do not push."""
+    """Build the limits of force densities under rest-length control.
+
+    Strings carry no compression, so that lower limits are at least 0.
+    """
     now, (lower, upper) = symbolic(problem.model), problem.force_density_limits
     names = tuple(f"force density of string {k}" for k in range(len(lower)))
     return PathConstraint(
@@ -66,16 +76,16 @@ def _limit_force_densities(problem: Problem) -> PathConstraint:
 
 @dataclass(frozen=True, eq=False)
 class ScaledRows:
-    """Rows lower ≤ function(symbols) ≤ upper of order one.
+    """Scaled constraints lower ≤ function(symbols) ≤ upper.
 
     Attributes
     ----------
     function : casadi.Function
-        Symbols → rows.
+        Function from symbols to rows of order one.
     lower, upper, names, ends
-        As of `PathConstraint`.
+        As in `PathConstraint`; limits are scaled.
     scale : ndarray, shape (m,)
-        Size of each row, in the unit of its quantity.
+        Scale of each row, in the unit of its quantity.
     """
 
     function: ca.Function
@@ -89,15 +99,19 @@ class ScaledRows:
 def scaled_rows(
     problem: Problem, kind: type[PathBound] | type[RateBound], scales: Scales, strength: float
 ) -> list[ScaledRows]:
-    """Build the path constraints of one kind as rows of order one.
+    """Build the scaled path constraints of one kind.
 
-    strength: typical force density [N/m].
+    ``strength`` is a typical force density [N/m].
     """
     return [_scale(one, scales, strength) for one in path_constraints(problem, kind)]
 
 
 def _scale(limited: PathConstraint, scales: Scales, strength: float) -> ScaledRows:
-    """Scale rows by their unit, or by the limits of own expressions, which have none."""
+    """Scale a path constraint to order one.
+
+    Scales follow from the unit. User-defined expressions have no unit, and are scaled by their
+    limits.
+    """
     sizes = {
         "N": strength * scales.length,
         "N/m": strength,

@@ -1,4 +1,4 @@
-"""Phases of a plan: time spans with the same nodes on the ground."""
+"""Phases of a plan, each with fixed contact nodes."""
 
 from __future__ import annotations
 
@@ -28,34 +28,35 @@ if TYPE_CHECKING:
 @rename_fields(stands="contact_nodes", until="end_time")
 @dataclass(frozen=True, eq=False)
 class Phase(Value, kind="Phase"):
-    """Part of a plan with the same nodes on the ground.
+    """Stance or flight phase with fixed contact nodes.
 
-    A plan of several phases is a jump, a landing, steps. Contact nodes keep their positions. The
-    ground pushes on them: it never pulls, and its tangential force stays within the friction cone.
-    Nodes that were not in contact in the phase before land in an impact without rebound.
+    Jumps, landings and steps are plans of several phases. Contact nodes keep their positions. Their
+    normal forces are compressive, and their tangential forces stay within the friction cone. At the
+    beginning of a phase, nodes that come into contact have an impact without rebound.
 
     Parameters
     ----------
     duration : float or (float, float)
-        Seconds, or (shortest, longest) to let the solver choose.
+        Duration [s], or (shortest, longest) to let the solver choose.
     contact_nodes : sequence of int, optional
-        Nodes on the ground; none in a flight phase.
+        Nodes in contact with the ground; none in a flight phase.
     goals : iterable of goals, optional
         Goals at the end of the phase, such as `CenterOfMass` at the top of a jump.
     bounds : iterable of bounds, optional
-        Limits in this phase, beside those of the problem.
+        Limits in this phase, in addition to those of the problem.
     end_time : (float, float), optional
-        (earliest, latest) end of the phase, from the start of the plan [s]. Default: as the
-        durations allow.
+        Earliest and latest end of the phase, measured from the start of the plan [s]. Default: the
+        durations alone limit it.
 
     Raises
     ------
     TypeError, ValueError
-        If a value is not of its kind; with a problem, if a node does not exist, or has no ground.
+        If a value has the wrong type or is out of range. In a `Problem`: if a node does not exist,
+        or has no ground.
 
     See Also
     --------
-    Problem : Takes phases, one after another.
+    Problem : Takes a sequence of phases.
 
     Examples
     --------
@@ -100,7 +101,10 @@ class Phase(Value, kind="Phase"):
 def phases_between(
     waypoints: Sequence[Waypoint], shortest: float, longest: float
 ) -> tuple[Phase, ...]:
-    """Build the phases between waypoints of free times. Raises ValueError for contradictory times."""
+    """Build the phases between waypoints of free times.
+
+    Raises ValueError if the times contradict each other or the duration.
+    """
     least = 1e-2 * longest
     spans = [one.time for one in waypoints if isinstance(one.time, tuple)]
     ends = [(0.0, 0.0), *spans, (shortest, longest)]
@@ -146,7 +150,10 @@ def check_phases(
     bounds: Sequence[Bound],
     costs: Sequence[Cost],
 ) -> None:
-    """Raise TypeError or ValueError where phases do not fit the rest of a problem."""
+    """Check that phases fit the rest of a problem.
+
+    Raises TypeError, ValueError.
+    """
     structure, scene = model.scene.structure, model.scene
     reduced = model.coordinates == "reduced" and not model.mechanism.joints
     if not reduced or scene.supports is not None or scene.has_clock:
@@ -179,7 +186,10 @@ def check_phases(
 
 
 def _check_costs(model: Model, costs: Sequence[Cost]) -> None:
-    """Raise ValueError for costs that depend on the time of the whole plan."""
+    """Check that costs do not depend on the plan's time.
+
+    Raises ValueError, as the time within a phase does not determine that of the whole plan.
+    """
     for cost in costs:
         now, terms = symbolic(model), cost.terms()
         if any(share < 1.0 for share, _ in terms.instants):
@@ -194,7 +204,10 @@ def _check_costs(model: Model, costs: Sequence[Cost]) -> None:
 
 
 def _check_contact(model: Model, start: Array, phases: Sequence[Phase]) -> None:
-    """Raise ValueError for contact nodes without a ground, or that start off it."""
+    """Check that contact nodes have a ground.
+
+    Those of the first phase have to start on it. Raises ValueError.
+    """
     structure, grounds = model.scene.structure, model.scene.grounds
     for k, phase in enumerate(phases):
         name = f"Problem.phases[{k}].contact_nodes"
@@ -220,7 +233,7 @@ def _check_contact(model: Model, start: Array, phases: Sequence[Phase]) -> None:
         size = float(np.linalg.norm(np.ptp(structure.nodes, axis=0)))
         depths = np.asarray(grounds[0].depth(model.nodes(start).T).full()).ravel()
         for node in phases[0].contact_nodes:
-            if abs(depths[node]) > 1e-2 * size:  # nearer nodes touch the ground
+            if abs(depths[node]) > 1e-2 * size:  # closer nodes count as in contact
                 side = "below" if depths[node] > 0 else "above"
                 raise ValueError(
                     f"Problem.phases[0].contact_nodes has node {node}, which starts {abs(depths[node]):.3g} m {side} the ground: "

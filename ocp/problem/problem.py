@@ -1,4 +1,4 @@
-"""Optimal control problem of a plan."""
+"""Optimal control problems."""
 
 from __future__ import annotations
 
@@ -32,36 +32,39 @@ class Problem(Value, kind="Problem"):
     Parameters
     ----------
     model : Model
-        The model, of a scene with ``control=ForceDensity()``; or with ``control=RestLength()``:
-        then the rest lengths of elastic strings are the control, strings may go slack, and force
-        densities follow.
+        Model of a scene with ``control=ForceDensity()`` or ``control=RestLength()``. With the
+        latter, the rest lengths of elastic strings are the control, force densities follow, and
+        strings may go slack.
     duration : float or (float, float), optional
-        Seconds, or (shortest, longest) to let the solver choose.
+        Duration [s], or (shortest, longest) to let the solver choose.
     start : array_like of shape (n, 3) or (nx,), or FreeStart, optional
-        Nodes at rest [m], or a state; None for the model's initial state; ``FreeStart(...)`` for a
-        start that the solver chooses. Rounded numbers are corrected.
+        Initial nodes at rest [m], or initial state. None for the model's initial state;
+        ``FreeStart(...)`` to let the solver choose. It is projected onto the constraints of bars
+        and joints, which corrects rounding.
     goals : iterable of goals, optional
-        `StringLengths`, `NodePositions`, `NodeVelocities`, `CenterOfMass`, `Shape`, `AtRest`,
-        `Periodic`, `Waypoint`: all met, at the end unless they say when. Soft ones (`Goal.soft`)
-        join the costs.
+        Terminal constraints, such as `StringLengths`, `NodePositions`, `NodeVelocities`,
+        `CenterOfMass`, `Shape`, `AtRest` and `Periodic`. A `Waypoint` has goals at another instant.
+        Soft goals (`Goal.soft`) are added to the costs.
     bounds : iterable of bounds, optional
-        `ForceDensityLimits`, `TensionLimits`, `BarClearance`, `Constraint`, ...: all hold along the
-        whole plan.
+        Limits along the whole plan, such as `ForceDensityLimits`, `TensionLimits`, `BarClearance`
+        and `Constraint`.
     costs : iterable of costs, optional
-        `Effort`, `Tracking`, `Integral`, ...: their sum is minimized. Without any, all motions are
-        equally good; if force densities have no upper limits, `Effort` takes their place.
+        Terms of the objective, such as `Effort`, `Tracking` and `Integral`; their sum is minimized.
+        Without costs, all feasible plans are equally good; if a force density has no upper limit,
+        the default is `Effort`.
     parameters : array_like, shape (np,), or mapping of str to array_like, optional
-        Values of the model's parameters, see `tenscasadi.ParameterLayout.values`; nominal if None.
-        `Problem.model` is then the model with these as constants, and `Problem.parameters` is None.
-        `with_parameters` builds the same problem for other values.
+        Values of the model's parameters, see `tenscasadi.ParameterLayout.values`; None for the
+        nominal values. `Problem.model` is then the model with these values as constants, and
+        `Problem.parameters` is None. `with_parameters` builds the same problem for other values.
     phases : sequence of Phase, optional
-        Parts of the plan with nodes on the scene's ground, one after another: jumps, landings,
-        steps. They have the durations; the problem's goals are met at the end of the last.
+        Consecutive phases with contact between nodes and the scene's ground, as in jumps, landings
+        and steps. Their durations replace that of the problem. The problem's goals hold at the end
+        of the last phase.
 
     Raises
     ------
     TypeError, ValueError
-        If a value is not as described, does not fit the structure, or contradicts another; the
+        If a value has the wrong type, does not fit the structure, or contradicts another value. The
         message names the field and the cure.
 
     See Also
@@ -88,7 +91,7 @@ class Problem(Value, kind="Problem"):
     costs: Iterable[Cost] = ()
     parameters: Any = None
     phases: Sequence[Phase] = ()
-    given: Mapping[str, Any] = field(init=False, repr=False)  # the arguments
+    given: Mapping[str, Any] = field(init=False, repr=False)  # the arguments as given
 
     fixed = RenamedAttribute("with_parameters")
     first_state = RenamedAttribute("initial_state")
@@ -103,7 +106,10 @@ class Problem(Value, kind="Problem"):
             object.__setattr__(self, name, value)
 
     def to_fields(self) -> dict[str, Any]:
-        """Return the keywords, without parameters: the model has their values."""
+        """Return the keyword arguments.
+
+        Parameters are left out, as the model has their values.
+        """
         names = [field.name for field in fields(self) if field.init and field.name != "parameters"]
         return {name: getattr(self, name) for name in names}
 
@@ -113,18 +119,18 @@ class Problem(Value, kind="Problem"):
         Parameters
         ----------
         parameters : array_like, shape (np,), or mapping of str to array_like
-            Values, see `tenscasadi.ParameterLayout.values`, in place of all values of this problem;
-            those without a name are nominal.
+            Values of all parameters, see `tenscasadi.ParameterLayout.values`. They replace those of
+            this problem; parameters missing from a mapping have their nominal values.
 
         Returns
         -------
         Problem
-            The problem as it was given, of the model with these values as constants.
+            Problem with the original arguments and a model with these values as constants.
 
         Raises
         ------
         TypeError, ValueError
-            The model has no parameters, or a value is wrong.
+            If the model has no parameters, or a value is wrong.
 
         Examples
         --------
@@ -170,7 +176,10 @@ class Problem(Value, kind="Problem"):
 
     @property
     def initial_state(self) -> Array:
-        """Initial state (nx,), or the state near which it is searched."""
+        """Initial state (nx,).
+
+        If it is free, this is its initial guess.
+        """
         return np.asarray(self.start.near if isinstance(self.start, FreeStart) else self.start)
 
     @property
@@ -180,7 +189,10 @@ class Problem(Value, kind="Problem"):
 
     @property
     def terminal_goals(self) -> tuple[Goal, ...]:
-        """Goals of the end, wherever the motion starts; also those of waypoints there."""
+        """Goals of the final state, without periodic goals.
+
+        Goals of waypoints at the end are included.
+        """
         return tuple(
             part
             for share, parts in self._instants
@@ -191,12 +203,15 @@ class Problem(Value, kind="Problem"):
 
     @property
     def periodic_goals(self) -> tuple[Any, ...]:
-        """Goals that compare the end with a free start."""
+        """Goals that compare the final state with a free start."""
         return tuple(goal for goal in self.goals if goal.repeats_start)
 
     @property
     def waypoints(self) -> list[tuple[float, tuple[Goal, ...]]]:
-        """Goals before the end by fraction of the duration, in their order."""
+        """Goals before the end by fraction of the duration.
+
+        They are in the order of time; those of the same instant are joined.
+        """
         found: list[tuple[float, tuple[Goal, ...]]] = []
         for share, goals in sorted(self._instants, key=lambda pair: pair[0]):
             if found and share - found[-1][0] <= INSTANT:
@@ -214,7 +229,7 @@ class Problem(Value, kind="Problem"):
         ]
 
     def limits(self, kind: type) -> tuple[Array, Array]:
-        """Return the limits of all bounds of one kind together.
+        """Combine the limits of all bounds of one kind.
 
         Parameters
         ----------
@@ -232,7 +247,10 @@ class Problem(Value, kind="Problem"):
 
     @property
     def force_density_limits(self) -> tuple[Array, Array]:
-        """Lower and upper limits of γ (α,) [N/m]; at least 0, as strings do not push."""
+        """Lower and upper limits of γ (α,) [N/m].
+
+        Lower limits are at least 0, as strings carry no compression.
+        """
         lower, upper = self.limits(ForceDensityLimits)
         return np.maximum(lower, 0.0), upper
 
@@ -240,7 +258,8 @@ class Problem(Value, kind="Problem"):
     def control_limits(self) -> tuple[Array, Array]:
         """Lower and upper limits (α,) of the control.
 
-        Force densities [N/m], or rest lengths [m], which are greater than 0.
+        They limit force densities [N/m], or rest lengths [m]. Lower limits of rest lengths are at
+        least 10⁻³ of the string lengths.
         """
         if not controls_rest_lengths(self.model):
             return self.force_density_limits

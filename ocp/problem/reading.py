@@ -1,4 +1,4 @@
-"""Arguments that several values of a problem read in the same way."""
+"""Validation of arguments shared by problems and phases."""
 
 from __future__ import annotations
 
@@ -10,7 +10,10 @@ Duration = float | tuple[float, float]
 
 
 def read_items(field: str, values: Any, kinds: type, example: str) -> tuple[Any, ...]:
-    """Read a tuple of values of one kind. Raises TypeError."""
+    """Read a tuple of values of one kind.
+
+    Raises TypeError.
+    """
     found = as_tuple(field, values, example)
     for k, value in enumerate(found):
         instance(
@@ -20,7 +23,10 @@ def read_items(field: str, values: Any, kinds: type, example: str) -> tuple[Any,
 
 
 def read_duration(field: str, value: Any) -> Duration:
-    """Read seconds, or (shortest, longest). Raises TypeError, ValueError."""
+    """Read a duration [s], or (shortest, longest).
+
+    Raises TypeError, ValueError.
+    """
     if nesting(value) == 0:
         return positive_number(field, value)
     pair = finite_array(field, value, (2,))

@@ -1,4 +1,4 @@
-"""Arguments of a problem as planning takes them: read, checked and completed."""
+"""Validated and completed arguments of a problem."""
 
 from __future__ import annotations
 
@@ -30,18 +30,19 @@ from tenscasadi.util.validate import Array, format_value, instance
 
 
 class Resolved(NamedTuple):
-    """The fields of a `Problem` as planning takes them.
+    """Validated and completed fields of a `Problem`.
 
     Attributes
     ----------
     model : Model
-        The model, with the values of its parameters as constants.
+        Model with the values of its parameters as constants.
     duration : float or (float, float)
         Duration [s], or its limits.
     start : ndarray, shape (nx,), or FreeStart
-        The initial state.
+        Initial state.
     goals, bounds, costs, phases : tuple
-        As given; soft goals are among the costs.
+        Goals are bound to model and start; soft goals are among the costs. Waypoints of free times
+        become phases.
     """
 
     model: Model
@@ -63,7 +64,10 @@ def resolve(
     parameters: Any,
     phases: Sequence[Phase],
 ) -> Resolved:
-    """Read, check and complete the arguments of a problem. Raises TypeError, ValueError."""
+    """Validate and complete the arguments of a problem.
+
+    Raises TypeError, ValueError.
+    """
     instance("Problem.model", model, Model, "a tenscasadi.Model")
     model = model.with_parameters(parameters)
     check_control(model)
@@ -94,7 +98,7 @@ def resolve(
     _check_limits(structure, own_bounds)
     upper = string_limits(structure, own_bounds, ForceDensityLimits)[1]
     if not own_costs and np.isposinf(upper).any():
-        # without a cost, barriers of the solver let force densities grow without bound
+        # Without a cost, the barrier function of the solver lets force densities diverge.
         own_costs = (Effort(),)
     own_goals, penalties = _split_soft(own_goals, own_costs, time)
     own_costs = (*own_costs, *penalties)
@@ -106,12 +110,18 @@ def resolve(
 
 
 def fraction_of(goal: Goal, duration: Duration) -> float:
-    """Return the fraction of the duration at which a goal is met. Raises ValueError."""
+    """Compute a goal's fraction of the duration.
+
+    Raises ValueError if the time of a waypoint is outside the plan, or needs a fixed duration.
+    """
     return goal.at(*limits_of(duration)) if isinstance(goal, Waypoint) else 1.0
 
 
 def string_limits(structure: Structure, bounds: Iterable[Bound], kind: type) -> tuple[Array, Array]:
-    """Return the limits (α,) of all bounds of one kind together; infinite if there are none."""
+    """Combine the limits (α,) of all bounds of one kind.
+
+    They are infinite if there are none.
+    """
     given = [
         bound.limits(structure)
         for bound in bounds
@@ -124,7 +134,10 @@ def string_limits(structure: Structure, bounds: Iterable[Bound], kind: type) -> 
 
 
 def _add_durations(given: Any, phases: tuple[Phase, ...]) -> Any:
-    """Return the given duration, or that of all phases."""
+    """Compute the total duration of all phases.
+
+    Without phases, it is the given duration.
+    """
     if not phases:
         return given
     last = phases[-1].end_time
@@ -177,7 +190,10 @@ def _split_soft(
 def join_soft(
     goals: Iterable[Goal], costs: Iterable[Cost]
 ) -> tuple[tuple[Goal, ...], tuple[Cost, ...]]:
-    """Put penalties of a problem back among its goals, as a user gives them."""
+    """Move penalties from the costs back to the goals.
+
+    It reverts the splitting of soft goals. Returns goals and costs.
+    """
     given, own = list(goals), []
     for cost in costs:
         if isinstance(cost, CostAt) and isinstance(cost.cost, SoftGoal):
@@ -201,7 +217,10 @@ def _check_limits(structure: Structure, bounds: tuple[Bound, ...]) -> None:
 
 
 def _check_phases(found: Resolved, divided: bool) -> None:
-    """Raise errors for phases that do not fit the rest; `divided` if they come from waypoints."""
+    """Check that phases fit the rest of a problem.
+
+    ``divided`` says whether they come from waypoints. Raises TypeError, ValueError.
+    """
     try:
         reject_rest_length_control(found.model, "Problem.phases")
         if isinstance(found.start, FreeStart):

@@ -1,4 +1,4 @@
-"""Named constraint rows of a state, as expressions that vanish where they are satisfied."""
+"""Named residuals of equality constraints on a state."""
 
 from __future__ import annotations
 
@@ -14,18 +14,20 @@ from tenscasadi.util.validate import Array
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Column of CasADi expressions, each with a name and a unit.
+    """Column of residuals with names and units.
+
+    A constraint is satisfied where its residual is zero.
 
     Attributes
     ----------
     value : casadi.SX or casadi.MX, shape (m, 1)
-        The expressions.
+        Residuals.
     names, units : tuple of str
-        One of each for every row; units are "m", "m/s", "m²/s" or "s".
+        Name and unit of each row; units are "m", "m/s", "m²/s" or "s".
     kind : str
-        "goal", or the invariant that keeps the rows (`ocp.targets.invariants`).
+        "goal", or the invariant whose conservation fixes the rows (`ocp.targets.invariants`).
     quadratic : casadi.SX or casadi.MX, shape (m, 1), or None
-        Rows with the same zeros that are quadratic in the state; None: `value` itself.
+        Residuals with the same zeros that are quadratic in the state; None for ``value`` itself.
     """
 
     value: Any
@@ -35,7 +37,7 @@ class Rows:
     quadratic: Any = None
 
     def select(self, *units: str) -> Rows:
-        """Select the rows in these units."""
+        """Select the rows with these units."""
         kept = [k for k, unit in enumerate(self.units) if unit in units]
         return Rows(
             self.value[kept, :],
@@ -46,7 +48,7 @@ class Rows:
         )
 
     def sizes(self, units: Mapping[str, float]) -> Array:
-        """Compute the scale of each row (m,) from those of the units."""
+        """Look up the scales (m,) of rows by unit."""
         return np.array([units[unit] for unit in self.units], dtype=float)
 
 
@@ -66,13 +68,19 @@ def stack(rows: Iterable[Rows]) -> Rows:
 
 
 def goal_rows(goals: Iterable[Any], model: Any, x: Any) -> Rows:
-    """Build the rows of goals as functions of the symbolic state x (nx)."""
+    """Build the residuals of goals.
+
+    They are expressions of the symbolic state x (nx,).
+    """
     nodes, velocities = model.nodes(x).T, model.velocities(x).T
     return stack(goal.rows(model.scene.structure, nodes, velocities) for goal in goals)
 
 
 def distance_rows(nodes: Any, pairs: Any, wanted: Array, names: tuple[str, ...]) -> Rows:
-    """Build rows of distances (m,) between pairs (m, 2) of the columns of nodes 3×n."""
+    """Build residuals of distances between pairs of nodes.
+
+    Nodes are 3×n [m], pairs (m, 2), and the desired distances (m,) [m].
+    """
     vectors = nodes[:, pairs[:, 1].tolist()] - nodes[:, pairs[:, 0].tolist()]
     squared, target = ca.sum1(vectors * vectors).T, ca.DM(wanted)
     scale = 2 * np.maximum(wanted, wanted.mean() or 1.0)
@@ -85,5 +93,5 @@ def distance_rows(nodes: Any, pairs: Any, wanted: Array, names: tuple[str, ...])
 
 
 def column_norms(vectors: Any) -> Any:
-    """Compute the lengths (m,) of the columns of a 3×m expression."""
+    """Compute the norms (m,) of the columns of 3×m vectors."""
     return ca.sqrt(ca.sum1(vectors * vectors)).T

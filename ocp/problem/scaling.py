@@ -1,4 +1,4 @@
-"""Sizes that make the numbers of a problem of order one: of lengths, times, states, and of the objective."""
+"""Scales that make states, constraints and objective of order one."""
 
 from __future__ import annotations
 
@@ -16,7 +16,19 @@ from tenscasadi.util.validate import Array
 
 @dataclass(frozen=True, eq=False)
 class Scales:
-    """Sizes that make a problem's numbers of order one: length m, time s, mass kg, and one number for each entry of the state."""
+    """Scales that make the variables of order one.
+
+    Attributes
+    ----------
+    length : float
+        Typical length [m].
+    time : float
+        Typical time [s].
+    mass : float
+        Mass of the model [kg].
+    state : ndarray, shape (nx,)
+        Scale of each entry of the state.
+    """
 
     length: float
     time: float
@@ -25,7 +37,11 @@ class Scales:
 
     @staticmethod
     def of(problem: Problem) -> Scales:
-        """Return the sizes from the structure's extent and mass, and the longest duration, or twice a typical one."""
+        """Compute the scales of a problem.
+
+        The length is the diagonal of the structure's bounding box. The time is the longest
+        duration, or twice the typical one if that is less.
+        """
         model = problem.model
         length = float(np.linalg.norm(np.ptp(model.structure.nodes, axis=0))) or 1.0
         time = min(problem.longest, 2 * problem.typical_duration)
@@ -38,13 +54,17 @@ class Scales:
 
     @property
     def units(self) -> dict[str, float]:
-        """The size that a number of order one stands for in each unit of length and time: m, m/s, m²/s, s."""
+        """Scales of the units m, m/s, m²/s and s."""
         speed = self.length / self.time
         return {"m": self.length, "m/s": speed, "m²/s": self.length * speed, "s": self.time}
 
 
 def control_scale(problem: Problem, strength: float) -> Array:
-    """Return the size (α,) of changes of what is decided: a typical γ, N/m; or the rest lengths, m, that elastic strings give it by."""
+    """Compute the scale (α,) of control changes.
+
+    It is a typical force density ``strength`` [N/m]. Under rest-length control, it is the change of
+    rest lengths [m] that causes it, at most the string lengths.
+    """
     structure = problem.model.scene.structure
     if not controls_rest_lengths(problem.model):
         return np.full(len(structure.strings), strength)
@@ -54,10 +74,12 @@ def control_scale(problem: Problem, strength: float) -> Array:
 def typical_cost(
     problem: Problem, strength: float, states: Array, force_density: Array, duration: float
 ) -> float:
-    """Return the costs of states (K + 1, nx) and controls (K, α) that swing once about `strength`, N/m: what makes the objective of order one.
+    """Compute a typical value of the objective for its scaling.
 
-    Were they to alternate from interval to interval, costs of their rates would grow with the
-    square of the intervals, and the objective become small beside the solver's tolerance.
+    States are (K + 1, nx), controls (K, α). Force densities are replaced by one sine period about
+    ``strength`` [N/m]; under rest-length control, in control costs only. If they alternated between
+    intervals instead, costs of their rates would grow with the square of the number of intervals.
+    The scaled objective would then be small compared with the solver's tolerance.
     """
     count = len(force_density)
     string, interval = np.indices(force_density.T.shape)

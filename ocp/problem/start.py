@@ -1,4 +1,4 @@
-"""Start of a motion: a given state, or one that the solver chooses."""
+"""Initial state of a plan, given or free."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ from tenscasadi.util.validate import Array, finite_array, nesting
 
 @dataclass(frozen=True, eq=False)
 class FreeStart(Value, kind="FreeStart"):
-    """Start that the solver chooses, as for an unknown gait.
+    """Free initial state, as of an unknown gait.
 
-    Bar lengths are constraints of the start; a clock starts as it does near ``near``.
+    The solver chooses it. Bar lengths are constraints on it; a clock has the value of ``near``.
 
     Parameters
     ----------
     near : array_like of shape (n, 3) or (nx,), optional
-        Nodes at rest [m], or a state, near which the start is searched. Default: the model's
-        initial state.
+        Initial guess of the start: nodes at rest [m], or a state. Default: the model's initial
+        state.
     goals : iterable of goals, optional
-        Goals of the start, such as `NodePositions` of a node if nothing else gives the position on
+        Initial constraints, such as `NodePositions` of a node if nothing else fixes the position on
         the ground.
 
     Raises
     ------
     TypeError
-        If goals are no goals, or `Waypoint`, `Periodic` or soft ones, which are goals of the
+        If a value is not a goal, or is a `Waypoint`, a `Periodic` or a soft goal. Give these to the
         problem.
 
     Examples
@@ -62,7 +62,10 @@ class FreeStart(Value, kind="FreeStart"):
 
 
 def read_start(model: Model, start: ArrayLike | FreeStart | None) -> Array | FreeStart:
-    """Read the start on bars and joints. Raises TypeError, ValueError."""
+    """Read the start and project it onto the constraints.
+
+    Raises TypeError, ValueError.
+    """
     if isinstance(start, type):
         raise TypeError(f"Problem.start is the class {start.__name__}: give {start.__name__}()")
     if not isinstance(start, FreeStart):
@@ -75,7 +78,10 @@ def read_start(model: Model, start: ArrayLike | FreeStart | None) -> Array | Fre
 
 
 def _read_state(model: Model, field: str, given: ArrayLike | None) -> Array:
-    """Read the state (nx,) on the constraints, given as nodes or as a state."""
+    """Read a state and project it onto the constraints.
+
+    It is given as nodes (n, 3) [m], as a state (nx,), or as None for the model's initial state.
+    """
     if given is None:
         return model.initial_state
     if nesting(given) == 1:

@@ -1,4 +1,4 @@
-"""Cost of the distances of nodes from given places."""
+"""Cost of the distances of nodes from reference positions."""
 
 from __future__ import annotations
 
@@ -29,26 +29,29 @@ UNTRACKED = "an axis that does not matter"
 
 @dataclass(frozen=True, eq=False)
 class Tracking(RunningCost, kind="Tracking"):
-    """Cost weight · ∫ Σ ‖node − place‖² dt of places that may move.
+    """Cost weight · ∫ Σ ‖node − reference‖² dt.
+
+    References are fixed or functions of time.
 
     Parameters
     ----------
     positions : mapping of int to place
-        ``{node: (x, y, z)}``, m, None for an axis that does not matter; or ``{node: function}``,
-        where the function takes the time, s, as a CasADi symbol, and gives three such entries.
+        Reference positions ``{node: (x, y, z)}`` [m], with None for an untracked axis; or
+        ``{node: function}``. A function takes the time [s] as a CasADi symbol and returns three
+        such entries.
     weight : float, optional
-        Factor of the cost, > 0.
+        Weight of the cost, > 0.
 
     Raises
     ------
     TypeError, ValueError
-        If weight or places are none; with a problem, if a node does not exist, or a function does
-        not give a place.
+        If the weight is not a positive number, or if a position is not three numbers or None. In a
+        `Problem`: if a node does not exist, or if a function does not return a position.
 
     Notes
     -----
-    Integrated by Simpson's rule on each interval, its middle on the cubic between its ends; its
-    unit is m²·s.
+    The integral is computed by Simpson's rule on each interval, with the midpoint of the cubic
+    Hermite interpolation between its ends. Its unit is m²·s.
 
     Examples
     --------
@@ -95,7 +98,7 @@ class Tracking(RunningCost, kind="Tracking"):
             node_index("Tracking.positions: node", node, len(structure.nodes))
 
     def rate(self, now: Instant) -> Any:
-        """Build the cost per second.
+        """Build the integrand.
 
         Parameters
         ----------
@@ -105,7 +108,7 @@ class Tracking(RunningCost, kind="Tracking"):
         Returns
         -------
         casadi.SX or casadi.MX
-            weight · Σ ‖node − place‖², a scalar.
+            weight · Σ ‖node − reference‖², a scalar.
         """
         total: Any = 0
         for node, place in self.positions.items():
@@ -123,7 +126,7 @@ class Tracking(RunningCost, kind="Tracking"):
 
 
 def _moving(field: str, place: Callable[[Any], Any], time: Any) -> tuple[Any, ...]:
-    """Read the coordinates of a place at a symbolic time."""
+    """Read a reference position at a symbolic time."""
 
     def read(field: str, entry: Any) -> Any:
         if not isinstance(entry, (ca.SX, ca.MX)):

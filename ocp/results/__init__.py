@@ -1,1 +1,1 @@
-"""Plans as data: their replay, their verdict, their report, and why there is none."""
+"""Plans as data: replay, acceptance test, report, failure diagnosis."""

@@ -1,4 +1,7 @@
-"""Acceptance test of plans: the replay against the goals, waypoints and limits that were named."""
+"""Acceptance test of plans.
+
+The replay is compared with the user's goals, waypoints and limits.
+"""
 
 from __future__ import annotations
 
@@ -45,9 +48,10 @@ class ReplayMeasures(NamedTuple):
 def measure_errors(
     plan: PlanResult, target: Target | None, times: Array, states: Array
 ) -> ReplayMeasures:
-    """Measure replays with states (n, T, nx) at times (T,) against the goals that were named.
+    """Compute the goal residuals of several replays.
 
-    Without goals the planned end takes their place.
+    The replays have states (n, T, nx) at times (T,) [s]. Residuals refer to the user's goals and
+    waypoints. Without goals they refer to the final state of the plan.
     """
 
     def state_at(share: float) -> Array:
@@ -72,9 +76,18 @@ def measure_errors(
 
 
 class _Verified(NamedTuple):
-    """A replay and its errors [m and m/s]; NaN if it fails, and a note why.
+    """Replay of a plan and its errors.
 
-    goal: name of the goal row with the largest error.
+    Attributes
+    ----------
+    motion : Trajectory or None
+        The replay; None if it failed.
+    position, velocity : float
+        Largest residuals of the goals [m and m/s]; NaN if the replay failed.
+    note : str
+        Cause of a failure, or the violated terminal limit; "" without either.
+    goal : str
+        Name of the goal row with the largest error.
     """
 
     motion: Trajectory | None
@@ -84,7 +97,10 @@ class _Verified(NamedTuple):
     goal: str = ""
 
     def worst(self, duration: float) -> float:
-        """Larger of both errors, velocities as the distance over the duration [m]."""
+        """Compute the larger of both errors [m].
+
+        The velocity error counts as velocity × duration. A failed replay has infinite error.
+        """
         return float(np.nan_to_num(max(self.position, self.velocity * duration), nan=np.inf))
 
     def describe(self, name: str, success: bool) -> str:
@@ -105,11 +121,12 @@ def assess_plan(
     replay: Replay,
     tracked: bool,
 ) -> PlanResult:
-    """Judge a plan by its replay against goals, waypoints and limits, and by nothing else.
+    """Accept or reject a plan by its replay.
 
-    The replay is in open loop. The one under `track` counts if `tracked`, or if errors grow so much
-    that no open-loop motion follows the plan. Returns the plan with its errors, success and
-    message.
+    The replay must meet goals, waypoints and terminal limits within the tolerance, and the plan all
+    limits. Convergence of the solver is not required. By default the open-loop replay counts. The
+    replay under `track` counts instead if `tracked` is True, or if errors grow so fast that no
+    open-loop motion follows the plan. Returns the plan with its errors, success and message.
     """
     target = target.begin_at(found.states[0])
     duration = float(plan.time[-1])
@@ -147,7 +164,10 @@ def assess_plan(
 
 
 def _verify(plan: PlanResult, target: Target, replay: Replay, tracked: bool) -> _Verified:
-    """Replay a plan, and measure how far it ends from goals and from limits of the end."""
+    """Replay a plan and compute its terminal errors.
+
+    Errors are the distances from the goals, and from states within the terminal limits.
+    """
     try:
         motion = replay(plan, tracked)
     except ValueError as error:
@@ -180,8 +200,11 @@ def _violated(plan: PlanResult) -> bool:
 
 
 def _describe_growth(plan: PlanResult) -> str:
-    """Describe the growth of errors in open loop; "" if it is small or unknown."""
-    # where contact begins and ends a little sooner or later, no derivative tells
+    """Describe the growth of errors in open loop.
+
+    Returns "" if the growth is small or unknown.
+    """
+    # A small error shifts the times of contact, which the state transition does not describe.
     if plan.require_model("solve").scene.grounds or np.isnan(plan.trajectory.states).any():
         return ""
     growth = plan.error_growth
@@ -206,7 +229,7 @@ def _rejected(plan: PlanResult, found: Outcome, tolerance: float, name: str, nea
 
 
 def _advise(plan: PlanResult, found: Outcome) -> str:
-    """Advise what reduces the error of the replay."""
+    """Advise how to reduce the error of the replay."""
     if plan.problem is not None and plan.problem.phases:
         return "give a harder ground, more damping of it, or longer phases"
     too_long = ""
@@ -219,7 +242,11 @@ def _advise(plan: PlanResult, found: Outcome) -> str:
 
 
 def _describe_violation(plan: PlanResult, motion: Trajectory | None) -> str:
-    """Describe the limit that a replay on a ground violates most between mesh points."""
+    """Describe the largest limit violation of a replay with contact.
+
+    The limits hold at mesh points, so that the violation is between them. Returns "" if there is
+    none, and for scenes without ground.
+    """
     problem: Problem | None = plan.problem
     if problem is None or motion is None or not problem.model.scene.grounds:
         return ""

@@ -1,4 +1,4 @@
-"""A plan carried out by motors that wind strings: rest lengths in place of force densities."""
+"""Replay of force-density plans by rest-length control."""
 
 from __future__ import annotations
 
@@ -17,29 +17,32 @@ from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import Array, instance, nonnegative, per_item, whole_number
 
-MOST_UPDATES = 1000  # of rest lengths in an interval
-WOUND_STEPS = 5  # steps of a replay from one change of rest lengths to the next
+MOST_UPDATES = 1000  # maximum number of rest-length updates in an interval
+WOUND_STEPS = 5  # integration steps between two rest-length updates
 
 
 @rename_keywords(shortest="min_rest_length")
 def is_realizable(
     plan: PlanResult, stiffness: ArrayLike | None = None, min_rest_length: ArrayLike = 0.0
 ) -> Array:
-    """Return whether elastic strings can carry the force densities of a plan.
+    """Return whether elastic strings can realize a plan's force densities.
+
+    A string of stiffness k realizes a force density γ < k by the rest length ρ = s (1 − γ/k), which
+    must be positive and at least `min_rest_length`.
 
     Parameters
     ----------
     plan : Plan
         The plan.
     stiffness : array_like, scalar or shape (α,), optional
-        Stiffness k of the strings, N/m. Default: the structure's.
+        Stiffness k of the strings [N/m]. Default: that of the structure.
     min_rest_length : array_like, scalar or shape (α,)
         Smallest rest length [m].
 
     Returns
     -------
     ndarray of bool, shape (K, α) or (K + 1, α)
-        Whether each force density of the plan can be carried.
+        Whether the strings can realize each force density of the plan.
 
     Raises
     ------
@@ -75,32 +78,34 @@ def replay_rest_lengths(
     damping: ArrayLike = 0.0,
     updates: int = 10,
 ) -> Trajectory:
-    """Simulate a plan carried out by motors that wind elastic strings to the rest lengths that it asks for.
+    """Simulate a plan under rest-length control.
 
-    Force densities pull the same wherever the nodes are; elastic strings push the motion back to
-    the plan or away from it. That is a second answer to how far a plan can be trusted.
+    Actuators set the rest lengths of elastic strings so that these have the planned force
+    densities. Prescribed force densities do not depend on the nodes' positions. The tensions of
+    elastic strings do, which stabilizes or destabilizes the motion about the plan. This replay is
+    therefore a second test of a plan's robustness.
 
     Parameters
     ----------
     plan : Plan
         The plan.
     stiffness : array_like, scalar or shape (α,), optional
-        Stiffness k of the strings, N/m. Default: the structure's.
+        Stiffness k of the strings [N/m]. Default: that of the structure.
     damping : array_like, scalar or shape (α,)
-        Damping of the strings, N s/m.
+        Damping of the strings [N·s/m].
     updates : int
-        How often rest lengths change in each interval.
+        Number of rest-length updates in each interval.
 
     Returns
     -------
     Trajectory
-        The motion.
+        The simulated motion.
 
     Raises
     ------
     TypeError, ValueError
-        An argument is wrong, the force density of a string reaches its stiffness, or the plan does
-        not know its model.
+        If an argument is invalid, the force density of a string reaches its stiffness, or the plan
+        was loaded without its model.
 
     Examples
     --------
@@ -116,7 +121,7 @@ def replay_rest_lengths(
     instance("plan", plan, PlanResult, "an ocp.Plan")
     _check_pulled(plan)
     whole_number("updates", updates, 1, MOST_UPDATES)
-    plan.rest_lengths(stiffness)  # names the string that is too soft
+    plan.rest_lengths(stiffness)  # raises an error that names a string of too low stiffness
     planned = plan.require_model("replay_rest_lengths")
     k = per_item(
         "stiffness",

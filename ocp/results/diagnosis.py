@@ -1,4 +1,4 @@
-"""Diagnosis of failures: the constraint that is violated, its cause, and a cure."""
+"""Diagnosis of failures: violated constraint, cause, and cure."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from tenscasadi.integrators.stability import fastest_rate
 from tenscasadi.util.validate import Array
 
 VIOLATED = 1e-6  # in scaled rows: smaller violations do not count
-RUNAWAY = 1e2  # in scaled unknowns: beyond, an unknown without limits grows for ever
+RUNAWAY = 1e2  # scaled size from which an unknown without limits counts as unbounded
 
 _ROOM = "increase the duration, widen the limits, or move the goal closer"
 _CAUSES = {
@@ -50,9 +50,10 @@ StateAt = Callable[[float], Array]  # fraction of the duration → state (nx,)
 
 
 def build_interpolant(model: Model, states: Array, duration: float, fractions: Array) -> StateAt:
-    """Build the function of a fraction of the duration that returns the state, as waypoints see it.
+    """Build the interpolant of the planned states.
 
-    It is the cubic between states (K + 1, nx) at the nodes of the mesh.
+    It is a function of the fraction of the duration: the cubic Hermite interpolant of the states (K
+    + 1, nx) at the mesh points, by which waypoints are imposed.
     """
 
     def state_at(share: float) -> Array:
@@ -73,9 +74,11 @@ def explain_failure(
     found: Guess,
     step: float = 0.0,
 ) -> str:
-    """Explain why a solver failed: the cause and its cure, and the largest violation by name.
+    """Explain why a solver failed.
 
-    state_at: states of the planned motion. step: of its equations [s], 0 if its length is no cause.
+    The message gives the cause, its cure, and the name of the largest violation. `state_at` returns
+    the states of the planned motion. `step` is the longest step of its discretization [s]; 0 omits
+    the check of its length.
     """
     functions = [program.problem["f"], program.problem["g"]]
     values = ca.Function("values", [program.problem["x"]], functions)(solution.w)
@@ -124,7 +127,10 @@ def explain_failure(
 def _describe_limits(
     problem: Problem, target: Target, program: Program, solution: Solution, g: Array
 ) -> list[str]:
-    """Describe the upper limits that are active, and those that conflict where the goals are met."""
+    """Describe active upper limits and conflicting limits.
+
+    Limits conflict if no control satisfies all of them at the target state.
+    """
     names = _list_active(program.w_names, solution.w, program.w_lower, program.w_upper)
     rows = _list_active(program.names, g, program.lower, program.upper)
     names += [name for name in rows if not name.startswith("goal")]
@@ -140,7 +146,10 @@ def _describe_limits(
 
 
 def _find_overdetermined(target: Target, program: Program) -> str:
-    """Find goals with more rows than there are controls before them; "" if there are none."""
+    """Find goals with more rows than preceding controls.
+
+    Returns "" if there are none.
+    """
     unknowns, count = program.parts.unknowns, len(program.states) - 1
     controls = np.array(["of string" in name for name in unknowns.names])
     for share, part, label in target.instants:
@@ -151,7 +160,10 @@ def _find_overdetermined(target: Target, program: Program) -> str:
 
 
 def _explain_rates(program: Program, solution: Solution, violation: Array, too_long: str) -> str:
-    """Explain by how much limits of rates have to be wider; "" if they are not to blame."""
+    """Explain which relaxation of the rate limits permits a solution.
+
+    Returns "" if the rate limits are not the cause of the failure.
+    """
     if solution.status != TOO_SLOW:
         return ""
     rates = find_rate_rows(program)
@@ -165,7 +177,10 @@ def _explain_rates(program: Program, solution: Solution, violation: Array, too_l
 
 
 def _units(problem: Problem) -> Mapping[str, str]:
-    """Return the units of all limited quantities by name; "" for own constraints."""
+    """List the units of all limited quantities by name.
+
+    User-defined constraints have the unit "".
+    """
     kinds = (PathBound, RateBound)
     return {
         name: one.unit
@@ -176,9 +191,10 @@ def _units(problem: Problem) -> Mapping[str, str]:
 
 
 def find_long_steps(model: Model, states: Array, gamma: Array, step: float, duration: float) -> str:
-    """Explain that steps [s] are too long for the fastest vibration; "" if they are not.
+    """Explain that steps are too long for the fastest vibration.
 
-    States are (K + 1, nx), force densities (K, α).
+    States are (K + 1, nx), force densities (K, α) [N/m], step and duration in seconds. Returns ""
+    if the steps are short enough.
     """
     chosen = [
         k
@@ -195,7 +211,10 @@ def find_long_steps(model: Model, states: Array, gamma: Array, step: float, dura
 
 
 def _find_undefined(program: Program, solution: Solution, f: Array, g: Array) -> str:
-    """Find the row, cost or derivative that is not a number; "" if there is none."""
+    """Find the row, cost or derivative that is not finite.
+
+    Returns "" if there is none.
+    """
     if not np.all(np.isfinite(g)):
         return _cure(program.names[int(np.argmax(~np.isfinite(g)))])
     if not np.all(np.isfinite(f)):
@@ -224,16 +243,19 @@ def _cure(name: str) -> str:
 
 
 def _find_runaway(program: Program, solution: Solution) -> str:
-    """Find the unknown that grows without limit; "" if there is none."""
+    """Find the largest unbounded unknown.
+
+    Controls come first, as they make the others grow. Returns "" if no unknown is large.
+    """
     if solution.last is None or not np.all(np.isfinite(solution.last)):
         return ""
     limits = np.where(solution.last > 0, program.w_upper, program.w_lower)
     stages = np.array([", stage " in name for name in program.w_names])
-    # rates within intervals are large where steps are too long
+    # Stage unknowns do not count: long steps also make them large.
     size = np.where(np.isfinite(limits) | stages, 0.0, np.abs(solution.last))
     controls = ("force density of string", "rest length of string")
     of_controls = size * [name.startswith(controls) for name in program.w_names]
-    # controls make the rest grow
+    # A large control makes other unknowns large.
     worst = int(np.argmax(of_controls if of_controls.max(initial=0.0) >= RUNAWAY else size))
     if size[worst] < RUNAWAY:
         return ""

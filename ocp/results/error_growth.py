@@ -1,4 +1,4 @@
-"""How much small errors grow along a motion: the largest singular value of its state transition."""
+"""Growth of small initial errors along a motion."""
 
 from __future__ import annotations
 
@@ -10,18 +10,36 @@ from tenscasadi.dynamics.linearization import tangents
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array
 
-UNSTABLE = 1e3  # errors that grow more are told: vibrations and drift multiply them by ten or so
+# growth above which a motion counts as unstable; vibration and drift alone cause factors near ten
+UNSTABLE = 1e3
 MOST_WORK = (
-    2e10  # products of numbers, about a second: beyond, several intervals share a linearisation
+    # multiplications, about a second; beyond, several intervals share a linearization
+    2e10
 )
 
 
 def grown_errors(model: Model, time: Array, states: Array, force_density: Array) -> float:
-    """Return how many times larger errors of a start can be at the end of a motion: in m, and m per duration of speed.
+    """Compute the worst-case growth of initial errors.
 
-    The largest singular value of the state transition over time (K + 1,) along states (K + 1, nx)
-    under γ (K, α) or (K + 1, α), over the changes of the start that bars and joints allow, of the
-    `linear_steps`. inf where it overflows, NaN where it is not known.
+    It is the largest singular value of the state-transition matrix of the motion, restricted to
+    changes of the initial state that bars and joints permit. Positions count in m, velocities in m
+    per duration. The matrix is the product of the `linear_steps`.
+
+    Parameters
+    ----------
+    model : Model
+        Model of the motion.
+    time : ndarray, shape (K + 1,)
+        Mesh points [s].
+    states : ndarray, shape (K + 1, nx)
+        States at the mesh points.
+    force_density : ndarray, shape (K, α) or (K + 1, α)
+        Controls: piecewise constant, or piecewise linear.
+
+    Returns
+    -------
+    float
+        Growth factor; inf if it overflows, NaN if it is unknown.
     """
     if not np.all(np.isfinite(states)) or not np.all(np.isfinite(force_density)) or len(states) < 2:
         return np.nan

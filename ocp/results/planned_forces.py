@@ -1,4 +1,4 @@
-"""The forces that a plan asks of strings and bars, and the rest lengths that bring them about."""
+"""Planned forces of strings and bars, and corresponding rest lengths."""
 
 from __future__ import annotations
 
@@ -14,11 +14,12 @@ from tenscasadi.util.validate import Array, flag, nonnegative, per_item
 
 
 class PlannedForces(Tabular):
-    """The part of a `Plan` that tells its forces; a plan has these attributes as fields.
+    """Base class of `Plan` that computes its forces.
 
-    Its table has a row for each node of the mesh. What is held from a node to the next stands in
-    the row of the first, and once more in the last row. Rest lengths are those of `rest_lengths`,
-    and left out where none of the structure's stiffness pulls as planned.
+    The attributes are fields of a plan. The table has one row for each mesh point. Piecewise
+    constant values are in the row of the start of their interval; the last row repeats the values
+    of the last interval. The columns of rest lengths are those of `rest_lengths`. They are omitted
+    if a planned force density reaches the stiffness of its string.
     """
 
     time: Array
@@ -28,17 +29,26 @@ class PlannedForces(Tabular):
     structure: Structure
 
     def require_model(self, user: str) -> Model:
-        """Return the model, which `user` needs. Raises ValueError where it is not known."""
+        """Return the model, or raise ValueError if it is unknown.
+
+        The message names the function `user` that needs it.
+        """
         raise NotImplementedError
 
     @property
     def control(self) -> Array:
-        """Rest lengths, m, or force densities, N/m, as decided (K, α) or (K + 1, α)."""
+        """Control values (K, α) or (K + 1, α).
+
+        They are rest lengths [m] under rest-length control, otherwise force densities [N/m].
+        """
         return self.force_density if self.rest_length is None else self.rest_length
 
     @property
     def linear(self) -> bool:
-        """Whether force densities are given at the nodes of the mesh, and linear between them."""
+        """Whether force densities are piecewise linear.
+
+        They are then given at the mesh points; otherwise they are constant on each interval.
+        """
         return len(self.force_density) == len(self.time)
 
     def _columns(self) -> Columns:
@@ -59,45 +69,45 @@ class PlannedForces(Tabular):
         }
 
     def lengths(self) -> Array:
-        """Return the distances between the ends of each string.
+        """Compute the lengths of all strings.
 
         Returns
         -------
         ndarray, shape (K + 1, α)
-            Lengths at the nodes of the mesh, m.
+            Lengths at the mesh points [m].
         """
         ends = self.trajectory.nodes[:, self.structure.strings]
         return np.asarray(np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2))
 
     def tension(self, end: bool = False) -> Array:
-        """Return the tensions of the strings, force density times length.
+        """Compute the string tensions, force density times length.
 
         Parameters
         ----------
         end : bool
-            Whether to take them at the end of each interval, instead of at its start.
+            Whether to evaluate them at the end of each interval instead of at its start.
 
         Returns
         -------
         ndarray, shape (K, α)
-            Tensions, N.
+            Tensions [N].
         """
         flag("end", end)
         instants, gamma = slice(1, None) if end else slice(-1), self.force_density
         return np.asarray((gamma[instants] if self.linear else gamma) * self.lengths()[instants])
 
     def bar_forces(self) -> Array:
-        """Return the forces of the bars at the start of each interval, λ ‖b‖ (Eqs. 46, 87).
+        """Compute the bar forces λ ‖b‖ (Eqs. 46, 87).
 
         Returns
         -------
         ndarray, shape (K, β)
-            Forces, N, positive in compression.
+            Forces at the start of each interval [N], positive in compression.
 
         Raises
         ------
         ValueError
-            The model is not known.
+            If the model is unknown.
         """
         model, count = self.require_model("bar_forces"), len(self.time) - 1
         lam = model.multiplier_function.map(count)(
@@ -109,23 +119,26 @@ class PlannedForces(Tabular):
         )
 
     def rest_lengths(self, stiffness: ArrayLike | None = None) -> Array:
-        """Return the rest lengths that were decided, or those of elastic strings that pull as planned, s (1 − γ/k) (Eq. 99, without damping).
+        """Compute the rest lengths that produce the planned force densities.
+
+        A plan under rest-length control returns its control if no stiffness is given. Otherwise the
+        rest lengths are s (1 − γ/k) for elastic strings of length s, without damping (Eq. 99).
 
         Parameters
         ----------
         stiffness : array_like, scalar or shape (α,), optional
-            Stiffness k, N/m. Default: the structure's.
+            Stiffness k [N/m]. Default: that of the structure.
 
         Returns
         -------
         ndarray, shape (K, α) or (K + 1, α)
-            Rest lengths, m, at the start of each interval; at all nodes of the mesh where force
-            densities are linear.
+            Rest lengths [m] at the start of each interval, or at all mesh points if force densities
+            are piecewise linear.
 
         Raises
         ------
         ValueError
-            The force density of a string reaches its stiffness; the message names it.
+            If the force density of a string reaches its stiffness. The message names the string.
         """
         if self.rest_length is not None and stiffness is None:
             return np.asarray(self.rest_length)

@@ -1,4 +1,4 @@
-"""Mesh refinement: where the mesh of a plan is too coarse, and one that is fine enough."""
+"""Mesh refinement of plans by the defects of their intervals."""
 
 from __future__ import annotations
 
@@ -19,26 +19,28 @@ from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.stabilization import build_projection
 from tenscasadi.util.validate import Array
 
-DEFECT_STEPS = 10  # steps for one interval of the plan, to tell its defect
-LOST = 1e6  # tolerances that a replay which diverges counts as its error
-MOST_PARTS = 4  # that an interval is cut into at once
+DEFECT_STEPS = 10  # integration steps for the defect of an interval
+LOST = 1e6  # error of a diverging replay, in units of the tolerance
+MOST_PARTS = 4  # maximum number of parts of an interval in one refinement
 FAR = float(
     MOST_PARTS**4
-)  # times the tolerance: a mesh that is cut once, with a method of order 4, does not gain more
-CAUTION = 0.3  # of the tolerance is aimed at
+)  # × tolerance: the largest error that one refinement removes, with a method of order 4
+CAUTION = 0.3  # safety factor: error that refinement aims at, in units of the tolerance
 
-Again = Callable[..., PlanResult]  # (plan, changes of its transcription by name)
+Again = Callable[..., PlanResult]  # (plan, new options of its transcription) → plan
 
 
 def refine_until_accurate(
     plan: PlanResult, tolerance: float, attempts: int, find_plan: Callable[..., PlanResult]
 ) -> PlanResult:
-    """Solve again until the replay ends within a tolerance, m, of the goals.
+    """Refine the mesh until the replay meets a tolerance [m].
 
-    Each attempt cuts intervals, where one finer mesh cannot do it once with corrections instead.
-    find_plan: as `ocp.search.find_plan.find_plan`. Returns the best plan; where that misses the
-    tolerance, its message says so. A plan without an optimum is returned as it is. Raises
-    ValueError where it is not known how the plan was solved.
+    Each attempt subdivides intervals and solves again, starting from the last plan. Deferred
+    correction is tried once, if the error is too large for one finer mesh or if a finer mesh does
+    not halve it. `find_plan` has the arguments of `ocp.search.find_plan.find_plan`. Returns the
+    best plan, whose message reports if it misses the tolerance. A plan that is no optimum is
+    returned unchanged. Raises ValueError if problem, transcription or solver of the plan are
+    unknown.
     """
     problem, transcription, solver = plan.problem, plan.transcription, plan.solver
     if problem is None or transcription is None or solver is None:
@@ -69,7 +71,10 @@ def refine_until_accurate(
 def _refine(
     plan: PlanResult, tolerance: float, attempts: int, again: Again, correctable: bool
 ) -> tuple[PlanResult, str]:
-    """Return a plan that meets the tolerance and "", or the best and why it does not."""
+    """Refine a plan by finer meshes and deferred correction.
+
+    Returns the plan and "", or the best plan and the reason why it misses the tolerance.
+    """
     why = f"in {attempts} attempts: give more, or substeps"
     for _ in range(attempts):
         error = plan.worst_error
@@ -91,7 +96,10 @@ def _refine(
 
 
 def _finer_mesh(plan: PlanResult, tolerance: float) -> dict[str, Any]:
-    """Cut the intervals where the motion is least exact; those of phases all in two."""
+    """Build the options of a transcription with a finer mesh.
+
+    Intervals with large defects are subdivided. With phases, all intervals are halved.
+    """
     error, known = plan.worst_error, plan.transcription
     if known is not None and plan.problem is not None and plan.problem.phases:
         return {"intervals": tuple(np.repeat(known.fractions, 2).tolist())}
@@ -99,13 +107,16 @@ def _finer_mesh(plan: PlanResult, tolerance: float) -> dict[str, Any]:
     model = plan.require_model("refine")
     lengths = finer(model, plan.time, plan.trajectory.states, plan.control, too_large)
     given = None if known is None else known.accuracy
-    # The accuracy of the plan's own tolerance would undo what the finer mesh gains.
+    # The accuracy for the previous tolerance would cancel the gain of the finer mesh.
     accuracy = None if given is None else min(given, CAUTION * tolerance)
     return {"intervals": tuple(lengths.tolist()), "accuracy": accuracy}
 
 
 def _sample_again(plan: PlanResult, tolerance: float, again: Again) -> tuple[PlanResult, str]:
-    """Return a plan of sampled motions that meets the tolerance and "", or the best and why it does not."""
+    """Refine a plan of the sampling method by another search.
+
+    Returns the plan and "", or the given plan and the reason why it misses the tolerance.
+    """
     if not plan.success or plan.worst_error <= tolerance:
         return plan, ""
     found = again(plan)
@@ -121,9 +132,26 @@ def _better(plan: PlanResult, other: PlanResult) -> PlanResult:
 def finer(
     model: Model, time: Array, states: Array, force_density: Array, too_large: float
 ) -> Array:
-    """Return relative lengths of intervals: those of a plan, each cut into as many parts as its share of an error asks for.
+    """Subdivide the intervals of a plan by their defects.
 
-    too_large: how many times the error exceeds what is allowed.
+    Parameters
+    ----------
+    model : Model
+        Model of the plan.
+    time : ndarray, shape (K + 1,)
+        Mesh points [s].
+    states : ndarray, shape (K + 1, nx)
+        States at the mesh points.
+    force_density : ndarray, shape (K, α) or (K + 1, α)
+        Controls.
+    too_large : float
+        Error of the replay divided by its tolerance.
+
+    Returns
+    -------
+    ndarray
+        Relative lengths of the new intervals. Each interval has at most 4 parts. If no defect is
+        large, all intervals are halved.
     """
     gap = defects(model, time, states, force_density)
     gap = np.where(np.isfinite(gap), gap, np.nanmax(gap, initial=1.0))
@@ -137,10 +165,12 @@ def finer(
 
 
 def defects(model: Model, time: Array, states: Array, force_density: Array) -> Array:
-    """Return how far, m, the planned state at the end of each interval (K,) is from the one that fine steps from its start lead to.
+    """Compute the defects (K,) of the intervals [m].
 
-    time (K + 1,), states (K + 1, nx), force_density (K, α) or (K + 1, α). Speeds count with what
-    they add up to over the plan.
+    The defect is the difference between the planned state at the end of an interval and a fine
+    integration from the planned state at its start. It is the larger of the differences of
+    positions, and of velocities × duration. Arguments have shapes (K + 1,) for time, (K + 1, nx)
+    for states, and (K, α) or (K + 1, α) for force densities.
     """
     count, lengths = len(time) - 1, np.diff(time)
     advance = RungeKutta4().step(model.ode).map(count)

@@ -1,4 +1,4 @@
-"""The replay of a plan in open loop: its force densities, or rest lengths, whatever the motion does."""
+"""Open-loop replay of plans."""
 
 from __future__ import annotations
 
@@ -13,11 +13,17 @@ from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import positive_number
 
-STEPS = 10  # for each interval of a plan
+STEPS = 10  # integration steps for each interval of a plan
 
 
 def replay_open(plan: PlanResult, model: Model, scheme: Scheme, step: float | None) -> Trajectory:
-    """Simulate a model under what a plan commands; step: the longest, s. Raises TypeError, ValueError."""
+    """Simulate a model under the controls of a plan.
+
+    The controls are force densities or rest lengths, applied in open loop from the initial state of
+    the plan. `step` is the longest integration step [s]. By default it is a tenth of an interval,
+    or less if contact with a ground requires it. Raises TypeError or ValueError for an invalid
+    scheme or step.
+    """
     check_scheme(scheme)
     size = None if step is None else positive_number("step", step)
     start, intervals, end = plan.trajectory.states[0], np.diff(plan.time), float(plan.time[-1])

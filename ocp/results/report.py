@@ -1,4 +1,4 @@
-"""Reports of plans: the limits that a plan meets, what they cost, and those that it or its replay breaks, and when."""
+"""Reports of plans: active limits, their duals, and violations."""
 
 from __future__ import annotations
 
@@ -20,30 +20,30 @@ from ocp.transcription.mesh import profile_at
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import Array
 
-MARGIN = 1e-4  # of a limit's range or size: nearer counts as held by it, farther beyond as broken
+# relative to the range or size of a limit: a value within it is active, one farther beyond violated
+MARGIN = 1e-4
 
 
 class Finding(NamedTuple):
-    """One limit of one string, bar or node, and how a plan meets it.
+    """Active or violated limit of one string, bar or node.
 
     Attributes
     ----------
     name : str
-        What is limited.
+        Name of the limited quantity.
     side : str
         "lower" or "upper".
     limit, worst : float
-        The limit, and the worst value, in `unit`.
+        The limit, and the extreme value of the quantity, in `unit`.
     time : float
-        When that occurs, s.
+        Time of the extreme value [s].
     share : float
-        In which share of the instants the limit holds or is broken.
+        Fraction of the instants at which the limit is active or violated.
     unit : str
         Unit of limit and value.
     dual : float
-        By how much the objective would fall for each unit by which the limit gave way, over the
-        whole plan and to first order. NaN where it is not known: of what the replay breaks, and of
-        the single strings of a group.
+        Decrease of the objective per unit of relaxation of the limit over the whole plan, to first
+        order. NaN if unknown, as for violations, and for single strings of a control group.
     """
 
     name: str
@@ -65,18 +65,20 @@ class Finding(NamedTuple):
 
 
 class Missed(NamedTuple):
-    """One row of a soft goal (`Goal.soft`), and by how much the replay of a plan misses it.
+    """Residual of one row of a soft goal (`Goal.soft`).
+
+    The residual is that of the replay.
 
     Attributes
     ----------
     name : str
-        The row of the goal.
+        Name of the row.
     miss : float
-        By how much it is missed, in `unit`.
+        Residual in `unit`.
     unit : str
         "m" or "m/s".
     cost : float
-        What that costs.
+        Contribution to the objective.
     """
 
     name: str
@@ -90,18 +92,20 @@ class Missed(NamedTuple):
 
 @dataclass(frozen=True)
 class Report:
-    """Limits that hold a plan back, and those that it breaks; see `Plan.report`. It prints as a text.
+    """Active limits, violated limits and soft goals of a plan.
+
+    `Plan.report` returns it. It prints as text.
 
     Attributes
     ----------
     active : tuple of Finding
-        The limits that hold the plan back, the most costly first.
+        Active limits in decreasing order of their duals.
     violated : tuple of Finding
-        Those that the plan oversteps, or its replay between the nodes of the mesh. What several
-        bounds limit is told apart by the place of the bound, such as "obstacle clear of bar 0
-        (bounds[2])".
+        Limits that the plan violates at mesh points, or its replay between them. If several bounds
+        limit the same quantity, the name has the index of the bound, such as "obstacle clear of bar
+        0 (bounds[2])".
     missed : tuple of Missed
-        The rows of soft goals, the most costly first.
+        Rows of soft goals in decreasing order of their costs.
 
     Examples
     --------
@@ -139,7 +143,11 @@ def report_of(
     replay: Trajectory,
     duals: Duals | None,
 ) -> Report:
-    """Report the limits that are active at mesh points, and those that a plan or its replay violates."""
+    """Build the report of a plan.
+
+    Limits are active at mesh points. Violations are those of the plan at mesh points, and those of
+    its replay.
+    """
     planned = _planned_limits(problem, time, states, controls)
     replayed = _limits_of_instants(problem, replay.time, replay.states, replay.control)
     broken = [finding for one in (*planned, *replayed) for finding in one.findings(broken=True)]
@@ -169,7 +177,10 @@ def violated_limits(
 def _planned_limits(
     problem: Problem, time: Array, states: Array, controls: Array
 ) -> list[_LimitedValues]:
-    """Evaluate limits at both ends of every interval, under the controls within."""
+    """Evaluate limits at both ends of every interval.
+
+    Both ends have the controls of the interval.
+    """
     ends, before = np.append(time[:-1], time[1:]), np.append(time[:-1], time[1:] - 1e-9 * time[-1])
     both = np.concatenate([states[:-1], states[1:]])
     found = _limits_of_instants(problem, ends, both, profile_at(controls, time, before))
@@ -177,7 +188,10 @@ def _planned_limits(
 
 
 def _measure_soft_goals(problem: Problem, replay: Trajectory) -> tuple[Missed, ...]:
-    """Measure the rows of all soft goals at their instants of a replay."""
+    """Compute residuals and costs of soft goals in a replay.
+
+    The most costly come first.
+    """
     found, model = [], problem.model
     for share, goal in soft_goals(problem.costs):
         state = [
@@ -214,7 +228,7 @@ class _LimitedValues(NamedTuple):
     values: Array
 
     def findings(self, broken: bool) -> list[Finding]:
-        """Find the limits that are violated, or those that are active."""
+        """Find the limits that are violated, or those active."""
         found = []
         lower, upper = self.limited.lower, self.limited.upper
         width = np.where(np.isfinite(upper - lower), upper - lower, np.inf)
@@ -242,7 +256,10 @@ class _LimitedValues(NamedTuple):
 def _limits_of_instants(
     problem: Problem, time: Array, states: Array, controls: Array
 ) -> list[_LimitedValues]:
-    """Return what is decided, and what bounds limit of instants."""
+    """Evaluate the controls and all path bounds at given instants.
+
+    Bounds of the end only are evaluated at the last instant.
+    """
     lower, upper = problem.control_limits
     names = tuple(f"{control_name(problem.model)} of string {k}" for k in range(len(lower)))
     own = _LimitedValues(
@@ -270,7 +287,7 @@ def _limits_of_instants(
 def _limits_of_rates(
     problem: Problem, time: Array, states: Array, force_density: Array
 ) -> list[_LimitedValues]:
-    """Return what bounds limit from each time for which a profile has force densities to the next."""
+    """Evaluate the rate bounds between successive control values."""
     x, u, t = states[: len(force_density)].T, force_density.T, time[: len(force_density)]
     if len(t) < 2:
         return []
@@ -287,7 +304,11 @@ def _evaluate(limited: PathConstraint, time: Array, *arguments: Array) -> _Limit
 
 
 def _merge(findings: list[Finding], most: Callable[[Finding], float]) -> tuple[Finding, ...]:
-    """One for each limit, the one that has most of something; those that hold longest come first."""
+    """Keep one finding for each limit.
+
+    It is the one with the largest value of `most`. Findings that are active or violated longest
+    come first.
+    """
     best: dict[tuple[str, str], Finding] = {}
     for finding in findings:
         key = finding.name, finding.side

@@ -1,4 +1,4 @@
-"""Rest lengths of elastic strings that bring a plan about."""
+"""Rest-length schedule of elastic strings that realizes a plan."""
 
 from __future__ import annotations
 
@@ -12,9 +12,25 @@ from tenscasadi.util.validate import Array
 
 
 def wind(plan: PlanResult, stiffness: Array, updates: int) -> tuple[Array, Array]:
-    """Return times (K + 1,), s, and the rest lengths (K, α), m, to which motors wind in between; `updates` of them in each interval of a plan.
+    """Compute the rest-length schedule of a plan.
 
-    Of the middle of each step of a fine replay: s (1 − γ/k) (Eq. 99).
+    The rest lengths are s (1 − γ/k) in the middle of each step of a fine replay (Eq. 99).
+
+    Parameters
+    ----------
+    plan : PlanResult
+        The plan.
+    stiffness : ndarray, shape (α,)
+        Stiffness k of the strings [N/m].
+    updates : int
+        Number of rest-length updates in the shortest interval.
+
+    Returns
+    -------
+    time : ndarray, shape (K + 1,)
+        Times of the updates, and the end [s].
+    rest : ndarray, shape (K, α)
+        Rest lengths, constant between these times [m].
     """
     steps = updates * round(float(plan.time[-1] / np.diff(plan.time).min()))
     model = plan.require_model("replay_rest_lengths")

@@ -28,7 +28,10 @@ from tenscasadi.util.validate import Array
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PlanResult(PlannedForces, Stored):
-    """Control over time and the motion that it causes; `ocp.Plan` says what the fields are."""
+    """Controls over time and the resulting motion.
+
+    `ocp.Plan` documents the fields.
+    """
 
     success: bool
     status: str
@@ -62,7 +65,10 @@ class PlanResult(PlannedForces, Stored):
 
     @property
     def worst_error(self) -> float:
-        """The larger of the replay's errors in place, and in speed times the duration, m; infinite where it diverges."""
+        """Larger of both replay errors [m].
+
+        They are the position error, and velocity error × duration. Infinite if the replay diverges.
+        """
         return float(
             np.nan_to_num(
                 max(self.replay_error, self.replay_speed_error * float(self.time[-1])), nan=np.inf
@@ -71,11 +77,12 @@ class PlanResult(PlannedForces, Stored):
 
     @cached_property
     def error_growth(self) -> float:
-        """How many times larger small errors of the start can be at the end of the open-loop motion, in m, and m per duration of speed.
+        """Worst-case growth of small initial errors in open loop.
 
-        The largest singular value of the motion's state transition: a few for calm motions,
-        thousands where it is unstable. inf where it overflows; NaN where it is not known, as of
-        plans with phases, whose impacts have no derivative.
+        It is the largest singular value of the state-transition matrix, with positions in m and
+        velocities in m per duration. Values of a few are common; thousands indicate an unstable
+        motion. It is inf if it overflows, and NaN if it is unknown. Plans with phases have NaN, as
+        impacts have no derivative.
         """
         if self.problem is not None and self.problem.phases:
             return np.nan
@@ -89,7 +96,7 @@ class PlanResult(PlannedForces, Stored):
         Parameters
         ----------
         user : str
-            What needs it, for the message.
+            Name of the function that needs it, for the message.
 
         Returns
         -------
@@ -99,7 +106,7 @@ class PlanResult(PlannedForces, Stored):
         Raises
         ------
         ValueError
-            The plan was loaded from a file that does not hold it.
+            If the plan was loaded from a file without the model.
         """
         if self.model is None:
             missing = "which its file does not hold: it is of an older version, or the scene has functions of time"
@@ -109,26 +116,26 @@ class PlanResult(PlannedForces, Stored):
         return self.model
 
     def guess(self, problem: Problem, target: Target, intervals: int) -> Guess:
-        """Return the plan as initial guess of a problem.
+        """Convert the plan to an initial guess of a problem.
 
         Parameters
         ----------
         problem : Problem
-            What is asked.
+            Optimal control problem.
         target : Target
-            Where its goals lead.
+            Target of its goals.
         intervals : int
-            Number of equal ones, K.
+            Number K of equal intervals of the guess.
 
         Returns
         -------
         Guess
-            States (K + 1, nx), force densities (K, α), N/m, and duration, s.
+            States (K + 1, nx), force densities (K, α) [N/m], and duration [s].
 
         Raises
         ------
         ValueError
-            The plan is of another structure.
+            If the plan has another structure.
         """
         if (
             self.trajectory.states.shape[1] != problem.model.nx

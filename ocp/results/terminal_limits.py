@@ -1,4 +1,4 @@
-"""Distance of the end of a replay from states that keep the limits of the plan's end."""
+"""Violation of terminal limits by a replay."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tenscasadi.util.validate import Array
 
 
 class TerminalViolation(NamedTuple):
-    """The limit of the end that is violated most.
+    """Largest violation of a terminal limit.
 
     Attributes
     ----------
@@ -33,10 +33,11 @@ class TerminalViolation(NamedTuple):
 def measure_terminal_limits(
     problem: Problem, plan: PlanResult, motion: Trajectory
 ) -> TerminalViolation:
-    """Measure the limits of the end that a replay violates.
+    """Find the terminal limit that a replay violates most.
 
-    Gradients are those of the planned or of the replayed end, whichever is larger, as squares have
-    none where they are least. Velocities count as the distance over the plan.
+    The violation divided by the norm of the gradient is the distance from states within the limit.
+    The gradient is the larger of those at the planned and at the replayed final state, as quadratic
+    functions have none at their minimum. Velocities count as velocity × duration.
     """
     model, duration = problem.model, float(plan.time[-1])
     ends = np.array([plan.trajectory.states[-1], motion.states[-1]])
@@ -51,7 +52,7 @@ def measure_terminal_limits(
         found = excess > 0
         away = np.where(found, np.inf, 0.0)
         np.divide(excess, slope, out=away, where=found & (slope > 0))
-        # functions of the controls alone are as planned
+        # A function of the controls alone has its planned value.
         away[found & (slope == 0) & np.isfinite(excess)] = 0.0
         k = int(np.argmax(away))
         if away[k] > worst.distance:
@@ -67,7 +68,11 @@ def measure_terminal_limits(
 def _measure(
     limited: PathConstraint, ends: Array, controls: Array, duration: float, scale: Array
 ) -> tuple[Array, Array]:
-    """Measure the violations (m,) at the last end, inf where undefined, and the largest slopes."""
+    """Compute the violations (m,) and largest gradient norms (m,).
+
+    Violations are those of the last of the ends, and inf if undefined. Gradient norms are the
+    maxima over all ends.
+    """
     value = ca.densify(limited.value)
     function = ca.Function(
         "end", limited.symbols, [value, ca.densify(ca.jacobian(value, limited.symbols[0]))]

@@ -1,4 +1,4 @@
-"""Plans in pictures: replay, planned motion, obstacles, targets, and charts with limits."""
+"""View content of plans: motions, obstacles, targets, and charts."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tenscasadi.util.validate import Array
 
 
 def describe_plan(plan: Any) -> ViewContent:
-    """Describe a plan as the content of a picture.
+    """Describe a plan as view content.
 
     The replay is opaque. It is missing if the plan's model is unknown.
     """

@@ -1,1 +1,1 @@
-"""The search for a plan: what is refused beforehand, what is tried, and in which order."""
+"""Search for plans: checks, attempts, and their order."""

@@ -1,4 +1,7 @@
-"""A problem in full coordinates, planned in reduced ones: motions do not depend on coordinates, and methods in reduced ones are faster."""
+"""Planning in reduced coordinates for models in full coordinates.
+
+The motion does not depend on the coordinates, and methods are faster in reduced ones.
+"""
 
 from __future__ import annotations
 
@@ -20,19 +23,30 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import Array, finite_array
 
-_OWN = Constraint, Integral, AtEnd  # have expressions of the user's
+_OWN = Constraint, Integral, AtEnd  # with user-defined expressions
 _GUESSES = type(None), InverseDynamics, EquilibriumGuess, TrajectoryGuess, PlanResult
 
 
 @dataclass(frozen=True)
 class ReducedCoordinates:
-    """The same problem of a model in reduced coordinates (`problem`) for one in full coordinates (`given`)."""
+    """Problem in full coordinates and its equivalent in reduced ones.
+
+    Attributes
+    ----------
+    given : Problem
+        Problem in full coordinates.
+    problem : Problem
+        Equivalent problem in reduced coordinates.
+    """
 
     given: Problem
     problem: Problem
 
     def guess(self, value: InitialGuess | None) -> InitialGuess | None:
-        """Return a guess for the given problem as one for its twin. Raises ValueError for arrays of another size."""
+        """Convert an initial guess to reduced coordinates.
+
+        Raises ValueError for arrays of another size.
+        """
         full = self.given.model
         if isinstance(value, TrajectoryGuess):
             return replace(
@@ -47,20 +61,21 @@ class ReducedCoordinates:
         return value
 
     def restore(self, plan: PlanResult) -> PlanResult:
-        """Return a plan in reduced coordinates as one of the given problem."""
+        """Convert a plan from reduced to full coordinates."""
         motion = replace(plan.trajectory, states=_lifted(self, plan.trajectory.states))
         return replace(plan, trajectory=motion, model=self.given.model, problem=self.given)
 
     def lower(self, motion: Trajectory) -> Trajectory:
-        """Return a motion of the given model in reduced coordinates."""
+        """Convert a trajectory from full to reduced coordinates."""
         return replace(motion, states=_lowered(self, motion.states))
 
 
 def reduce_coordinates(problem: Problem, guess: InitialGuess | None) -> ReducedCoordinates | None:
-    """Return the twin of a problem in full coordinates; None for others, and where there is none.
+    """Convert a problem from full to reduced coordinates.
 
-    There is none for bounds, costs or guesses of other classes than this package's. Where
-    constraints are redundant, forces of bars are those in reduced coordinates.
+    Returns None if the model has no joints, if bounds, costs or guess have classes from outside
+    this package, or if the conversion fails. If constraints are redundant, bar forces are those in
+    reduced coordinates.
     """
     model = problem.model
     own = all(
@@ -80,12 +95,15 @@ def reduce_coordinates(problem: Problem, guess: InitialGuess | None) -> ReducedC
         TypeError,
         ValueError,
         RuntimeError,
-    ):  # such as an expression of the state that is SX in one model and MX in the other
+    ):  # such as for a state expression that is SX in one model and MX in the other
         return None
 
 
 def _in_reduced(model: Model) -> Model:
-    """Return the model of the same scene in reduced coordinates; the model keeps it, as its functions take time to build."""
+    """Build the model of the same scene in reduced coordinates.
+
+    The given model caches it, as its functions take time to build.
+    """
     kept: dict[Any, Any] = model.functions
     key = ("reduced",)
     if key not in kept:
@@ -97,7 +115,10 @@ def _in_reduced(model: Model) -> Model:
 
 
 class _Seen(Instant):
-    """An instant of the twin as the given model has it: what depends on coordinates is that of the given one."""
+    """Instant of the reduced model in full coordinates.
+
+    The state has full coordinates. Tensions and bar forces are those of the reduced model.
+    """
 
     def __init__(self, model: Model, now: Instant) -> None:
         N, V, clock = now.model.unpack(now.state)
@@ -109,17 +130,20 @@ class _Seen(Instant):
 
     @cached_property
     def tension(self) -> Any:
-        """Tensions of the modelled strings, N."""
+        """Tensions of the modeled strings [N]."""
         return self._now.tension
 
     @cached_property
     def bar_force(self) -> Any:
-        """Forces of the bars, N."""
+        """Bar forces [N]."""
         return self._now.bar_force
 
 
 def _seen(item: Any, model: Model) -> Any:
-    """Return a bound or cost whose own expression gets instants of a model in full coordinates; others as they are."""
+    """Convert a bound or cost with a user-defined expression.
+
+    The expression receives instants in full coordinates. Other bounds and costs remain unchanged.
+    """
     if not isinstance(item, _OWN):
         return item
     expression: Callable[[Instant], Any] = item.expression  # type: ignore[assignment]
@@ -131,7 +155,7 @@ def _lowered(twin: ReducedCoordinates, states: Array) -> Array:
 
 
 def _lower(full: Model, reduced: Model, states: Array) -> Array:
-    """Return states (…, nx) in reduced coordinates."""
+    """Convert states (…, nx) from full to reduced coordinates."""
     mech = reduced.mechanism
     parts = (
         values(states).reshape(*states.shape[:-1], -1) for values in (full.nodes, full.velocities)
@@ -143,7 +167,7 @@ def _lower(full: Model, reduced: Model, states: Array) -> Array:
 
 
 def _lifted(twin: ReducedCoordinates, states: Array) -> Array:
-    """Return states (…, nx) in full coordinates."""
+    """Convert states (…, nx) from reduced to full coordinates."""
     full, reduced = twin.given.model, twin.problem.model
     parts = (
         values(states)[..., full.mechanism.physical, :]

@@ -1,4 +1,7 @@
-"""From a problem to a plan: attempts in their order, each judged by its replay."""
+"""Search for a plan by a sequence of attempts.
+
+The acceptance test of each attempt is its replay.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +39,10 @@ RELIABLE = 1e-2  # × the structure's size: default tolerance of replays
 
 
 class _PlanSearch(NamedTuple):
-    """Arguments of a search; `reduced` is None where the model is planned as it is."""
+    """Arguments of a search.
+
+    `reduced` is None if the problem keeps its coordinates.
+    """
 
     task: PlanningTask
     tracked: bool
@@ -54,7 +60,10 @@ def find_plan(
     monitor: Monitor | None = None,
     tracked: bool = False,
 ) -> PlanResult:
-    """Find a plan; arguments and errors as of `ocp.solve`."""
+    """Find a plan.
+
+    Arguments and errors are those of `ocp.solve`.
+    """
     monitor = Monitor() if monitor is None else monitor
     automatic = transcription is None and solver is None
     given = None if automatic else complete(transcription, solver, guess, problem)
@@ -77,7 +86,10 @@ def find_plan(
 
 
 def _walk(search: _PlanSearch, rows: Iterable[Attempt], automatic: bool) -> PlanResult:
-    """Make the attempts that fit the failures before them; stop at the first success."""
+    """Run the attempts until the first success.
+
+    An attempt is skipped if it does not apply to the kind of the last failure.
+    """
     tried: list[tuple[str, PlanResult]] = []
     plan: PlanResult | None = None
     for attempt in rows:
@@ -106,12 +118,15 @@ def _walk(search: _PlanSearch, rows: Iterable[Attempt], automatic: bool) -> Plan
 
 
 def _worth(plan: PlanResult) -> tuple[bool, bool, float]:
-    """Return the order of plans: success, an optimum, the smaller error."""
+    """Compute the sort key of plans.
+
+    Criteria are success, then an optimum, then the smaller error.
+    """
     return plan.success, is_inexact(plan), -plan.worst_error
 
 
 def _try(search: _PlanSearch, attempt: Attempt) -> PlanResult:
-    """Make one attempt, and judge it by its replay."""
+    """Run one attempt and its acceptance test."""
     outcome, target = run_attempt(search.task, attempt)
     plan = _record(search.task, attempt, outcome)
 
@@ -127,7 +142,10 @@ def _try(search: _PlanSearch, attempt: Attempt) -> PlanResult:
 
 
 def _record(task: PlanningTask, attempt: Attempt, found: Outcome) -> PlanResult:
-    """Record the result of an attempt as a plan that is not yet replayed."""
+    """Convert the result of an attempt to a plan.
+
+    The plan has no replay errors yet.
+    """
     problem, transcription = task.problem, attempt.transcription
     mesh = (
         found.duration * np.append(0.0, np.cumsum(transcription.fractions))

@@ -1,4 +1,4 @@
-"""The methods that find plans, behind one function: programs, phases, samples."""
+"""Planning methods: nonlinear programs, phases, and sampling."""
 
 from __future__ import annotations
 
@@ -37,7 +37,10 @@ from tenscasadi.util.validate import instance
 
 
 def run_attempt(task: PlanningTask, attempt: Attempt) -> tuple[Outcome, Target]:
-    """Make an attempt at a task; return its result, and the target that its replay is measured by."""
+    """Run one attempt at a planning task.
+
+    Returns its result, and the target of its acceptance test.
+    """
     problem, target, monitor = task.problem, task.target, task.monitor
     transcription, solver, guess, *_ = attempt
     monitor.phase = attempt.describe()
@@ -63,7 +66,10 @@ def run_attempt(task: PlanningTask, attempt: Attempt) -> tuple[Outcome, Target]:
 def program_of(
     problem: Problem, transcription: Transcription, guess: InitialGuess | None = None
 ) -> Program:
-    """Build the program that `solve` gives to its solver. Raises as `solve`."""
+    """Build the nonlinear program that `solve` passes to its solver.
+
+    Errors are those of `solve`.
+    """
     instance("problem", problem, Problem, "an ocp.Problem")
     reject_phases(problem.phases, "export_program")
     instance(
@@ -84,20 +90,23 @@ def program_of(
 def _stop_early(
     task: PlanningTask, transcription: Transcription, guess: Guess, status: str
 ) -> Outcome:
-    """Return the guess, as the time was over before a solver began."""
+    """Return the initial guess as result of a stopped attempt."""
     own = on_mesh(task.problem.model, guess, transcription.fractions, transcription.control)
     why = "stopped before the solver began, with the guess: increase time_limit"
     return Outcome(own.states, own.force_density, own.duration, np.nan, False, status, 0, why=why)
 
 
 def _drop_slack(problem: Problem) -> Problem:
-    """Return the problem whose strings do not go slack; see `stretched`."""
+    """Replace the model of a problem by its smooth model.
+
+    Its elastic strings do not go slack; limits keep them in tension. See `build_smooth_model`.
+    """
     model = build_smooth_model(problem.model)
     return problem if model is problem.model else replace(problem, model=model)
 
 
 def _solve_program(task: PlanningTask, attempt: Attempt, target: Target, guess: Guess) -> Outcome:
-    """Solve the nonlinear program that a transcription makes of a problem."""
+    """Transcribe a problem, and solve the nonlinear program."""
     transcription, solver, origin, *_ = attempt
     problem, monitor = _drop_slack(task.problem), task.monitor
     if isinstance(solver, Sampling):
@@ -126,7 +135,7 @@ def _read_outcome(
     program: Program,
     found: Corrected,
 ) -> Outcome:
-    """Read the result of a program, and why it is no plan if it is none."""
+    """Read the result of a program, and diagnose a failure."""
     solution: Solution = found.solution
     states, controls, duration = (np.asarray(value.full()) for value in program.unpack(solution.w))
     # interior-point methods violate bounds by their tolerance

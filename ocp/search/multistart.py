@@ -1,4 +1,4 @@
-"""Multistart: one problem from several initial guesses, and the best plan of them."""
+"""Multistart from several initial guesses."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ def find_best_plan(
     count: int,
     executor: Executor | None,
 ) -> PlanResult:
-    """Find a plan from each of `count` starts, and return the best with the objectives of all.
+    """Find the best plan from `count` initial guesses.
 
-    options: transcription, solver, guess and tolerance, as of `find_plan`. Raises ValueError where
-    nothing has a seed.
+    The plan has the objectives of all starts. `options` are transcription, solver, guess and
+    tolerance, as in `find_plan`. Raises ValueError if neither guess nor solver has a seed.
     """
     transcription, solver, guess, tolerance = options
     automatic = transcription is None and solver is None
@@ -70,16 +70,16 @@ def find_best_plan(
 def find_limited_plan(
     options: tuple[Any, ...], time_limit: float | None, tracked: bool
 ) -> PlanResult:
-    """Find a plan in a process of its own."""
+    """Find a plan in another process, within a time limit."""
     return find_plan(*options, monitor=Monitor(time_limit), tracked=tracked)
 
 
 def _vary_seeds(
     problem: Problem, guess: InitialGuess | None, solver: Any, automatic: bool, count: int
 ) -> list[tuple[Any, Any]]:
-    """Return guess and solver of each start, which differ by their seeds.
+    """List guesses and solvers with different seeds.
 
-    Raises ValueError where nothing has one.
+    Raises ValueError if neither has a seed.
     """
     grounds = problem.model.scene.grounds and not problem.phases and not problem.free_start
     if isinstance(solver, Sampling) or (automatic and grounds):

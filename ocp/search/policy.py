@@ -1,4 +1,7 @@
-"""The policy of the default search: one table of attempts, each with the figure that justifies it."""
+"""Method selection: the default sequence of attempts.
+
+Comments give the measurement that justifies each attempt.
+"""
 
 from __future__ import annotations
 
@@ -27,26 +30,26 @@ from ocp.transcription.variational import Variational
 from tenscasadi.integrators.stability import fastest_rate
 
 FIRST, INEXACT, FAILED = "first", "inexact", "failed"
-PHASE_INTERVALS = 20  # of each phase
+PHASE_INTERVALS = 20  # number of intervals of each phase
 MIN_INTERVALS, MAX_INTERVALS = 30, 400
-INTERVALS_PER_RADIAN = 3.0  # of the fastest vibration
-# × √bars: forces add up along rows of bars, so that γ grows beyond the guess as bars do
+INTERVALS_PER_RADIAN = 3.0  # intervals per radian of the fastest vibration
+# × √bars: forces accumulate along chains of bars, so that γ exceeds the guess with more bars
 INTERVALS_PER_BAR = 6.0
-CONDENSED_BARS = 9  # from which the condensed method is the faster one
+CONDENSED_BARS = 9  # number of bars from which the condensed method is faster
 
 
 class Attempt(NamedTuple):
-    """One row of the policy.
+    """One attempt of the search.
 
     Attributes
     ----------
     transcription, solver, guess
         The method.
     why : str
-        Reason for the row.
+        Reason for the attempt.
     after : str
-        What it follows: nothing (FIRST), an optimum whose replay misses (INEXACT), or a failure of
-        the solver (FAILED).
+        Condition: the first attempt (FIRST), after an optimum with an inaccurate replay (INEXACT),
+        or after a failure of the solver (FAILED).
     """
 
     transcription: Transcription
@@ -56,18 +59,27 @@ class Attempt(NamedTuple):
     after: str = FIRST
 
     def describe(self) -> str:
-        """Return such as "Variational of 30 intervals by Ipopt"."""
+        """Describe the method.
+
+        An example is "Variational of 30 intervals by Ipopt".
+        """
         name, count = type(self.transcription).__name__, self.transcription.count
         return f"{name} of {count} intervals by {type(self.solver).__name__}"
 
     def follows(self, last: PlanResult | None) -> bool:
-        """Return whether the attempt is made after a plan that failed, or None."""
+        """Return whether the attempt applies after a failed plan.
+
+        None stands for no plan yet.
+        """
         if last is None:
             return self.after == FIRST
         return self.after == (INEXACT if is_inexact(last) else FAILED)
 
     def refine(self, problem: Problem, plan: PlanResult) -> Attempt:
-        """Continue from an inexact plan, on as many intervals as its own vibration needs."""
+        """Build the attempt that refines an inexact plan.
+
+        It has at least twice as many intervals, and enough to resolve the vibration of the plan.
+        """
         known = Guess(plan.trajectory.states, plan.control, float(plan.time[-1]))
         count = max(2 * (len(plan.time) - 1), choose_intervals(problem, known))
         finer = replace(self.transcription, intervals=count)
@@ -77,7 +89,7 @@ class Attempt(NamedTuple):
 def attempts(task: PlanningTask, guess: InitialGuess | None) -> Iterator[Attempt]:
     """Yield the attempts at a problem in their order.
 
-    `find_plan` makes those that follow the failure before them, and stops at the first success.
+    `find_plan` runs those that apply after the last failure, and stops at the first success.
     """
     problem, model = task.problem, task.problem.model
     if task.target is None:  # phases have a method of their own
@@ -123,7 +135,10 @@ def complete(
     guess: InitialGuess | None,
     problem: Problem,
 ) -> Attempt:
-    """Complete the attempt that a user asks for by a transcription, a solver, or both."""
+    """Build the attempt for the user's transcription and solver.
+
+    Defaults replace a missing one.
+    """
     solver = Ipopt() if solver is None else solver
     if transcription is None:
         if problem.phases:
@@ -137,14 +152,17 @@ def complete(
 
 
 def is_inexact(plan: PlanResult) -> bool:
-    """Return whether a failed plan is a settled optimum, whose replay misses."""
+    """Return whether a failed plan is an optimum.
+
+    Its failure is then that of the replay.
+    """
     return plan.duals is not None and plan.status != NOT_SETTLED
 
 
 def is_near_ground(problem: Problem, guess: Guess) -> bool:
-    """Return whether moving nodes touch a ground along the guess, or nearly.
+    """Return whether the guess comes near a ground.
 
-    True also where no pinned node keeps the structure from falling.
+    Only nodes that can move count. It is also True if no node is pinned, as the structure can fall.
     """
     model, structure = problem.model, problem.model.scene.structure
     held = np.flatnonzero(structure.fixed.all(axis=1))
@@ -162,10 +180,10 @@ def is_near_ground(problem: Problem, guess: Guess) -> bool:
 
 
 def choose_intervals(problem: Problem, guess: Guess) -> int:
-    """Choose the number of intervals that follow the fastest vibration."""
+    """Choose a number of intervals that resolves the fastest vibration."""
     middle = len(guess.force_density) // 2
     rate = fastest_rate(problem.model, guess.states[middle], guess.force_density[middle])
-    # Elastic strings hardly vibrate along their plans; corrections do the rest.
+    # Plans under rest-length control hardly excite vibrations; corrections remove the rest.
     each = 1.0 if controls_rest_lengths(problem.model) else INTERVALS_PER_RADIAN
     wanted = np.ceil(each * rate * guess.duration) if np.isfinite(rate) else MIN_INTERVALS
     least = np.ceil(INTERVALS_PER_BAR * np.sqrt(problem.model.mechanism.bars))

@@ -1,4 +1,4 @@
-"""A problem that passed the checks, ready for a method."""
+"""Checked planning tasks."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from ocp.targets.infeasible_goal import Certificate, InfeasibleGoalError
 from ocp.targets.target import Target
 from ocp.transcription.mesh import Profile, group_matrix
 
-MOST_STARTS = 1000  # of a multistart
+MOST_STARTS = 1000  # maximum number of starts of a multistart
 Method = Solver | CondensedNewton | Sampling
 
 
 class PlanningTask(NamedTuple):
-    """A problem that passed the checks, its target, and the limits of a search.
+    """Checked problem, its target, and the limits of a search.
 
     Attributes
     ----------
@@ -51,7 +51,10 @@ class PlanningTask(NamedTuple):
 def prepare(
     problem: Problem, control: Profile, tolerance: float, monitor: Monitor | None = None
 ) -> PlanningTask:
-    """Check a problem and find its target. Raises ValueError, InfeasibleGoalError."""
+    """Check a problem and find its target.
+
+    Raises ValueError for conflicting limits, and InfeasibleGoalError for infeasible goals.
+    """
     check_groups(problem, control)
     monitor = Monitor() if monitor is None else monitor
     scales = Scales.of(problem)
@@ -65,7 +68,10 @@ def prepare(
 
 
 def check_groups(problem: Problem, profile: Profile) -> None:
-    """Raise ValueError where the limits of a group's strings contradict each other."""
+    """Check that the limits of each control group are consistent.
+
+    Raises ValueError if they contradict each other.
+    """
     lower, upper = problem.control_limits
     name, unit = control_name(problem.model), "m" if controls_rest_lengths(problem.model) else "N/m"
     for together in group_matrix(profile, len(lower)).T > 0:
@@ -80,7 +86,10 @@ def check_groups(problem: Problem, profile: Profile) -> None:
 
 
 def check_start(problem: Problem) -> None:
-    """Raise ValueError where no controls meet all limits at the start."""
+    """Check that some control satisfies all limits at the start.
+
+    Raises ValueError if there is none.
+    """
     conflict = find_conflict(problem, np.asarray(problem.start), "start")
     if conflict is not None:
         raise ValueError(
@@ -89,7 +98,10 @@ def check_start(problem: Problem) -> None:
 
 
 def check_end(problem: Problem, target: Target) -> None:
-    """Raise InfeasibleGoalError where limits exclude coordinates that the goals give."""
+    """Check that the limits permit the coordinates of the goals.
+
+    Raises InfeasibleGoalError if they do not.
+    """
     if target.state is None or problem.periodic_goals:
         return
     x = ca.SX.sym("x", len(target.state))

@@ -1,9 +1,9 @@
-"""Proofs that rows of a state have no common zero, by Lagrangian relaxation.
+"""Infeasibility certificates by Lagrangian relaxation.
 
-The rows are quadratic in the state. Let μ be the residuals at a local minimum of their sum of
-squares. The function μᵀ rows is stationary there and has the value |μ|² > 0. If it is convex, this
-is its minimum, so that no state satisfies all rows. Affine rows are satisfied exactly: convexity is
-needed on their solutions only.
+The proofs show that rows, which are quadratic in the state, have no common zero. Let μ be the
+residuals at a local minimum of their sum of squares. The function μᵀ rows is stationary there and
+has the value |μ|² > 0. If it is convex, this is its minimum, so that no state satisfies all rows.
+Affine rows are satisfied exactly: convexity is needed on their solutions only.
 """
 
 from __future__ import annotations
@@ -24,7 +24,9 @@ RADIUS = 100.0  # bound on scaled states: no coordinate is more structure sizes 
 
 
 class QuadraticRows(NamedTuple):
-    """Rows c + A z + zᵀ Q z / 2 of scaled unknowns z.
+    """Quadratic rows of scaled unknowns.
+
+    The rows are c + A z + ½ zᵀ Q z in the unknowns z.
 
     Attributes
     ----------
@@ -71,7 +73,10 @@ class QuadraticRows(NamedTuple):
 
 
 def read_quadratic(rows: RowFunction, names: Sequence[str]) -> QuadraticRows:
-    """Read the rows that are quadratic; others are left out, as fewer rows prove as much."""
+    """Select the quadratic rows.
+
+    Other rows are left out. A proof with fewer rows is still valid.
+    """
     zero = np.zeros(len(rows.scale))
     c, A = rows(zero)
     row, one, other, value = rows.second_derivatives(zero)
@@ -84,10 +89,11 @@ def read_quadratic(rows: RowFunction, names: Sequence[str]) -> QuadraticRows:
 def prove_infeasible(
     rows: QuadraticRows, z: Array, box: Array, tolerance: float
 ) -> Certificate | None:
-    """Prove that no state satisfies all rows; None if the proof fails.
+    """Prove that no state satisfies all rows.
 
-    The search for multipliers starts at the scaled state z (n,), whose entries are within a box (2,
-    n). Rows with smaller residuals than the tolerance count as satisfied.
+    Returns None if the proof fails. The search for multipliers starts at the scaled state z (n,),
+    whose entries are within a box (2, n). Rows with smaller residuals than the tolerance count as
+    satisfied.
     """
     linear = rows.select(np.flatnonzero(rows.affine))
     known = solve_affine(linear, box)
@@ -125,7 +131,10 @@ def prove_infeasible(
 
 
 def solve_affine(rows: QuadraticRows, box: Array) -> Array:
-    """Solve affine rows by least squares, for a scaled state within a box."""
+    """Solve affine rows by least squares within a box.
+
+    The unknown is the scaled state.
+    """
     if np.isfinite(box).any() and len(rows.c):
         return np.asarray(scipy.optimize.lsq_linear(rows.A, -rows.c, box, tol=1e-14).x)
     return np.asarray(np.linalg.lstsq(rows.A, -rows.c, rcond=RANK)[0])

@@ -18,7 +18,7 @@ from tenscasadi.util.validate import Array, Indices
 
 
 def list_neighbors(structure: Structure) -> Indices:
-    """List pairs (m, 2) of nodes at most two members apart."""
+    """List the pairs (m, 2) of nodes within two members."""
     n, members = len(structure.nodes), np.concatenate([structure.bars, structure.strings])
     one = sp.coo_array((np.ones(len(members)), (members[:, 0], members[:, 1])), shape=(n, n))
     steps = sp.csr_array(one + one.T)
@@ -26,7 +26,10 @@ def list_neighbors(structure: Structure) -> Indices:
 
 
 def squared_distances(nodes: Any, pairs: Indices) -> Any:
-    """Compute the squared distances (m,) of pairs (m, 2) of nodes (n, 3)."""
+    """Compute the squared distances (m,) of pairs of nodes.
+
+    Pairs are (m, 2), nodes (n, 3).
+    """
     apart = nodes[pairs[:, 0].tolist(), :] - nodes[pairs[:, 1].tolist(), :]
     return ca.sum2(apart * apart) if isinstance(apart, ca.SX) else (apart * apart).sum(axis=1)
 

@@ -1,7 +1,7 @@
-"""Search for the state that meets the goals, and for the rows to impose.
+"""Search for the target state and its independent goal rows.
 
-It precedes planning: the state shapes the initial guess, its gradients tell which rows are
-independent, and goals that are proven infeasible are rejected by name.
+The search precedes planning. The target state determines the initial guess, and its gradients
+determine the independent rows. Goals that are proven infeasible are rejected by name.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ from ocp.targets.target import Target, WaypointTarget
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array, Indices
 
-# relative to the structure's size: goals of four digits may differ that much from bar lengths;
-# larger violations count
+# relative to the structure's size: inconsistency of goals with bar lengths that rounding to four
+# digits causes; larger residuals count as violations
 ROUNDED = 2e-4
 RIGID = ("bar", "joint", "clock")
 
@@ -71,7 +71,10 @@ def _find_end(
     near: Array,
     label: str,
 ) -> Target:
-    """Find the target of goals at a fraction of the duration; a free start may be at any time."""
+    """Find the target of goals at one instant.
+
+    `share` is its fraction of the duration. A free start may be at any time of the motion.
+    """
     search = _TargetSearch(problem, goals, share or 1.0, scales)
     if not search.goals.names:
         x = ca.SX.sym("x", problem.model.nx)
@@ -84,7 +87,10 @@ def _find_end(
 
 
 class _TargetSearch:
-    """Search for y = (x, duration) that meets goals and invariants."""
+    """Search for the state and duration that meet all goals.
+
+    The unknown is y = (x, duration). It also satisfies the invariants of the motion.
+    """
 
     def __init__(
         self, problem: Problem, goals: tuple[Goal, ...], share: float, scales: Scales
@@ -103,7 +109,10 @@ class _TargetSearch:
         self.search = GaussNewton(self.scale, _metric(model), self._allowed, self._deforming)
 
     def _invariants(self, time: Any, half_square: Any) -> list[Rows]:
-        """Build the invariants after `time`; a free start can have any momentum."""
+        """Build the invariants of the motion after `time`.
+
+        A free start can have any momentum, so that only bars, joints and clock remain.
+        """
         start = self.problem.initial_state
         return [
             rows
@@ -118,7 +127,10 @@ class _TargetSearch:
     # --- the state ---
 
     def run(self, near: Array) -> Target:
-        """Find the target, starting near a state, then at states that fit the goals."""
+        """Find the target.
+
+        The search starts near the given state, then at states that fit the goals.
+        """
         best, least = np.append(near, self.typical), np.inf
         for start in self._starts(near):
             y = self._find_nearest(start)
@@ -135,7 +147,10 @@ class _TargetSearch:
         return self.impose(best, least <= ROUNDED)
 
     def _starts(self, near: Array) -> Iterator[Array]:
-        """Yield starts of the search: the given state at several durations, and fits to the goals."""
+        """Yield the starting points of the search.
+
+        They are the given state, and states that fit the goals, each at several durations.
+        """
         problem = self.problem
         times = [self.typical]
         if self.shortest < self.longest:
@@ -148,7 +163,11 @@ class _TargetSearch:
                 yield y
 
     def _find_nearest(self, y: Array) -> Array:
-        """Find y with the smallest violation of goals: within rigid constraints first, then all."""
+        """Minimize the violation of goals from y.
+
+        The first pass has the constraints of bars, joints and clock only, the second one all
+        invariants.
+        """
         goals = len(self.goals.names)
         rigid = sum(len(rows.units) for rows in self.invariants if rows.kind in RIGID)
         y = self.search.find_nearest(self.rows.select(slice(goals + rigid)), goals, y)
@@ -224,9 +243,10 @@ class _TargetSearch:
         )
 
     def _prove(self, y: Array) -> Any:
-        """Return a proof that goals and invariants contradict each other, or None.
+        """Prove that goals and invariants contradict each other.
 
-        A free duration T enters by T and T²/2 as independent unknowns within their limits.
+        Returns None if there is no proof. A free duration T enters by T and T²/2 as independent
+        unknowns within their limits.
         """
         model, (first, last) = self.problem.model, (self.shortest, self.longest)
         free = first < last
@@ -255,7 +275,11 @@ class _TargetSearch:
     # --- the rows ---
 
     def impose(self, y: Array, met: bool) -> Target:
-        """Build the target at y from independent rows; goals that are not met stay as given."""
+        """Build the target at y from independent rows.
+
+        If y meets the goals, these are adjusted to it within rounding; otherwise they remain as
+        given.
+        """
         values, H = self.goal(y)
         adjusted = float(np.abs(values).max(initial=0.0)) * self.scales.length if met else 0.0
         values = values if met else np.zeros_like(values)
@@ -308,7 +332,10 @@ class _TargetSearch:
         )
 
     def _squared(self, pairs: Indices) -> Any:
-        """Compute the squared distances of pairs (m, 2), relative to the structure's size."""
+        """Compute the scaled squared distances of pairs (m, 2).
+
+        They are relative to the structure's size squared.
+        """
         N = self.problem.model.nodes(self.x)
         return squared_distances(N, pairs) / self.scales.length**2
 

@@ -9,8 +9,8 @@ from typing import NamedTuple
 class Certificate(NamedTuple):
     """Proof that some constraints have no common solution.
 
-    The sum of the rows, each times its multiplier, is at least `bound` for every state. Where all
-    rows vanish it would be zero.
+    The sum of the rows, each times its multiplier, is at least `bound` > 0 for every state. A
+    common solution of all rows would make it zero.
 
     Attributes
     ----------
@@ -86,4 +86,7 @@ class InfeasibleGoalError(ValueError):
 
 
 class TargetNotFoundWarning(UserWarning):
-    """No state was found that meets the goals; the solver tries nevertheless."""
+    """Warning that no state was found that meets the goals.
+
+    The goals are not proven infeasible, so that the solver tries to meet them.
+    """

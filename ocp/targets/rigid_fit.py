@@ -1,4 +1,4 @@
-"""States that fit the positions that goals name, as starts of the target search."""
+"""Starting points of the target search that fit position goals."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ STARTS = 8  # rotations from which the fit starts
 
 
 def fit_start(model: Model, goals: Iterable[Any], state: Array) -> Iterator[Array]:
-    """Yield states that fit the goals better than a given one.
+    """Yield states that fit the goals better than `state`.
 
-    First the whole structure is turned onto the goals; then each node moves to its own goal,
-    whatever the bars.
+    The first states are rigid motions of the whole structure that fit the goals best. In the last
+    one, each node is at its own goal, irrespective of bar lengths.
     """
     structure, own = model.structure, list(goals)
     nodes, velocities = model.nodes(state), model.velocities(state)
@@ -38,9 +38,10 @@ def fit_start(model: Model, goals: Iterable[Any], state: Array) -> Iterator[Arra
 def _fit_turns(
     nodes: Array, fixed: Any, places: list[tuple[int, int, float]]
 ) -> list[tuple[Array, Array, Array]]:
-    """Find the center, rotation and shift that bring nodes (n, 3) nearest to the places.
+    """Fit rigid motions of nodes (n, 3) to goal positions.
 
-    Returns up to two different fits. A pinned node stays where it is.
+    Returns center, rotation and translation of up to two different fits. A pinned node is the
+    center, and there is no translation then.
     """
     held = np.flatnonzero(fixed.all(axis=1))
     center = nodes[held[0]] if held.size else nodes.mean(axis=0)
@@ -70,7 +71,10 @@ def _fit_turns(
 
 
 def _join(model: Model, nodes: Array, velocities: Array, state: Array) -> Array:
-    """Build the state of nodes and velocities, but for pinned coordinates."""
+    """Build a state from nodes and velocities.
+
+    Pinned coordinates and the clock are those of the given state.
+    """
     fixed = model.structure.fixed
     own = np.where(fixed, model.nodes(state), nodes)
     found = model.state(own, np.where(fixed, 0.0, velocities))

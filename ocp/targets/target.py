@@ -17,7 +17,7 @@ StateAt = Callable[[float], Array]  # fraction of the duration → state (nx,), 
 
 
 class GoalResiduals(NamedTuple):
-    """Absolute residuals of the goals that a user named, of one or several motions.
+    """Absolute residuals of the user's goals in n motions.
 
     Attributes
     ----------
@@ -36,9 +36,9 @@ class GoalResiduals(NamedTuple):
         return self.values[:, [own == unit for own in self.units]]
 
     def find_worst(self, duration: float) -> tuple[str, float, str]:
-        """Find the name, value and unit of the largest residual of the first motion.
+        """Find the largest residual of the first motion.
 
-        Velocities count as the distance over the duration.
+        Returns its name, value and unit. Velocities count as the distance over the duration.
         """
         sizes = self.values[0] * [duration if unit == "m/s" else 1.0 for unit in self.units]
         k = int(np.argmax(sizes))
@@ -60,7 +60,7 @@ class Target:
     weights : ndarray, shape (count, m)
         Independent combinations of these rows, dense.
     misfit : casadi.Function
-        x → residuals of the goals that were named.
+        x → residuals of the user's goals.
     names, units : tuple of str
         Names and units of these goals.
     reduction : Reduction
@@ -113,7 +113,10 @@ class Target:
         )
 
     def measure(self, state_at: StateAt) -> GoalResiduals:
-        """Measure the residuals of all goals, those of waypoints at their instants."""
+        """Compute the residuals of goals and waypoints.
+
+        Those of waypoints are at their fractions of the duration.
+        """
         values: list[Array] = []
         names: tuple[str, ...] = ()
         units: tuple[str, ...] = ()
@@ -136,7 +139,7 @@ class Target:
         )
 
     def begin_at(self, start: Array) -> Target:
-        """Build the target for a start that was found.
+        """Build the target for a given start.
 
         Its goals include those of a periodic motion.
         """

@@ -1,1 +1,1 @@
-"""From a problem in continuous time to a sparse nonlinear program."""
+"""Transcription of continuous-time problems to sparse nonlinear programs."""

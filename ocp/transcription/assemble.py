@@ -32,7 +32,7 @@ from ocp.transcription.variables import Variables
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.validate import Indices
 
-# of an objective: symbol z, expression of it, entries (instances, z)
+# term of the objective: symbol z, expression in z, entries (instances, size of z)
 _Summand = tuple[Any, Any, Indices]
 
 
@@ -69,13 +69,19 @@ class Stage(NamedTuple):
 def build_program(
     transcription: Transcription, problem: Problem, target: Target, scales: Scales, guess: Guess
 ) -> Program:
-    """Build the nonlinear program of a problem, scaled about a guess."""
+    """Build the nonlinear program of a problem.
+
+    Scales are those of the initial guess.
+    """
     own = transcription.fractions, transcription.control
     return assemble([build_stage(transcription, Variables(problem, target, scales, guess, *own))])
 
 
 def build_stage(transcription: Transcription, v: Variables, *contact: Any) -> Stage:
-    """Build all blocks in variables; `contact` is that of `Variational.defects`."""
+    """Build all blocks of a plan or phase.
+
+    `contact` is the argument of `Variational.defects`.
+    """
     rows = [*build_path_blocks(v), *build_waypoint_blocks(v), *build_end_blocks(v)]
     costs = build_cost_blocks(v)
     used = v.entries.find_used([*rows, *costs])
@@ -132,7 +138,7 @@ def build_path_blocks(v: Variables) -> list[Block]:
     """Build the path constraints and the rate limits."""
     limits = scaled_rows(v.problem, PathBound, v.scales, v.strength)
     blocks = [_build_bound(v, rows, end) for rows in limits for end in rows.ends]
-    if v.problem.free_start:  # a given one has been checked
+    if v.problem.free_start:  # a fixed start was checked before
         blocks += [
             _select(0, _build_bound(v, rows, "start"), len(rows.names))
             for rows in limits
@@ -180,7 +186,10 @@ def build_start_blocks(v: Variables) -> list[Block]:
 
 
 def build_waypoint_blocks(v: Variables) -> list[Block]:
-    """Build the rows of all waypoints, from the ends of the interval of each."""
+    """Build the rows of all waypoints.
+
+    The state of a waypoint is interpolated between the ends of its interval.
+    """
     blocks: list[Block] = []
     nx = v.model.nx
     for number, (share, target) in enumerate(v.target.waypoints):
@@ -196,7 +205,7 @@ def build_waypoint_blocks(v: Variables) -> list[Block]:
 
 
 def build_end_blocks(v: Variables) -> list[Block]:
-    """Build the rows of goals at the end, and those of an end that repeats the start."""
+    """Build the rows of terminal and periodic goals."""
     target, free = v.target, v.target.free_start
     blocks = _build_goal_blocks(target, target.single, v.states[-1:], "goal", "end")
     if free is not None and free.reduction.names:
@@ -235,7 +244,7 @@ def _build_bound(v: Variables, rows: ScaledRows, end: str) -> Block:
 
 
 def _select(k: int, block: Block, count: int) -> Block:
-    """Select instance k of a block with `count` names for each."""
+    """Select instance k of a block with `count` rows each."""
     return replace(
         block, index=block.index[k : k + 1], names=block.names[k * count : (k + 1) * count]
     )
@@ -284,7 +293,7 @@ def _build_instant(v: Variables, share: float, expression: InstantTerm) -> _Summ
 
 
 def _build_differences(v: Variables, expression: ControlTerm) -> _Summand:
-    """Build a term of neighboring controls."""
+    """Build a cost term of successive control values."""
     width = v.controls.shape[1]
     z = ca.SX.sym("z", 2 * width + 2)
     pair = ca.mtimes(sparse(v.group_matrix), ca.reshape(z[: 2 * width], width, 2))
@@ -295,7 +304,7 @@ def _build_differences(v: Variables, expression: ControlTerm) -> _Summand:
 
 
 def _build_integral(v: Variables, expression: ControlTerm) -> _Summand:
-    """Build an integral over each interval."""
+    """Build a cost integral of the controls over each interval."""
     z = ca.SX.sym("z", v.interval_controls.shape[1] + 2)
     offsets = np.array([-1, 1]) / np.sqrt(12) if v.profile.linear else np.zeros(1)
     points = ca.horzcat(*(v.gamma(z[:-2], 0.5 + offset) for offset in offsets))
@@ -304,14 +313,14 @@ def _build_integral(v: Variables, expression: ControlTerm) -> _Summand:
 
 
 def _build_force_term(v: Variables, expression: ControlTerm) -> _Summand:
-    """Build a term of force densities of rest lengths."""
+    """Build a cost of force densities under rest-length control."""
     return _build_simpson(v, lambda now: expression(now.force_density, 1.0))
 
 
 def _build_simpson(v: Variables, expression: InstantTerm) -> _Summand:
-    """Build an integral by Simpson's rule.
+    """Build a running cost by Simpson's rule.
 
-    The ends alone would not see vibrations within intervals.
+    A rule with the ends of intervals only would miss vibrations within them.
     """
     now = symbolic(v.model)
     rate = ca.Function("rate", now.symbols, [expression(now)])

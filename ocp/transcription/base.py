@@ -56,8 +56,8 @@ class Transcription(Value):
     control : PiecewiseConstant or PiecewiseLinear
         Profile of the controls over the intervals.
     accuracy : float, optional
-        Largest distance from the motion of fine steps [m] (speeds: m per duration). `solve`
-        corrects the plan until it is met. By default it corrects nothing.
+        Largest permitted distance of the plan from an integration in fine steps [m], also for
+        velocities × duration. `solve` reaches it by deferred correction. Default: no correction.
     """
 
     intervals: Annotated[Intervals, Either((list, tuple), TIMES, WHOLE)] = 40
@@ -85,15 +85,18 @@ class Transcription(Value):
 
     @property
     def fractions(self) -> Array:
-        """Shares (K,) of the duration that the intervals take."""
+        """Lengths (K,) of the intervals as fractions of the duration."""
         return fractions(self.intervals)
 
     def longest_step(self, duration: float) -> float:
-        """Compute the longest step [s] of a motion of `duration` [s]."""
+        """Compute the longest integration step [s] for a duration [s]."""
         return duration * float(self.fractions.max())
 
     def measure_residual(self, program: Program, model: Model) -> Measure:
-        """Prepare the residual of solutions against fine steps."""
+        """Prepare the residual of solutions against fine steps.
+
+        The result is a function of the unknowns that returns a `MotionResidual`.
+        """
         return measure_ends(program, model, self.fractions)
 
     def defects(self, variables: Variables, used: Array) -> Defects:

@@ -11,10 +11,11 @@ from tenscasadi.util.validate import Array, whole_number
 
 @dataclass(frozen=True)
 class Collocation(RungeKuttaTranscription, kind="Collocation"):
-    """Collocation at Gauss points, of order 2·degree and stable for any interval.
+    """Collocation at Gauss points.
 
-    The motion of each interval is a polynomial that satisfies the equations of motion at `degree`
-    points. For a given accuracy, more points in fewer intervals are faster than the contrary.
+    The method has order 2·degree, and is stable for any interval. The motion of each interval is a
+    polynomial that satisfies the equations of motion at `degree` points. For a given accuracy, more
+    points in fewer intervals are faster than the contrary.
 
     Parameters
     ----------
@@ -25,8 +26,8 @@ class Collocation(RungeKuttaTranscription, kind="Collocation"):
     control : PiecewiseConstant or PiecewiseLinear
         Profile of the controls over the intervals.
     accuracy : float, optional
-        Largest distance from the motion of fine steps [m] (speeds: m per duration). `solve`
-        corrects the plan until it is met. By default it corrects nothing.
+        Largest permitted distance of the plan from an integration in fine steps [m], also for
+        velocities × duration. `solve` reaches it by deferred correction. Default: no correction.
 
     Raises
     ------
@@ -67,7 +68,7 @@ class Collocation(RungeKuttaTranscription, kind="Collocation"):
 
     @property
     def coefficients(self) -> tuple[Array, Array]:
-        """Coefficients A (s, s) and b (s,) of the Gauss method."""
+        """Coefficients of the Gauss method: A (s, s), b (s,)."""
         return GaussMethod(self.degree).coefficients
 
 
@@ -82,8 +83,8 @@ class ImplicitMidpoint(RungeKuttaTranscription, kind="ImplicitMidpoint"):
     control : PiecewiseConstant or PiecewiseLinear
         Profile of the controls over the intervals.
     accuracy : float, optional
-        Largest distance from the motion of fine steps [m] (speeds: m per duration). `solve`
-        corrects the plan until it is met. By default it corrects nothing.
+        Largest permitted distance of the plan from an integration in fine steps [m], also for
+        velocities × duration. `solve` reaches it by deferred correction. Default: no correction.
 
     Raises
     ------

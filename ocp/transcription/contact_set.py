@@ -1,4 +1,4 @@
-"""Contact nodes of a phase, and the unknowns of their reactions."""
+"""Contact nodes of a phase and their reactions."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ class ContactSet:
     Attributes
     ----------
     stands : tuple of int
-        Nodes that keep their positions of the start of the phase.
+        Contact nodes, which keep their positions during the phase.
     lands : bool
         Whether some of them land at the start, in an impact without rebound.
     held : ndarray of int, shape (3s,)
-        Coordinates of the nodes, which have no velocities.
+        Free coordinates of the contact nodes, whose velocities are zero.
     reactions : ndarray of int, shape (K + 1, 3s)
         Entries of the ground reactions [N].
     impulses : ndarray of int, shape (3s,) or (0,)
@@ -84,7 +84,10 @@ def reaction_names(what: str, stands: Sequence[int]) -> list[str]:
 
 
 def find_node_coordinates(model: Model) -> Indices:
-    """Find the free coordinates (n, 3) of each node; −1 if pinned."""
+    """Find the indices (n, 3) of the nodes' free coordinates.
+
+    Pinned coordinates have −1.
+    """
     found = np.full(3 * len(model.mechanism.physical), -1, dtype=np.intp)
     found[model.mechanism.free_index] = np.arange(model.nq)
     return found.reshape(-1, 3)

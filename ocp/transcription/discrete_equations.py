@@ -1,4 +1,7 @@
-"""Discrete Euler-Lagrange equations with the forces of constraints and ground as unknowns."""
+"""Discrete Euler-Lagrange equations.
+
+Constraint forces and ground reactions are unknowns.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +21,8 @@ from tenscasadi.integrators.stabilization import build_projection
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.validate import Array, Indices
 
-# Where, in an interval, a linear γ has its mean in the sense of the hat functions of the interval's
-# start and end: its impulse there.
+# Fractions of an interval at which a linear γ equals its mean weighted by the hat function of the
+# interval's start and end, which gives its impulse there.
 EARLY, LATE = 1 / 3, 2 / 3
 
 
@@ -29,7 +32,7 @@ class DiscreteEquations:
     Attributes
     ----------
     pushes : ndarray of int, shape (K + 1, c + 3s)
-        Entries of the forces of c constraints, and of the reactions on s nodes that stand.
+        Entries of the forces of c constraints, and of the reactions on s contact nodes.
     """
 
     def __init__(self, v: Variables, used: Array, contact: ContactSet) -> None:
@@ -38,7 +41,7 @@ class DiscreteEquations:
         self.constraints = build_constraints(v.model)
         self._back = v.entries.constants(-v.fractions[:, None])
         self._row_scale = v.scales.mass * v.scales.length / v.count
-        # velocities within, and the clock, are unknowns only where something depends on them
+        # Interior velocities and the clock are unknowns only if something depends on them.
         inner, clock = v.states[1:-1, self.nq : 2 * self.nq], v.states[1:, 2 * self.nq :]
         self.with_velocities, self.with_clock = (
             bool(used[asked].any()) for asked in (inner, clock)
@@ -51,8 +54,8 @@ class DiscreteEquations:
         first = evaluate_multipliers(v.model, v.guess.states, controls)
         self.pushes = np.hstack([self._add_forces("force", first), contact.reactions])
         if self.with_velocities:
-            # where γ jumps, constraints and ground push otherwise before a mesh point than after
-            # it: `pushes` are the means of both
+            # If γ jumps at a mesh point, constraint and ground forces differ before and after it.
+            # `pushes` are the means of both.
             names = reaction_names("reaction before the end", contact.stands)
             ground = np.zeros((v.count - 1, len(contact.held)))
             ground_before = v.add_at_nodes(names, ground, contact.force, 1)
@@ -84,10 +87,10 @@ class DiscreteEquations:
         return [*result, self._clock()] if self.with_clock else result
 
     def _momentum_at_ends(self) -> Block:
-        """Build the discrete momenta of the first and of the last velocity.
+        """Build the discrete momenta at the start and the end.
 
-        At the end they are those of a motion backwards in time. T² and shares instead of h:
-        polynomial also where the duration is free.
+        At the end they are those of the motion backwards in time. The rows contain T² and fractions
+        instead of the step h, so that they are polynomials also for a free duration.
         """
         v, nq = self.v, self.nq
         columns = [v.states[:1, :nq], v.states[:1, nq : 2 * nq], v.states[1:2, :nq]]
@@ -157,7 +160,7 @@ class DiscreteEquations:
         return Block(function, np.hstack(columns), tuple(names), scale=scale)
 
     def _when(self, entries: Indices, points: slice) -> list[Indices]:
-        """Return entries with those of times if supports move."""
+        """Append the entries of times if supports move."""
         v = self.v
         if v.model.scene.supports is None:
             return [entries]
@@ -183,24 +186,30 @@ class DiscreteEquations:
         return self.model.split(self.model.pack(columns, columns, 0))[0]
 
     def _momentum(self, velocities: Any) -> Any:
-        """Return the momenta along the free coordinates, moving supports included."""
+        """Compute the momenta along the free coordinates.
+
+        Moving supports are included.
+        """
         return self._coordinates(ca.mtimes(velocities, sparse(self.model.mechanism.M)))
 
     def _force(self, x: Any, gamma: Any, pushes: Any) -> Any:
-        """Return the total forces on the free coordinates."""
+        """Compute the total forces on the free coordinates."""
         N, V, clock = self.model.unpack(x)
         total = forces.total(self.model.scene, self.model.mechanism, N, V, gamma, clock)
         return self._coordinates(total) + self._push(x, pushes)
 
     def _push(self, x: Any, pushes: Any) -> Any:
-        """Return the forces of constraints and ground on the free coordinates."""
+        """Compute constraint forces and ground reactions.
+
+        They are those on the free coordinates.
+        """
         count, standing = len(self.kept), sparse(np.eye(self.nq)[:, self.contact.held])
         return self.constraints(x, pushes[:count, :])[2] + ca.mtimes(standing, pushes[count:, :])
 
     def _backwards(self, velocities: Indices, pushes: Indices, intervals: slice) -> Indices:
-        """Return entries of momenta at the ends, backwards in time.
+        """Select the entries of the momenta at interval ends.
 
-        `pushes` are forces before these ends.
+        They are those of the motion backwards in time. `pushes` are the forces before these ends.
         """
         v, q = self.v, self.v.states[:, : self.nq]
         own = v.interval_controls[intervals]
@@ -210,11 +219,11 @@ class DiscreteEquations:
         return np.hstack(columns)
 
     def _impact(self) -> list[Block]:
-        """Build the rows of an impact without rebound on the contact nodes.
+        """Build the rows of an impact without rebound.
 
-        M (v⁺ − v⁻) are impulses Jᵀ of constraints and ground, J v⁺ = 0 with J the gradients of the
-        constraints and of the held coordinates: v⁺ = v⁻ − M⁻¹Jᵀ (J M⁻¹Jᵀ)⁻¹ J v⁻, the projection
-        that takes the least energy away.
+        Constraints and ground cause the change of momentum M (v⁺ − v⁻) = Jᵀ p with impulses p, and
+        J v⁺ = 0. J has the gradients of the constraints and of the contact nodes' coordinates. The
+        result is v⁺ = v⁻ − M⁻¹Jᵀ (J M⁻¹Jᵀ)⁻¹ J v⁻, the projection with the least loss of energy.
         """
         v, nq = self.v, self.nq
         scale = v.scales.mass * v.scales.length / v.scales.time
@@ -259,16 +268,17 @@ class DiscreteEquations:
         return x
 
     def _inner_rates(self, entries: Any, q: Any, duration: Any) -> Any:
-        """Compute the interior velocities (nq, K − 1) from the discrete momenta.
+        """Compute the interior velocities (nq, K − 1).
 
-        They are central differences where nodes stand, which these keep at rest.
+        They follow from the discrete momenta. With contact nodes they are central differences,
+        which are zero at these nodes.
         """
         v = self.v
         spacing = ca.diag(1 / (v.fractions[1:] + v.fractions[:-1]))
         central = ca.mtimes(q[:, 2:] - q[:, :-2], spacing) / duration
         if self.contact.stands:
             return central
-        # whatever stands at these entries: `central` takes its place
+        # arbitrary entries, which `central` replaces
         nowhere = np.zeros((v.count - 1, self.nq), dtype=np.intp)
         z = gather(entries, self._backwards(nowhere, self.pushes[1:-1], slice(-1)))
         z = ca.vertcat(z[: self.nq, :], central, z[2 * self.nq :, :])

@@ -16,22 +16,22 @@ Flags = NDArray[np.bool_]
 
 
 class Elimination:
-    """Solver of A x = b and Aᵀ x = b.
+    """Direct solver of a sparse linear system and its transpose.
 
-    The finest block triangular form of the pattern orders rows and unknowns. Diagonal blocks of one
-    pattern are inverted in one batch. Where a part of a block is constant, only its Schur
-    complement is inverted.
+    The systems are A x = b and Aᵀ x = b. The finest block triangular form of the pattern orders
+    rows and unknowns. Diagonal blocks of one pattern are inverted in one batch. Where a part of a
+    block is constant, only its Schur complement is inverted.
 
     Parameters
     ----------
     rows, columns : ndarray of int
-        Places of the entries of A (n, n).
+        Row and column indices of the entries of A (n, n).
     size : int
         Number n of rows.
     constant : ndarray of bool
-        Which entries never change.
+        Whether each entry is constant.
     sample : ndarray
-        Values of all entries, of which those that are constant count.
+        Values of all entries. Only those of constant entries are used.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class Elimination:
         self._above = _OffDiagonal(column[rest], row[rest], rest, size)
 
     def factor(self, values: Array) -> None:
-        """Take the values of the entries of A."""
+        """Factorize A with given values of its entries."""
         for group in self._groups:
             group.take(values)
         self._below.take(values)
@@ -108,7 +108,7 @@ def _join_small(
     rows: Indices, columns: Indices, of_row: Indices, of_column: Indices
 ) -> list[_DefectBlock]:
     """Order the blocks by levels, and join small ones."""
-    least = 16  # rows; smaller matrices cost more in calls than in arithmetic
+    least = 16  # rows; for smaller matrices, the overhead of calls exceeds the arithmetic
     widths = np.bincount(of_row)
     count, ends = len(widths), np.append(0, np.cumsum(widths))
     orders = [np.argsort(own, kind="stable") for own in (of_row, of_column)]
@@ -168,7 +168,7 @@ class _Step(NamedTuple):
     start, end : int
         First row, and the row after the last.
     group : _Group
-        Where the inverses are kept, at `ranks`.
+        Group with the inverses of the blocks, at `ranks`.
     """
 
     start: int
@@ -177,18 +177,24 @@ class _Step(NamedTuple):
     ranks: slice
 
     def inverse(self) -> Array:
-        """Return the inverse diagonal blocks (count, m, m)."""
+        """Select the inverse diagonal blocks (count, m, m)."""
         return self.group.inverse[self.ranks]
 
     def multiply(self, b: Array, inverse: Array) -> None:
-        """Multiply the own rows of b by block matrices, in place."""
+        """Multiply the step's rows of b by block matrices.
+
+        The operation is in place.
+        """
         own = b[self.start : self.end]
         shape = (len(inverse), inverse.shape[2], b.shape[1])
         own[:] = np.matmul(inverse, own.reshape(shape)).reshape(own.shape)
 
 
 def _find_steps(levels: list[int], starts: Indices, groups: list[_Group]) -> list[_Step]:
-    """Find the longest runs of neighboring blocks of one level and group."""
+    """Find the longest sequences of neighboring blocks.
+
+    Blocks of a sequence have the same level and group.
+    """
     place = {k: (group, rank) for group in groups for rank, k in enumerate(group.members)}
     steps, k = [], 0
     while k < len(levels):
@@ -215,7 +221,10 @@ class _OffDiagonal:
         self.values = -values[self.entries]
 
     def add_into(self, b: Array, step: _Step) -> None:
-        """Add the product with b to the own rows of b, in place."""
+        """Add the product with b to the step's rows.
+
+        The operation is in place.
+        """
         starts, r = self.starts[step.start : step.end + 1], b.shape[1]
         if starts[0] == starts[-1]:
             return
@@ -229,7 +238,10 @@ class _OffDiagonal:
 
 
 class _Group:
-    """Diagonal blocks (count, m, m) of one pattern, and their inverses."""
+    """Diagonal blocks of one pattern, and their inverses.
+
+    Arrays of blocks have shape (count, m, m).
+    """
 
     def __init__(
         self,
@@ -262,7 +274,7 @@ class _Group:
         return dense
 
     def take(self, values: Array) -> None:
-        """Invert the blocks of these values."""
+        """Invert the blocks with given values."""
         D = self._fill(values)
         if self.fixed is None:
             self.inverse = np.asarray(np.linalg.inv(D), dtype=float)

@@ -20,10 +20,10 @@ def constraint_names(model: Model) -> tuple[str, ...]:
 
 
 def build_constraints(model: Model) -> ca.Function:
-    """Build the constraints of bars and joints, their rates and forces.
+    """Build the constraints, their rates and their forces.
 
-    The Function is (x, μ) → constraints [m], rates [m/s], Jᵀμ [N], where Jᵀμ (nq) acts on the free
-    coordinates.
+    Constraints are those of bars and joints. The Function is (x, μ) → constraints [m], rates [m/s],
+    Jᵀμ [N], where Jᵀμ (nq) acts on the free coordinates.
     """
     kind = symbol_kind(model.ode)
     x = kind.sym("x", model.nx)
@@ -59,7 +59,7 @@ def build_residuals(model: Model) -> ca.Function:
 def evaluate_multipliers(model: Model, states: Array, controls: Array) -> Array:
     """Compute the multipliers (n, c) [N] of states and controls.
 
-    They are zero where they do not exist, as at a bar without a length.
+    Undefined multipliers are zero, such as those of a bar of zero length.
     """
     kind, mech = symbol_kind(model.ode), model.mechanism
     x, u = kind.sym("x", model.nx), kind.sym("u", model.nu)

@@ -20,17 +20,17 @@ from tenscasadi.util.validate import Array
 
 
 class MotionResidual(NamedTuple):
-    """Difference between a solution and the motion that it stands for.
+    """Difference between a discrete solution and the continuous motion.
 
     Attributes
     ----------
     error : float
-        Largest distance from the motion of fine steps along the whole plan [m] (speeds: m per
-        duration).
+        Largest distance from an integration in fine steps along the whole plan [m], also for
+        velocities × duration.
     size : float
         Size of the residual that corrections reduce.
     shift : ndarray, shape (m,)
-        Change of the limits of all rows that removes it, to first order.
+        Shift of the limits of all rows that removes the residual, to first order.
     states : ndarray or None
         States (K + 1, nx) of fine steps along the whole plan.
     """
@@ -61,11 +61,18 @@ class FineSteps:
         return states.T, (*held, duration * self.fractions[None]), duration
 
     def ends(self, leaving: Array, held: tuple[Array, ...]) -> Array:
-        """Simulate the intervals from states `leaving` (K, nx) to their ends."""
+        """Simulate all intervals from given states to their ends.
+
+        `leaving` are the states (K, nx) at the starts of the intervals.
+        """
         return np.asarray(self._each(leaving.T, *held).full()).T
 
     def whole(self, w: Array) -> tuple[Array, float]:
-        """Simulate the motion, and measure the planned states' distance."""
+        """Simulate the whole motion in fine steps.
+
+        Returns its states (K + 1, nx), and the largest distance of the planned states from them
+        [m]. Velocities count as velocity × duration.
+        """
         states, held, duration = self.planned(w)
         later = np.asarray(self._chain(states[0], *held).full())
         fine = np.column_stack([states[0], later]).T
@@ -123,8 +130,9 @@ def measure_ends(program: Program, model: Model, fractions: Array) -> Measure:
 def measure_jumps(program: Program, model: Model, fractions: Array) -> Measure:
     """Prepare the residual of discrete equations of motion.
 
-    From each node of the mesh, a velocity leads to the next one by fine steps. It jumps from the
-    velocity with which fine steps arrive.
+    Fine steps connect successive mesh points by a suitable initial velocity in each interval. The
+    residual is the jump between the final velocity of an interval and the initial velocity of the
+    next one, as a change of momentum.
     """
     fine, mech, nq = FineSteps(program, model, fractions), model.mechanism, model.nq
     project = build_projection(model, 1).map(len(fractions)) if mech.constrained else None
@@ -132,7 +140,7 @@ def measure_jumps(program: Program, model: Model, fractions: Array) -> Measure:
     ends, middle = (_find_rows(program, name) for name in ("ends", "middle"))
 
     def leave(states: Array, held: tuple[Array, ...], lengths: Array) -> tuple[Array, Array]:
-        """Find the velocities that lead from node to node."""
+        """Find initial velocities that connect the mesh points."""
         leaving, least = states[:-1].copy(), np.inf
         while True:
             arrived = fine.ends(leaving, held)
@@ -152,7 +160,7 @@ def measure_jumps(program: Program, model: Model, fractions: Array) -> Measure:
         at_ends = np.vstack([left[:1] - planned[:1], arrived[-1:] - planned[-1:]])
         jumps = [at_ends, left[1:] - arrived[:-1], arrived[:-1] - planned[1:-1]]
         shift = np.zeros(len(program.lower))
-        # the rows of velocities within are there where these are unknowns
+        # Rows of interior velocities exist only if these are unknowns.
         for rows, jump in zip([ends[0], *middle, *ends[1:]], jumps, strict=False):
             moved = duration * np.asarray(momentum(jump.T).full()).ravel(order="F")
             shift[rows] = -moved / program.scale[rows]
@@ -167,7 +175,7 @@ def _build_residual(fine: FineSteps, w: Array, shift: Array) -> MotionResidual:
 
 
 def _find_rows(program: Program, name: str) -> list[slice]:
-    """Find the rows of the blocks whose Function has a name."""
+    """Find the rows of blocks by their Function's name."""
     parts = program.parts
     return [
         rows
@@ -181,7 +189,7 @@ def _build_momentum(model: Model) -> ca.Function:
     v = ca.SX.sym("v", model.nq)
     clock = [0.0] * (model.nx - 2 * model.nq)
     _, V, _ = model.unpack(ca.vertcat(v, v, *clock))
-    if model.scene.supports is not None:  # these do not jump
+    if model.scene.supports is not None:  # prescribed velocities have no jumps
         V[:, model.scene.supports.nodes] = 0.0
     P = ca.mtimes(V, sparse(model.mechanism.M))
     return ca.Function("momentum", [v], [model.split(model.pack(P, P, 0))[0]])

@@ -26,7 +26,7 @@ from tenscasadi.util.validate import (
 )
 
 Intervals = int | Sequence[float]
-MOST_INTERVALS = 100_000  # a file may ask for more than memory holds
+MOST_INTERVALS = 100_000  # protects against files whose mesh exceeds the memory
 
 
 def check_intervals(field: str, value: Any) -> int | tuple[float, ...]:
@@ -44,7 +44,7 @@ def check_intervals(field: str, value: Any) -> int | tuple[float, ...]:
 
 
 def fractions(intervals: Intervals) -> Array:
-    """Compute the shares (K,) of the duration that the intervals take."""
+    """Compute interval lengths (K,) as fractions of the duration."""
     if isinstance(intervals, (int, np.integer)):
         return np.full(int(intervals), 1 / int(intervals))
     return np.asarray(intervals, dtype=float)
@@ -63,7 +63,7 @@ class Profile(Protocol):
 
     @property
     def changes(self) -> int | None:
-        """Maximum number of changes; None: from interval to interval."""
+        """Maximum number of control changes; None if unlimited."""
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,10 @@ def group_matrix(profile: Profile, strings: int) -> Array:
 
 
 def spans(profile: Profile, fractions: Array) -> Indices:
-    """Find the span of constant controls of each interval (K,)."""
+    """Find the move block of each interval (K,).
+
+    Controls are constant within a block.
+    """
     if profile.changes is None or profile.changes + 1 >= len(fractions):
         return np.arange(len(fractions))
     middle = np.cumsum(fractions) - np.asarray(fractions) / 2
@@ -200,7 +203,10 @@ def profile_at(values: Array, nodes: Array, time: Array) -> Array:
 
 
 def locate_share(fractions: Array, share: float) -> tuple[int, float]:
-    """Find the interval of a share of the duration."""
+    """Find the interval of a fraction of the duration.
+
+    Returns its index, and the fraction of the interval.
+    """
     ends = np.cumsum(fractions)
     k = min(int(np.searchsorted(ends, share - 1e-9)), len(ends) - 1)
     part = float((share - ends[k] + fractions[k]) / fractions[k])
@@ -208,7 +214,10 @@ def locate_share(fractions: Array, share: float) -> tuple[int, float]:
 
 
 def hermite_state(model: Model, x: Any, y: Any, h: Any, share: float) -> Any:
-    """Evaluate the cubic between states x and y."""
+    """Evaluate the cubic Hermite interpolant of two states.
+
+    `h` is the length of the interval [s], `share` the fraction of it.
+    """
     if share == 1.0:
         return y
     s, (q0, v0, clock0), (q1, v1, clock1) = share, model.split(x), model.split(y)
@@ -220,7 +229,7 @@ def hermite_state(model: Model, x: Any, y: Any, h: Any, share: float) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class Guess(ReadOnlyArrays):
-    """Motion that a solver starts from, on equal intervals.
+    """Initial guess of a motion on equal intervals.
 
     Attributes
     ----------
@@ -248,7 +257,10 @@ class Guess(ReadOnlyArrays):
 
 
 def on_mesh(model: Model, guess: Guess, fractions: Array, profile: Profile) -> Guess:
-    """Move a guess from equal intervals to a mesh and a profile."""
+    """Convert a guess to another mesh and control profile.
+
+    The given guess has equal intervals.
+    """
     intervals, nodes = len(guess.states) - 1, np.append(0.0, np.cumsum(fractions))
     if intervals == len(fractions) and np.ptp(fractions) < 1e-12:
         states, held = guess.states, guess.force_density

@@ -34,8 +34,8 @@ class MultipleShooting(RungeKuttaTranscription, kind="MultipleShooting"):
     control : PiecewiseConstant or PiecewiseLinear
         Profile of the controls over the intervals.
     accuracy : float, optional
-        Largest distance from the motion of fine steps [m] (speeds: m per duration). `solve`
-        corrects the plan until it is met. By default it corrects nothing.
+        Largest permitted distance of the plan from an integration in fine steps [m], also for
+        velocities × duration. `solve` reaches it by deferred correction. Default: no correction.
 
     Raises
     ------

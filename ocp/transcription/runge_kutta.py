@@ -44,14 +44,14 @@ class RungeKuttaTranscription(Transcription):
         return 1
 
     def defects(self, variables: Variables, used: Array) -> Defects:
-        """Build the equations of the stages and of the ends of steps.
+        """Build the equations of stages and of step ends.
 
         Parameters
         ----------
         variables : Variables
             States at the mesh points, controls and duration; further unknowns are added to them.
         used : ndarray of bool
-            Which of their entries bounds, costs and goals depend on.
+            Whether limits, costs or goals depend on each entry.
 
         Returns
         -------
@@ -66,7 +66,9 @@ class RungeKuttaTranscription(Transcription):
 
 
 class _Steps:
-    """Steps of a Runge-Kutta method with s stages, `substeps` in each interval.
+    """Steps of a Runge-Kutta method with s stages.
+
+    Each interval has `substeps` steps.
 
     Attributes
     ----------
@@ -96,7 +98,10 @@ class _Steps:
         self.multipliers = self._add_stages("force", self.constraints, forces, force)
 
     def _add_states(self) -> Indices:
-        """Add the states within intervals, at first on the line between the ends."""
+        """Add the states within intervals as unknowns.
+
+        Their initial guess is linear between the ends.
+        """
         v, within = self.v, np.arange(1, self.substeps)
         share = (within / self.substeps)[:, None]
         first = (1 - share) * v.guess.states[:-1, None] + share * v.guess.states[1:, None]
@@ -111,7 +116,10 @@ class _Steps:
         return np.vstack([rows.reshape(-1, v.model.nx), v.states[-1:]])
 
     def _add_stages(self, what: str, names: Sequence[str], first: Array, scale: float) -> Indices:
-        """Add unknowns of all stages, from values (K, n) of the intervals."""
+        """Add unknowns of all stages.
+
+        Their initial guess are values (K, n) of the intervals.
+        """
         stages = range(len(self.b))
         at = [f"{place}, stage {j}" for place in self._places(slice(None)) for j in stages]
         return self.v.entries.unknowns(
@@ -122,7 +130,10 @@ class _Steps:
         )
 
     def _add_moves(self, what: str, scale: float) -> Indices:
-        """Add the multipliers (K, c) that move the ends of intervals onto constraints."""
+        """Add the multipliers (K, c) of the constraint projection.
+
+        They project the states at the ends of intervals onto the constraints.
+        """
         count = self.v.count
         return self.v.entries.unknowns(
             [f"{name} {what}, interval {k}" for k in range(count) for name in self.constraints],
@@ -136,7 +147,7 @@ class _Steps:
         return [f"interval {k}" + f", step {i}" * (self.substeps > 1) for k, i in pairs]
 
     def _lengths(self) -> list[Indices]:
-        """Return entries of the duration and of the steps' shares."""
+        """List the entries of duration and relative step lengths."""
         share = self.v.fractions[self.interval, None] / self.substeps
         return [self.v.repeat(self.v.duration, len(share)), self.v.entries.constants(share)]
 
@@ -211,7 +222,10 @@ class _Steps:
     def _advance(
         self, x: Any, h: Any, place: float, weights: Sequence[tuple[float, float]], rates: Any
     ) -> Any:
-        """Return the state at a share of a step, under weighted accelerations."""
+        """Advance the state by a fraction `place` of a step.
+
+        The accelerations of the stages have the given weights.
+        """
         q, speed, clock = self.model.split(x)
         q, clock = q + place * h * speed, clock + place * h
         for (early, weight), rate in zip(weights, rates, strict=True):

@@ -1,9 +1,9 @@
 """Sparse nonlinear programs of many instances of few small functions.
 
-A function of a few dozen numbers is differentiated once and evaluated for each interval; its values
-are put where they belong by index. No colouring of large graphs, no derivative of a graph of many
-calls: building and evaluating cost what the non-zeros cost. `Separable.jacobian` and
-`Separable.hessian` assemble the matrices.
+Each function of a few dozen numbers is differentiated once and evaluated for each interval.
+`Separable.jacobian` and `Separable.hessian` assemble the matrices from its values by index. This
+needs no graph coloring and no derivative of a large expression graph. The time to build and
+evaluate derivatives is proportional to the number of non-zeros.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from tenscasadi.util.validate import Array, Indices
 
 Kind = Literal[
     "start", "stage", "defect", "path", "rate", "waypoint", "end", "periodic", "cost"
-]  # what rows are of
+]  # origin of the rows of a block
 
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
-    """Unknowns of a program, and constants.
+    """Unknowns and constants of a program.
 
-    Together they are the entries y that blocks refer to by index, unknowns first.
+    Together they are the entries y that blocks refer to by index. Unknowns come first.
 
     Attributes
     ----------
@@ -64,10 +64,22 @@ class Block:
 
     z_k are the entries `index[k]` of unknowns and constants.
 
-    function: z (nz) → rows (m); index (count, nz); lower, upper, scale (count, m) or broadcast to
-    it; names: count·m, instance by instance. scale: what one stands for, in the unit of what is
-    limited. combination: None, or a dense matrix (m, rows of function) with which the
-    function's rows are multiplied. kind: what the rows are of, by which others find them.
+    Attributes
+    ----------
+    function : casadi.Function
+        z (nz) → rows (m).
+    index : ndarray of int, shape (count, nz)
+        Entries of each instance.
+    names : tuple of str
+        Names of the count·m rows, instance by instance.
+    lower, upper : array_like, shape (count, m) or broadcast to it
+        Limits of the scaled rows.
+    scale : array_like, shape (count, m) or broadcast to it
+        Factor that makes a row physical, in the unit of the limited quantity.
+    combination : ndarray, shape (m, rows of function), or None
+        Dense matrix that multiplies the rows of the function.
+    kind : str
+        Origin of the rows, by which `Program.rows` finds them.
     """
 
     function: ca.Function
@@ -97,7 +109,7 @@ class Block:
         return self.rows * self.count
 
     def value(self, z: Any) -> Any:
-        """Return the rows (m, count) at z (nz, count)."""
+        """Evaluate the rows (m, count) at z (nz, count)."""
         own = self.function.map(self.count)(z)
         return own if self.combination is None else ca.mtimes(ca.DM(self.combination), own)
 
@@ -144,7 +156,7 @@ class Separable:
 
     @cached_property
     def slices(self) -> tuple[slice, ...]:
-        """Places of the rows of each block in g."""
+        """Slices of g with the rows of each block."""
         ends = np.cumsum([block.size for block in self.rows]).tolist()
         return tuple(
             slice(end - block.size, end) for block, end in zip(self.rows, ends, strict=True)
@@ -159,7 +171,10 @@ class Separable:
         }
 
     def gradient(self) -> ca.Function:
-        """Build the Function nlp_grad_f (w, p) → f and its gradient."""
+        """Build the Function nlp_grad_f of the objective.
+
+        It is (w, p) → f and its gradient.
+        """
         matrix = _SparseMatrix(self.unknowns)
         for block, z in zip(self.costs, self._cost_inputs, strict=True):
             matrix.add_jacobian(block, z, self._weight, transposed=True)
@@ -169,7 +184,10 @@ class Separable:
         )
 
     def jacobian(self) -> ca.Function:
-        """Build the Function nlp_jac_g (w, p) → g and its sparse Jacobian."""
+        """Build the Function nlp_jac_g of the constraints.
+
+        It is (w, p) → g and its sparse Jacobian.
+        """
         J = self._row_derivatives.assemble(self.g.shape[0], self.unknowns.count)
         return ca.Function(
             "nlp_jac_g", [self.w, self._p], [self.g, J], ["x", "p"], ["g", "jac_g_x"]
@@ -177,7 +195,7 @@ class Separable:
 
     @property
     def constant_entries(self) -> NDArray[np.bool_]:
-        """Which non-zeros of the Jacobian are constant, in its order."""
+        """Whether each non-zero of the Jacobian is constant."""
         return self._row_derivatives.constant_entries(self.g.shape[0])
 
     @cached_property
@@ -226,7 +244,7 @@ class Program:
     contact : bool
         Whether nodes may touch a ground.
     multipliers : tuple of ndarray or None
-        Duals of g and of the limits of w to start from.
+        Initial duals of g and of the variable bounds, for a warm start.
     noise : ndarray, shape (n,), or None
         Change of `first` that leads away from a saddle.
     decided : ndarray of int
@@ -249,7 +267,7 @@ class Program:
     decided: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
     def perturb_guess(self) -> Program:
-        """Add the noise to the start, within the limits."""
+        """Add the noise to the initial guess, within the limits."""
         if self.noise is None:
             return self
         return replace(
@@ -290,19 +308,25 @@ class Program:
 
     @property
     def known(self) -> Array:
-        """Which entries (K + 1, nx) of the states are unknowns."""
+        """Mask of the state entries that are unknowns.
+
+        Its shape is (K + 1, nx).
+        """
         return np.asarray(self.states < self.parts.unknowns.count)
 
     def shift_rows(
         self, shift: Array, w: Array, multipliers: tuple[Array, Array] | None
     ) -> Program:
-        """Shift the limits of rows, and start from a solution."""
+        """Shift the limits of rows, and set a warm start."""
         lower, upper = self.lower + shift, self.upper + shift
         return replace(self, lower=lower, upper=upper, first=w, multipliers=multipliers)
 
 
 def gather(y: Any, index: Indices) -> Any:
-    """Gather the entries y[index] (nz, count) of an index (count, nz)."""
+    """Gather the entries y[index] in columns.
+
+    The index is (count, nz), the result (nz, count).
+    """
     return ca.reshape(y[index.ravel().tolist()], index.shape[1], index.shape[0])
 
 
@@ -312,10 +336,13 @@ def symbol_kind(function: ca.Function) -> Any:
 
 
 def expand(function: ca.Function) -> ca.Function:
-    """Expand a Function to scalar code if possible, for faster derivatives."""
+    """Expand a Function to scalar code if possible.
+
+    Derivatives are then faster.
+    """
     try:
         return function.expand()
-    except RuntimeError:  # CasADi's word for such a call
+    except RuntimeError:  # CasADi cannot expand the Function
         return function
 
 
@@ -372,8 +399,8 @@ class _SparseMatrix:
         if not size:
             return
         row, column = (block.index[:, local].ravel() for local in (local_row, local_column))
-        # where one unknown has several places in z, both halves of the block fall on the diagonal:
-        # they are both wanted
+        # If an unknown has several places in z, entries of both triangles of the block are added on
+        # the diagonal.
         kept = np.flatnonzero((row <= column) & (column < self._unknowns.count))
         needed = np.zeros(size, dtype=bool)
         needed[kept % size] = True
@@ -387,7 +414,7 @@ class _SparseMatrix:
         self._keep(values, position, scale[row] * scale[column], [row, column])
 
     def _derivative(self, block: Block, z: Any) -> tuple[Any, Indices, Indices, NDArray[np.bool_]]:
-        """Build the Jacobian's non-zeros, and find their places."""
+        """Build the Jacobian's non-zeros, and find their indices."""
         s: Any = symbol_kind(block.function).sym("z", block.function.size1_in(0))
         varied, places = self._select_unknowns(block, s)
         J = ca.jacobian(block.function(s), varied)
@@ -403,7 +430,7 @@ class _SparseMatrix:
         return function.map(block.count)(z), row, places[column], varying
 
     def _second(self, block: Block) -> tuple[Callable[[Any, Any, Indices], Any], Indices, Indices]:
-        """Build the function of chosen Hessian non-zeros, and their places."""
+        """Build the function of Hessian non-zeros, and their indices."""
         s: Any = symbol_kind(block.function).sym("z", block.function.size1_in(0))
         weight = type(s).sym("weight", block.function.size1_out(0))
         varied, places = self._select_unknowns(block, s)
@@ -420,10 +447,10 @@ class _SparseMatrix:
         return values, row, column
 
     def _select_unknowns(self, block: Block, z: Any) -> tuple[Any, Indices]:
-        """Select the entries of z that are unknowns in some instance.
+        """Select the entries of z that are ever unknowns.
 
-        Derivatives by constants would cost time and join what does not depend on each other. All of
-        an MX, which CasADi differentiates by whole symbols.
+        Derivatives with respect to constants would take time, and couple independent entries. All
+        entries of an MX are selected, as CasADi differentiates with respect to whole symbols.
         """
         if isinstance(z, ca.MX):
             return z, np.arange(z.shape[0])
@@ -467,7 +494,7 @@ class _SparseMatrix:
         )
         starts = np.searchsorted(places, rows * np.arange(columns + 1))  # of the columns
         sparsity = ca.Sparsity(rows, columns, starts.tolist(), (places % rows).tolist())
-        # lists, as CasADi takes half as long again for arrays
+        # CasADi takes 1.5 times as long for arrays as for lists.
         if len(places) == len(position):
             return ca.MX(
                 sparsity, values[position[first].tolist()] * ca.DM(factors[first].tolist())

@@ -32,7 +32,7 @@ _ENTRY = np.dtype(
 
 
 class Entries:
-    """Unknowns and constants, numbered as they are added.
+    """Unknowns and constants in the order of their addition.
 
     `suffix` is the phase in their names; "" without phases.
     """
@@ -93,9 +93,9 @@ class Entries:
         return used
 
     def order(self) -> tuple[Unknowns, Indices]:
-        """Order the unknowns by intervals, which keeps matrices banded.
+        """Order the unknowns by intervals, for banded matrices.
 
-        Returns them, and the place of each entry.
+        Returns them, and the new index of each entry.
         """
         table, unknown = self._table, self._table["unknown"]
         order = np.flatnonzero(unknown)
@@ -126,8 +126,8 @@ class Variables:
     states, controls, duration : ndarray of int
         Entries (K + 1, nx), (K, m) or (K + 1, m) for m groups of strings, and (1,).
     share, time : ndarray of int
-        Entries (K, 1) of the lengths of intervals, and (K + 1, 1) of the times of nodes, relative
-        to the duration.
+        Entries (K, 1) of the lengths of intervals, and (K + 1, 1) of the mesh points, relative to
+        the duration.
     guess : Guess
         Initial guess on this mesh and profile.
     strength, objective : float
@@ -196,7 +196,10 @@ class Variables:
         )
 
     def _add_controls(self) -> Indices:
-        """Add controls of intervals, or of nodes if they are piecewise linear."""
+        """Add the controls as unknowns.
+
+        They belong to intervals, or to mesh points if they are piecewise linear.
+        """
         members = [np.flatnonzero(column) for column in self.group_matrix.T]
         least, most = self.problem.control_limits
         lower, upper = (
@@ -236,7 +239,7 @@ class Variables:
         )
 
     def gamma(self, local: Any, share: float) -> Any:
-        """Evaluate the controls (α,) at a share of an interval."""
+        """Evaluate the controls (α,) at a fraction of an interval."""
         m = self.group_matrix.shape[1]
         held = (1 - share) * local[:m] + share * local[m:] if self.profile.linear else local
         return ca.mtimes(sparse(self.group_matrix), held)
@@ -244,7 +247,7 @@ class Variables:
     def add_at_nodes(
         self, names: Sequence[str], first: Array, scale: float, node: int = 0
     ) -> Indices:
-        """Add unknowns at the nodes from `node` on."""
+        """Add unknowns at the mesh points from `node` on."""
         every = [f"{name}, interval {k}" for k in range(len(first)) for name in names]
         return self.entries.unknowns(
             every, first, scale, interval=node + np.arange(len(first))[:, None]
@@ -266,7 +269,10 @@ def name_controls(group_matrix: Array, begins: Indices, what: str = "force densi
 
 
 def name_states(model: Model) -> tuple[str, ...]:
-    """Name the entries of the state, such as "node 2 z velocity"."""
+    """Name the entries of the state.
+
+    An example is "node 2 z velocity".
+    """
     places = model.mechanism.coordinate_names
     return (
         *places,

@@ -16,10 +16,10 @@ from tenscasadi.util.validate import Array
 
 @dataclass(frozen=True)
 class Variational(Transcription, kind="Variational"):
-    """Variational transcription: a discrete principle of least action, of order 2.
+    """Variational transcription by a discrete principle of least action.
 
-    It is the fastest transcription, and keeps momenta and bar lengths exactly. All rows are
-    polynomials of low degree with few non-zeros.
+    It has order 2, is the fastest transcription, and keeps momenta and bar lengths exactly. All
+    rows are polynomials of low degree with few non-zeros.
 
     Parameters
     ----------
@@ -28,8 +28,8 @@ class Variational(Transcription, kind="Variational"):
     control : PiecewiseConstant or PiecewiseLinear
         Profile of the controls over the intervals.
     accuracy : float, optional
-        Largest distance from the motion of fine steps [m] (speeds: m per duration). `solve`
-        corrects the plan until it is met. By default it corrects nothing.
+        Largest permitted distance of the plan from an integration in fine steps [m], also for
+        velocities × duration. `solve` reaches it by deferred correction. Default: no correction.
 
     Raises
     ------
@@ -40,8 +40,8 @@ class Variational(Transcription, kind="Variational"):
     Notes
     -----
     The discrete Euler-Lagrange equations M (q⁺ − 2q + q⁻)/h² = F(q, γ) + B λ̂ C_b, with bᵀb = l² at
-    each node of the mesh, are those of the leapfrog method (Störmer-Verlet, Rattle), with a
-    Lagrange multiplier λ for each bar and node [1]_. Velocities follow from the discrete momenta,
+    each mesh point, are those of the leapfrog method (Störmer-Verlet, Rattle), with a Lagrange
+    multiplier λ for each bar and mesh point [1]_. Velocities follow from the discrete momenta,
     which account for jumps of the force densities. Interior velocities are unknowns only if a goal,
     a limit or a cost depends on them.
 
@@ -69,11 +69,11 @@ class Variational(Transcription, kind="Variational"):
         Parameters
         ----------
         variables : Variables
-            States at the nodes of the mesh, controls and duration; further unknowns are added.
+            States at the mesh points, controls and duration; further unknowns are added.
         used : ndarray of bool
-            Entries that limits, costs and goals depend on.
+            Whether limits, costs or goals depend on each entry.
         contact : ContactSet, optional
-            Contact nodes, whose reactions enter as bar forces do.
+            Contact nodes, whose reactions are unknowns like bar forces.
 
         Returns
         -------

@@ -1,1 +1,1 @@
-"""Design of structures: their form, their prestress and the sections of their members."""
+"""Design of structures: form, prestress and sections of members."""

@@ -1,4 +1,4 @@
-"""Conic programs: one call for linear, quadratic and semidefinite ones."""
+"""Solution of linear, quadratic and semidefinite programs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _UNBOUNDED = ("DualInfeasible", "AlmostDualInfeasible")
 
 
 class LinearRows(NamedTuple):
-    """Linear rows A x compared with b.
+    """Rows of linear constraints on A x.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class ConicSolution(NamedTuple):
     Attributes
     ----------
     x : ndarray (n,)
-        Unknowns; the last iterate where there is no solution.
+        Unknowns; the last iterate if there is no solution.
     status : str
         "solved", "infeasible", "unbounded" or "failed".
     """
@@ -54,18 +54,20 @@ def solve_conic(
     semidefinite: Sequence[LinearRows] = (),
     tolerance: float = 1e-10,
 ) -> ConicSolution:
-    """Minimize ½ xᵀ P x + costᵀ x under linear and semidefinite constraints.
+    """Solve a conic program.
+
+    Minimize ½ xᵀ P x + costᵀ x under linear and semidefinite constraints.
 
     Parameters
     ----------
     cost : ndarray, shape (n,)
         Linear cost.
     equal, below : LinearRows
-        A x = b, and A x ≤ b.
+        Constraints A x = b, and A x ≤ b.
     quadratic : sparse array, shape (n, n), optional
         P, symmetric positive semidefinite.
     semidefinite : sequence of LinearRows
-        b − A x are the scaled upper triangles of positive semidefinite matrices, see
+        Constraints that b − A x is the scaled upper triangle of a positive semidefinite matrix, see
         `scaled_triangle`.
     tolerance : float
         Relative tolerance of residuals and of the duality gap.
@@ -94,7 +96,10 @@ def solve_conic(
 
 
 def scaled_triangle(matrix: Array) -> Array:
-    """Stack the upper triangle of a symmetric matrix by columns, √2 times off the diagonal."""
+    """Stack the scaled upper triangle of a symmetric matrix.
+
+    Entries are ordered by columns. Those off the diagonal are multiplied by √2.
+    """
     rows, columns = np.tril_indices(len(matrix))  # of the transpose: column by column
     return np.asarray(matrix[columns, rows] * np.where(rows == columns, 1.0, np.sqrt(2.0)))
 

@@ -1,4 +1,4 @@
-"""Prestress design: the self-stress of a structure that serves a goal best."""
+"""Prestress design: the optimal self-stress of a structure."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from tenscasadi.structure.structure import Structure
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import Array, as_tuple, finite_array, instance, nonnegative, per_item
 
-_ROUNDS = 30  # of the iteration between prestress and its response to loads
-_SMALLEST = 1e-6  # of the limits: tensions below it are the rounding of a solver
-_SETTLED = 1e-9  # change of the tensions from round to round, relative
+_ROUNDS = 30  # iterations between the prestress and the response to loads
+_SMALLEST = 1e-6  # relative to the limits: smaller tensions are rounding errors of a solver
+_SETTLED = 1e-9  # relative change of the tensions between iterations
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ class PrestressDesign(ReadOnlyArrays):
     success : bool
         Whether the prestress satisfies all limits.
     message : str
-        The reason if it does not.
+        Result in one sentence; the reason of a failure.
 
     Examples
     --------
@@ -78,7 +78,7 @@ def find_prestress(
     maximum: ArrayLike | None = None,
     groups: Groups | None = None,
 ) -> PrestressDesign:
-    """Find the self-stress that serves a goal best.
+    """Find the optimal self-stress for a goal.
 
     Parameters
     ----------
@@ -87,10 +87,10 @@ def find_prestress(
     goal : Stiffest, Even or Least
         Largest stiffness of the softest motion, most uniform tensions, or least tensions.
     load_cases : sequence of array_like, shape (n, 3)
-        Forces on the nodes [N]. The limits hold under each of them, too.
+        Forces on the nodes [N]. The limits of tensions also apply under each load case.
     minimum : array_like, shape (α,)
         Least tension of strings [N], or one number for all. `Even` and `Least` need one above 0, or
-        load cases, for the scale.
+        load cases, to determine the level of prestress.
     maximum : array_like, shape (α,), optional
         Largest tension of strings [N], or one number for all.
     groups : sequence of sequence of int, optional
@@ -104,12 +104,12 @@ def find_prestress(
     Raises
     ------
     TypeError, ValueError
-        An argument does not fit the structure, or no limit fixes the scale.
+        An argument does not fit the structure, or no limit determines the level of prestress.
 
     Notes
     -----
-    The response to a load is linear about the prestressed state, with the tangent stiffness of that
-    state. The program is repeated until prestress and response agree.
+    The response to a load is linearized about the prestressed state, with the tangent stiffness of
+    that state. The program is repeated until prestress and response agree.
 
     Examples
     --------
@@ -133,14 +133,16 @@ def find_prestress(
 
 
 class _PrestressSearch:
-    """Iteration between a prestress and the response of the structure to its load cases.
+    """Fixed-point iteration for a prestress under load cases.
+
+    It alternates between the prestress and the response of the structure to the loads.
 
     Attributes
     ----------
     tangent : TangentStiffness
         Tangent stiffness of the structure.
     basis : csc_array (α + β, u)
-        Columns of members that share a force density.
+        One column for each group of members that share a force density.
     least, most : ndarray (α,)
         Limits of tensions [N].
     cases : ndarray (cases, n, 3)
@@ -166,7 +168,7 @@ class _PrestressSearch:
         self.scale = force / float(tangent.lengths.mean())
 
     def run(self, goal: PrestressGoal) -> PrestressDesign:
-        """Find the prestress of a goal."""
+        """Find the optimal prestress for a goal."""
         strings = len(self.least)
         response = np.zeros((strings, 1))
         if len(self.cases):
@@ -208,7 +210,10 @@ class _PrestressSearch:
         return self.report(q)
 
     def program(self, response: Array, least: Array) -> PrestressProgram:
-        """Build the program for changes of tensions (α, cases) under the loads."""
+        """Build the program with limits under the loads.
+
+        `response` (α, cases) is the change of tensions under the loads [N].
+        """
         strings = len(least)
         T = sp.csc_array(sp.diags_array(self.tangent.lengths[:strings]) @ self.basis[:strings])
         low = least - np.minimum(response.min(axis=1, initial=0.0), 0.0)
@@ -231,13 +236,13 @@ class _PrestressSearch:
         return "the solver did not converge: scale the limits to the stiffness of the structure"
 
     def fail(self, message: str) -> PrestressDesign:
-        """Return an unsuccessful result without prestress."""
+        """Build an unsuccessful result without prestress."""
         structure = self.tangent.structure
         strings, bars = np.zeros(len(structure.strings)), np.zeros(len(structure.bars))
         return PrestressDesign(strings, bars, strings, 0.0, structure, False, message)
 
     def report(self, q: Array) -> PrestressDesign:
-        """Return the result for force densities q (α + β,)."""
+        """Build the result for force densities q (α + β,)."""
         structure, strings = self.tangent.structure, len(self.least)
         forces = q * self.tangent.lengths
         if (

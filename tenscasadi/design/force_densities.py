@@ -1,4 +1,4 @@
-"""Force densities that are given, shared within groups, or to be found."""
+"""Given and unknown force densities, and groups of members."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ Groups = Iterable[Sequence[int]]  # members that share a value: strings first, t
 
 
 class ForceDensities(NamedTuple):
-    """Force densities q = given + basis · p of all members: strings first, then bars.
+    """Given and unknown force densities of all members.
 
-    Tension is positive.
+    They are q = given + basis · p, strings first, then bars. Tension is positive.
 
     Attributes
     ----------
     given : ndarray (α + β,)
-        Given force densities [N/m]; 0 where they are to be found.
+        Given force densities [N/m]; 0 where unknown.
     basis : csc_array (α + β, u)
-        One column for each force density that is to be found.
+        One column for each unknown force density.
     lower : ndarray (u,)
         Lower limits of p [N/m]: 0 for strings, −inf for bars.
     """
@@ -39,14 +39,15 @@ class ForceDensities(NamedTuple):
 
     @property
     def has_scale(self) -> bool:
-        """Return whether a given force density fixes the scale of the others."""
+        """Whether given force densities determine the scale of all."""
         return bool(self.given.any())
 
 
 def read_force_densities(structure: Structure, given: Any, groups: Groups | None) -> ForceDensities:
-    """Read the force densities of strings (α,), NaN where they are to be found.
+    """Read the force densities of strings (α,).
 
-    Those of bars are always found. Raises TypeError, ValueError.
+    NaN marks an unknown force density. Those of bars are always unknown. Raises TypeError,
+    ValueError.
     """
     strings = len(structure.strings)
     members = strings + len(structure.bars)
@@ -73,9 +74,9 @@ def read_force_densities(structure: Structure, given: Any, groups: Groups | None
 
 
 def read_groups(groups: Groups | None, strings: int, members: int) -> Indices:
-    """Read groups of members as a label (members,); members without a group have their own.
+    """Read groups of members as labels (members,).
 
-    Raises TypeError, ValueError.
+    Members without a group have labels of their own. Raises TypeError, ValueError.
     """
     label = np.full(members, -1)
     entries = [] if groups is None else as_tuple("groups", groups, "[[0, 1, 2], [3, 4, 5]]")
@@ -111,9 +112,10 @@ def _read_values(given: Any, count: int) -> Array:
 
 
 def set_prestress(structure: Structure, gamma: Array, lam: Array) -> Structure:
-    """Set rest lengths for force densities γ (α,) and λ (β,), positive in compression.
+    """Set rest lengths for given force densities.
 
-    Members whose stiffness does not attain their force density are left unstressed.
+    They are γ (α,) of strings and λ (β,) of bars, positive in compression. Members whose stiffness
+    does not exceed their force density are left unstressed.
     """
     strings = (gamma > 0.0) & (gamma < structure.stiffness)
     stretch = np.divide(gamma, structure.stiffness, out=np.zeros_like(gamma), where=strings)

@@ -1,5 +1,6 @@
-"""Force-density method: forms of given force densities, and force densities that have a form.
+"""Force-density method and adaptive force-density method.
 
+The first finds forms of given force densities, the second force densities that have a form.
 The equilibrium Cᵀ q̂ C X = P is linear in the nodes X (n, 3) for given force densities q [1]_. A
 free-standing structure has a form only if the force-density matrix D = Cᵀ q̂ C has rank n − d − 1,
 where d is the dimension of the structure [2]_.
@@ -34,20 +35,24 @@ from tenscasadi.util.validate import Array
 
 _ITERATIONS = 100
 _CONVERGED = 1e-9  # step relative to the force densities; the error is its square
-_SMALLEST = 0.05  # of unknown string force densities at the start, relative to their mean
-_PULL = 1e-3  # weight of equal force densities at the start, relative to that of equilibrium
+_SMALLEST = 0.05  # lower limit of string force densities in the estimate, relative to their mean
+_PULL = 1e-3  # weight of equal force densities in the estimate, relative to that of equilibrium
 
 
 def force_density_matrix(structure: Structure, q: Array) -> Any:
-    """Compute the force-density matrix D = Cᵀ q̂ C (n, n) [N/m]."""
+    """Compute the force-density matrix (n, n) [N/m].
+
+    D = Cᵀ q̂ C.
+    """
     C = connectivity(member_pairs(structure), len(structure.nodes))
     return sp.csc_array(C.T @ sp.diags_array(q) @ C)
 
 
 def solve_form(structure: Structure, q: Array, loads: Array) -> Array | None:
-    """Compute the nodes (n, 3) in equilibrium under loads (n, 3) for given force densities.
+    """Compute the nodes (n, 3) for given force densities.
 
-    Returns None where the supports and force densities leave the nodes undetermined.
+    They are in equilibrium under loads (n, 3). Returns None if supports and force densities do not
+    determine the nodes.
     """
     free = free_directions(structure)
     D = sp.kron(force_density_matrix(structure, q), sp.eye_array(3), format="csr")
@@ -66,9 +71,10 @@ def solve_form(structure: Structure, q: Array, loads: Array) -> Array | None:
 
 
 def estimate_force_densities(structure: Structure, densities: ForceDensities) -> Array:
-    """Estimate the unknown force densities p (u,) by the least unbalanced forces in the nodes.
+    """Estimate the unknown force densities p (u,).
 
-    Strings are in tension. Where several fit, the estimate is near equal force densities.
+    They minimize the unbalanced forces at the nodes of the structure, with strings in tension. If
+    the minimum is not unique, the estimate is near equal force densities.
     """
     strings, unknown = len(structure.strings), len(densities.lower)
     scale = np.abs(densities.given[densities.given != 0.0]).mean() if densities.has_scale else 1.0
@@ -93,17 +99,17 @@ def estimate_force_densities(structure: Structure, densities: ForceDensities) ->
 def adapt_force_densities(
     structure: Structure, densities: ForceDensities, start: Array, near: bool
 ) -> tuple[Array, Array] | None:
-    """Find force densities whose matrix D has the rank of a free-standing structure.
+    """Find force densities of a free-standing structure.
 
-    Newton's method makes d + 1 eigenvalues of D vanish, to first order on their eigenvectors. These
-    are the eigenvectors that come nearest to the structure's own coordinates (`near`), or those of
-    the smallest eigenvalues.
+    Its matrix D has rank n − d − 1. In each step, Newton's method makes D vanish to first order on
+    d + 1 of its eigenvectors. These are the eigenvectors nearest to the span of the structure's
+    coordinates (`near`), or those of the smallest eigenvalues.
 
     Returns
     -------
     tuple of ndarray, or None
         The nodes (n, 3) nearest to those of the structure in the null space of D, and p (u,). None
-        where the method does not converge, or a string would be in compression.
+        if the method does not converge, or a string would be in compression.
     """
     members, strings = len(densities.given), len(structure.strings)
     C = connectivity(member_pairs(structure), len(structure.nodes))
@@ -136,7 +142,10 @@ def adapt_force_densities(
 
 
 def _coordinate_space(nodes: Array) -> Array:
-    """Compute an orthonormal basis (n, d + 1) of the constant and the coordinates of nodes."""
+    """Compute an orthonormal basis of affine functions.
+
+    It spans the constant vector and the coordinates of the nodes. Its shape is (n, d + 1).
+    """
     centered = nodes - nodes.mean(axis=0)
     left, sizes, _ = np.linalg.svd(centered, full_matrices=False)
     left = left[:, sizes > 1e-9 * sizes.max(initial=1e-300)]

@@ -1,4 +1,7 @@
-"""Form finding: nodes and force densities in equilibrium with prescribed properties."""
+"""Form finding with prescribed properties.
+
+It finds nodes and force densities in equilibrium.
+"""
 
 from __future__ import annotations
 
@@ -38,8 +41,8 @@ from tenscasadi.util.validate import (
 )
 
 _BALANCED = 1e-8  # unbalanced forces of a form, relative to its largest force
-_MET = 1e-8  # misses of goals, relative to the mean length or force
-_FLAT = 1e-6  # of the size of a form: smaller extents and lengths count as none
+_MET = 1e-8  # residuals of goals, relative to the mean length or force
+_FLAT = 1e-6  # relative to the size of a form: smaller extents and lengths count as zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,16 +52,16 @@ class Form(ReadOnlyArrays):
     Attributes
     ----------
     structure : Structure
-        The structure in the found nodes. Its strings are prestressed by the force densities; one
-        whose stiffness is not above its force density is left unstressed.
+        The structure at the computed nodes. The force densities prestress its strings. A string
+        whose stiffness does not exceed its force density is left unstressed.
     force_density : ndarray (α,)
         Force densities of strings [N/m].
     bar_force : ndarray (β,)
         Forces of bars [N], positive in tension.
     success : bool
-        Whether the form is in equilibrium, with all strings in tension, and meets the goals.
+        Whether the form is in equilibrium, with all strings in tension, and satisfies the goals.
     message : str
-        The reason if it is not; else the residual.
+        The residual; the reason of a failure.
 
     Examples
     --------
@@ -86,22 +89,22 @@ def form_find(
 ) -> Form:
     """Find nodes and force densities in equilibrium.
 
-    Pinned nodes stay where they are. Nets with given force densities take one linear solution. A
-    free-standing structure has a family of forms for given force densities; the one that best keeps
-    the lengths of bars is chosen, then the nearest to the structure's own nodes. Where a net leaves
-    force densities free, they become as equal as the goals allow.
+    Pinned nodes keep their positions. Nets with given force densities need one linear solution. A
+    free-standing structure has a family of forms for given force densities. The form that best
+    keeps the lengths of bars is chosen, then the nearest to the initial nodes. Unknown force
+    densities of a net are made as equal as the goals allow.
 
     Parameters
     ----------
     structure : Structure
-        Members, supports, and nodes to start from.
+        Members, supports, and initial nodes.
     force_density : array_like, shape (α,), optional
-        Force densities of strings [N/m], NaN where they are to be found; None: all. Those of bars
-        are always found. If none is given and there are no loads, the mean is 1 N/m.
+        Force densities of strings [N/m], NaN where unknown; None: all are unknown. Those of bars
+        are always unknown. If none is given and there are no loads, the mean is 1 N/m.
     lengths : mapping of int to float, optional
         Prescribed lengths of strings, ``{string: m}``.
     positions : mapping of int to sequence, optional
-        Prescribed positions of nodes, ``{node: (x, y, None)}`` [m], None where a coordinate is free.
+        Prescribed positions of nodes, ``{node: (x, y, None)}`` [m], None for a free coordinate.
         These nodes are in equilibrium without a support.
     groups : sequence of sequence of int, optional
         Groups of members that share their force density: strings first, then bars.
@@ -124,8 +127,8 @@ def form_find(
     -----
     The linear solution is Schek's force-density method [1]_. For free-standing structures, the
     adaptive force-density method [2]_ makes the force-density matrix singular, here by Newton's
-    method. Unknown force densities and prescribed properties lead to a nonlinear program, which
-    IPOPT solves from there.
+    method. Unknown force densities and prescribed properties lead to a nonlinear program. IPOPT
+    solves it with these results as initial guesses.
 
     References
     ----------
@@ -158,7 +161,10 @@ def form_find(
 def _find_forms(
     structure: Structure, densities: ForceDensities, goals: Goals
 ) -> Iterator[tuple[Array, Array, dict[str, float]]]:
-    """Yield nodes (n, 3), force densities (α + β,), and the misses of goals, from several starts."""
+    """Compute forms from several initial guesses, one by one.
+
+    Yields nodes (n, 3), force densities (α + β,), and the residuals of goals by name.
+    """
     prescribed = bool(goals.lengths or goals.positions or goals.equal_tension)
     if not len(densities.lower) and not prescribed:
         nodes = solve_form(structure, densities.given, goals.loads)
@@ -218,7 +224,7 @@ def _read_goals(
 def _assess(
     structure: Structure, nodes: Array, q: Array, loads: Array, misses: Mapping[str, float]
 ) -> Form:
-    """Judge a form by its unbalanced forces, its tensions and its goals."""
+    """Assess a form by unbalanced forces, tensions and goals."""
     strings = len(structure.strings)
     pairs = member_pairs(structure)
     vectors = nodes[pairs[:, 1]] - nodes[pairs[:, 0]]
@@ -248,7 +254,10 @@ def _find_fault(
     unbalanced: float,
     misses: Mapping[str, float],
 ) -> str:
-    """Explain why a form is none; "" if it is one."""
+    """Explain why a form is invalid.
+
+    Returns "" if it is valid.
+    """
     strings = len(structure.strings)
     largest = float(np.abs(forces).max(initial=0.0)) or 1.0
     pushing = np.flatnonzero(forces[:strings] < -_BALANCED * largest)

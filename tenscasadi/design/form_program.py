@@ -1,8 +1,8 @@
-"""Form finding as a nonlinear program in nodes and force densities.
+"""Form finding as a nonlinear program.
 
-Equilibrium and goals are constraints. Among the forms that satisfy them, the one that keeps the
-lengths of bars best is found. Among these it is the nearest to the start for free-standing
-structures, and that of most equal force densities for supported ones.
+The unknowns are nodes and force densities. Equilibrium and goals are constraints. Among the forms that satisfy them, those that best keep the
+lengths of bars are found. Among these, the program selects the form nearest to the start for
+free-standing structures, and the form of most equal force densities for supported ones.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from tenscasadi.util.validate import Array, Indices
 
 FEASIBLE = 1e-8  # largest violation of a constraint, relative to the size of lengths and forces
 _NEARNESS = 1e-8  # weight of the distance from the start while the lengths of bars are fitted
-_MINOR = 1e-8  # weight of what decides between forms that are equally good
+_MINOR = 1e-8  # weight of the secondary objective, which selects among equivalent forms
 _OPTIONS: dict[str, Any] = {
     "print_time": False,
     "ipopt.print_level": 0,
@@ -47,7 +47,7 @@ class Goals(NamedTuple):
     lengths : mapping of int to float
         Lengths of strings [m].
     positions : mapping of int to tuple
-        Positions of nodes (x, y, z) [m]; None where a coordinate is free.
+        Positions of nodes (x, y, z) [m]; None for a free coordinate.
     equal_tension : tuple of tuple of int
         Groups of strings whose tensions are equal.
     loads : ndarray (n, 3)
@@ -60,14 +60,18 @@ class Goals(NamedTuple):
     loads: Array
 
     def hold(self, structure: Structure) -> bool:
-        """Return whether supports or loads determine the nodes for given force densities."""
+        """Return whether supports or loads determine the nodes.
+
+        Force densities are given.
+        """
         return bool(structure.held.any() or self.loads.any())
 
 
 class FormProgram:
-    """Expressions of the program in unknowns x = (y, p), in units of a mean length and force.
+    """Nonlinear program in the unknowns x = (y, p).
 
-    y are displacements along the free directions, p the unknown force densities.
+    y are displacements along the free directions, p the unknown force densities. Both are in units
+    of a mean length and a mean force density.
     """
 
     def __init__(self, structure: Structure, densities: ForceDensities, goals: Goals) -> None:
@@ -101,7 +105,7 @@ class FormProgram:
         self._lower = np.concatenate([np.full(y.numel(), -np.inf), densities.lower])
 
     def _goal_rows(self, goals: Goals, N: Any, squared: Any, q: Any) -> tuple[Any, list[str]]:
-        """Build the rows that vanish where goals are met, and their names."""
+        """Build the residuals of the goals, and their names."""
         rows, names = [], []
         for string, length in goals.lengths.items():
             target = length / self.length
@@ -129,12 +133,18 @@ class FormProgram:
         return self.densities.of(x[self._free.shape[1] :] * self.density)
 
     def unknowns(self, nodes: Array, p: Array) -> Array:
-        """Compute x of nodes (n, 3) [m] and force densities p (u,) [N/m]."""
+        """Compute the unknowns x of a form.
+
+        It has nodes (n, 3) [m] and force densities p (u,) [N/m].
+        """
         y = self._free.T @ (nodes.ravel() / self.length - self._held)
         return np.concatenate([y, p / self.density])
 
     def minimize(self, objective: Any, constraints: Any, start: Array) -> tuple[Array, bool]:
-        """Minimize an objective with constraints = 0; return x, and whether it satisfies them."""
+        """Minimize an objective subject to constraints = 0.
+
+        Equilibrium is a constraint, too. Returns x, and whether it satisfies all constraints.
+        """
         rows = ca.vertcat(self.equilibrium, constraints)
         program = {"x": self.x, "f": objective, "g": rows}
         if rows.numel() > self.x.numel():
@@ -147,9 +157,10 @@ class FormProgram:
         return x, bool(np.all(np.abs(self._evaluate(rows, x)) <= FEASIBLE))
 
     def solve(self, start: Array) -> tuple[Array, Array]:
-        """Find the form: first the goals, then the lengths of bars, then the nearest one.
+        """Find the form by objectives in order of priority.
 
-        Returns x, and what the goals are missed by [in units of mean length and force].
+        They are the goals, then the lengths of bars, then the distance. Returns x, and the
+        residuals of the goals [in units of mean length and force].
         """
         x, feasible = self.minimize(self.distance, ca.vertcat(self.goals, self.bars), start)
         if feasible:
@@ -172,9 +183,10 @@ class FormProgram:
 
 
 def _independent_rows(structure: Structure) -> Indices:
-    """Find rows of the equilibrium that imply the others, since no force moves a free structure.
+    """Select independent equations of equilibrium.
 
-    One row is left out for each rigid-body motion that the supports allow.
+    Internal forces do no work on rigid-body motions. One equation is left out for each rigid-body
+    motion that the supports allow.
     """
     free = free_directions(structure)
     motions = free.T @ rigid_body_motions(structure)

@@ -13,20 +13,20 @@ from tenscasadi.design.tangent_stiffness import TangentStiffness, extend_basis
 from tenscasadi.schema.value import Value
 from tenscasadi.util.validate import Array
 
-_MODES = 12  # softest motions that the first semidefinite program sees
-_ROUNDS = 50  # of the search for motions that the last program did not see
-_EXACT = 1e-9  # difference of the bounds of the least stiffness, relative
+_MODES = 12  # softest motions computed for the next semidefinite program
+_ROUNDS = 50  # semidefinite programs on a growing set of motions
+_EXACT = 1e-9  # relative difference between the bounds of the least stiffness
 
 
 class PrestressProgram(NamedTuple):
-    """Force densities q = basis · p with linear constraints.
+    """Linear constraints on force densities q = basis · p.
 
     Attributes
     ----------
     stiffness : TangentStiffness
         Tangent stiffness of the structure.
     basis : csc_array (α + β, u)
-        Columns of members that share p.
+        One column for each group of members that share a force density.
     equal, below : LinearRows
         Equilibrium, and limits of tensions.
     scale : float
@@ -40,15 +40,20 @@ class PrestressProgram(NamedTuple):
     scale: float
 
     def minimize(self, cost: Array, quadratic: sp.csc_array | None = None) -> ConicSolution:
-        """Minimize ½ pᵀ P p + costᵀ p [in units of `scale`]."""
+        """Minimize a quadratic objective.
+
+        It is ½ pᵀ P p + costᵀ p, with p in units of `scale`.
+        """
         equal, below = self.in_units()
         found = solve_conic(cost, equal, below, quadratic)
         return found._replace(x=found.x * self.scale)
 
     def fit(self, p: Array, up: bool) -> Array:
-        """Scale p to the limits: down until one is active, or (`up`) to where the last one is met.
+        """Scale p to the limits.
 
-        This removes the rounding of a solver, and the freedom that a goal without scale leaves.
+        Without `up`, p is reduced to satisfy all upper limits. With `up`, p is scaled such that all
+        lower limits are satisfied and one is active. This removes the rounding error of a solver.
+        It also determines the level of prestress if the goal does not.
         """
         values, limits = self.below.A @ p, self.below.b
         ratio = np.divide(
@@ -67,7 +72,7 @@ class PrestressProgram(NamedTuple):
 
 
 class PrestressGoal(Protocol):
-    """Choice among the admissible prestresses."""
+    """Selection criterion for admissible prestresses."""
 
     needs_minimum: bool
 
@@ -88,7 +93,7 @@ class PrestressGoal(Protocol):
 
 @dataclass(frozen=True)
 class Stiffest(Value, kind="Stiffest"):
-    """The largest stiffness of the softest motion.
+    """Largest stiffness of the softest motion.
 
     It maximizes the least eigenvalue of the tangent stiffness on motions that keep rigid bars: a
     semidefinite program.
@@ -104,9 +109,9 @@ class Stiffest(Value, kind="Stiffest"):
     needs_minimum = False
 
     def solve(self, program: PrestressProgram) -> ConicSolution:
-        """Find force densities by programs that see ever more motions.
+        """Find force densities by a sequence of semidefinite programs.
 
-        They end when the softest motion is among those seen.
+        Each considers more motions. The sequence ends when the softest motion is among them.
 
         Parameters
         ----------
@@ -135,7 +140,7 @@ class Stiffest(Value, kind="Stiffest"):
 
 @dataclass(frozen=True)
 class Even(Value, kind="Even"):
-    """The most uniform string tensions.
+    """Most uniform string tensions.
 
     It minimizes the sum of squared deviations of the string tensions from their mean: a quadratic
     program.
@@ -151,7 +156,7 @@ class Even(Value, kind="Even"):
     needs_minimum = True
 
     def solve(self, program: PrestressProgram) -> ConicSolution:
-        """Find force densities of the least deviations.
+        """Find force densities of least deviations from the mean tension.
 
         Parameters
         ----------
@@ -179,7 +184,7 @@ class Even(Value, kind="Even"):
 
 @dataclass(frozen=True)
 class Least(Value, kind="Least"):
-    """The least sum of string tensions: a linear program.
+    """Least sum of string tensions: a linear program.
 
     Examples
     --------
@@ -192,7 +197,7 @@ class Least(Value, kind="Least"):
     needs_minimum = True
 
     def solve(self, program: PrestressProgram) -> ConicSolution:
-        """Find force densities of the least sum.
+        """Find force densities of the least sum of tensions.
 
         Parameters
         ----------
@@ -209,15 +214,18 @@ class Least(Value, kind="Least"):
 
 
 def _string_tensions(program: PrestressProgram) -> sp.csc_array:
-    """Build the string tensions per p (α, u)."""
+    """Build the matrix of string tensions per p.
+
+    Its shape is (α, u), and its unit m.
+    """
     lengths = program.stiffness.structure.string_lengths
     return sp.csc_array(sp.diags_array(lengths) @ program.basis[: len(lengths)])
 
 
 def _maximize_least(program: PrestressProgram, motions: Array) -> tuple[ConicSolution, float]:
-    """Maximize the least eigenvalue of the stiffness on some orthonormal motions.
+    """Maximize the least eigenvalue of the projected stiffness.
 
-    Returns p and that eigenvalue.
+    The stiffness is projected onto given orthonormal motions. Returns p and this eigenvalue.
     """
     materials, slopes = program.stiffness.reduce(motions)
     material = np.einsum("k,kij->ij", program.stiffness.stiffness, materials)

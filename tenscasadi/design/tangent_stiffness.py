@@ -29,7 +29,7 @@ class TangentStiffness:
     lengths : ndarray (α + β,)
         Lengths of members [m].
     stiffness : ndarray (α + β,)
-        Stiffness k of members [N/m]; 0 for rigid bars, which J holds.
+        Stiffness k of members [N/m]; 0 for rigid bars, which are constraints J v = 0.
     J : csr_array (rigid bars, free coordinates)
         Elongation of rigid bars per displacement.
     rigid_body : ndarray (free coordinates, r)
@@ -52,9 +52,10 @@ class TangentStiffness:
         self.rigid_body = self.free.T @ rigid_body_motions(structure)
 
     def at(self, q: Array, stiffness: Array | None = None) -> Any:
-        """Compute K (free coordinates, free coordinates) for force densities q (α + β,) [N/m].
+        """Compute the tangent stiffness K for given force densities.
 
-        `stiffness` replaces that of all members.
+        K (free coordinates, free coordinates) and q (α + β,) are in N/m. `stiffness` replaces that
+        of all members.
         """
         k = self.stiffness if stiffness is None else stiffness
         along = np.where(self.stiffness > 0.0, k - q, 0.0)
@@ -65,12 +66,14 @@ class TangentStiffness:
         return sp.csc_array(material + self.free.T @ across @ self.free)
 
     def reduce(self, motions: Array) -> tuple[Array, Array]:
-        """Project the stiffness of each member onto motions (free coordinates, r).
+        """Project the stiffness of each member onto motions.
+
+        The motions are columns (free coordinates, r).
 
         Returns
         -------
         tuple of ndarray (α + β, r, r)
-            Material stiffness per k, and geometric stiffness per force density.
+            Material stiffness per member stiffness k, and geometric stiffness per force density.
         """
         moved = (self.free @ motions).reshape(len(self.structure.nodes), 3, motions.shape[1])
         change = moved[self.pairs[:, 1]] - moved[self.pairs[:, 0]]
@@ -82,19 +85,26 @@ class TangentStiffness:
     def softest(
         self, q: Array, count: int | None = None, stiffness: Array | None = None
     ) -> tuple[Array, Array]:
-        """Compute the lowest eigenvalues of K [N/m] on motions that keep rigid bars, and these."""
+        """Compute the softest motions that keep rigid bars.
+
+        Returns the lowest eigenvalues of K [N/m], and their motions.
+        """
         return softest_motions(self.at(q, stiffness), self.J, self.rigid_body, count)
 
     @cached_property
     def freedom(self) -> int:
-        """Number of independent motions that keep rigid bars, rigid-body motions left out."""
+        """Number of independent motions that keep rigid bars.
+
+        Rigid-body motions are left out.
+        """
         held = np.concatenate([self.J.toarray(), self.rigid_body.T])
         return int(self.J.shape[1] - np.linalg.matrix_rank(held, tol=1e-9))
 
     def tension_change(self, q: Array, loads: Array) -> Array:
-        """Compute the change of tensions (α + β, cases) [N] under loads (cases, n, 3).
+        """Compute the change of tensions (α + β, cases) [N].
 
-        Linear about the state with force densities q. Raises LinAlgError where K is singular.
+        It is the linear response to loads (cases, n, 3) about the state with force densities q.
+        Raises LinAlgError if K is singular.
         """
         forces = self.free.T @ loads.reshape(len(loads), -1).T
         held = sp.vstack([self.J, sp.csr_array(self.rigid_body.T)], format="csr")
@@ -105,7 +115,10 @@ class TangentStiffness:
 
 
 def extend_basis(basis: Array, more: Array) -> Array:
-    """Extend an orthonormal basis by the parts of further columns outside it."""
+    """Extend an orthonormal basis by further columns.
+
+    Only their components orthogonal to the basis are added.
+    """
     outside = more - basis @ (basis.T @ more)
     left, sizes, _ = np.linalg.svd(outside, full_matrices=False)
     return np.hstack([basis, left[:, sizes > 1e-7]])

@@ -37,12 +37,12 @@ from tenscasadi.util.validate import (
     whole_number,
 )
 
-MOST_KEPT = 2.5e8  # numbers in the rows of states that a run keeps: 2 GB
+MOST_KEPT = 2.5e8  # largest number of entries in the saved states of a run: 2 GB
 
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """Scene with its start and the options of `simulate`.
+    """Scene with its initial state and the options of `simulate`.
 
     A scene file describes it in the sections from [scene] to [simulation].
 
@@ -51,9 +51,9 @@ class Simulation:
     scene : Scene
         Scene to simulate.
     t_end : float
-        End of the run, s.
+        End of the run [s].
     step : float, optional
-        Largest step, s, see `simulate`.
+        Largest step [s], see `simulate`.
     scheme : Scheme
         Integration scheme.
     correction : Projection or BarLengthCorrection, optional
@@ -61,29 +61,29 @@ class Simulation:
     save_every : int, optional
         Number of steps between saved rows, see `simulate`.
     coordinates : {"reduced", "full"}, optional
-        Coordinates of the state, see `Model`. Default: the cheaper ones.
+        Coordinates of the state, see `Model`. Default: those of less computation time.
     bar_length : {"current", "constant"}
-        The square that the bars' multipliers divide by, see `Model`.
+        Bar length by whose square the multipliers are divided, see `Model`.
     nodes : array_like, shape (n, 3), optional
-        Positions at the start, m; by default those of the structure. Nodes inside strings that are
-        cut into segments lie on a line, unless they are given, too.
+        Positions at the start [m]; by default those of the structure. Inner nodes of subdivided
+        strings lie on a straight line, unless they are also given.
     velocities : array_like, shape (n, 3), optional
-        Velocities at the start, m/s; by default at rest.
+        Velocities at the start [m/s]; by default at rest.
     project : bool
-        Whether the start is moved onto bars and joints: the nearest state that keeps them.
+        Whether the start is projected onto bars and joints: the nearest state that satisfies them.
     state : array_like, shape (nx,), optional
-        The start as a state of the model, in place of nodes and velocities.
+        State of the model at the start, in place of nodes and velocities.
     control : array_like, shape (nu,) or (K, nu), or callable, optional
         Control, see `simulate`.
     parameters : mapping of str to array_like, optional
         Values of the model's parameters by name, see `simulate`.
     energy_balance : bool
-        Whether the work of damping, contact and control is accounted for.
+        Whether to integrate the work of damping, contact and control.
 
     Raises
     ------
     TypeError, ValueError
-        Where a field is wrong, by its name.
+        A field is wrong; the message names it.
 
     See Also
     --------
@@ -157,7 +157,7 @@ class Simulation:
 
     @cached_property
     def start(self) -> Array:
-        """The state (nx,) that the run starts from."""
+        """Initial state (nx,) of the run."""
         p = self.model.parameters.values(self.parameters)
         state = self.model.start_at(p) if self.state is None else self.state
         if self.nodes is not None or self.velocities is not None:
@@ -213,7 +213,7 @@ class Simulation:
         Returns
         -------
         Trajectory
-            The motion with its errors, see `simulate`.
+            Trajectory with its errors, see `simulate`.
         """
         return simulate(
             self.model,
@@ -236,7 +236,7 @@ class Simulation:
         )
 
     def _rows(self, name: str) -> Array:
-        """Select positions or velocities of the structure's or modelled nodes."""
+        """Select positions or velocities of given or modeled nodes."""
         rows = finite_array(f"Simulation.{name}", getattr(self, name), (None, 3))
         counts = {len(self.scene.structure.nodes), len(self.scene.modelled.nodes)}
         if len(rows) not in counts:
@@ -246,9 +246,9 @@ class Simulation:
         return rows
 
     def _interpolate_rows(self, rows: Array) -> Array:
-        """Interpolate rows for all modelled nodes.
+        """Interpolate rows for all modeled nodes.
 
-        Those inside strings lie, and move, on the line between the ends of the string.
+        Inner nodes of subdivided strings are interpolated linearly between the ends of the string.
         """
         structure = self.scene.structure
         if len(rows) == len(self.scene.modelled.nodes):

@@ -1,7 +1,7 @@
 """Export of a model as C without dependencies.
 
-The code holds equations, derivatives, one step, and a program that runs them. It needs only the C
-library.
+The code contains the equations, their derivatives, one step, and a program that runs them. It needs
+only the C library.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ def export_c(
     model : Model
         The model to write.
     folder : str or Path
-        Folder for the files; it is made if need be.
+        Folder for the files; it is created if necessary.
     scheme : Scheme, optional
         Integration scheme of fixed steps. Default: `RungeKutta4`.
     precision : Single, optional
         `Single()` writes code that computes in float. Default: double.
     parameters : array_like, shape (np,), or mapping, optional
         Values of the model's parameters in `start.h`, see `ParameterLayout.values`; nominal if
-        None. The functions take any.
+        None. The functions accept any values.
 
     Returns
     -------
@@ -57,23 +57,23 @@ def export_c(
     Raises
     ------
     TypeError, ValueError
-        An argument is wrong, or the scheme chooses its steps; the message names it.
+        An argument is wrong, or the scheme has a variable step size; the message names it.
     OSError
         The files cannot be written.
 
     Notes
     -----
-    `tensegrity.c` holds four functions in CasADi's calling convention, ``int name(const
+    `tensegrity.c` contains four functions in CasADi's calling convention, ``int name(const
     casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem)``:
 
     - `ode` (x, u) -> xdot;
-    - `ode_jacobian` (x, u) -> its dense derivatives by x and by u, column by column;
+    - `ode_jacobian` (x, u) -> its dense Jacobians with respect to x and u, column by column;
     - `step` (x, u, h) -> x after one step of `scheme` of h s, followed by the projection onto bars
     and joints;
     - `observe` (x, u) -> the outputs of `Model.observe`.
 
-    Where the model has parameters p, each takes them after u, and `ode_jacobian` ends with the
-    derivatives by p.
+    If the model has parameters p, each function takes them after u, and `ode_jacobian` ends with
+    the Jacobian with respect to p.
 
     `main.c` integrates from the model's initial state: ``cc -O2 tensegrity.c main.c -lm -o run &&
     ./run t_end step rows``.
@@ -109,8 +109,8 @@ def export_c(
 def _jacobian(model: Model) -> ca.Function:
     """Write dense derivatives in C.
 
-    One directional derivative is looped over the directions, so that code and compile time stay
-    small.
+    A loop over the directions evaluates one directional derivative, so that code and compile time
+    stay small.
     """
     given = _inputs(model)
     symbols, seeds = (

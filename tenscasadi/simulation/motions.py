@@ -28,58 +28,58 @@ class Rollouts(Viewable, SceneResult, form="tenscasadi rollouts 1", title="file 
     Attributes
     ----------
     time : ndarray, shape (T,)
-        Saved times, s, from the start of the runs.
+        Saved times [s], from the start of the runs.
     states : ndarray, shape (n, T, nx)
-        States of the model. A motion that diverged is NaN from where it was found lost.
+        States of the model. A diverged run is NaN from the row at which divergence was detected.
     success : ndarray of bool, shape (n,)
-        Whether a motion reached the end, and can be trusted.
+        Whether a run reached its end and is trustworthy.
     message : ndarray of str, shape (n,)
         End of the run, and reasons not to trust it.
     bar_length_error : ndarray, shape (n,)
-        Largest relative error of a bar's length on the way.
+        Largest relative error of a bar's length during the run.
     joint_error : ndarray, shape (n,)
-        Largest gap of a joint on the way, m.
+        Largest gap of a joint during the run [m].
     energy : ndarray, shape (n, T)
-        Total energy, J; where the control changes at that time, under the one before.
+        Total energy [J]. If the control changes at a saved time, it is that under the previous
+        control.
     energy_error : ndarray, shape (n,)
-        Largest energy gained or lost beyond the work of all forces and of changes of the control,
-        J: an error of the numerics.
+        Largest energy gained or lost beyond the work of all forces and of changes of the control
+        [J], due to numerical errors.
     place : ndarray of int, shape (N, 3)
-        Entry of the state that holds each coordinate of a node, -1 where it is given.
+        Entry of the state for each coordinate of a node, -1 for prescribed coordinates.
     given : ndarray, shape (T, N, 3)
-        Coordinates of nodes that are pinned or moved, m; NaN for those that are free.
+        Coordinates of nodes that supports prescribe [m]; NaN for free coordinates.
     step : float
-        Mean length of a step, s.
+        Mean length of a step [s].
     steps : int
-        Steps of each motion.
+        Number of steps of each run.
     seconds : float
-        Wall time of the steps, s.
+        Wall time of the steps [s].
     lanes : int
-        Motions that each instruction moved; 0: they ran one by one, not compiled as C++.
+        Number of runs that each instruction advances; 0 if the code was not compiled.
     note : str
-        Why not, or why there is but one lane; empty otherwise.
+        The reason if the code was not compiled or has one lane only; empty otherwise.
     threads : int
-        Threads that worked on them.
+        Number of threads.
     interrupted : bool
         Whether the run was interrupted from the keyboard.
     bars, strings : ndarray of int, shape (β, 2) and (α, 2)
         Nodes at the ends of each bar and string; empty in older files.
     pinned : ndarray of int
-        Nodes that are pinned or roll; empty in older files.
+        Nodes with pins or rollers; empty in older files.
     turn : ndarray, shape (N, 3, 3)
-        Directions, as columns, along which each node has these coordinates; empty where all have x,
-        y, z.
+        Local axes of the coordinates of each node, as columns; empty if all are x, y, z.
     error_estimate : ndarray, shape (n,)
         Estimated step-size error of the node positions [m], NaN if unknown; empty in older files.
     scene : Scene or None
-        The simulated scene; None if the file does not hold it. Its functions of time are tables of
-        samples at the saved times after loading.
+        The simulated scene; None if the file does not contain it. Its functions of time are tables
+        of samples at the saved times after loading.
     sampled : tuple of str
         Fields of `scene` that are such tables.
 
     See Also
     --------
-    rollouts : Simulate many motions.
+    rollouts : Simulate a batch of runs.
 
     Examples
     --------
@@ -135,11 +135,11 @@ class Rollouts(Viewable, SceneResult, form="tenscasadi rollouts 1", title="file 
 
     @property
     def final(self) -> Array:
-        """Final states (n, nx); NaN for lost motions."""
+        """Final states (n, nx); NaN for diverged runs."""
         return self.states[:, -1]
 
     def path(self, node: int) -> Array:
-        """Return the positions of a node in all motions.
+        """Compute the positions of a node in all runs.
 
         Parameters
         ----------
@@ -149,7 +149,7 @@ class Rollouts(Viewable, SceneResult, form="tenscasadi rollouts 1", title="file 
         Returns
         -------
         ndarray, shape (n, T, 3)
-            Positions at the saved times, m; NaN where a motion is lost.
+            Positions at the saved times [m]; NaN for rows of a diverged run.
 
         Raises
         ------
@@ -159,12 +159,12 @@ class Rollouts(Viewable, SceneResult, form="tenscasadi rollouts 1", title="file 
         return node_positions(self, [node_index("node", node, len(self.place))])[:, :, 0]
 
     def summary(self) -> str:
-        """Format endings, errors and speed of the motions.
+        """Format endings, errors and speed of the runs.
 
         Returns
         -------
         str
-            One quantity a line, with its unit.
+            One line for each quantity, with its unit.
         """
         n, good = len(self.states), int(np.count_nonzero(self.success))
         total = n * self.steps
@@ -206,8 +206,8 @@ def node_positions(rollouts: Rollouts, nodes: Any, motions: Any = slice(None)) -
 def _check_values(content: Mapping[str, Any]) -> None:
     """Check the values of the fields.
 
-    Raises ValueError with the name of the first wrong field. Only motions that failed may hold
-    values that are not finite.
+    Raises ValueError with the name of the first wrong field. Only failed runs may contain values
+    that are not finite.
     """
     time = np.asarray(content["time"])
     if not np.all(np.isfinite(time)) or np.any(np.diff(time) <= 0):

@@ -83,13 +83,13 @@ def rollouts(  # noqa: PLR0913  the options of a batch
         Wall time after which runs stop [s], as after Ctrl-C. Default: no limit.
     verify : bool
         Whether to repeat finished runs with other steps, as `simulate` does. `error_estimate` then
-        holds their step-size errors.
+        contains their step-size errors.
 
     Returns
     -------
     Rollouts
-        Motions at the saved times, each with its errors and its message. A run that diverges does
-        not affect the others. Ctrl-C stops unfinished runs and keeps the others.
+        Runs at the saved times, each with its errors and its message. A diverging run does not
+        affect the others. Ctrl-C stops unfinished runs and keeps the others.
 
     Raises
     ------
@@ -146,7 +146,10 @@ def rollouts(  # noqa: PLR0913  the options of a batch
 
 
 def _check_memory(n: int, rows: int, nx: int) -> None:
-    """Raise ValueError if the results do not fit into memory."""
+    """Check that the results fit into memory.
+
+    Raises ValueError.
+    """
     needed = 8.0 * n * rows * (2 * nx + len(MEASURED) + 3)  # including derived arrays
     free = _free_memory()
     if needed > free:
@@ -220,10 +223,10 @@ def _record(model: Model, runs: Runs, verify: bool) -> Rollouts:
 
 
 def _find_places(model: Model, clock: Array) -> tuple[Any, Array]:
-    """Find the state entry of each node coordinate, and the coordinates that supports prescribe.
+    """Find the state entries and prescribed values of node coordinates.
 
-    `clock` (T,) are the times of the rows [s]. Entries (N, 3) are -1 and coordinates (T, N, 3) NaN
-    where there are none.
+    `clock` (T,) contains the times of the rows [s]. Entries (N, 3) are -1 for coordinates that are
+    not in the state. Prescribed coordinates (T, N, 3) are NaN for those in the state.
     """
     place = model.entries
     probes = np.zeros((len(clock), model.nx))

@@ -1,4 +1,4 @@
-"""Results that remember their scene."""
+"""Results that contain their scene."""
 
 from __future__ import annotations
 
@@ -22,14 +22,16 @@ Own = TypeVar("Own", bound="SceneResult")
 
 
 class SceneResult(Stored):
-    """Base of results with a scene, whose functions of time files hold as samples.
+    """Base class of results with a scene.
+
+    Files contain its functions of time as samples.
 
     Attributes
     ----------
     states : ndarray, shape (..., nx)
         States of the model; the last entry is the clock, if there is one.
     scene : Scene or None
-        The scene; None if a file does not hold it.
+        The scene; None if a file does not contain it.
     sampled : tuple of str
         Fields of the scene that were functions of time before they were saved.
     """

@@ -47,7 +47,7 @@ from tenscasadi.util.validate import (
 By = Literal["state", "control", "parameters"]
 Mode = Literal["forward", "adjoint"]
 Output = ca.Function | Callable[[Any, Any], Any] | None
-_SAME = 1e-6  # relative difference of final states above which the steps are not those of the run
+_SAME = 1e-6  # relative difference of final states above which the steps differ from the run
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,20 +61,20 @@ class Sensitivities(ReadOnlyArrays):
     value : ndarray, shape (m,)
         The output.
     jacobian : ndarray, shape (m, nx), (m, K, nu) or (m, np)
-        Its derivatives by the start, by the control in each of K intervals, or by the parameters;
-        NaN where the run did not reach its end.
+        Its derivatives with respect to the start, the control in each of K intervals, or the
+        parameters; NaN if the run did not reach its end.
     state : ndarray, shape (nx,)
         State at the end of the run.
     mode : {"forward", "adjoint"}
-        How they were computed.
+        Mode of differentiation.
     success : bool
-        Whether the run can be trusted, see `Trajectory`, and the derivatives are finite.
+        Whether the run is trustworthy, see `Trajectory`, and the derivatives are finite.
     message : str
         End of the run, and reasons not to trust it.
     seconds : float
-        Wall time of the derivatives, s, without the compiler's.
+        Wall time of the derivatives [s], without compilation.
     compiled : bool
-        Whether they ran as machine code.
+        Whether they were computed by machine code.
 
     See Also
     --------
@@ -133,7 +133,7 @@ def sensitivities(  # noqa: PLR0913  options of the run and of the derivatives
     t_end : float, optional
         End of the run [s]; required unless `start` is a trajectory.
     step : float, optional
-        Largest step, s, as for `simulate`. Default: 1 ms.
+        Largest step [s], as for `simulate`. Default: 1 ms.
     scheme : Scheme, optional
         Integration scheme with steps of fixed size, such as `RungeKutta4` (default), `Rattle` or
         `Collocation`; of a trajectory: its own.
@@ -178,15 +178,16 @@ def sensitivities(  # noqa: PLR0913  options of the run and of the derivatives
 
     Notes
     -----
-    The derivatives are those of the steps, correct to rounding; finite differences of the same run
-    converge to them. At an event within a step, each stage uses the derivative of its own mode. The
-    time of the event is not resolved, so the derivatives jump with the steps. Near impacts they may
-    be far from the derivative of the motion. `Smooth` strings and smaller steps reduce the
-    difference. Derivatives of chaotic motions grow without bound.
+    The derivatives are those of the discrete steps, correct to rounding. Finite differences of the
+    same run converge to them. At an event within a step, each stage uses the derivative of its own
+    mode. The time of the event is not resolved, so the derivatives depend discontinuously on the
+    steps. Near impacts they may differ strongly from the derivative of the exact solution. `Smooth`
+    strings and smaller steps reduce the difference. Derivatives of chaotic motions grow without
+    bound.
 
-    Derivatives by the start cover all directions of the state, also those that stretch bars. Only
-    changes that satisfy the constraints are possible. Derivatives by the clock leave the steps
-    fixed, also those cut at breakpoints of loads.
+    Derivatives with respect to the start cover all directions of the state, including those that
+    stretch bars. Only changes that satisfy the constraints are possible. Derivatives with respect
+    to the clock keep the steps fixed, including those that end at breakpoints of loads.
 
     Machine code takes 256 steps per call. Only the states between calls are stored, and the adjoint
     pass computes the others again, so memory hardly grows with the steps. A tangent costs as much

@@ -29,7 +29,7 @@ from tenscasadi.util.compile import Compiled, Single
 from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import instance, positive_number, whole_number
 
-MAX_REFINEMENT = 8  # × default steps: a limit of the time, as errors of a chaotic motion remain
+MAX_REFINEMENT = 8  # × default steps: limits the wall time, as errors of a chaotic motion remain
 
 
 @rename_keywords(seconds="time_limit")
@@ -50,7 +50,7 @@ def simulate(  # noqa: PLR0913  the options of a run
     parameters: Any = None,
     verify: bool = True,
 ) -> Trajectory:
-    """Simulate the motion of a model from time 0 on.
+    """Simulate the motion of a model from time 0.
 
     Parameters
     ----------
@@ -59,12 +59,12 @@ def simulate(  # noqa: PLR0913  the options of a run
     t_end : float
         End of the run [s].
     step : float, optional
-        Largest step [s]. The run takes the fewest equal steps that end exactly at `t_end`. They are
-        cut at the times of tables, at the `breakpoints` of functions of time, and where conditions
-        in these switch. Schemes with error control subdivide each step as needed. Default: 1 ms, or
-        less where stability or contact needs it; a hundredth of `t_end` for schemes with error
-        control. If `verify` finds an error of more than 1 % of the motion, default steps are
-        refined once, up to eightfold.
+        Largest step [s]. The run takes the fewest equal steps that end exactly at `t_end`. Steps
+        also end at the times of tables, at the `breakpoints` of functions of time, and where
+        conditions in these switch. Schemes with error control subdivide each step as needed.
+        Default: 1 ms, or less if stability or contact requires it; a hundredth of `t_end` for
+        schemes with error control. If `verify` finds an error of more than 1 % of the motion,
+        default steps are refined once, up to eightfold.
     scheme : Scheme, optional
         Integration scheme, such as `RungeKutta4` (default), `Rattle`, `DormandPrince853` or
         `Cvodes`.
@@ -174,13 +174,19 @@ def simulate(  # noqa: PLR0913  the options of a run
 
 
 def _divide_steps(request: Request, parts: int) -> Request:
-    """Divide the steps of a request into equal parts; the saved rows keep their times."""
+    """Divide the steps of a request into equal parts.
+
+    The saved rows keep their times.
+    """
     grid = replace(request.inputs.grid, counts=request.inputs.grid.counts * parts)
     return request._replace(inputs=request.inputs._replace(grid=grid), every=request.every * parts)
 
 
 def check_options(model: Any, scheme: Any, correction: Any, compiled: Any, **flags: Any) -> None:
-    """Check the options of runs. Raises TypeError."""
+    """Check the options of runs.
+
+    Raises TypeError.
+    """
     instance("model", model, Model, "a tenscasadi.Model")
     check_scheme(scheme)
     check_correction(correction)

@@ -29,21 +29,21 @@ class StartSection:
     Parameters
     ----------
     nodes : array_like, shape (n, 3), or mapping of int to array_like, shape (3,)
-        Positions at the start, m; nodes that a table does not name are where the structure has
-        them.
+        Positions at the start [m]. Nodes that are not in a table have the positions of the
+        structure.
     velocities : array_like, shape (n, 3), or mapping of int to array_like, shape (3,)
-        Velocities at the start, m/s, in addition to `velocity` and `spin`; nodes that a table does
-        not name have none.
+        Velocities at the start [m/s], in addition to `velocity` and `spin`. They are zero for nodes
+        that are not in a table.
     velocity : sequence of float, shape (3,)
-        Velocity of the whole structure, m/s.
+        Velocity of the whole structure [m/s].
     spin : sequence of float, shape (3,)
-        Angular velocity of the whole structure, rad/s.
+        Angular velocity of the whole structure [rad/s].
     about : int or sequence of float, shape (3,)
         Node or point of the spin axis; by default the mean of the nodes.
     project : bool
-        Whether the start is projected onto bars and joints: the nearest state that keeps them.
+        Whether the start is projected onto bars and joints: the nearest state that satisfies them.
     state : array_like, shape (nx,)
-        The start as a state of the model, in place of all others.
+        State of the model at the start, in place of all other fields.
     """
 
     nodes: Annotated[Any, _ROWS] = None

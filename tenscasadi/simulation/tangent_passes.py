@@ -42,8 +42,8 @@ class PassSetup(NamedTuple):
 class PassResult(NamedTuple):
     """Derivatives and checks of a pass.
 
-    `integral` is that of a running output. `apart` is the largest distance of a final chunk state
-    from the run.
+    `integral` is the time integral of a running output. `apart` is the largest difference between
+    the final state of a chunk and the run.
     """
 
     jacobian: Array

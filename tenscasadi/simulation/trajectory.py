@@ -25,57 +25,56 @@ class Trajectory(
 ):
     """Trajectory of a structure with its numerical errors.
 
-    It holds n nodes, β bars and α strings at T saved times.
-
-    `simulate` and the plans of `ocp` return it. All arrays are read-only.
+    It describes n nodes, β bars and α strings at T saved times. `simulate` and the plans of `ocp`
+    return it. All arrays are read-only.
 
     Attributes
     ----------
     time : ndarray, shape (T,)
-        Saved times, s.
+        Saved times [s].
     nodes : ndarray, shape (T, n, 3)
-        Positions of the nodes, m.
+        Positions of the nodes [m].
     velocities : ndarray, shape (T, n, 3)
-        Velocities of the nodes, m/s.
+        Velocities of the nodes [m/s].
     force_density : ndarray, shape (T, α)
-        Force densities of the strings, N/m.
+        Force densities of the strings [N/m].
     tension : ndarray, shape (T, α)
-        Tensions of the strings, N.
+        Tensions of the strings [N].
     energy : ndarray, shape (T,)
-        Total energy, J.
+        Total energy [J].
     energy_parts : ndarray, shape (T, 3)
-        Kinetic, elastic and gravitational energy, J.
+        Kinetic, elastic and gravitational energy [J].
     energy_error : ndarray, shape (T,)
-        Energy gained beyond the work of all forces and of changes of the control, J: an error of
-        the numerics. NaN where it was not computed.
+        Energy gained beyond the work of all forces and of changes of the control [J], due to
+        numerical errors. NaN if it was not computed.
     bar_length_error : ndarray, shape (T,)
         Largest relative error of a bar's length.
     joint_error : ndarray, shape (T,)
-        Largest gap of a joint, m.
+        Largest gap of a joint [m].
     correction_shift : ndarray, shape (T,)
-        Distance by which the first correction after this row moves a node, m. It is 0 where there
-        is none, and NaN for schemes that take their own steps.
+        Distance by which the first correction after this row moves a node [m]. It is 0 without a
+        correction, and NaN for schemes with error control.
     correction_energy : ndarray, shape (T,)
-        Energy that this correction adds, J; 0 and NaN as above.
+        Energy that this correction adds [J]; 0 and NaN as above.
     states : ndarray, shape (T, nx)
         States of the model.
     control : ndarray, shape (T, nu)
-        Controls of the model. A row acts from its time on, the last row until its time.
+        Controls of the model. Each row acts from its time on, but the last row acts until its time.
     bars : ndarray of int, shape (β, 2)
         Nodes at the ends of each bar.
     strings : ndarray of int, shape (α, 2)
         Nodes at the ends of each string.
     pinned : ndarray of int
-        Nodes that are pinned or roll.
+        Nodes with pins or rollers.
     success : bool
-        Whether the run reached its end and is trustworthy. A start far off its bars and joints, or
-        growing vibrations from steps above the stability limit, are not.
+        Whether the run reached its end and is trustworthy. Runs are not trustworthy if the start
+        violates bars and joints, or if steps above the stability limit make vibrations grow.
     message : str
         End of the run, and reasons not to trust it.
     step : float
-        Mean length of a step, s.
+        Mean length of a step [s].
     seconds : float
-        Wall time of the time loop, s.
+        Wall time of the time loop [s].
     compiled : bool
         Whether the loop ran as machine code.
     attempts : int
@@ -86,11 +85,11 @@ class Trajectory(
     parameters : ndarray, shape (np,)
         Values of the model's parameters.
     error_estimate : float
-        Distance by which the steps put nodes off, m, as the run taken again in other steps tells;
-        NaN where it was not.
+        Estimated step-size error of the node positions [m], from a repetition of the run with other
+        steps; NaN if it was not repeated.
     scene : Scene or None
-        The simulated scene; None if the file does not hold it. Its functions of time are tables of
-        samples at the saved times after loading.
+        The simulated scene; None if the file does not contain it. Its functions of time are tables
+        of samples at the saved times after loading.
     sampled : tuple of str
         Fields of `scene` that are such tables.
 
@@ -155,7 +154,7 @@ class Trajectory(
         Returns
         -------
         str
-            One quantity a line, with its unit.
+            One line for each quantity, with its unit.
         """
         steps = round((self.time[-1] - self.time[0]) / self.step)
         rate = f" ({steps / self.seconds:,.0f} steps/s)" if self.seconds > 0 else ""
@@ -313,7 +312,7 @@ _UNKNOWN = (
 def _check_values(content: Mapping[str, Any]) -> None:
     """Check the values of the fields.
 
-    Raises ValueError with the name of the first wrong field. Only runs that failed may hold values
+    Raises ValueError with the name of the first wrong field. Only failed runs may contain values
     that are not finite.
     """
     time = np.asarray(content["time"])

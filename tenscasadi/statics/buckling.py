@@ -1,4 +1,7 @@
-"""Linear buckling: the least factor of a load at which the tangent stiffness becomes singular."""
+"""Linear buckling of a prestressed structure.
+
+The buckling factor is the least factor of a load at which the tangent stiffness becomes singular.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,7 @@ from tenscasadi.statics.solver.motions import DENSE, motion_basis
 from tenscasadi.statics.stability import Stability, stability
 from tenscasadi.util.validate import Array, instance
 
-_NONE = 1e-12  # of a load's stiffness over the structure's: a smaller one never buckles it
+_NONE = 1e-12  # ratio μ of load stiffness to tangent stiffness below which no buckling occurs
 
 
 class BucklingFactor(NamedTuple):
@@ -56,10 +59,10 @@ def buckling_factor(
     control: Any = None,
     parameters: Any = None,
 ) -> BucklingFactor:
-    """Compute the least factor of a load at which a scene buckles.
+    """Compute the linear buckling factor of a load.
 
-    The load is added to those of the scene. Member forces grow in proportion to it, in the nodes of
-    the equilibrium without it.
+    It is the least factor at which the scene buckles. The load is added to those of the scene. The
+    nodes are those of the equilibrium without it, and member forces grow in proportion to it.
 
     Parameters
     ----------
@@ -127,7 +130,10 @@ def buckling_factor(
 
 
 def _largest_ratio(st: Stability, load: Any) -> tuple[float, Array]:
-    """Find the largest μ with −ΔK v = μ K v, and v (free,)."""
+    """Find the dominant eigenpair of the buckling problem.
+
+    It is the largest μ with −ΔK v = μ K v, and v (free,).
+    """
     system = st.system
     K, J = system.tangent(st.point, st.tension), system.lengthening(st.point)
     change = -st.force_stiffness(load)

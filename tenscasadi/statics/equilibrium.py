@@ -31,12 +31,13 @@ from tenscasadi.util.validate import Array, finite_array, instance, nesting
 class Equilibrium(OperatingPoint, ReadOnlyArrays):
     """Equilibrium of a scene.
 
-    Nodes and strings are those of the model, inside subdivided strings, too.
+    Nodes and strings are those of the model. They include the inner nodes and the segments of
+    subdivided strings.
 
     Attributes
     ----------
     success : bool
-        Whether the forces balance in a minimum of the energy.
+        Whether the forces balance at a minimum of the energy.
     message : str
         Result in one sentence; the reason of a failure.
     residual : float
@@ -52,8 +53,8 @@ class Equilibrium(OperatingPoint, ReadOnlyArrays):
     reactions : ndarray, shape (n, 3)
         Forces of pins, rollers and grounds on the nodes [N].
     stable : bool
-        Whether every motion that bars and supports allow is resisted. Rigid-body motions that
-        nothing resists are left out.
+        Whether every motion that bars and supports allow has a positive stiffness. Rigid-body
+        motions without stiffness are left out.
     control : ndarray, shape (nu,)
         Control.
     parameters : ndarray, shape (np,)
@@ -103,7 +104,7 @@ class Equilibrium(OperatingPoint, ReadOnlyArrays):
 
     @cached_property
     def structure(self) -> Structure:
-        """The structure in the nodes of the equilibrium, with its rest lengths."""
+        """Structure with the nodes and rest lengths of the equilibrium."""
         scene = fix(self.scene, self.parameters)
         modelled: Structure = scene.modelled
         changes: dict[str, Any] = {"nodes": self.nodes}
@@ -164,12 +165,13 @@ def find_equilibrium(
 
     Notes
     -----
-    Newton's method with the exact tangent stiffness and a trust region moves along the lengths of
-    rigid bars and leaves saddles of the energy. If it fails, dynamic relaxation provides another
-    start: a simulation that restarts at rest at each maximum of its kinetic energy.
+    The search is a trust-region Newton method with the exact tangent stiffness. It preserves the
+    lengths of rigid bars and escapes from saddle points of the energy. If it fails, dynamic
+    relaxation provides another start: a simulation that restarts at rest at each maximum of its
+    kinetic energy.
 
-    Friction is a force along the slip since the start, of at most μ times the normal force. A
-    contact that sticks slips by about a millionth of the structure's size.
+    Friction opposes the slip since the start. It is at most μ times the normal force. A sticking
+    contact slips by about a millionth of the structure's size.
 
     Examples
     --------
@@ -193,12 +195,12 @@ def find_equilibrium(
 
 
 def newton_system(scene: Scene) -> NewtonSystem:
-    """Return the Newton systems of a scene, which are kept with it."""
+    """Return the cached Newton systems of a scene."""
     return keep(scene, "newton system", lambda: NewtonSystem(StaticEquations(scene)))
 
 
 def model_of(source: Scene | Model) -> Model:
-    """Return a model, or that of a scene, which is kept with it."""
+    """Return the given model, or a scene's cached model."""
     if isinstance(source, Model):
         return source
 
@@ -257,7 +259,10 @@ def read_problem(
 
 
 def read_load(system: NewtonSystem, load: Any) -> Array:
-    """Read a constant load as forces (n, 3) on the modeled nodes. Raises TypeError, ValueError."""
+    """Read a constant load as nodal forces (n, 3).
+
+    Nodes are those of the model. Raises TypeError, ValueError.
+    """
     n = len(system.equations.structure.nodes)
     if not isinstance(load, NodalForce):
         return finite_array("load", load, (n, 3))
@@ -320,7 +325,10 @@ def describe_rest(
 def _retry(
     system: NewtonSystem, rest: SearchResult, nodes: Array, given: Conditions
 ) -> SearchResult:
-    """Search again from the end of a dynamic relaxation; return the better result."""
+    """Repeat the search after dynamic relaxation.
+
+    The first result is kept if the second search does not converge.
+    """
     scene = system.equations.scene
     u, p = np.split(given.inputs, [scene.nu])
     relaxed = relax(scene, nodes, u, p, given.time)
@@ -329,7 +337,7 @@ def _retry(
 
 
 def is_unheld(system: NewtonSystem, rest: SearchResult) -> bool:
-    """Return whether most of the unbalanced force acts on rigid-body motions.
+    """Return whether most unbalanced force acts on rigid-body motions.
 
     Parameters
     ----------
@@ -359,7 +367,10 @@ def _message(system: NewtonSystem, rest: SearchResult, unbalanced: Array, residu
 
 
 def _check_supports(structure: Structure, nodes: Array, moved: list[int]) -> None:
-    """Reject nodes that are off their pins and rollers. Raises ValueError."""
+    """Reject nodes displaced from their pins or rollers.
+
+    Raises ValueError.
+    """
     size = float(np.ptp(structure.nodes, axis=0).max(initial=0.0))
     shift = nodes - structure.nodes
     fixed = structure.fixed.copy()

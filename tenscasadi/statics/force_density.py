@@ -1,4 +1,7 @@
-"""Equilibrium N K = W with K = C_sᵀ γ̂ C_s − C_bᵀ λ̂ C_b (Eqs. 58, 60 at rest)."""
+"""Force densities in equilibrium with loads.
+
+N K = W with K = C_sᵀ γ̂ C_s − C_bᵀ λ̂ C_b (Eqs. 58, 60 at rest).
+"""
 
 from __future__ import annotations
 
@@ -36,10 +39,10 @@ def equilibrium_force_density(
     minimum: ArrayLike = 1.0,
     compression_strings: Iterable[int] = (),
 ) -> Array:
-    """Compute the least force densities that hold a structure in its nodes.
+    """Compute the least string force densities in equilibrium with loads.
 
-    Bars take any force, and pins any reaction. Of all γ that balance the loads and are at least the
-    minimum, the one of least Σγ² is returned.
+    The nodes are given. Bars take any force, and pins any reaction. Of all γ that balance the loads
+    and are at least the minimum, the one of least Σγ² is returned.
 
     Parameters
     ----------

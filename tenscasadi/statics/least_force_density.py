@@ -21,9 +21,11 @@ from tenscasadi.util.validate import Array
 
 
 class _LeastForceProgram(NamedTuple):
-    """Minimize ½ weight |γ|² + ½ Σ weights t² + ½ slack |y|² with A γ + B t + slack y = w, γ ≥ low.
+    """Quadratic program for the least force densities.
 
-    Units are scaled. t are variables without bounds: compression-capable strings and bars.
+    Minimize ½ weight |γ|² + ½ Σ weights t² + ½ slack |y|² subject to A γ + B t + slack y = w and
+    γ ≥ low. Units are scaled. The variables t have no bounds: they belong to compression-capable
+    strings and bars.
     """
 
     A: Any
@@ -36,7 +38,19 @@ class _LeastForceProgram(NamedTuple):
 
 
 class _LeastForceIterate(NamedTuple):
-    """Slacks γ − low, variables t, and multipliers of equilibrium and of bounds."""
+    """Iterate of the interior-point method.
+
+    Attributes
+    ----------
+    above : ndarray
+        Slacks γ − low.
+    free : ndarray
+        Variables t.
+    y : ndarray
+        Multipliers of the equilibrium equations.
+    z : ndarray
+        Multipliers of the bounds.
+    """
 
     above: Array
     free: Array
@@ -62,7 +76,7 @@ def least_force_density(
     least : ndarray, shape (α,)
         Smallest force densities [N/m], at least 0.
     bounded : ndarray of bool, shape (α,)
-        Strings for which they hold.
+        Strings with this lower bound.
 
     Returns
     -------
@@ -87,7 +101,7 @@ def least_force_density(
     point, converged = _interior_point(program)
     if converged:
         above, free = _polish(program, point)
-    else:  # the unbalanced forces count, and the norm of γ next to nothing
+    else:  # minimize the unbalanced forces, with a negligible weight of γ
         point, _ = _interior_point(program._replace(weight=1e-8, weights=1e-8 * weights, slack=1.0))
         above, free = point.above, point.free
     gamma = np.zeros(alpha)
@@ -98,7 +112,10 @@ def least_force_density(
 
 
 def _interior_point(program: _LeastForceProgram) -> tuple[_LeastForceIterate, bool]:
-    """Solve a program; also return whether the method has converged."""
+    """Solve a program by the predictor-corrector method.
+
+    Also return whether it has converged.
+    """
     A, B, w, low, weight, weights, slack = program
     count = max(len(low), 1)
     point = _LeastForceIterate(
@@ -114,7 +131,7 @@ def _interior_point(program: _LeastForceProgram) -> tuple[_LeastForceIterate, bo
         )
         scales = 1.0 + _largest(y), 1.0 + _largest(y), 1.0 + _largest(gamma)
         off = max(_largest(r) / scale for r, scale in zip(residuals, scales, strict=True))
-        # bounds that are active without force show at the square of the tolerance only
+        # active bounds with zero multipliers are resolved only at the square of the tolerance
         if off < 1e-10 and gap < 1e-20:
             return point, True
         if not slack and _is_infeasible(A, B, w - A @ low, y):
@@ -134,7 +151,10 @@ def _interior_point(program: _LeastForceProgram) -> tuple[_LeastForceIterate, bo
 def _newton(
     program: _LeastForceProgram, point: _LeastForceIterate, residuals: tuple[Array, ...]
 ) -> Callable[[Array], _LeastForceIterate]:
-    """Build Newton's step as a function of the products (γ − low) z that it aims at."""
+    """Build the Newton step for given complementarity targets.
+
+    The step is a function of the target products (γ − low) z.
+    """
     above, z = point.above, point.z
     dual, other, primal = residuals
     solve = _factorize(program, program.weight + z / above)
@@ -162,7 +182,10 @@ def _largest(values: Array) -> float:
 
 
 def _reach(values: Array, change: Array) -> float:
-    """Compute the step length, at most 1e3, at which the first of positive values is zero."""
+    """Compute the step length to the boundary.
+
+    At this length, of at most 1e3, the first of the positive values becomes zero.
+    """
     falling = change < 0
     return min(1e3, float((-values[falling] / change[falling]).min(initial=np.inf)))
 
@@ -170,10 +193,10 @@ def _reach(values: Array, change: Array) -> float:
 def _factorize(
     program: _LeastForceProgram, D: Array
 ) -> Callable[[Array, Array, Array], tuple[Array, Array, Array]]:
-    """Build the solver of D x − Aᵀ y = f, weights t − Bᵀ y = g, A x + B t + slack y = h.
+    """Build the solver of the Newton equations.
 
-    Proximal terms keep it regular if bars or equations depend on each other. They vanish with the
-    change that it computes.
+    They are D x − Aᵀ y = f, weights t − Bᵀ y = g, A x + B t + slack y = h. Proximal terms keep the
+    matrix regular if bars or equations are linearly dependent. They vanish as the step vanishes.
     """
     A, B, W = program.A, program.B, program.weights + 1e-4
     system = (A * (1 / D)) @ A.T + (B * (1 / W)) @ B.T
@@ -194,9 +217,10 @@ def _factorize(
 
 
 def _polish(program: _LeastForceProgram, point: _LeastForceIterate) -> tuple[Array, Array]:
-    """Refine γ − low and t to rounding, with the active bounds as equations.
+    """Refine γ − low and t to rounding error.
 
-    The iterate is kept if the solution does not confirm which bounds are active.
+    The active bounds are treated as equations. The iterate is kept if the solution contradicts this
+    active set.
     """
     A, B, w, low, _, weights, _ = program
     active = point.above < point.z

@@ -1,4 +1,4 @@
-"""Load paths: equilibria under growing loads, with limit points and bifurcations."""
+"""Equilibrium paths under growing loads, with critical points."""
 
 from __future__ import annotations
 
@@ -40,7 +40,9 @@ MOST_STEPS = 1000
 
 @dataclass(frozen=True, eq=False)
 class LoadPath(ReadOnlyArrays):
-    """Equilibria along a path. Each row is exact.
+    """Equilibria along a load path.
+
+    Each row is exact to rounding.
 
     Attributes
     ----------
@@ -55,11 +57,11 @@ class LoadPath(ReadOnlyArrays):
     stable : ndarray of bool, shape (T,)
         Whether an equilibrium is a minimum of the energy.
     limit_points : ndarray of int, shape (m,)
-        Rows where the factor turns.
+        Rows with a local extremum of the factor.
     bifurcations : ndarray of int, shape (m,)
-        Rows where other paths cross.
+        Rows at intersections with other paths.
     success : bool
-        Whether the path leaves the range of factors.
+        Whether the path reaches an end of the range of factors.
     message : str
         Result in one sentence; the reason of an early end.
 
@@ -83,7 +85,7 @@ class LoadPath(ReadOnlyArrays):
     message: str
 
     def plot(self, path: str | os.PathLike[str] | None = None, title: str = "") -> Any:
-        """Draw the factor over the largest displacement.
+        """Plot the load factor against the largest displacement.
 
         Parameters
         ----------
@@ -113,11 +115,12 @@ def load_path(
     factors: tuple[float, float] = (0.0, 2.0),
     start: Any = None,
 ) -> LoadPath:
-    """Follow equilibria while loads, control or parameters change.
+    """Trace equilibria while loads, control or parameters change.
 
-    The scene has its own loads, control and nominal parameters; what is given here, times a factor,
-    is added. The path begins at factor 0, or the nearest one in the range, and is followed by arc
-    length through snap-through and slack strings until the factor leaves the range.
+    The changes given here are multiplied by a factor. They are added to the loads, control and
+    nominal parameters of the scene. The path begins at factor 0, or the nearest one in the range.
+    Arc-length continuation follows it through snap-through and slack strings until the factor
+    leaves the range.
 
     Parameters
     ----------
@@ -132,7 +135,7 @@ def load_path(
     factors : tuple of float
         Least and largest factor.
     start : array_like, shape (n, 3) or (nx,), or Equilibrium, optional
-        Where the search for the first equilibrium begins, see `find_equilibrium`. An equilibrium
+        Start of the search for the first equilibrium, see `find_equilibrium`. An equilibrium
         also provides control and parameters at factor 0.
 
     Returns
@@ -144,7 +147,7 @@ def load_path(
     Raises
     ------
     TypeError, ValueError
-        If an argument is wrong, or a parameter or rest length has no meaning in the range.
+        If an argument is wrong, or a parameter or rest length becomes invalid in the range.
 
     See Also
     --------
@@ -153,8 +156,8 @@ def load_path(
 
     Notes
     -----
-    Each row is an equilibrium to rounding, and limit points and bifurcations are rows of their own.
-    At bifurcations the path goes straight on.
+    Each row is an equilibrium to rounding. Limit points and bifurcations are rows of their own. At
+    bifurcations the path continues on the primary branch.
 
     Examples
     --------
@@ -201,7 +204,10 @@ def _read_change(
     parameters: Any,
     factors: tuple[float, float],
 ) -> LoadChange:
-    """Read what changes with the factor. Raises TypeError, ValueError."""
+    """Read the changes of loads and inputs per unit factor.
+
+    Raises TypeError, ValueError.
+    """
     scene = system.equations.scene
     if load is None and control is None and parameters is None:
         raise ValueError("load, control and parameters are None: give one that changes")

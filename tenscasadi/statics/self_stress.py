@@ -15,7 +15,7 @@ from tenscasadi.structure.equilibrium_matrix import equilibrium_matrix, free_dir
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, instance
 
-TOLERANCE = 1e-9  # relative to the largest: smaller residuals and forces count as zero
+TOLERANCE = 1e-9  # relative to the largest value: smaller residuals and forces count as zero
 
 
 def self_stress(structure: Structure) -> Array:
@@ -56,8 +56,8 @@ def self_stress(structure: Structure) -> Array:
 def mechanisms(structure: Structure) -> Array:
     """Compute a basis of the infinitesimal mechanisms.
 
-    No member lengthens to first order, whether it is rigid or elastic. Supports hold. Rigid-body
-    motions that the supports allow are left out.
+    No member, rigid or elastic, lengthens to first order. Supports do not move. Rigid-body motions
+    that the supports allow are left out.
 
     Parameters
     ----------
@@ -79,7 +79,9 @@ def mechanisms(structure: Structure) -> Array:
 
 
 def rigid_body_motions(structure: Structure, nodes: Array | None = None) -> Array:
-    """Compute a basis of the rigid-body motions that pins and rollers allow.
+    """Compute a basis of the rigid-body motions allowed by supports.
+
+    Supports are pins and rollers.
 
     Parameters
     ----------
@@ -104,7 +106,7 @@ def rigid_body_motions(structure: Structure, nodes: Array | None = None) -> Arra
 
 
 def idle_combinations(motions: Array, effects: Array, allowed: float) -> Array:
-    """Find the combinations of motions whose effects are small.
+    """Find the combinations of motions with negligible effects.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Null space of a large sparse matrix by an orthogonal factorization.
+"""Null space of a sparse matrix by orthogonal factorization.
 
 SciPy has no sparse QR factorization. At 12 006 × 13 998 entries (2000 bars) this takes 0.9 s. Dense
 decompositions by LAPACK would take minutes and 1.6 GB.
@@ -20,7 +20,7 @@ _BLOCK_ROWS = 48  # rows eliminated together; times hardly differ from 24 to 96
 
 
 def sparse_null_space(A: Any, tolerance: float) -> Array:
-    """Compute an orthonormal basis of the null space of a sparse matrix.
+    """Compute an orthonormal null-space basis of a sparse matrix.
 
     Parameters
     ----------
@@ -36,10 +36,10 @@ def sparse_null_space(A: Any, tolerance: float) -> Array:
 
     Notes
     -----
-    Rows are ordered for a small bandwidth and eliminated in blocks. Each block rotates the columns
-    that reach it by a pivoted QR factorization, and drops those that its rows fix. Columns that no
-    later row meets are null vectors. The others are passed on to the next block. The rank is
-    decided block by block, as in multifrontal QR factorizations [1]_.
+    Rows are ordered for a small bandwidth and eliminated in blocks. Each block transforms its
+    active columns by a pivoted QR factorization, and drops those that its rows determine. Columns
+    that are zero in all later rows are null vectors. The others are passed on to the next block.
+    The rank is decided block by block, as in multifrontal QR factorizations [1]_.
 
     References
     ----------
@@ -87,7 +87,7 @@ def _reduce_bandwidth(A: Any) -> tuple[Any, Indices, Indices]:
 
 
 def _split(R: Array, zero: float) -> tuple[Array, Array]:
-    """Find orthonormal bases of the row space and the null space.
+    """Compute orthonormal bases of row space and null space.
 
     Their vectors are columns.
     """
@@ -99,7 +99,7 @@ def _split(R: Array, zero: float) -> tuple[Array, Array]:
 
 
 def _expand(alone: Indices, blocks: list[tuple[Indices, Array, Array]], columns: int) -> Array:
-    """Assemble the null vectors of all blocks, from the last block on."""
+    """Assemble the null vectors by backward recursion over blocks."""
     begin = len(alone) + sum(null.shape[1] for _, _, null in blocks)
     basis = np.zeros((begin, columns))
     basis[np.arange(len(alone)), alone] = 1.0

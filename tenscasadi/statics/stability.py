@@ -1,4 +1,7 @@
-"""Stiffness and stability: self-stress, mechanisms, tangent stiffness and its softest motions."""
+"""Stiffness and stability of structures.
+
+Self-stress, mechanisms, tangent stiffness and its softest motions.
+"""
 
 from __future__ import annotations
 
@@ -40,17 +43,17 @@ from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import Array, instance, whole_number
 
 LOWEST = 20  # motions of large structures that are computed by default
-BALANCED = 1e-6  # of the largest force: unbalanced forces in equilibrium
-_HELD = 1e-9  # of the least compliance: a load that displaces less is held
-_FREE = 1e-9  # of a load: more on motions without stiffness moves the structure
+BALANCED = 1e-6  # unbalanced force in equilibrium, relative to the largest force
+_HELD = 1e-9  # relative to the least compliance: below it supports and rigid bars carry the load
+_FREE = 1e-9  # fraction of a load on motions without stiffness that moves the structure freely
 
 
 @dataclass(frozen=True, eq=False)
 class Stability(ReadOnlyArrays):
-    """Stiffness and stability of a structure in its nodes.
+    """Stiffness and stability of a structure at given nodes.
 
     Displacements, motions and mechanisms are those that pins and rollers allow. Rigid-body motions
-    that nothing resists are left out.
+    without stiffness are left out.
 
     Attributes
     ----------
@@ -59,8 +62,8 @@ class Stability(ReadOnlyArrays):
     force_density : ndarray, shape (α + β,)
         Force densities: γ of strings, then λ of bars, positive in compression [N/m].
     residual : float
-        Largest unbalanced force on a node [N]. Away from equilibrium the stiffness of rotations
-        has no meaning.
+        Largest unbalanced force on a node [N]. Away from equilibrium the stiffness of rotations is
+        meaningless.
     message : str
         Result in one sentence.
     eigenvalues : ndarray, shape (k,)
@@ -76,7 +79,7 @@ class Stability(ReadOnlyArrays):
     tension : ndarray
         Tensions of the rigid bars [N].
     neutral : ndarray, shape (free coordinates, ·)
-        Orthonormal rigid-body motions that nothing resists.
+        Orthonormal rigid-body motions without stiffness.
 
     Examples
     --------
@@ -115,7 +118,10 @@ class Stability(ReadOnlyArrays):
 
     @cached_property
     def stable(self) -> bool:
-        """Whether all motions that keep rigid bars have a positive stiffness."""
+        """Whether the structure is stable.
+
+        All motions that keep rigid bars then have a positive stiffness.
+        """
         return find_stable_factors(self.system, self.point, self.tension) is not None
 
     @cached_property
@@ -131,10 +137,11 @@ class Stability(ReadOnlyArrays):
 
     @cached_property
     def super_stable(self) -> bool:
-        """Whether the structure is stable for all levels of prestress and stiffnesses.
+        """Whether the structure is super-stable.
 
-        The force density matrix is positive semidefinite, of rank n − d − 1 in d dimensions, and no
-        affine motion keeps all lengths. With supports, the motions are those that they allow.
+        It is then stable for all levels of prestress and all stiffnesses. The force density matrix
+        is positive semidefinite, of rank n − d − 1 in d dimensions, and no affine motion keeps all
+        lengths. With supports, the motions are those that they allow.
         """
         return is_super_stable(self.structure, self.force_density_matrix)
 
@@ -154,14 +161,18 @@ class Stability(ReadOnlyArrays):
 
     @cached_property
     def material(self) -> sp.csr_array:
-        """Stiffness (3n, 3n) due to the change of member forces: (k − γ) e eᵀ of each member."""
+        """Material stiffness (3n, 3n) [N/m], sparse.
+
+        It is due to the change of member forces: (k − γ) e eᵀ of each member.
+        """
         return self.system.nodal_material(self.point)
 
     @cached_property
     def geometric(self) -> sp.csr_array:
-        """Stiffness (3n, 3n) due to the turn of member forces, and of loads that follow nodes.
+        """Geometric stiffness (3n, 3n) [N/m], sparse.
 
-        Without such loads it is the force density matrix in each of the three axes.
+        It is due to the rotation of member forces and to loads that depend on the nodes. Without
+        such loads it is the force density matrix in each of the three axes.
         """
         members = sp.kron(self.force_density_matrix, sp.eye_array(3))
         return sp.csr_array(members + self.system.nodal_loads(self.point))
@@ -177,8 +188,8 @@ class Stability(ReadOnlyArrays):
         Returns
         -------
         ndarray, shape (n, 3)
-            Displacements of least norm [m]. The part of a load that moves the structure freely has
-            none: see `stiffness`.
+            Displacements of least norm [m]. The component of a load that moves the structure freely
+            causes none: see `stiffness`.
 
         Raises
         ------
@@ -199,7 +210,7 @@ class Stability(ReadOnlyArrays):
         Returns
         -------
         float
-            Stiffness [N/m]: inf if supports and rigid bars hold the load, 0 if it moves the
+            Stiffness [N/m]: inf if supports and rigid bars carry the load, 0 if it moves the
             structure freely.
 
         Raises
@@ -226,7 +237,9 @@ class Stability(ReadOnlyArrays):
         return self.system.stiffness_scale(self.point, self.tension)
 
     def force_stiffness(self, load: ArrayLike | NodalForce) -> Any:
-        """Build the stiffness on free coordinates due to the member forces that a load adds.
+        """Build the geometric stiffness of the forces under a load.
+
+        It is due to the member forces that the load adds, on free coordinates.
 
         Parameters
         ----------
@@ -258,7 +271,10 @@ class Stability(ReadOnlyArrays):
         return np.hstack([self.neutral, free.T @ modes.T])
 
     def _displace(self, forces: Array) -> tuple[Array, Array]:
-        """Compute displacements (free,) and tensions of rigid bars under nodal forces (n, 3)."""
+        """Compute the linear response to nodal forces (n, 3).
+
+        Return displacements (free,) and tensions of rigid bars.
+        """
         system, flat, shift = self.system, self._flat, FLAT * self.scale
         f = system.equations.in_free_directions(forces)
         f = f - flat @ (flat.T @ f)
@@ -285,9 +301,9 @@ def stability(
     source : Structure, Scene, Model or Equilibrium
         The structure in its nodes, or an equilibrium.
     force_density : array_like, shape (α,) or (α + β,), optional
-        Force densities of strings, then of bars, as in `Structure.prestressed`; strings then have
-        their stiffness whatever the force density is. Default: those of the rest lengths. Without
-        those of bars, these balance the other forces by least squares.
+        Force densities of strings, then of bars, as in `Structure.prestressed`. All strings then
+        have their elastic stiffness, for any force density. Default: those of the rest lengths. If
+        only those of strings are given, those of bars balance the other forces by least squares.
     parameters : array_like, shape (np,), or mapping, optional
         Values of the parameters of a scene, see `ParameterLayout.values`; nominal if None.
     count : int, optional
@@ -297,7 +313,7 @@ def stability(
     Returns
     -------
     Stability
-        Stiffness matrices, softest motions and verdicts.
+        Stiffness matrices, softest motions and stability.
 
     Raises
     ------
@@ -311,9 +327,9 @@ def stability(
 
     Notes
     -----
-    Strings at exactly their rest lengths count as taut. A motion counts as one without stiffness if
-    that is below 1e-12 of the largest stiffness. The tangent of loads without an energy, such as
-    pressure on a surface with free edges, is made symmetric.
+    Strings at exactly their rest lengths count as taut. A motion counts as one without stiffness
+    below 1e-12 of the largest stiffness. The tangent of loads without an energy, such as pressure
+    on a surface with free edges, is symmetrized.
 
     Super-stability is that of Connelly [1]_, the stiffness that of Guest [2]_.
 
@@ -325,7 +341,8 @@ def stability(
 
     Examples
     --------
-    A weight on a straight string is held across by its tension alone, 2 T/l per unit displacement:
+    The tension T alone resists transverse displacements of a weight on a straight string, with the
+    stiffness 2 T/l:
 
     >>> import tenscasadi as tc
     >>> line = tc.Structure([(-1, 0, 0), (0, 0, 0), (1, 0, 0)], strings=[(0, 1), (1, 2)], pinned=[0, 2], node_mass=1.0)
@@ -364,7 +381,10 @@ def _read_source(source: Any) -> tuple[Any, Any]:
 def _impose(
     system: NewtonSystem, point: StaticPoint, structure: Structure, force_density: Any
 ) -> tuple[StaticPoint, Array]:
-    """Give members force densities, with their stiffness; return the tensions of rigid bars, too."""
+    """Impose force densities on members with elastic stiffness.
+
+    Also return the tensions of rigid bars.
+    """
     equations = system.equations
     gamma, lam = read_force_densities(structure, force_density)
     if lam is None:
@@ -387,7 +407,7 @@ def _describe(
     structure: Structure,
     count: int | None,
 ) -> Stability:
-    """Compute the softest motions, and the sentence that tells them."""
+    """Compute the softest motions and the message."""
     equations = system.equations
     if count is None and system.size > DENSE:
         count = LOWEST

@@ -1,4 +1,7 @@
-"""Super-stability: stability for all levels of prestress and all stiffnesses of members."""
+"""Super-stability of structures.
+
+Super-stable structures are stable for all levels of prestress and all stiffnesses of members.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,7 @@ from tenscasadi.util.validate import Array
 
 
 def is_super_stable(structure: Structure, density: Any) -> bool:
-    """Return whether a structure with a force density matrix is super-stable.
+    """Return whether a structure is super-stable.
 
     Parameters
     ----------
@@ -33,9 +36,9 @@ def is_super_stable(structure: Structure, density: Any) -> bool:
     Returns
     -------
     bool
-        Whether the matrix is positive semidefinite on the motions that supports allow, its null
-        space contains affine motions only, and none of these but rigid-body motions keeps all
-        lengths.
+        Whether three conditions hold. The matrix is positive semidefinite on the motions that
+        supports allow. Its null space contains affine motions only. Among these, only rigid-body
+        motions keep all lengths.
     """
     free = free_directions(structure)
     K = sp.csc_array(free.T @ sp.kron(density, sp.eye_array(3)) @ free)
@@ -54,7 +57,10 @@ def is_super_stable(structure: Structure, density: Any) -> bool:
 
 
 def affine_motions(structure: Structure) -> Array:
-    """Compute a basis (3n, ·) of the affine motions that pins and rollers allow."""
+    """Compute a basis (3n, ·) of the affine motions.
+
+    Pins and rollers allow these motions.
+    """
     arms = structure.nodes - structure.nodes.mean(axis=0)
     arms = np.column_stack([np.ones(len(arms)), arms / (np.abs(arms).max(initial=0.0) or 1.0)])
     fields = orth(np.kron(arms, np.eye(3)), rcond=TOLERANCE)
@@ -63,7 +69,10 @@ def affine_motions(structure: Structure) -> Array:
 
 
 def count_below(matrix: Any, value: float) -> int:
-    """Count the eigenvalues of a sparse symmetric matrix below a value, by its inertia."""
+    """Count the eigenvalues below a value.
+
+    The matrix is sparse and symmetric. The count is its inertia after a shift.
+    """
     size = matrix.shape[0]
     if not size:
         return 0

@@ -13,7 +13,7 @@ from scipy.sparse import csr_array, diags_array, issparse
 
 from tenscasadi.util.validate import SMALLEST, Array, Indices, finite_array, per_item
 
-MIN_LENGTH = 1e-12  # × largest coordinate; the direction of shorter members is rounding
+MIN_LENGTH = 1e-12  # × largest coordinate; directions of shorter members are rounding errors
 
 Matrix = Any  # ndarray, or csr_array on request
 
@@ -38,9 +38,9 @@ class ClassOne(NamedTuple):
     C_r : ndarray or csr_array, shape (β, 2β)
         Averages of bar ends, ½ |C_b|.
     C_nb : ndarray or csr_array, shape (2β, n')
-        Selects the bar ends.
+        Selection matrix of the bar ends.
     C_ns : ndarray or csr_array, shape (σ, n')
-        Selects the string nodes.
+        Selection matrix of the string nodes.
     P : ndarray or csr_array, shape (n', c)
         Joints and pins (Eq. 84).
     D : ndarray, shape (3, c)
@@ -166,10 +166,10 @@ def default_layout(count: int, bars: Indices, strings: Indices, pinned: Indices)
 
 
 def extend_layout(layout: Layout, count: int, strings: Indices, parent: Indices) -> Layout:
-    """Extend the `layout` of `count` nodes after subdividing strings.
+    """Extend the layout of nodes after subdividing strings.
 
-    `strings` (segments, 2) are the segments. New nodes have the last columns. An end at an old node
-    keeps the column of the `parent` string.
+    `layout` has `count` nodes, and `strings` (segments, 2) are the segments. New nodes have the last
+    columns. A segment end at an old node keeps the column of the `parent` string.
     """
     columns = len(layout.physical)
     new = max(int(strings.max(initial=-1)) + 1 - count, 0)
@@ -263,9 +263,9 @@ def read_matrices(N: ArrayLike, C_b: Any, C_s: Any, P: Any, D: Any, node_mass: A
 
 
 def _dense(field: str, value: Matrix, shape: tuple[int | None, int | None]) -> Array:
-    """Convert a matrix to a finite array of a shape.
+    """Convert a matrix to a finite array of given shape.
 
-    The free dimension of None or an empty value is 0.
+    None or an empty value has the size 0 in unspecified dimensions.
     """
     dense = value.toarray() if issparse(value) else value
     if (
@@ -347,7 +347,7 @@ def _read_joints(
 def _link(root: Indices, a: int, b: int) -> bool:
     """Merge the groups of a and b in place.
 
-    Groups are named by their smallest member. Returns False if they were already merged.
+    The label of a group is its smallest member. Returns False if they were already merged.
     """
     low, high = sorted((root[a], root[b]))
     root[root == high] = low

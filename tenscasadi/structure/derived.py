@@ -30,9 +30,9 @@ def write_derived(structure: Any) -> dict[str, Array]:
 
 
 def read_derived(given: Mapping[str, Any], structure: Any) -> dict[str, Any]:
-    """Check derived attributes of a structure.
+    """Read and check derived attributes of a structure.
 
-    Empty ones can be missing. Raises ValueError.
+    Empty attributes may be missing. Raises ValueError.
     """
     columns = len(np.atleast_1d(given.get("physical", ())))
     bars, strings = len(structure.bars), len(structure.strings)

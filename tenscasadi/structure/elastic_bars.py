@@ -23,11 +23,11 @@ def read_elastic_bars(stiffness: Any, rest_length: Any, lengths: Array) -> dict[
     Parameters
     ----------
     stiffness : array_like, shape (β,), or None
-        Stiffness of each bar [N/m]; inf or None for rigid ones.
+        Stiffness of each bar [N/m]; inf or None for rigid bars.
     rest_length : array_like, shape (β,), or None
         Rest length of each elastic bar [m]; NaN or None for its length.
     lengths : ndarray, shape (β,)
-        Lengths of the bars [m], which rigid bars have as rest lengths.
+        Lengths of the bars [m]. They are the rest lengths of rigid bars.
 
     Returns
     -------

@@ -41,7 +41,9 @@ def equilibrium_matrix(structure: Any) -> Any:
 
 
 def balance_bars(structure: Any, gamma: Array, loads: Array | None = None) -> Array:
-    """Compute the bar force densities that balance strings best.
+    """Compute the least-squares bar force densities.
+
+    They balance the given string force densities and loads.
 
     Parameters
     ----------
@@ -55,8 +57,7 @@ def balance_bars(structure: Any, gamma: Array, loads: Array | None = None) -> Ar
     Returns
     -------
     ndarray, shape (β,)
-        λ of the least unbalanced forces and, among these, of least norm [N/m]; λ > 0 is
-        compression.
+        λ of least norm among those of the least unbalanced forces [N/m]; λ > 0 is compression.
     """
     from scipy.sparse.linalg import lsqr  # takes a while to load
 

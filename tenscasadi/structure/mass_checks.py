@@ -8,7 +8,7 @@ import numpy as np
 
 from tenscasadi.util.validate import SMALLEST, Array, Indices
 
-MAX_MASS_RATIO = 1e12  # between bars; above, rounding exceeds the forces on the lighter bar
+MAX_MASS_RATIO = 1e12  # between bars; above, rounding errors exceed the forces on the lighter bar
 
 
 def check_node_masses(node_mass: Array, fixed: Any, bars: Indices, heavy_strings: Indices) -> None:

@@ -51,8 +51,8 @@ def read_rollers(
 ) -> tuple[Mapping[int, str], Mapping[int, Normals]]:
     """Split rollers into pinned axes and inclined directions.
 
-    Returns the pins including rollers along axes, and one or two orthonormal directions of other
-    rollers by node. Raises TypeError or ValueError.
+    Returns the pins, which include axis-aligned rollers, and by node one or two orthonormal
+    directions of other rollers. Raises TypeError or ValueError.
     """
     if not isinstance(rollers, Mapping):
         raise TypeError(

@@ -45,14 +45,14 @@ from tenscasadi.util.validate import (
 )
 from tenscasadi.util.viewable import Viewable
 
-MAX_THICKNESS = 1e3  # radius / length of a bar; above, rounding makes M indefinite
+MAX_THICKNESS = 1e3  # radius / length of a bar; above, rounding errors make M indefinite
 
 
 class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
     """Nodes, rigid bars and strings, with masses, stiffness and pins.
 
-    A structure is immutable, and `replace` makes a changed copy. A scalar given for an array applies
-    to every item. A node of k bars is a class-k joint.
+    A structure is immutable; `replace` returns a changed copy. A scalar given for an array applies
+    to every item. A node shared by k bars is a class-k joint.
 
     Parameters
     ----------
@@ -80,8 +80,8 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
     string_mass : array_like, shape (α,)
         Mass of each string [kg], which `subdivide` assigns to nodes.
     rollers : mapping of int to array_like, shape (3,) or (k, 3)
-        Fixed directions of nodes, such as ``{3: (1, 0, 1)}``: the normal of the plane on which a
-        node rolls, or two normals of its line.
+        Fixed directions of nodes, such as ``{3: (1, 0, 1)}``: one normal for a node that moves in a
+        plane, or two normals for a node that moves along a line.
     bar_stiffness : array_like, shape (β,), optional
         Force of each bar per elongation [N/m], inf for rigid bars. Default: all bars are rigid.
     bar_rest_length : array_like, shape (β,), optional
@@ -236,7 +236,7 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         return structure._finish(**read_derived(derived, structure)) if derived else structure
 
     def to_fields(self) -> dict[str, Any]:
-        """Return the keywords and the derived attributes."""
+        """Collect the keywords and the derived attributes."""
         own = {name: getattr(self, name) for name in PARAMETERS}
         plain, derived = write_derived(Structure(**own)), write_derived(self)
         own |= {name: dict(own[name]) for name in ("pinned", "rollers")}

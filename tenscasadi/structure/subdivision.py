@@ -26,7 +26,7 @@ LARGEST_COUNT = 200_000  # segments of all strings; more would exhaust the memor
 
 
 class Division(NamedTuple):
-    """Changes of a structure by subdivided strings."""
+    """Changes of a structure by subdivision of strings."""
 
     fields: dict[str, Any]
     derived: dict[str, Any]
@@ -103,9 +103,10 @@ def cut_strings(
     strings : ndarray of int, shape (α, 2)
         End nodes of the strings.
     fractions : sequence of ndarray
-        Fractions of each string's length that its segments have.
+        Lengths of the segments of each string, as fractions of its length.
     lumped : bool
-        Whether half of each segment's mass is on each of its ends. Otherwise inner nodes have it.
+        Whether half of each segment's mass is lumped at each of its ends. Otherwise the mass is on
+        the inner nodes.
 
     Returns
     -------

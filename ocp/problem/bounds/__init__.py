@@ -1,1 +1,1 @@
-"""Limits of motion, forces and their rates."""
+"""Bounds on positions, forces and their rates."""

@@ -1,4 +1,4 @@
-"""Limits of what bars carry along a plan, as values."""
+"""Bounds on the forces in bars."""
 
 from __future__ import annotations
 
@@ -25,24 +25,26 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class BarForceLimits(PathBound, kind="BarForceLimits"):
-    """Limits of the force that each bar carries, at both ends of every interval.
+    """Limits of the force in each bar.
+
+    They hold at both ends of every interval.
 
     Parameters
     ----------
     compression : float or array_like, shape (β,), optional
-        Greatest compression, N, ≥ 0; one number, or one for each bar; None or inf for no limit.
+        Largest compression [N], ≥ 0: one number, or one for each bar. None or inf for no limit.
     tension : float or array_like, shape (β,), optional
-        Greatest tension, N, ≥ 0; one number, or one for each bar; None or inf for no limit.
+        Largest tension [N], ≥ 0: one number, or one for each bar. None or inf for no limit.
 
     Raises
     ------
     TypeError, ValueError
-        If both are None, or a limit is no number or negative; with a problem, if there are no bars,
-        or not one limit for each.
+        If both are None, or if a limit is negative or not a number. In a `Problem`: if there are no
+        bars, or if the number of limits differs from that of bars.
 
     See Also
     --------
-    Buckling : limits of the compression from a bar's material and radius.
+    Buckling : Limits of the compression from the bars' material and radius.
 
     Examples
     --------
@@ -66,7 +68,7 @@ class BarForceLimits(PathBound, kind="BarForceLimits"):
                 nonnegative(f"BarForceLimits.{name}", array, "bar")
 
     def check(self, structure: Structure) -> None:
-        """Refuse a structure that this does not fit.
+        """Reject a structure that the bound does not fit.
 
         Parameters
         ----------
@@ -76,13 +78,13 @@ class BarForceLimits(PathBound, kind="BarForceLimits"):
         Raises
         ------
         TypeError, ValueError
-            If there are no bars, or not one limit for each.
+            If there are no bars, or if the number of limits differs from that of bars.
         """
         _check_bars("BarForceLimits", structure)
         self._most(structure)
 
     def _most(self, structure: Structure) -> tuple[Array, Array]:
-        """Return the greatest compression and tension (β,), N."""
+        """Broadcast the largest compression and tension (β,) [N]."""
         count = len(structure.bars)
         compression = broadcast_limits(
             "BarForceLimits.compression", self.compression, count, np.inf
@@ -90,12 +92,12 @@ class BarForceLimits(PathBound, kind="BarForceLimits"):
         return compression, broadcast_limits("BarForceLimits.tension", self.tension, count, np.inf)
 
     def limit(self, now: Instant) -> Limit:
-        """Build the limited quantities.
+        """Build the constrained quantities.
 
         Parameters
         ----------
         now : Instant
-            Instant of symbols.
+            Symbolic instant.
 
         Returns
         -------
@@ -109,25 +111,27 @@ class BarForceLimits(PathBound, kind="BarForceLimits"):
 
 @dataclass(frozen=True, eq=False)
 class Buckling(PathBound, kind="Buckling"):
-    """Compression of solid round bars below Euler's load, at both ends of every interval.
+    """Compression of solid round bars below their Euler load.
+
+    It holds at both ends of every interval.
 
     Parameters
     ----------
     modulus : float or array_like, shape (β,)
-        Young's modulus E, Pa, > 0; one number, or one for each bar.
+        Young's modulus E [Pa], > 0: one number, or one for each bar.
     safety : float, optional
-        The load is divided by it; > 0.
+        Factor of safety, > 0, by which the load is divided.
 
     Raises
     ------
     TypeError, ValueError
-        If modulus or safety is no number, zero or negative; with a problem, if there are no bars,
-        not one modulus for each, or a bar has no radius.
+        If modulus or safety is not a positive number. In a `Problem`: if there are no bars, if the
+        number of moduli differs from that of bars, or if a bar has no radius.
 
     Notes
     -----
-    The load is π² E I / (l² · safety) with I = π r⁴/4: of a bar with pinned ends, with the radius r
-    and the length l of the structure.
+    The limit is π² E I / (l² · safety) with I = π r⁴/4, for a bar with pinned ends. Its radius r
+    and length l are those of the structure.
 
     Examples
     --------
@@ -147,7 +151,7 @@ class Buckling(PathBound, kind="Buckling"):
         object.__setattr__(self, "safety", positive_number("Buckling.safety", self.safety))
 
     def check(self, structure: Structure) -> None:
-        """Refuse a structure that this does not fit.
+        """Reject a structure that the bound does not fit.
 
         Parameters
         ----------
@@ -157,7 +161,8 @@ class Buckling(PathBound, kind="Buckling"):
         Raises
         ------
         TypeError, ValueError
-            If there are no bars, not one modulus for each, or a bar has no radius.
+            If there are no bars, if the number of moduli differs from that of bars, or if a bar has
+            no radius.
         """
         _check_bars("Buckling", structure)
         bad = np.flatnonzero(structure.bar_radius == 0)
@@ -168,7 +173,7 @@ class Buckling(PathBound, kind="Buckling"):
         self.loads(structure)
 
     def loads(self, structure: Structure) -> Array:
-        """Return the compression that is allowed in each bar.
+        """Compute the allowed compression of each bar.
 
         Parameters
         ----------
@@ -178,19 +183,19 @@ class Buckling(PathBound, kind="Buckling"):
         Returns
         -------
         numpy.ndarray, shape (β,)
-            Euler's load divided by the safety, N.
+            Euler load divided by the factor of safety [N].
         """
         E = per_item("Buckling.modulus", self.modulus, len(structure.bars))
         inertia = np.pi * structure.bar_radius**4 / 4
         return np.asarray(np.pi**2 * E * inertia / structure.bar_lengths**2 / self.safety)
 
     def limit(self, now: Instant) -> Limit:
-        """Build the limited quantities.
+        """Build the constrained quantities.
 
         Parameters
         ----------
         now : Instant
-            Instant of symbols.
+            Symbolic instant.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""Base of all bounds: quantities between limits along a plan."""
+"""Base classes of bounds on quantities along a plan."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 
 
 class Limit(NamedTuple):
-    """Quantities lower ≤ value ≤ upper as functions of one or two instants.
+    """Quantities with lower and upper limits.
+
+    The constraints are lower ≤ value ≤ upper; the quantities are functions of one or two instants.
 
     Attributes
     ----------
@@ -30,7 +32,7 @@ class Limit(NamedTuple):
     names : tuple of str
         Name of each quantity.
     unit : str
-        "N", "N/m", "N/(m s)", "m", "m/s", or "" for own expressions.
+        "N", "N/m", "N/(m s)", "m", "m/s", or "" for user-defined expressions.
     """
 
     value: Any
@@ -42,17 +44,17 @@ class Limit(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PathConstraint:
-    """Quantities lower ≤ value ≤ upper with the symbols that they are made of.
+    """Constraint lower ≤ value ≤ upper in symbols.
 
     Attributes
     ----------
     value, lower, upper, names, unit
-        As of `Limit`.
+        As in `Limit`.
     symbols : tuple of casadi.SX or casadi.MX
-        x, u, t of an instant, or x, u, x⁺, u⁺, h of two that are h apart.
+        x, u, t of one instant, or x, u, x⁺, u⁺, h of two instants a time h apart.
     ends : tuple of str
-        Ends of every interval ("start", "end") at which it holds; ("last",): at the end of the plan
-        only.
+        Ends of every interval ("start", "end") at which the constraint holds; ("last",) for the end
+        of the plan only.
     """
 
     value: Any
@@ -70,39 +72,50 @@ class PathConstraint:
 
 
 class Bound(Value):
-    """Limits of quantities along a plan."""
+    """Base class of limits along a plan."""
 
     def check(self, structure: Structure) -> None:
-        """Raise TypeError or ValueError where the bound does not fit the structure."""
+        """Reject a structure that the bound does not fit.
+
+        Raises TypeError, ValueError.
+        """
 
 
 class PathBound(Bound):
-    """Limits of functions of one instant, at both ends of every interval.
+    """Base class of limits of functions of one instant.
 
-    Functions of the state alone are limited at the `ends` only, once for each state.
+    They hold at the ``ends`` of every interval, by default at both. Functions of the state alone
+    need one of them only, which limits each state once.
     """
 
     ends: ClassVar[tuple[str, ...]] = ("start", "end")
 
     def limit(self, now: Instant) -> Limit:
-        """Build the limited quantities of an instant."""
+        """Build the constrained quantities of an instant."""
         raise NotImplementedError
 
     def imply(self, structure: Structure) -> PathBound:
-        """Build a weaker bound that depends on fewer entries of the state."""
+        """Build an implied, weaker bound on fewer state entries.
+
+        By default, it is the bound itself.
+        """
         return self
 
 
 class RateBound(Bound):
-    """Limits of mean rates, from the start of one interval to that of the next.
+    """Base class of limits of mean rates over an interval.
 
-    Of linear profiles they hold to the end of the last interval, too.
+    A mean rate is taken from the start of an interval to that of the next. For piecewise-linear
+    controls, the limits also hold from the start to the end of the last interval.
     """
 
     ends: ClassVar[tuple[str, ...]] = ("end",)
 
     def limit(self, before: Instant, after: Instant, interval: Any) -> Limit:
-        """Build the limited rates of two instants that are an interval [s] apart."""
+        """Build the mean rates between two instants.
+
+        The instants are an interval [s] apart.
+        """
         raise NotImplementedError
 
 
@@ -115,8 +128,11 @@ def drop_infinite(limit: Limit) -> Limit:
 
 
 def replace_inf(value: Any, instead: float = 0.0) -> Any:
-    """Replace inf, which stands for no limit, by a number that passes the checks."""
-    with suppress(Exception):  # values that are no arrays are rejected next, by name
+    """Replace inf by a finite number for the checks.
+
+    An infinite limit stands for no limit and is valid.
+    """
+    with suppress(Exception):  # values that are not arrays are rejected later, by field
         array = np.asarray(value)
         if array.dtype.kind in "iuf" and not np.ma.is_masked(value):
             return np.where(np.isposinf(array), instead, array)
@@ -124,7 +140,10 @@ def replace_inf(value: Any, instead: float = 0.0) -> Any:
 
 
 def broadcast_limits(field: str, value: ArrayLike | None, count: int, missing: float) -> Array:
-    """Broadcast a limit to `count` members; `missing` if None. Raises TypeError, ValueError."""
+    """Broadcast a limit to ``count`` members.
+
+    None becomes ``missing``. Raises TypeError, ValueError.
+    """
     if value is None:
         return np.full(count, missing)
     per_item(field, replace_inf(value), count)

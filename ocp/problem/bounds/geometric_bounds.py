@@ -1,4 +1,7 @@
-"""Limits of where nodes and bars may be, as values: above the ground, inside a box, clear of each other and of obstacles."""
+"""Bounds on the positions of nodes and bars.
+
+Nodes stay inside a box or above the ground. Bars stay clear of each other and of obstacles.
+"""
 
 from __future__ import annotations
 
@@ -32,36 +35,37 @@ if TYPE_CHECKING:
     from ocp.problem.instant import Instant
 
 Corner = Sequence[float | None]
-# of a bar: over which the nearest point of a segment is led past its end, to have smooth
+# fraction of a bar's length over which clipping to its ends is rounded off, for continuous
 # derivatives
 ROUNDING = 0.02
 
 
 @dataclass(frozen=True, eq=False)
 class InsideBox(PathBound, kind="InsideBox"):
-    """Nodes inside a box with sides along the axes, at the end of every interval.
+    """Nodes inside an axis-aligned box.
 
-    Coordinates that are pinned are left out. The start has to be inside, too; one that is found
-    (`FreeStart`) is kept there.
+    The limits hold at the end of every interval, and not for pinned coordinates. The start has to
+    be inside, too. A free start (`FreeStart`) is constrained to the box.
 
     Parameters
     ----------
     lower : sequence of float or None, length 3, optional
-        The corner (x, y, z) with the least coordinates, m; None for a side that is open.
+        Corner (x, y, z) with the smallest coordinates [m]; None for an open side.
     upper : sequence of float or None, length 3, optional
-        The corner with the greatest coordinates, m; None for a side that is open.
+        Corner (x, y, z) with the largest coordinates [m]; None for an open side.
     nodes : iterable of int, optional
-        The nodes that stay inside; None for all.
+        Nodes that stay inside; None for all.
 
     Raises
     ------
     TypeError, ValueError
-        If all sides are open, or a corner is none or not below the other; with a problem, if a node
-        does not exist or is pinned outside, or the start is outside.
+        If all sides are open, if a corner is not three numbers or None, or if ``lower`` is not
+        below ``upper``. In a `Problem`: if a node does not exist or is pinned outside, or if the
+        start is outside.
 
     See Also
     --------
-    AboveGround : a box that is open but for its floor.
+    AboveGround : A box with a floor only.
 
     Examples
     --------
@@ -98,15 +102,15 @@ class InsideBox(PathBound, kind="InsideBox"):
         Returns
         -------
         lower : numpy.ndarray, shape (3,)
-            The least coordinates, m; −inf where the box is open.
+            Smallest coordinates [m]; −inf on open sides.
         upper : numpy.ndarray, shape (3,)
-            The greatest coordinates, m; inf where the box is open.
+            Largest coordinates [m]; inf on open sides.
         """
         lower = np.array([-np.inf if value is None else value for value in self.lower])
         return lower, np.array([np.inf if value is None else value for value in self.upper])
 
     def check(self, structure: Structure) -> None:
-        """Refuse a structure that this does not fit.
+        """Reject a structure that the bound does not fit.
 
         Parameters
         ----------
@@ -129,17 +133,17 @@ class InsideBox(PathBound, kind="InsideBox"):
                     )
 
     def limit(self, now: Instant) -> Limit:
-        """Build the limited quantities.
+        """Build the constrained quantities.
 
         Parameters
         ----------
         now : Instant
-            Instant of symbols.
+            Symbolic instant.
 
         Returns
         -------
         Limit
-            Coordinates that have a limit and may move [m].
+            Coordinates that are limited and not pinned [m].
         """
         structure = now.model.scene.structure
         lower, upper = self.corners()
@@ -156,7 +160,7 @@ class InsideBox(PathBound, kind="InsideBox"):
         return Limit(value, lower[axes], upper[axes], names, "m")
 
     def _chosen(self, structure: Structure) -> list[int]:
-        """Return the nodes that stay inside."""
+        """List the nodes that stay inside."""
         return list(range(len(structure.nodes)) if self.nodes is None else self.nodes)
 
 
@@ -164,28 +168,30 @@ class InsideBox(PathBound, kind="InsideBox"):
 def AboveGround(
     height: float = 0.0, nodes: Annotated[Iterable[int] | None, Members("node")] = None
 ) -> InsideBox:
-    """Return the bound that keeps nodes at z ≥ height, at the end of every interval.
+    """Build the bound z ≥ height on nodes.
+
+    It holds at the end of every interval.
 
     Parameters
     ----------
     height : float, optional
-        Height of the ground, m.
+        Height of the ground [m].
     nodes : iterable of int, optional
-        The nodes that stay above; None for all.
+        Nodes that stay above; None for all.
 
     Returns
     -------
     InsideBox
-        A box that is open but for its floor.
+        A box with a floor only.
 
     Raises
     ------
     TypeError, ValueError
-        If the height is no number, or as `InsideBox`.
+        If the height is not a number, or for the reasons of `InsideBox`.
 
     See Also
     --------
-    AboveSurface : the same for slopes and height fields.
+    AboveSurface : The same for slopes and height fields.
 
     Examples
     --------
@@ -198,26 +204,29 @@ def AboveGround(
 
 @dataclass(frozen=True, eq=False)
 class BarClearance(PathBound, kind="BarClearance"):
-    """Bars that stay apart, axis to axis, at the end of every interval.
+    """Least distance between the axes of bars.
+
+    It holds at the end of every interval.
 
     Parameters
     ----------
     distance : float
-        Least distance between the axes, m, > 0: of bars with radii, at least the sum of both.
+        Least distance between the axes [m], > 0. For bars with radii, give at least the sum of both
+        radii.
     pairs : iterable of (int, int), optional
-        The pairs of bars that stay apart; None for all that share no node.
+        Pairs of bars that stay apart; None for all pairs without a common node.
 
     Raises
     ------
     TypeError, ValueError
-        If the distance is no number, zero or negative, or a pair is none; with a problem, if a bar
-        does not exist, two bars of a pair share a node, there is no pair, or the start has bars
-        that are nearer.
+        If the distance is not a positive number, or if a pair is not two bars. In a `Problem`: if a
+        bar does not exist, if two bars of a pair share a node, if there is no pair, or if two bars
+        are closer at the start.
 
     Notes
     -----
-    Distances are those of the segments between the bars' ends. The nearest points are led past the
-    ends smoothly, over 2 % of a bar, which keeps derivatives continuous.
+    The distance is that of the segments between the bars' ends. At the ends, the clipping of the
+    nearest points is rounded off over 2 % of a bar, which keeps derivatives continuous.
 
     Examples
     --------
@@ -249,7 +258,7 @@ class BarClearance(PathBound, kind="BarClearance"):
             object.__setattr__(self, "pairs", tuple(found))
 
     def check(self, structure: Structure) -> None:
-        """Refuse a structure that this does not fit.
+        """Reject a structure that the bound does not fit.
 
         Parameters
         ----------
@@ -259,7 +268,7 @@ class BarClearance(PathBound, kind="BarClearance"):
         Raises
         ------
         TypeError, ValueError
-            If a bar does not exist, two bars of a pair share a node, or there is no pair.
+            If a bar does not exist, if two bars of a pair share a node, or if there is no pair.
         """
         for pair in self._bar_pairs(structure):
             for bar in pair:
@@ -275,19 +284,19 @@ class BarClearance(PathBound, kind="BarClearance"):
             raise ValueError("BarClearance: all bars share nodes: leave it out")
 
     def _bar_pairs(self, structure: Structure) -> list[tuple[int, int]]:
-        """Return the pairs of bars that stay apart."""
+        """List the pairs of bars that stay apart."""
         if self.pairs is not None:
             return [(pair[0], pair[1]) for pair in self.pairs]
         ends = [set(bar) for bar in structure.bars.tolist()]
         return [(i, j) for i, j in combinations(range(len(ends)), 2) if not ends[i] & ends[j]]
 
     def limit(self, now: Instant) -> Limit:
-        """Build the limited quantities.
+        """Build the constrained quantities.
 
         Parameters
         ----------
         now : Instant
-            Instant of symbols.
+            Symbolic instant.
 
         Returns
         -------
@@ -309,24 +318,26 @@ class BarClearance(PathBound, kind="BarClearance"):
 @rename_fields(centre="center")
 @dataclass(frozen=True, eq=False)
 class Obstacle(PathBound, kind="Obstacle"):
-    """A ball that bars (their axes) and nodes keep out of, at the end of every interval.
+    """Ball that nodes and the axes of bars avoid.
+
+    The limits hold at the end of every interval.
 
     Parameters
     ----------
     center : array_like, shape (3,)
         Center (x, y, z) [m].
     radius : float
-        Radius, m, > 0.
+        Radius [m], > 0.
     bars : iterable of int, optional
-        The bars that keep out; None for all.
+        Bars that stay outside; None for all.
     nodes : iterable of int, optional
-        The nodes that keep out, besides the ends of those bars; None for all.
+        Nodes that stay outside, in addition to the ends of those bars; None for all.
 
     Raises
     ------
     TypeError, ValueError
-        If center or radius is none; with a problem, if a bar or node does not exist, or one is
-        inside at the start.
+        If the center is not three numbers, or the radius not a positive number. In a `Problem`: if
+        a bar or node does not exist, or if one is inside at the start.
 
     Examples
     --------
@@ -351,7 +362,7 @@ class Obstacle(PathBound, kind="Obstacle"):
             )
 
     def check(self, structure: Structure) -> None:
-        """Refuse a structure that this does not fit.
+        """Reject a structure that the bound does not fit.
 
         Parameters
         ----------
@@ -371,12 +382,12 @@ class Obstacle(PathBound, kind="Obstacle"):
                     )
 
     def limit(self, now: Instant) -> Limit:
-        """Build the limited quantities.
+        """Build the constrained quantities.
 
         Parameters
         ----------
         now : Instant
-            Instant of symbols.
+            Symbolic instant.
 
         Returns
         -------
@@ -404,7 +415,9 @@ class Obstacle(PathBound, kind="Obstacle"):
         return Limit(ca.vertcat(*values), lower, upper, tuple(names), "m")
 
     def imply(self, structure: Structure) -> Obstacle:
-        """Build the bound of nodes alone, which that of their bars implies.
+        """Build the implied bound on nodes alone.
+
+        If a bar is outside the ball, so are its ends.
 
         Parameters
         ----------
@@ -422,7 +435,11 @@ class Obstacle(PathBound, kind="Obstacle"):
 
 
 def segment_distance(a: Any, b: Any, c: Any, d: Any) -> Any:
-    """Return distances (m,) between segments a–b and c–d, 3×m each: of their nearest points, smoothly kept within the segments."""
+    """Compute distances (m,) between segments a–b and c–d.
+
+    The ends are 3×m [m]. The nearest points are clipped to the segments, with rounding
+    (`ROUNDING`), so that derivatives are continuous.
+    """
     u, v, w = b - a, d - c, a - c
     uu, vv, uv, uw, vw = (
         ca.sum1(u * u),
@@ -433,7 +450,7 @@ def segment_distance(a: Any, b: Any, c: Any, d: Any) -> Any:
     )
     s = _within_segment(
         (uv * vw - vv * uw) / (uu * vv - uv * uv + 1e-6 * uu * vv)
-    )  # parallel: any point will do
+    )  # the last term is for parallel segments, where any point is nearest
     t = _within_segment((uv * s + vw) / vv)
     s = _within_segment((uv * t - uw) / uu)
     gap = w + ca.repmat(s, 3, 1) * u - ca.repmat(t, 3, 1) * v
@@ -441,10 +458,13 @@ def segment_distance(a: Any, b: Any, c: Any, d: Any) -> Any:
 
 
 def _within_segment(share: Any) -> Any:
-    """Clip `share` to [0, 1], rounded off."""
+    """Clip ``share`` to [0, 1] with rounded corners."""
     return (ca.sqrt(share**2 + ROUNDING**2) - ca.sqrt((share - 1) ** 2 + ROUNDING**2) + 1) / 2
 
 
 def _listed(field: str, value: Any, example: str) -> tuple[Any, ...] | None:
-    """Return members that are named one by one as a tuple; None stays None."""
+    """Convert a list of members to a tuple.
+
+    None stays None.
+    """
     return None if value is None else as_tuple(field, value, example)

@@ -1,4 +1,4 @@
-"""Nodes above a ground of any shape, as a limit of instants."""
+"""Bound that keeps nodes above a ground of any shape."""
 
 from __future__ import annotations
 
@@ -20,26 +20,29 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class AboveSurface(PathBound, kind="AboveSurface"):
-    """Nodes at least a distance above a plane or a height field, at the end of every interval.
+    """Least distance of nodes from a plane or height field.
+
+    It holds at the end of every interval.
 
     Parameters
     ----------
     ground : Ground or Terrain
-        The surface; only its shape counts, not how hard it is.
+        Surface; only its shape is used, not its stiffness.
     distance : float, optional
-        Least distance from it, m; negative where nodes that stand on a soft ground are in it.
+        Least distance above the surface [m]. A negative distance allows the penetration of nodes
+        into a soft ground.
     nodes : iterable of int, optional
-        The nodes that stay above; None for all.
+        Nodes that stay above; None for all.
 
     Raises
     ------
     TypeError, ValueError
-        If the ground is none, the distance no number, or nodes no list; with a problem, if a node
-        does not exist, or the start is below.
+        If ``ground`` is not a ground, ``distance`` not a number, or ``nodes`` not a list. In a
+        `Problem`: if a node does not exist, if all of them are pinned, or if the start is below.
 
     See Also
     --------
-    AboveGround : the same for a level ground.
+    AboveGround : The same for a level ground.
 
     Examples
     --------
@@ -62,7 +65,7 @@ class AboveSurface(PathBound, kind="AboveSurface"):
             object.__setattr__(self, "nodes", as_tuple("AboveSurface.nodes", self.nodes, "[0, 1]"))
 
     def check(self, structure: Structure) -> None:
-        """Refuse a structure that this does not fit.
+        """Reject a structure that the bound does not fit.
 
         Parameters
         ----------
@@ -80,17 +83,17 @@ class AboveSurface(PathBound, kind="AboveSurface"):
             raise ValueError("AboveSurface.nodes names nodes that are pinned alone: leave it out")
 
     def limit(self, now: Instant) -> Limit:
-        """Build the limited quantities.
+        """Build the constrained quantities.
 
         Parameters
         ----------
         now : Instant
-            Instant of symbols.
+            Symbolic instant.
 
         Returns
         -------
         Limit
-            Distances of the nodes that may move [m].
+            Distances of the nodes that can move [m].
         """
         nodes, kind = self._chosen(now.model.scene.structure), type(self.ground).__name__
         names = tuple(f"distance of node {node} from the {kind}" for node in nodes)
@@ -99,6 +102,6 @@ class AboveSurface(PathBound, kind="AboveSurface"):
         return Limit(value, lower, np.full(len(nodes), np.inf), names, "m")
 
     def _chosen(self, structure: Structure) -> list[int]:
-        """Return the nodes that stay above, but for those that cannot move."""
+        """List the nodes that stay above, without fixed ones."""
         nodes = range(len(structure.nodes)) if self.nodes is None else self.nodes
         return [node for node in nodes if not structure.fixed[node].all()]

@@ -1,4 +1,7 @@
-"""Limits of strings along a plan, as values: of force densities, tensions, rest lengths and how fast these change."""
+"""Bounds on force densities, tensions and rest lengths of strings.
+
+Rates of force densities and of rest lengths can be limited, too.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class StringLimits(Bound):
-    """A lower and an upper limit for every string: what ForceDensityLimits and the like have in common."""
+    """Base class of lower and upper limits of each string."""
 
     lower: Annotated[ArrayLike | None, LIMITS] = None
     upper: Annotated[ArrayLike | None, LIMITS] = None
@@ -46,7 +49,11 @@ class StringLimits(Bound):
                 nonnegative(field, array, "string")
 
     def check(self, structure: Structure) -> None:
-        """Raise where the limits have the wrong number or cross each other."""
+        """Reject a structure that the limits do not fit.
+
+        Raises TypeError or ValueError if their number differs from that of strings, or if a lower
+        limit is above the upper one.
+        """
         lower, upper = self.limits(structure)
         crossed = np.flatnonzero(lower > upper)
         if crossed.size:
@@ -56,7 +63,10 @@ class StringLimits(Bound):
             )
 
     def limits(self, structure: Structure) -> tuple[Array, Array]:
-        """Return lower and upper limits (α,); −inf and inf where there is none."""
+        """Return the lower and upper limits (α,).
+
+        They are −inf and inf where there are none.
+        """
         count, name = len(structure.strings), type(self).__name__
         return broadcast_limits(f"{name}.lower", self.lower, count, -np.inf), broadcast_limits(
             f"{name}.upper", self.upper, count, np.inf
@@ -67,26 +77,26 @@ class StringLimits(Bound):
 class ForceDensityLimits(StringLimits, kind="ForceDensityLimits"):
     """Limits of the force density γ of each string.
 
-    They are limits of the solver's unknowns: they hold exactly, at every time; where rest lengths
-    are decided, at both ends of every interval. Strings do not push, so that γ ≥ 0 also holds for a
-    problem without them.
+    They are bounds on decision variables, and hold exactly at all times. Under rest-length control,
+    they are path constraints at both ends of every interval. Strings carry no compression: γ ≥ 0
+    holds without these limits, too.
 
     Parameters
     ----------
     lower : float or array_like, shape (α,), optional
-        Least force density, N/m, ≥ 0; one number, or one for each string; None for 0.
+        Smallest force density [N/m], ≥ 0: one number, or one for each string. None for 0.
     upper : float or array_like, shape (α,), optional
-        Greatest force density, N/m; None or inf for no limit.
+        Largest force density [N/m]: one number, or one for each string. None or inf for no limit.
 
     Raises
     ------
     TypeError, ValueError
-        If a limit is no number or negative; with a problem, if there is not one for each string or
-        ``lower`` is above ``upper``.
+        If a limit is negative or not a number. In a `Problem`: if the number of limits differs from
+        that of strings, or if ``lower`` is above ``upper``.
 
     See Also
     --------
-    TensionLimits : limits of γ s.
+    TensionLimits : Limits of the tension γ s.
 
     Examples
     --------
@@ -100,27 +110,27 @@ class ForceDensityLimits(StringLimits, kind="ForceDensityLimits"):
 
 @dataclass(frozen=True, eq=False)
 class ForceDensityRateLimits(RateBound, kind="ForceDensityRateLimits"):
-    """Limits of how fast force densities change: of the mean rate of each γ over an interval.
+    """Limits of the rate of each force density.
 
-    From the start of each interval, of h s, to that of the next, γ changes by at most ``rate`` · h.
-    Where force densities are linear in each interval (`PiecewiseLinear`), this also holds to the
-    end of the last one.
+    From the start of an interval of length h [s] to that of the next, γ changes by at most
+    ``rate`` · h. For piecewise-linear controls (`PiecewiseLinear`), this also holds from the start
+    to the end of the last interval.
 
     Parameters
     ----------
     rate : float or array_like, shape (α,)
-        Greatest rate, N/(m s), > 0; one number, or one for each string; inf for no limit.
+        Largest mean rate [N/(m s)], > 0: one number, or one for each string. inf for no limit.
 
     Raises
     ------
     TypeError, ValueError
-        If a rate is no number, zero or negative; with a problem, if there is not one for each
-        string.
+        If a rate is not a positive number. In a `Problem`: if the number of rates differs from that
+        of strings.
 
     See Also
     --------
-    PiecewiseConstant : limits the number of changes, by ``changes``.
-    RestLengthRateLimits : how fast motors wind.
+    PiecewiseConstant : Limits the number of control changes (``changes``).
+    RestLengthRateLimits : Limits of the rate of each rest length.
 
     Examples
     --------
@@ -136,7 +146,7 @@ class ForceDensityRateLimits(RateBound, kind="ForceDensityRateLimits"):
         nonnegative("ForceDensityRateLimits.rate", array, "string", strict=True)
 
     def check(self, structure: Structure) -> None:
-        """Refuse a structure that this does not fit.
+        """Reject a structure that the bound does not fit.
 
         Parameters
         ----------
@@ -146,17 +156,17 @@ class ForceDensityRateLimits(RateBound, kind="ForceDensityRateLimits"):
         Raises
         ------
         TypeError, ValueError
-            If there is not one rate for each string.
+            If the number of rates differs from that of strings.
         """
         broadcast_limits("ForceDensityRateLimits.rate", self.rate, len(structure.strings), np.inf)
 
     def limit(self, before: Instant, after: Instant, interval: Any) -> Limit:
-        """Build the limited rates.
+        """Build the constrained rates.
 
         Parameters
         ----------
         before, after : Instant
-            Instants of symbols at the starts of two intervals.
+            Symbolic instants at the starts of two intervals.
         interval : casadi.SX or casadi.MX
             Time between them [s].
 
@@ -174,22 +184,23 @@ class ForceDensityRateLimits(RateBound, kind="ForceDensityRateLimits"):
 
 @dataclass(frozen=True, eq=False)
 class TensionLimits(StringLimits, PathBound, kind="TensionLimits"):
-    """Limits of the tension γ s of each string, at both ends of every interval.
+    """Limits of the tension γ s of each string.
 
-    The limits of a string that is modelled in segments hold in each of them.
+    They hold at both ends of every interval. If a string is modeled in segments, they hold in each
+    segment.
 
     Parameters
     ----------
     lower : float or array_like, shape (α,), optional
-        Least tension, N, ≥ 0; one number, or one for each string; None for no limit but γ ≥ 0.
+        Smallest tension [N], ≥ 0: one number, or one for each string. None for no limit but γ ≥ 0.
     upper : float or array_like, shape (α,), optional
-        Greatest tension, N; None or inf for no limit.
+        Largest tension [N]: one number, or one for each string. None or inf for no limit.
 
     Raises
     ------
     TypeError, ValueError
-        If both are None, or a limit is no number or negative; with a problem, if there is not one
-        for each string or ``lower`` is above ``upper``.
+        If both are None, or if a limit is negative or not a number. In a `Problem`: if the number
+        of limits differs from that of strings, or if ``lower`` is above ``upper``.
 
     Examples
     --------
@@ -199,47 +210,49 @@ class TensionLimits(StringLimits, PathBound, kind="TensionLimits"):
     """
 
     def limit(self, now: Instant) -> Limit:
-        """Build the limited quantities.
+        """Build the constrained quantities.
 
         Parameters
         ----------
         now : Instant
-            Instant of symbols.
+            Symbolic instant.
 
         Returns
         -------
         Limit
-            Tension of each modelled string [N].
+            Tension of each string or segment of the model [N].
         """
         parent = now.model.structure.string_parent
         lower, upper = (limit[parent] for limit in self.limits(now.model.scene.structure))
-        lower = np.where(lower > 0, lower, -np.inf)  # γ ≥ 0 says so already
+        lower = np.where(lower > 0, lower, -np.inf)  # γ ≥ 0 implies it already
         names = tuple(f"tension of string {k}" for k in parent)
         return drop_infinite(Limit(now.tension, lower, upper, names, "N"))
 
 
 @dataclass(frozen=True, eq=False)
 class RestLengthLimits(StringLimits, PathBound, kind="RestLengthLimits"):
-    """Limits of the rest length ρ = s (1 − γ/k) of each string, at both ends of every interval.
+    """Limits of the rest length of each string.
 
-    ``RestLengthLimits(0)`` says that every force density can be reached by winding a string of that
-    stiffness. Where rest lengths are decided (``control=RestLength()``), they are limits of the
-    solver's unknowns, which are greater than 0 without them, too.
+    The rest length is ρ = s (1 − γ/k). The limits hold at both ends of every interval.
+    ``RestLengthLimits(0)`` keeps every force density within reach of an actuator that changes the
+    rest length of a string of stiffness k. Under rest-length control (``control=RestLength()``),
+    they are bounds on decision variables, which are positive without these limits, too.
 
     Parameters
     ----------
     lower : float or array_like, shape (α,), optional
-        Least rest length, m, ≥ 0; one number, or one for each string; None for no limit.
+        Smallest rest length [m], ≥ 0: one number, or one for each string. None for no limit.
     upper : float or array_like, shape (α,), optional
-        Greatest rest length, m; None or inf for no limit.
+        Largest rest length [m]: one number, or one for each string. None or inf for no limit.
     stiffness : float or array_like, shape (α,), optional
-        k, N/m, one number, or one for each string; None for that of the structure.
+        Stiffness k [N/m]: one number, or one for each string. None for that of the structure.
 
     Raises
     ------
     TypeError, ValueError
-        If both limits are None, or one is no number or negative; with a problem, if there is not
-        one for each string, ``lower`` is above ``upper``, or a string has no stiffness.
+        If both limits are None, or if one is negative or not a number. In a `Problem`: if the
+        number of limits differs from that of strings, if ``lower`` is above ``upper``, or if a
+        string has no stiffness.
 
     Examples
     --------
@@ -254,7 +267,7 @@ class RestLengthLimits(StringLimits, PathBound, kind="RestLengthLimits"):
     stiffness: Annotated[ArrayLike | None, PER_ITEM] = None
 
     def check(self, structure: Structure) -> None:
-        """Refuse a structure that this does not fit.
+        """Reject a structure that the bound does not fit.
 
         Parameters
         ----------
@@ -264,18 +277,18 @@ class RestLengthLimits(StringLimits, PathBound, kind="RestLengthLimits"):
         Raises
         ------
         TypeError, ValueError
-            If limits or stiffness do not fit the strings.
+            If the limits or the stiffness do not fit the strings.
         """
         super().check(structure)
         read_stiffness("RestLengthLimits.stiffness", self.stiffness, structure)
 
     def limit(self, now: Instant) -> Limit:
-        """Build the limited quantities.
+        """Build the constrained quantities.
 
         Parameters
         ----------
         now : Instant
-            Instant of symbols.
+            Symbolic instant.
 
         Returns
         -------
@@ -292,25 +305,25 @@ class RestLengthLimits(StringLimits, PathBound, kind="RestLengthLimits"):
 @rename_fields(speed="rate")
 @dataclass(frozen=True, eq=False)
 class RestLengthRateLimits(RateBound, kind="RestLengthRateLimits"):
-    """Limits of how fast motors wind: of the mean rate of each rest length over an interval.
+    """Limits of the rate of each rest length.
 
-    From the start of each interval, of h s, to that of the next, ρ changes by at most ``rate`` ·
-    h. Where force densities are linear in each interval (`PiecewiseLinear`), this also holds to the
-    end of the last one.
+    They are the speed limits of winches. From the start of an interval of length h [s] to that of
+    the next, ρ changes by at most ``rate`` · h. For piecewise-linear controls (`PiecewiseLinear`),
+    this also holds from the start to the end of the last interval.
 
     Parameters
     ----------
     rate : float or array_like, shape (α,)
-        Greatest rate, m/s, > 0; one number, or one for each string; inf for no limit.
+        Largest mean rate [m/s], > 0: one number, or one for each string. inf for no limit.
     stiffness : float or array_like, shape (α,), optional
-        k of ρ = s (1 − γ/k), N/m, one number, or one for each string; None for that of the
-        structure.
+        Stiffness k of ρ = s (1 − γ/k) [N/m]: one number, or one for each string. None for that of
+        the structure.
 
     Raises
     ------
     TypeError, ValueError
-        If a rate is no number, zero or negative; with a problem, if there is not one for each
-        string, or a string has no stiffness.
+        If a rate is not a positive number. In a `Problem`: if the number of rates differs from that
+        of strings, or if a string has no stiffness.
 
     Examples
     --------
@@ -327,7 +340,7 @@ class RestLengthRateLimits(RateBound, kind="RestLengthRateLimits"):
         nonnegative("RestLengthRateLimits.rate", array, "string", strict=True)
 
     def check(self, structure: Structure) -> None:
-        """Refuse a structure that this does not fit.
+        """Reject a structure that the bound does not fit.
 
         Parameters
         ----------
@@ -337,18 +350,18 @@ class RestLengthRateLimits(RateBound, kind="RestLengthRateLimits"):
         Raises
         ------
         TypeError, ValueError
-            If rate or stiffness do not fit the strings.
+            If the rates or the stiffness do not fit the strings.
         """
         broadcast_limits("RestLengthRateLimits.rate", self.rate, len(structure.strings), np.inf)
         read_stiffness("RestLengthRateLimits.stiffness", self.stiffness, structure)
 
     def limit(self, before: Instant, after: Instant, interval: Any) -> Limit:
-        """Build the limited rates.
+        """Build the constrained rates.
 
         Parameters
         ----------
         before, after : Instant
-            Instants of symbols at the starts of two intervals.
+            Symbolic instants at the starts of two intervals.
         interval : casadi.SX or casadi.MX
             Time between them [s].
 
@@ -367,7 +380,10 @@ class RestLengthRateLimits(RateBound, kind="RestLengthRateLimits"):
 
 
 def read_stiffness(field: str, given: ArrayLike | None, structure: Structure) -> Array:
-    """Return the stiffness (α,), N/m: the given one or the structure's. Raises ValueError for a string without."""
+    """Read the stiffness (α,) [N/m] of strings.
+
+    It is the given one, or that of the structure. Raises ValueError for strings without stiffness.
+    """
     values = per_item(
         field, structure.stiffness if given is None else given, len(structure.strings)
     )

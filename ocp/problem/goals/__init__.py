@@ -1,1 +1,1 @@
-"""States that are wanted at the end, on the way, and from period to period."""
+"""Goals: terminal constraints, waypoints and periodicity."""

@@ -1,4 +1,4 @@
-"""Goals of the end of a plan, and those of distances."""
+"""Base class of goals, soft goals, and goals of distances."""
 
 from __future__ import annotations
 
@@ -33,46 +33,63 @@ if TYPE_CHECKING:
     from ocp.problem.instant import Instant
     from tenscasadi.dynamics.model import Model
 
-# relative: rounded nodes are corrected, those that give bars other lengths are rejected
+# relative: smaller errors of bar lengths are rounding and are projected away, larger ones rejected
 BAR_TOLERANCE = 1e-3
 
 
 class Goal(Value):
-    """Rows of a state that vanish where a goal is met.
+    """Base class of goals: equality constraints on a state.
+
+    A goal is satisfied where its residuals (`rows`) are zero.
 
     Attributes
     ----------
     timing : str
-        "end"; "way" for goals at other instants; "period" for goals that compare end and start;
-        "soft" for penalties.
+        "end" for terminal constraints; "way" for waypoints; "period" for periodicity constraints,
+        which compare end and start; "soft" for penalties.
     repeats_start : bool
-        Whether the goal repeats a start that it does not hold itself.
+        Whether the goal compares the end with an initial state that it does not store.
     """
 
     timing: ClassVar[str] = "end"
 
     @property
     def repeats_start(self) -> bool:
-        """Whether the goal repeats a start that it does not hold itself."""
+        """Whether the goal refers to a start outside itself."""
         return False
 
     def check(self, structure: Structure) -> None:
-        """Raise TypeError or ValueError where the goal does not fit the structure."""
+        """Reject a structure that the goal does not fit.
+
+        Raises TypeError, ValueError.
+        """
 
     def bind(self, model: Model, start: Array | None) -> Goal:
-        """Complete the goal by the model and the start (nx,), None if that is free."""
+        """Bind the goal to a model and its initial state.
+
+        The initial state (nx,) is None if it is free.
+        """
         return self
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
-        """Build the rows as functions of nodes and velocities 3×n."""
+        """Build the residuals as functions of nodes and velocities.
+
+        Both are 3×n [m, m/s].
+        """
         raise NotImplementedError
 
     def places(self, structure: Structure) -> list[tuple[int, int, float]]:
-        """Return the coordinates that the goal gives: node, axis and value [m]."""
+        """List the coordinates that the goal prescribes.
+
+        Each entry is node, axis and value [m].
+        """
         return []
 
     def move(self, structure: Structure, nodes: Array) -> Array:
-        """Move nodes (n, 3) to where the goal wants them, whatever the bars."""
+        """Move nodes (n, 3) to the positions of the goal.
+
+        Bars may change their lengths.
+        """
         return nodes
 
     def soft(self, weight: float = 1.0) -> Goal:
@@ -86,31 +103,31 @@ class Goal(Value):
         Returns
         -------
         Goal
-            For the goals of a problem, or of a `Waypoint`.
+            Soft goal, for the goals of a problem or of a `Waypoint`.
         """
         return SoftGoal(self, weight)
 
 
 @dataclass(frozen=True, eq=False)
 class SoftGoal(Goal, TerminalCost, kind="SoftGoal"):
-    """Cost weight · Σ residual² of a goal's rows, made by `Goal.soft`.
+    """Quadratic penalty weight · Σ residual² of a goal.
 
-    It counts neither in the success of a plan nor in the errors of its replay: `Plan.report` lists
-    the residuals of the replay.
+    `Goal.soft` builds it. It affects neither the success of a plan nor its replay error. The
+    residuals of the replay are in `Plan.report`.
 
     Parameters
     ----------
     goal : Goal
-        The goal.
+        Goal whose residuals are penalized.
     weight : float, optional
-        Factor of the cost, > 0: cost of a residual of 1 m, or of 1 m/s. Other costs have units of
-        their own (`Effort` has N²·s/m²), so that a residual of 1 cm weighs 10⁻⁴ · weight against
-        them.
+        Weight of the penalty, > 0: the cost of a residual of 1 m, or of 1 m/s. A residual of 1 cm
+        costs 10⁻⁴ · weight. Choose the weight relative to the other costs, which have units of
+        their own (`Effort` has N²·s/m²).
 
     Raises
     ------
     TypeError, ValueError
-        If the goal is none, or soft already, or the weight is no number, zero or negative.
+        If ``goal`` is not a goal or is soft already, or if the weight is not a positive number.
 
     Examples
     --------
@@ -145,53 +162,53 @@ class SoftGoal(Goal, TerminalCost, kind="SoftGoal"):
         Raises
         ------
         TypeError, ValueError
-            If the goal does not fit.
+            If the goal does not fit the structure.
         """
         self.goal.check(structure)
 
     def bind(self, model: Model, start: Array | None) -> Goal:
-        """Complete the goal.
+        """Bind the goal to a model and its initial state.
 
         Parameters
         ----------
         model : Model
             The model of the problem.
         start : ndarray of shape (nx,), optional
-            Its start; None if it is free.
+            Initial state; None if it is free.
 
         Returns
         -------
         Goal
-            The same penalty for a complete goal.
+            The same penalty of the bound goal.
         """
         return replace(self, goal=self.goal.bind(model, start))
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
-        """Build the rows of the goal.
+        """Build the residuals of the goal.
 
         Parameters
         ----------
         structure : Structure
-            The structure of the problem's model, before strings are cut into segments.
+            The structure of the problem's model, before strings are divided into segments.
         nodes : casadi.SX
-            Node positions, 3×n, m.
+            Node positions, 3×n [m].
         velocities : casadi.SX
-            Node velocities, 3×n, m/s.
+            Node velocities, 3×n [m/s].
 
         Returns
         -------
         Rows
-            Named rows that vanish where the goal is met.
+            Named residuals, zero if the goal is satisfied.
         """
         return self.goal.rows(structure, nodes, velocities)
 
     def terminal(self, end: Instant) -> Any:
-        """Build the cost of an instant.
+        """Build the penalty at an instant.
 
         Parameters
         ----------
         end : Instant
-            The instant of the goal.
+            Instant of the goal.
 
         Returns
         -------
@@ -202,7 +219,10 @@ class SoftGoal(Goal, TerminalCost, kind="SoftGoal"):
 
 
 def soft_goals(costs: Iterable[Cost]) -> Iterator[tuple[float, SoftGoal]]:
-    """Find the soft goals among costs, with their fractions of the duration."""
+    """Yield the soft goals among costs.
+
+    Each comes with its fraction of the duration.
+    """
     for cost in costs:
         share, goal = (cost.share, cost.cost) if isinstance(cost, CostAt) else (1.0, cost)
         if isinstance(goal, SoftGoal):
@@ -213,18 +233,19 @@ def soft_goals(costs: Iterable[Cost]) -> Iterator[tuple[float, SoftGoal]]:
 class StringLengths(Goal, kind="StringLengths"):
     """String lengths at the end.
 
-    The length of a string that is modelled in segments is the distance between its ends.
+    If a string is modeled in segments, its length is the distance between its ends.
 
     Parameters
     ----------
     lengths : float, array_like of shape (α,), or mapping of int to float
-        Lengths, m, > 0: one number for all strings, one for each, or ``{string: length}`` for some.
+        Lengths [m], > 0: one number for all strings, or one for each. ``{string: length}`` for some
+        of them.
 
     Raises
     ------
     TypeError, ValueError
-        If a length is no number, zero or negative; with a problem, if there is not one for each
-        string, or a string does not exist.
+        If a length is not a positive number. In a `Problem`: if the number of lengths differs from
+        that of strings, or if a string does not exist.
 
     Examples
     --------
@@ -266,7 +287,7 @@ class StringLengths(Goal, kind="StringLengths"):
         Raises
         ------
         TypeError, ValueError
-            If there is not one length for each string, or a string does not exist.
+            If the number of lengths differs from that of strings, or if a string does not exist.
         """
         count = len(structure.strings)
         if isinstance(self.lengths, Mapping):
@@ -279,7 +300,7 @@ class StringLengths(Goal, kind="StringLengths"):
             per_item("StringLengths.lengths", self.lengths, count)
 
     def _wanted(self, structure: Structure) -> dict[int, float]:
-        """List the lengths by string."""
+        """Collect the desired lengths by string."""
         if isinstance(self.lengths, Mapping):
             return dict(self.lengths)
         return dict(
@@ -289,21 +310,21 @@ class StringLengths(Goal, kind="StringLengths"):
         )
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
-        """Build length minus wanted length of each string.
+        """Build length minus desired length of each string.
 
         Parameters
         ----------
         structure : Structure
-            The structure of the problem's model, before strings are cut into segments.
+            The structure of the problem's model, before strings are divided into segments.
         nodes : casadi.SX
-            Node positions, 3×n, m.
+            Node positions, 3×n [m].
         velocities : casadi.SX
-            Node velocities, 3×n, m/s.
+            Node velocities, 3×n [m/s].
 
         Returns
         -------
         Rows
-            Named rows that vanish where the goal is met.
+            Named residuals, zero if the goal is satisfied.
         """
         wanted = self._wanted(structure)
         return distance_rows(
@@ -316,25 +337,25 @@ class StringLengths(Goal, kind="StringLengths"):
 
 @dataclass(frozen=True, eq=False)
 class Shape(Goal, kind="Shape"):
-    """Shape of the structure at the end, wherever and however it is turned.
+    """Shape at the end, up to rigid motions.
 
-    It is given by all distances of nodes that no bar keeps. A shape and its mirror image have the
-    same distances.
+    Position and orientation are free. The constraints are the distances of all pairs of nodes
+    without a bar between them. A shape and its mirror image have the same distances.
 
     Parameters
     ----------
     nodes : array_like, shape (n, 3)
-        Nodes of the shape, m, with bars of the structure's lengths (to 0.1 %).
+        Nodes of the shape [m]. The bars must have the lengths of the structure (to 0.1 %).
 
     Raises
     ------
     TypeError, ValueError
-        If nodes are no such array; with a problem, if there is not one row for each node, fewer
-        than three, or a bar gets another length.
+        If ``nodes`` is not an array (n, 3). In a `Problem`: if the number of nodes differs from
+        that of the structure or is less than three, or if a bar gets another length.
 
     See Also
     --------
-    NodePositions : a shape in its place.
+    NodePositions : A shape at a given position and orientation.
 
     Examples
     --------
@@ -360,8 +381,8 @@ class Shape(Goal, kind="Shape"):
         Raises
         ------
         TypeError, ValueError
-            If the number of nodes or the lengths of the bars differ, or there are fewer than three
-            nodes.
+            If the number of nodes or the lengths of the bars differ, or if there are fewer than
+            three nodes.
         """
         nodes = finite_array("Shape.nodes", self.nodes, structure.nodes.shape)
         check_bar_lengths("Shape.nodes make", nodes, structure)
@@ -371,21 +392,23 @@ class Shape(Goal, kind="Shape"):
             )
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
-        """Build distance minus wanted distance of each pair of nodes without a bar.
+        """Build distance minus desired distance of node pairs.
+
+        They are the pairs without a bar between them.
 
         Parameters
         ----------
         structure : Structure
-            The structure of the problem's model, before strings are cut into segments.
+            The structure of the problem's model, before strings are divided into segments.
         nodes : casadi.SX
-            Node positions, 3×n, m.
+            Node positions, 3×n [m].
         velocities : casadi.SX
-            Node velocities, 3×n, m/s.
+            Node velocities, 3×n [m/s].
 
         Returns
         -------
         Rows
-            Named rows that vanish where the goal is met.
+            Named residuals, zero if the goal is satisfied.
         """
         kept = {frozenset(bar) for bar in structure.bars.tolist()}
         pairs = np.array(
@@ -404,19 +427,19 @@ class Shape(Goal, kind="Shape"):
         )
 
     def move(self, structure: Structure, nodes: Array) -> Array:
-        """Move nodes to those of the shape, turned rigidly onto them.
+        """Move nodes to the shape after the best rigid fit.
 
         Parameters
         ----------
         structure : Structure
-            The structure of the problem's model, before strings are cut into segments.
+            The structure of the problem's model, before strings are divided into segments.
         nodes : ndarray, shape (n, 3)
-            Nodes [m], those inside strings last.
+            Nodes [m], with the nodes inside strings last.
 
         Returns
         -------
         ndarray, shape (n, 3)
-            Nodes of the shape, where the given ones are.
+            Nodes of the shape, fitted to the given ones; nodes inside strings do not move.
         """
         own, before = np.asarray(self.nodes), nodes[: len(structure.nodes)]
         turn = fit_rotation(own - own.mean(axis=0), before - before.mean(axis=0))
@@ -425,7 +448,10 @@ class Shape(Goal, kind="Shape"):
 
 
 def check_bar_lengths(subject: str, nodes: Array, structure: Structure) -> None:
-    """Raise ValueError for nodes (n, 3) [m] that give a bar another length."""
+    """Check that nodes keep the lengths of the bars.
+
+    Nodes are (n, 3) [m]; the tolerance is 0.1 %. Raises ValueError.
+    """
     lengths = np.linalg.norm(nodes[structure.bars[:, 1]] - nodes[structure.bars[:, 0]], axis=1)
     bad = np.flatnonzero(abs(lengths / structure.bar_lengths - 1) > BAR_TOLERANCE)
     if bad.size:

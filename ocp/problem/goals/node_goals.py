@@ -1,4 +1,4 @@
-"""Goals of node positions and velocities, and of the center of mass."""
+"""Goals of nodes and of the center of mass."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ class NodePositions(Goal, kind="NodePositions"):
     Parameters
     ----------
     positions : mapping of int to sequence of float or None, or array_like of shape (n, 3)
-        ``{node: (x, y, z)}``, m, None for an axis that is free; or the places of all nodes.
+        ``{node: (x, y, z)}`` [m], with None for a free axis; or the positions of all nodes.
 
     Raises
     ------
     TypeError, ValueError
-        If a place has not three coordinates, or all are None; with a problem, if a node does not
-        exist, or is pinned elsewhere.
+        If a position is not three numbers or None, or if all are None. In a `Problem`: if a node
+        does not exist, or is pinned at another position.
 
     Examples
     --------
@@ -71,7 +71,7 @@ class NodePositions(Goal, kind="NodePositions"):
         Raises
         ------
         TypeError, ValueError
-            If a node does not exist, or is pinned elsewhere.
+            If a node does not exist, or is pinned at another position.
         """
         tolerance = 1e-9 * np.ptp(structure.nodes, axis=0).max()
         for node, axis, value in _entries("NodePositions.positions", self.positions, structure):
@@ -83,21 +83,23 @@ class NodePositions(Goal, kind="NodePositions"):
                 )
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
-        """Build coordinate minus wanted coordinate; pinned ones have no row.
+        """Build coordinates minus desired coordinates.
+
+        Pinned coordinates have no residual.
 
         Parameters
         ----------
         structure : Structure
-            The structure of the problem's model, before strings are cut into segments.
+            The structure of the problem's model, before strings are divided into segments.
         nodes : casadi.SX
-            Node positions, 3×n, m.
+            Node positions, 3×n [m].
         velocities : casadi.SX
-            Node velocities, 3×n, m/s.
+            Node velocities, 3×n [m/s].
 
         Returns
         -------
         Rows
-            Named rows that vanish where the goal is met.
+            Named residuals, zero if the goal is satisfied.
         """
         return _rows(
             "NodePositions",
@@ -108,12 +110,12 @@ class NodePositions(Goal, kind="NodePositions"):
         )
 
     def places(self, structure: Structure) -> list[tuple[int, int, float]]:
-        """List the coordinates that the goal gives.
+        """List the coordinates that the goal prescribes.
 
         Parameters
         ----------
         structure : Structure
-            The structure of the problem's model, before strings are cut into segments.
+            The structure of the problem's model, before strings are divided into segments.
 
         Returns
         -------
@@ -123,14 +125,16 @@ class NodePositions(Goal, kind="NodePositions"):
         return _entries("NodePositions.positions", self.positions, structure)
 
     def move(self, structure: Structure, nodes: Array) -> Array:
-        """Move nodes to their places, whatever the bars.
+        """Move nodes to the positions of the goal.
+
+        Bars may change their lengths.
 
         Parameters
         ----------
         structure : Structure
-            The structure of the problem's model, before strings are cut into segments.
+            The structure of the problem's model, before strings are divided into segments.
         nodes : ndarray, shape (n, 3)
-            Nodes [m], those inside strings last.
+            Nodes [m], with the nodes inside strings last.
 
         Returns
         -------
@@ -150,18 +154,17 @@ class NodeVelocities(Goal, kind="NodeVelocities"):
     Parameters
     ----------
     velocities : mapping of int to sequence of float or None, or array_like of shape (n, 3)
-        ``{node: (vx, vy, vz)}``, m/s, None for an axis that is free; or the velocities of all
-        nodes.
+        ``{node: (vx, vy, vz)}`` [m/s], with None for a free axis; or the velocities of all nodes.
 
     Raises
     ------
     TypeError, ValueError
-        If a velocity has not three entries, or all are None; with a problem, if a node does not
-        exist, or is pinned along an axis with a velocity.
+        If a velocity is not three numbers or None, or if all are None. In a `Problem`: if a node
+        does not exist, or has a nonzero velocity along a pinned axis.
 
     See Also
     --------
-    AtRest : all velocities zero.
+    AtRest : All velocities zero.
 
     Examples
     --------
@@ -188,7 +191,7 @@ class NodeVelocities(Goal, kind="NodeVelocities"):
         Raises
         ------
         TypeError, ValueError
-            If a node does not exist, or is pinned along an axis with a velocity.
+            If a node does not exist, or has a nonzero velocity along a pinned axis.
         """
         for node, axis, value in _entries("NodeVelocities.velocities", self.velocities, structure):
             if structure.fixed[node, axis] and value:
@@ -198,21 +201,23 @@ class NodeVelocities(Goal, kind="NodeVelocities"):
                 )
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
-        """Build velocity minus wanted velocity; pinned axes have no row.
+        """Build velocities minus desired velocities.
+
+        Pinned axes have no residual.
 
         Parameters
         ----------
         structure : Structure
-            The structure of the problem's model, before strings are cut into segments.
+            The structure of the problem's model, before strings are divided into segments.
         nodes : casadi.SX
-            Node positions, 3×n, m.
+            Node positions, 3×n [m].
         velocities : casadi.SX
-            Node velocities, 3×n, m/s.
+            Node velocities, 3×n [m/s].
 
         Returns
         -------
         Rows
-            Named rows that vanish where the goal is met.
+            Named residuals, zero if the goal is satisfied.
         """
         return _rows(
             "NodeVelocities",
@@ -225,7 +230,7 @@ class NodeVelocities(Goal, kind="NodeVelocities"):
 
 @dataclass(frozen=True)
 class AtRest(Goal, kind="AtRest"):
-    """All velocities are zero at the end.
+    """Zero velocities of all nodes at the end.
 
     Examples
     --------
@@ -235,21 +240,23 @@ class AtRest(Goal, kind="AtRest"):
     """
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
-        """Build the velocities of all modelled nodes.
+        """Build the velocities of all nodes of the model.
+
+        Pinned axes have no residual.
 
         Parameters
         ----------
         structure : Structure
-            The structure of the problem's model, before strings are cut into segments.
+            The structure of the problem's model, before strings are divided into segments.
         nodes : casadi.SX
-            Node positions, 3×n, m.
+            Node positions, 3×n [m].
         velocities : casadi.SX
-            Node velocities, 3×n, m/s.
+            Node velocities, 3×n [m/s].
 
         Returns
         -------
         Rows
-            Named rows that vanish where the goal is met.
+            Named residuals, zero if the goal is satisfied.
         """
         held = {(int(node), int(axis)) for node, axis in np.argwhere(structure.fixed)}
         free = [
@@ -270,21 +277,21 @@ class AtRest(Goal, kind="AtRest"):
 class CenterOfMass(Goal, kind="CenterOfMass", earlier="CentreOfMass"):
     """Position of the center of mass at the end.
 
-    All mass of the model counts: of bars, nodes and strings, also of those that are pinned.
+    It is the center of the whole mass of the model: of bars, nodes and strings, pinned or not.
 
     Parameters
     ----------
     position : sequence of float or None, length 3
-        (x, y, z), m, None for an axis that is free.
+        Position (x, y, z) [m], with None for a free axis.
     masses : array_like of shape (n,), optional
-        Mass of each node of the model [kg], those inside strings last; None for the masses of the
-        problem's model.
+        Mass of each node of the model [kg], with the nodes inside strings last. None for the masses
+        of the problem's model.
 
     Raises
     ------
     TypeError, ValueError
-        If the position has not three coordinates, or all are None; or masses are no numbers,
-        negative, or all zero.
+        If the position is not three numbers or None, or if all are None. Also if a mass is negative
+        or not a number, or if all are zero.
 
     Examples
     --------
@@ -334,24 +341,24 @@ class CenterOfMass(Goal, kind="CenterOfMass", earlier="CentreOfMass"):
             )
 
     def bind(self, model: Model, start: Array | None) -> Goal:
-        """Complete the goal.
+        """Bind the goal to a model and its initial state.
 
         Parameters
         ----------
         model : Model
             The model of the problem.
         start : ndarray of shape (nx,), optional
-            Its start; None where it is free.
+            Initial state; None if it is free.
 
         Returns
         -------
         Goal
-            The same goal, with the masses of the model where it has none.
+            The same goal, with the masses of the model by default.
 
         Raises
         ------
         ValueError
-            If the masses are not one for each node of the model.
+            If the number of masses differs from that of the model's nodes.
         """
         count = len(model.structure.nodes)
         if self.masses is None:
@@ -363,26 +370,26 @@ class CenterOfMass(Goal, kind="CenterOfMass", earlier="CentreOfMass"):
         return self
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
-        """Build coordinate minus wanted coordinate of the center of mass.
+        """Build coordinates minus desired ones of the center of mass.
 
         Parameters
         ----------
         structure : Structure
-            The structure of the problem's model, before strings are cut into segments.
+            The structure of the problem's model, before strings are divided into segments.
         nodes : casadi.SX
-            Node positions, 3×n, m.
+            Node positions, 3×n [m].
         velocities : casadi.SX
-            Node velocities, 3×n, m/s.
+            Node velocities, 3×n [m/s].
 
         Returns
         -------
         Rows
-            Named rows that vanish where the goal is met.
+            Named residuals, zero if the goal is satisfied.
 
         Raises
         ------
         ValueError
-            If the masses are not known: a `Problem` knows them.
+            If the masses are None; a `Problem` sets them.
         """
         if self.masses is None:
             raise ValueError(
@@ -398,7 +405,10 @@ class CenterOfMass(Goal, kind="CenterOfMass", earlier="CentreOfMass"):
 
 
 def _read(field: str, given: Any, example: str) -> Any:
-    """Read three numbers or None for each node of a mapping, or an array (n, 3)."""
+    """Read values of nodes from a mapping or array.
+
+    A mapping has three numbers or None for each of its nodes; an array is (n, 3).
+    """
     if not isinstance(given, Mapping):
         return finite_array(field, given, (None, 3))
     if not given:
@@ -412,7 +422,7 @@ def _read(field: str, given: Any, example: str) -> Any:
 
 
 def _entries(field: str, given: Any, structure: Structure) -> list[tuple[int, int, float]]:
-    """List node, axis and value of all entries."""
+    """List node, axis and value of each prescribed entry."""
     count = len(structure.nodes)
     if not isinstance(given, Mapping):
         given = dict(enumerate(finite_array(field, given, (count, 3)).tolist()))
@@ -429,7 +439,10 @@ def _entries(field: str, given: Any, structure: Structure) -> list[tuple[int, in
 def _rows(
     goal: str, entries: list[tuple[int, int, float]], structure: Structure, columns: Any, unit: str
 ) -> Rows:
-    """Build entry minus wanted entry of columns (3×n), but for pinned axes."""
+    """Build entries minus desired entries of columns (3×n).
+
+    Pinned axes have no residual.
+    """
     free = [(node, axis, value) for node, axis, value in entries if not structure.fixed[node, axis]]
     value = ca.vertcat(*(columns[axis, node] - wanted for node, axis, wanted in free))
     return Rows(

@@ -1,4 +1,4 @@
-"""Goal of a motion that ends as it began."""
+"""Periodicity constraint between start and end."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Periodic(Goal, kind="Periodic"):
-    """The end repeats the start.
+    """Final state equal to the initial state.
 
-    Each node is back in its place, or moved by ``shift``, at the velocity it had.
+    Each node returns to its initial position, displaced by ``shift``, with its initial velocity.
 
     Parameters
     ----------
     shift : sequence of float or None, length 3, optional
-        (x, y, z), m, by which all nodes have moved, as in a gait; None for an axis: as far as the
-        first node has.
+        Displacement (x, y, z) of all nodes in one period [m], as of a gait. None for an axis: all
+        nodes move by the same distance, which is free.
     start : tuple of two array_like of shape (n, 3), optional
-        Nodes, m, and velocities, m/s, to come back to; None for those of the problem, also where
-        they are found (`FreeStart`).
+        Initial nodes [m] and velocities [m/s]. None for those of the problem, which may be free
+        (`FreeStart`).
 
     Raises
     ------
     TypeError, ValueError
-        If ``shift`` has not three entries or ``start`` is no pair; with a problem, if a pinned node
-        would have to move, or ``start`` has other nodes.
+        If ``shift`` is not three numbers or None, or if ``start`` is not a pair. In a `Problem`: if
+        a pinned node would have to move, or if the shape of ``start`` is wrong.
 
     Examples
     --------
@@ -58,7 +58,7 @@ class Periodic(Goal, kind="Periodic"):
 
     @property
     def repeats_start(self) -> bool:
-        """Whether the goal repeats a start that it does not hold itself."""
+        """Whether the goal refers to a start outside itself."""
         return self.start is None
 
     def __post_init__(self) -> None:
@@ -83,7 +83,7 @@ class Periodic(Goal, kind="Periodic"):
         Raises
         ------
         TypeError, ValueError
-            If a pinned node would have to move, or ``start`` has other nodes.
+            If a pinned node would have to move, or if the shape of ``start`` is wrong.
         """
         for name, given in zip(("nodes", "velocities"), self.start or (), strict=False):
             finite_array(f"Periodic.start: {name}", given, structure.nodes.shape)
@@ -95,19 +95,19 @@ class Periodic(Goal, kind="Periodic"):
                 )
 
     def bind(self, model: Model, start: Array | None) -> Goal:
-        """Complete the goal.
+        """Bind the goal to a model and its initial state.
 
         Parameters
         ----------
         model : Model
             The model of the problem.
         start : ndarray of shape (nx,), optional
-            Its start; None where it is free.
+            Initial state; None if it is free.
 
         Returns
         -------
         Goal
-            The same goal, with the start to come back to where it has none.
+            The same goal, with the initial state by default.
         """
         if self.start is not None or start is None:
             return self
@@ -120,16 +120,16 @@ class Periodic(Goal, kind="Periodic"):
         Parameters
         ----------
         structure : Structure
-            The structure of the problem's model, before strings are cut into segments.
+            The structure of the problem's model, before strings are divided into segments.
         nodes : casadi.SX
-            Node positions, 3×n, m.
+            Node positions, 3×n [m].
         velocities : casadi.SX
-            Node velocities, 3×n, m/s.
+            Node velocities, 3×n [m/s].
 
         Returns
         -------
         Rows
-            Named rows that vanish where the goal is met.
+            Named residuals, zero if the goal is satisfied.
         """
         if self.start is None:
             raise ValueError("Periodic.start is None: give it to a Problem, which knows its start")

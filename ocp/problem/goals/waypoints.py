@@ -1,4 +1,4 @@
-"""Goals at a time, or at a fraction of the duration."""
+"""Waypoints: constraints at instants before the end."""
 
 from __future__ import annotations
 
@@ -13,33 +13,34 @@ from tenscasadi.util.validate import Array, finite_array, format_value, nesting,
 if TYPE_CHECKING:
     from tenscasadi.dynamics.model import Model
 
-INSTANT = 1e-9  # of the duration: nearer times are one instant
+INSTANT = 1e-9  # relative to the duration; closer times count as the same instant
 
 
 @dataclass(frozen=True, eq=False)
 class Waypoint(Goal, kind="Waypoint"):
-    """Goals at a time, or at a fraction of the duration.
+    """Goals at a time or fraction of the duration.
 
-    Between the ends of intervals the motion is taken as cubic. Give either ``time`` or ``share``.
+    Between mesh points, states are interpolated by cubic polynomials. Give either ``time`` or
+    ``share``.
 
     Parameters
     ----------
     goals : sequence of goals
-        All met at that instant: `NodePositions`, `Shape`, ...; or wished for (`Goal.soft`), where
-        one time or a fraction is given.
+        Goals at that instant, such as `NodePositions` or `Shape`. Soft ones (`Goal.soft`) require
+        one time or a fraction, not a range of times.
     time : float or (float, float), optional
-        Seconds from the start; only where the duration is given. Or (earliest, latest) to let the
-        solver choose, also where the duration is free: such waypoints are met in the order in which
-        they are given, and divide the plan into phases (`Phase`).
+        Time from the start [s]; it requires a fixed duration. A range (earliest, latest) lets the
+        solver choose the time, also for a free duration. Such waypoints are passed in the given
+        order, and divide the plan into phases (`Phase`).
     share : float, optional
-        Fraction of the duration, more than 0; 1 is the end, where the goals are goals of the end.
+        Fraction of the duration in (0, 1]. At 1, the goals are terminal constraints.
 
     Raises
     ------
     TypeError, ValueError
-        If goals are no list of goals, both or none of time and share are given, or the share is not
-        above 0 and up to 1; with a problem, if the time is outside the plan, or the duration is
-        free and a time is given.
+        If ``goals`` is not a list of goals, if both or none of time and share are given, or if the
+        share is not in (0, 1]. In a `Problem`: if the time is outside the plan, or if a time is
+        given and the duration is free.
 
     Examples
     --------
@@ -88,30 +89,30 @@ class Waypoint(Goal, kind="Waypoint"):
         Raises
         ------
         TypeError, ValueError
-            If one of the goals does not fit.
+            If a goal does not fit the structure.
         """
         for goal in self.goals:
             goal.check(structure)
 
     def bind(self, model: Model, start: Array | None) -> Goal:
-        """Complete the goals.
+        """Bind the goals to a model and its initial state.
 
         Parameters
         ----------
         model : Model
             The model of the problem.
         start : ndarray of shape (nx,), optional
-            Its start; None where it is free.
+            Initial state; None if it is free.
 
         Returns
         -------
         Goal
-            The same waypoint, its goals complete.
+            The same waypoint with bound goals.
 
         Raises
         ------
         ValueError
-            If one of them repeats a start that is free.
+            If a goal refers to the initial state, and that is free.
         """
         goals = tuple(goal.bind(model, start) for goal in self.goals)
         if any(goal.repeats_start for goal in goals):
@@ -131,29 +132,30 @@ class Waypoint(Goal, kind="Waypoint"):
         Returns
         -------
         Waypoint
-            For the goals of a problem.
+            Waypoint with soft goals, for the goals of a problem.
         """
         return replace(self, goals=[goal.soft(weight) for goal in self.goals])
 
     def at(self, shortest: float, longest: float) -> float:
-        """Compute the fraction of the duration at which the goals are met.
+        """Compute the waypoint's fraction of the duration.
 
         Parameters
         ----------
         shortest : float
-            Least duration of the plan, s.
+            Shortest duration of the plan [s].
         longest : float
-            Greatest duration of the plan, s.
+            Longest duration of the plan [s].
 
         Returns
         -------
         float
-            Fraction of the duration: 1 for what is nearer to the end than planning tells apart.
+            Fraction of the duration. It is 1 if the time is within 10⁻⁹ of the duration from the
+            end.
 
         Raises
         ------
         ValueError
-            If the time is outside the plan, or the duration is free and a time is given.
+            If the time is outside the plan, or if a time is given and the duration is free.
         """
         if self.share is not None:
             return 1.0 if self.share > 1 - INSTANT else float(self.share)

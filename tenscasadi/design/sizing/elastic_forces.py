@@ -1,4 +1,4 @@
-"""Elastic forces of members of given areas, and the prestress that they need."""
+"""Elastic forces and prestress of members of given areas."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ from tenscasadi.design.conic import LinearRows, solve_conic
 from tenscasadi.design.sizing.program import SizingProgram
 from tenscasadi.util.validate import Array
 
-ROUNDING = 1e-6  # of areas and forces: smaller differences are the tolerances of solvers
-FLOOR = 1e-9  # area of members without any, relative to the largest
-_REGULARIZATION = 1e-10  # of the largest stiffness: lets mechanisms pass, which carry no load
+ROUNDING = 1e-6  # relative solver tolerance of areas and forces
+FLOOR = 1e-9  # area assigned to members of zero area, relative to the largest area
+_REGULARIZATION = 1e-10  # relative to the largest stiffness: for mechanisms, which carry no load
 _ITERATIONS = 200
 
 
 def elastic_response(program: SizingProgram, area: Array) -> Array:
-    """Compute the changes of forces (cases, α + β) [N] by the loads and the weight of members.
+    """Compute the linear elastic forces (cases, α + β) [N].
 
-    Linear elasticity without slack strings. The loads must be in equilibrium with some forces.
+    They are due to the loads and the weight of members. Strings do not become slack. Some forces
+    must balance the loads.
     """
     k, solve = _stiffness(program, area)
     motion = solve(program.loads.T + (program.weight @ area)[:, None])
@@ -29,7 +30,10 @@ def elastic_response(program: SizingProgram, area: Array) -> Array:
 
 
 def response_slopes(program: SizingProgram, area: Array) -> Array:
-    """Compute the derivatives (cases, α + β, α + β) of `elastic_response` by the areas [N/m²]."""
+    """Compute the derivatives of `elastic_response` by the areas.
+
+    Their shape is (cases, α + β, α + β) [N/m²].
+    """
     sections, B = program.sections, program.balance
     k, solve = _stiffness(program, area)
     slope = sections.modulus / sections.lengths
@@ -44,7 +48,10 @@ def response_slopes(program: SizingProgram, area: Array) -> Array:
 
 
 def _stiffness(program: SizingProgram, area: Array) -> tuple[Array, Callable[[Array], Array]]:
-    """Compute the stiffness of members [N/m], and the solution of K x = f."""
+    """Compute the member stiffnesses and factorize K.
+
+    Returns the stiffnesses [N/m], and a function f → x that solves K x = f.
+    """
     sections, B = program.sections, program.balance
     size = float(area.max(initial=0.0)) or 1.0
     k = sections.modulus * np.maximum(area, FLOOR * size) / sections.lengths
@@ -62,9 +69,10 @@ def _stiffness(program: SizingProgram, area: Array) -> tuple[Array, Callable[[Ar
 
 
 def fit_prestress(program: SizingProgram, area: Array, forces: Array) -> Array:
-    """Find the self-stress (α + β,) [N] with which elastic forces come closest to given ones.
+    """Fit a self-stress (α + β,) to given forces [N].
 
-    It stays within the limits of the areas. `forces` are without the elastic response.
+    It is the least-squares fit within the limits of the areas. `forces` exclude the elastic
+    response.
     """
     sections, members = program.sections, program.members
     scale = float(np.abs(forces).max(initial=0.0))
@@ -86,10 +94,10 @@ def fit_prestress(program: SizingProgram, area: Array, forces: Array) -> Array:
 def superpose_prestress(
     program: SizingProgram, prestress: Array, area: Array
 ) -> tuple[Array, Array]:
-    """Find areas that carry a prestress with the elastic response to the loads.
+    """Find areas for a prestress and the elastic response.
 
-    The stiffness follows the areas: they are computed anew until both agree (fully stressed
-    design).
+    The stiffness depends on the areas. Areas and forces are computed by turns until both agree
+    (fully stressed design).
 
     Returns
     -------

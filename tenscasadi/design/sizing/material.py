@@ -42,7 +42,9 @@ class Material(Value, kind="Material"):
 
 
 class Sections(NamedTuple):
-    """Material and shape of the sections of all members: strings first, then bars.
+    """Material and shape of the sections of all members.
+
+    Strings come first, then bars.
 
     Attributes
     ----------
@@ -51,7 +53,8 @@ class Sections(NamedTuple):
     modulus, density, strength : ndarray (α + β,)
         Properties of the materials, in SI units.
     buckling : ndarray (α + β,)
-        c of Euler's load c · area² [N/m⁴]; inf for strings, which carry no compression.
+        Coefficient c of the Euler load c · area² [N/m⁴]; inf for strings, which carry no
+        compression.
     minimum : ndarray (α + β,)
         Least areas [m²].
     solidity : ndarray (α + β,)
@@ -72,15 +75,24 @@ class Sections(NamedTuple):
         return self.density * self.lengths
 
     def needed_for_yield(self, force: Array) -> Array:
-        """Compute the areas (..., α + β) that forces need for the allowable stress [m²]."""
+        """Compute the areas required by the allowable stress [m²].
+
+        They have the shape (..., α + β) of the forces [N].
+        """
         return np.asarray(np.abs(force) / self.strength)
 
     def needed_for_buckling(self, force: Array) -> Array:
-        """Compute the areas (..., α + β) that forces need for Euler's load [m²]."""
+        """Compute the areas required by Euler buckling [m²].
+
+        They have the shape (..., α + β) of the forces [N].
+        """
         return np.asarray(np.sqrt(np.maximum(-force, 0.0) / self.buckling))
 
     def needed(self, forces: Array) -> Array:
-        """Compute the areas (α + β,) that several states of forces (states, α + β) need [m²]."""
+        """Compute the areas required by several states [m²].
+
+        Forces [N] have the shape (states, α + β), areas (α + β,). Areas are not below the minimum.
+        """
         both = np.maximum(self.needed_for_yield(forces), self.needed_for_buckling(forces))
         return np.asarray(np.maximum(both.max(axis=0, initial=0.0), self.minimum))
 
@@ -92,10 +104,11 @@ class Sections(NamedTuple):
 def build_sections(
     structure: Structure, string: Material | None, bar: Material | None, tube: float, minimum: Array
 ) -> Sections:
-    """Collect the sections of a structure's members.
+    """Build the sections of all members.
 
-    `tube` is the inner over the outer radius of bars. Their second moment of area is κ area², with
-    κ = (1 + tube²) / (4π (1 − tube²)), and Euler's load π² modulus κ area² / length².
+    `tube` is the ratio of the inner to the outer radius of bars. Their second moment of area is
+    κ area², with κ = (1 + tube²) / (4π (1 − tube²)). Their Euler load is π² modulus κ area² /
+    length².
     """
     strings, bars = len(structure.strings), len(structure.bars)
     lengths = np.concatenate([structure.string_lengths, structure.bar_lengths])

@@ -19,16 +19,16 @@ from tenscasadi.util.validate import Array, Indices
 
 
 class BucklingRows(NamedTuple):
-    """Linear rows f⁻ ≤ slope · a + constant of some bars.
+    """Linear buckling constraints f⁻ ≤ slope · a + constant.
 
     Attributes
     ----------
     members : ndarray of int (k,)
         The bars.
     slope : ndarray (k,)
-        [N/m²].
+        Derivative of the bound with respect to the area [N/m²].
     constant : ndarray (k,)
-        [N].
+        Bound at zero area [N].
     """
 
     members: Indices
@@ -42,7 +42,7 @@ class SizedForces(NamedTuple):
     Attributes
     ----------
     mass : float
-        Objective [kg]; inf where there is no solution.
+        Objective [kg]; inf if there is no solution.
     area : ndarray (α + β,)
         Areas [m²].
     force : ndarray (cases, α + β)
@@ -62,7 +62,7 @@ class SizingProgram:
     sections : Sections
         Sections of the members.
     balance : csc_array (free coordinates, α + β)
-        Forces that members of unit tension resist.
+        Nodal loads that balance a unit tension of each member.
     weight : csc_array (free coordinates, α + β)
         Weights of members per area [N/m²].
     loads : ndarray (cases, free coordinates)
@@ -86,11 +86,14 @@ class SizingProgram:
         self._units, self._rows = self._build()
 
     def nodal_weight(self, area: Array) -> Array:
-        """Compute the weight (n, 3) of the members on the nodes [N]."""
+        """Compute the nodal weights (n, 3) of the members [N]."""
         return np.asarray((self._end_weights @ area).reshape(-1, 3))
 
     def _build(self) -> tuple[_SizingUnits, _SizingRows]:
-        """Build the constant rows, in units of the largest load and the areas that it needs."""
+        """Build the constant rows of the program, in scaled units.
+
+        The units are the largest load, and the areas that it requires.
+        """
         cases, members, bars = len(self.loads), self.members, self.members - self.strings
         force = float(np.abs(self.loads).max(initial=0.0)) or 1.0
         units = _SizingUnits(force, force / self.sections.strength)
@@ -115,8 +118,8 @@ class SizingProgram:
     def solve(self, rows: BucklingRows | None = None, most: Array | None = None) -> SizedForces:
         """Minimize the mass.
 
-        `rows` bound compressions by areas, beside the allowable stress; `most` (α + β,) bounds them
-        by numbers [N].
+        Beside the allowable stress, `rows` bound compressions by areas, and `most` (α + β,) bounds
+        them by constants [N].
         """
         cases, members, bars = len(self.loads), self.members, self.members - self.strings
         units, fixed = self._units, self._rows
@@ -147,7 +150,10 @@ class SizingProgram:
         return SizedForces(float(self.sections.mass_per_area @ area), area, forces)
 
     def _buckling_rows(self, rows: BucklingRows) -> tuple[Any, Array]:
-        """Build f⁻ / slope − a ≤ constant / slope for each case, bar by bar [in units]."""
+        """Build the buckling rows of all cases, bar by bar.
+
+        They are f⁻ / slope − a ≤ constant / slope [in scaled units].
+        """
         cases, members, bars = len(self.loads), self.members, self.members - self.strings
         count = len(rows.members)
         slope = rows.slope * (self._units.area[rows.members] / self._units.force)
@@ -163,14 +169,25 @@ class SizingProgram:
 
 
 class _SizingUnits(NamedTuple):
-    """Units of the program: force [N], and the area that it needs of each member [m²]."""
+    """Units of the program.
+
+    Attributes
+    ----------
+    force : float
+        Unit of forces [N].
+    area : ndarray (α + β,)
+        Area of each member that this force requires [m²].
+    """
 
     force: float
     area: Array
 
 
 class _SizingRows(NamedTuple):
-    """Constant rows: equilibrium, allowable stress; and the cost."""
+    """Constant rows of the program, and the cost.
+
+    The rows are those of equilibrium (`equal`) and of the allowable stress (`below`).
+    """
 
     equal: Any
     below: Any
@@ -178,7 +195,10 @@ class _SizingRows(NamedTuple):
 
 
 def _end_weights(structure: Structure, sections: Sections, gravity: Array) -> Any:
-    """Build the nodal weights (3n, α + β) of members per area: one half at each end."""
+    """Build the nodal weights (3n, α + β) per area.
+
+    One half of a member's weight acts at each end.
+    """
     pairs = np.concatenate([structure.strings, structure.bars])
     half = 0.5 * sections.mass_per_area[:, None] * gravity
     rows = 3 * pairs[:, :, None] + np.arange(3)

@@ -1,9 +1,9 @@
 """Least mass with Euler buckling: linear programs between bounds.
 
-Euler's load c a² makes the program nonconvex. Bounds from below replace the area √(F/c) of a
-compression F by its chord over an interval. Bounds from above linearize c a² about a design, which
-keeps every iterate feasible (convex-concave procedure [1]_). Branch and bound divides the intervals
-until both agree.
+Euler's load c a² makes the program nonconvex. Lower bounds replace the area √(F/c) of a compression
+F by its chord over an interval. Upper bounds linearize c a² about a design, which keeps every
+iterate feasible (convex-concave procedure [1]_). Branch and bound divides the intervals until both
+bounds agree.
 
 References
 ----------
@@ -21,20 +21,20 @@ import numpy as np
 from tenscasadi.design.sizing.program import BucklingRows, SizedForces, SizingProgram
 from tenscasadi.util.validate import Array
 
-_GAP = 1e-6  # of the mass: smaller differences of the bounds end the search
-_DESCENT = 1e-9  # of the mass: smaller improvements end the convex-concave procedure
+_GAP = 1e-6  # relative difference of the bounds that ends the search
+_DESCENT = 1e-9  # relative improvement that ends the convex-concave procedure
 _ITERATIONS = 100
 _GROWTHS = 12  # doublings of areas until they carry their own weight
 _WORK = 20_000  # unknowns of all programs of branch and bound: 0.2 s; 200 programs of 100 unknowns
 
 
 class Design(NamedTuple):
-    """Feasible design, and how much lighter another one could be.
+    """Feasible design, with a lower bound of the mass.
 
     Attributes
     ----------
     best : SizedForces
-        Areas and forces; its mass is inf where there is no design.
+        Areas and forces; its mass is inf if there is no design.
     bound : float
         Lower bound of the mass of all designs [kg].
     """
@@ -57,7 +57,11 @@ def find_least_mass(program: SizingProgram) -> Design:
 
 
 def _descend(program: SizingProgram, forces: Array) -> SizedForces | None:
-    """Descend from the areas that some forces need; None where they do not carry their weight."""
+    """Reduce the mass by the convex-concave procedure.
+
+    It starts from the areas required by given forces. Returns None if the members cannot carry
+    their own weight.
+    """
     sections = program.sections
     area = sections.needed(forces)
     for _ in range(_GROWTHS):
@@ -76,7 +80,10 @@ def _descend(program: SizingProgram, forces: Array) -> SizedForces | None:
 
 
 def _tangents(program: SizingProgram, area: Array) -> BucklingRows:
-    """Linearize f⁻ ≤ c a² about areas; bars without area stay without compression."""
+    """Linearize the buckling constraints f⁻ ≤ c a² about areas.
+
+    Bars of zero area remain without compression.
+    """
     bars = np.arange(program.strings, program.members)
     floor = 1e-9 * float(area.max(initial=0.0))
     at = np.maximum(area[bars], floor)
@@ -85,13 +92,19 @@ def _tangents(program: SizingProgram, area: Array) -> BucklingRows:
 
 
 def _branch(program: SizingProgram, best: SizedForces) -> Design:
-    """Search all designs by branch and bound, within the budget of work."""
+    """Search for the global minimum by branch and bound.
+
+    The total work is limited by `_WORK`.
+    """
     sections, bars = program.sections, np.arange(program.strings, program.members)
     c, strength = sections.buckling, sections.strength
 
     def chords(low: Array, high: Array) -> BucklingRows:
-        """Bound areas from below over intervals of compressions, where buckling governs."""
-        edge = strength**2 / c  # N, beyond it yield governs
+        """Build lower bounds of areas over intervals of compression.
+
+        They apply to bars for which buckling governs.
+        """
+        edge = strength**2 / c  # N, compression above which yield governs
         a, b = low, np.minimum(high, edge)
         used = bars[(a < b)[bars]]
         slope = (np.sqrt(b / c) - np.sqrt(a / c))[used] / (b - a)[used]
@@ -126,6 +139,9 @@ def _branch(program: SizingProgram, best: SizedForces) -> Design:
 
 
 def _inner(low: float, high: float) -> tuple[float, float]:
-    """Return an interval within another one, so that both halves of a division shrink."""
+    """Compute the inner 90 % of an interval.
+
+    A division within it shrinks both parts.
+    """
     margin = 0.05 * (high - low)
     return low + margin, high - margin

@@ -1,4 +1,4 @@
-"""Sizing: the sections of least mass that carry load cases."""
+"""Sizing of members for least mass under load cases."""
 
 from __future__ import annotations
 
@@ -49,29 +49,31 @@ def size(
     prestress: ArrayLike | None = None,
     stable: bool = False,
 ) -> Sized:
-    """Find the sections of least mass that carry all load cases.
+    """Find the sections of least mass for all load cases.
 
-    Strings are limited by the allowable stress, bars by it and by Euler's load over their own
-    length between hinges. Bars side by side do not brace each other.
+    The allowable stress limits strings and bars. Bars are also limited by the Euler load of their
+    own length, with hinged ends. Parallel bars do not brace each other.
 
     Parameters
     ----------
     structure : Structure
         The structure in its nodes.
     load_cases : sequence of array_like, shape (n, 3)
-        Forces on the nodes [N], without those of other cases.
+        Forces on the nodes [N]. Each case acts alone.
     string, bar : Material
         Materials of strings and of bars.
     tube : float
         Inner over outer radius of bars, at least 0 and below 1.
     self_weight : Gravity, optional
-        Adds the weight of the members to each case, one half at each end. Point masses are loads.
+        Gravity that adds the weight of the members to each case, one half at each end. The weight
+        of point masses is not added: it belongs to the load cases.
     minimum_area : array_like, shape (α + β,)
         Least areas [m²], or one number for all.
     prestress : array_like, shape (α + β,), optional
-        Forces without loads [N], positive in tension. None: they are chosen. ``()``: none.
+        Forces without loads [N], positive in tension. None: they are optimized. ``()``: no
+        prestress.
     stable : bool
-        Whether a factor of at least 1 for global buckling is imposed in each case.
+        Whether a global buckling factor of at least 1 is imposed in each case.
 
     Returns
     -------
@@ -86,11 +88,12 @@ def size(
     Notes
     -----
     By the lower-bound theorem of plasticity, areas carry the loads if any forces within the limits
-    are in equilibrium with them. Least mass is then a linear program where yield governs. Euler's
-    load makes it nonconvex: branch and bound over linear programs finds the least mass within
-    1e-6, or reports the gap. The reported forces are the elastic ones with the reported prestress
-    if these are within the limits, too; a single load case always allows that where no string
-    would be compressed. A given prestress is superposed with the elastic response to the loads.
+    are in equilibrium with them. If yield governs, the least mass is the solution of a linear
+    program. Euler's load makes it nonconvex: branch and bound over linear programs finds the least
+    mass within 1e-6, or reports the gap. The reported forces are the elastic ones with the reported
+    prestress, if these are also within the limits. This is always possible for a single load case
+    that compresses no string. A given prestress is superposed with the elastic response to the
+    loads.
 
     Examples
     --------
@@ -139,7 +142,7 @@ def size(
 
 
 def _gap(design: Design) -> float:
-    """Compute how much lighter a design could be, relative to its bound."""
+    """Compute the relative gap between mass and lower bound."""
     return max(design.best.mass / design.bound - 1.0, 0.0) if design.bound > 0.0 else 0.0
 
 
@@ -169,9 +172,9 @@ def _read_sections(
 
 
 def _read_prestress(program: SizingProgram, prestress: ArrayLike | None) -> Array | None:
-    """Read forces without loads (α + β,), zero for (); None if they are chosen.
+    """Read the prestress (α + β,) [N].
 
-    Raises TypeError, ValueError.
+    It is zero for (), and None if it is to be optimized. Raises TypeError, ValueError.
     """
     if prestress is None:
         return None
@@ -188,7 +191,7 @@ def _read_prestress(program: SizingProgram, prestress: ArrayLike | None) -> Arra
 
 
 def _superpose(structure: Structure, program: SizingProgram, cases: Array, given: Array) -> Sized:
-    """Size members for a given prestress and the elastic response to the loads."""
+    """Size members for a given prestress and elastic response."""
     sections = program.sections
     area, forces = superpose_prestress(program, given, sections.needed(given[None]))
     needed = sections.needed(np.vstack([forces, given]))
@@ -202,7 +205,10 @@ def _superpose(structure: Structure, program: SizingProgram, cases: Array, given
 def _choose_forces(
     program: SizingProgram, best: SizedForces, given: Array | None
 ) -> tuple[Array, Array, Array]:
-    """Choose the areas, the forces of the load cases, and the prestress."""
+    """Select the areas, load-case forces and prestress to report.
+
+    Elastic forces are preferred if they are within the limits.
+    """
     sections = program.sections
     area = sections.needed(best.force)
     none = np.zeros(program.members)
@@ -232,7 +238,10 @@ def _explain(program: SizingProgram) -> str:
 
 
 def unbalanced_load(program: SizingProgram, load: Array) -> float:
-    """Compute the least unbalanced force [N] that member forces leave of a load (free,)."""
+    """Compute the least unbalanced force under a load [N].
+
+    Member forces balance the load (free,) as far as possible, with strings in tension.
+    """
     scale = float(np.abs(load).max(initial=0.0)) or 1.0
     B = program.balance
     count, members = B.shape

@@ -1,4 +1,4 @@
-"""Result of sizing: sections, forces, and the structure that they make."""
+"""Result of sizing: sections, forces and structure."""
 
 from __future__ import annotations
 
@@ -21,14 +21,16 @@ from tenscasadi.util.validate import Array
 
 @dataclass(frozen=True, eq=False)
 class Sized(ReadOnlyArrays):
-    """Sections of a structure's members: strings first, then bars.
+    """Sections and forces of a sized structure.
+
+    Members are strings first, then bars.
 
     Attributes
     ----------
     success : bool
         Whether the sections carry all load cases.
     message : str
-        The reason if they do not; else how the mass compares with its lower bound.
+        The mass compared with its lower bound; the reason of a failure.
     mass : float
         Mass of all members [kg]; inf without success.
     member_mass : ndarray (α + β,)
@@ -42,7 +44,8 @@ class Sized(ReadOnlyArrays):
     prestress : ndarray (α + β,)
         Forces without loads and weight [N].
     governs : tuple of str (α + β,)
-        Reason for each area: "yield", "buckling", "minimum", or "none" for members without force.
+        Governing limit of each area: "yield", "buckling", "minimum", or "none" for members without
+        force.
     structure : Structure
         The structure with masses, radii, stiffness and rest lengths. Bars are elastic.
     loads : ndarray (cases, n, 3)
@@ -75,10 +78,10 @@ class Sized(ReadOnlyArrays):
 
     @cached_property
     def buckling(self) -> Array:
-        """Factors (cases,) of the loads at which the structure buckles as a whole.
+        """Global buckling factors (cases,) of the load cases.
 
-        They are those of `buckling_factor` for `structure`: inf without buckling, 0 without a
-        stable equilibrium before.
+        They are those of `buckling_factor` for `structure`. A factor is inf without buckling, and 0
+        if there is no stable equilibrium without the load.
         """
         own = NodalForce(self.weight) if self.weight.any() else None
         scene = Scene(self.structure, forces=own)
@@ -86,7 +89,7 @@ class Sized(ReadOnlyArrays):
 
 
 def report_failure(structure: Structure, loads: Array, message: str) -> Sized:
-    """Return an unsuccessful result without sections."""
+    """Build an unsuccessful result without sections."""
     members = len(structure.strings) + len(structure.bars)
     none, forces = np.zeros(members), np.zeros((len(loads), members))
     nothing, weight = ("none",) * members, np.zeros(structure.nodes.shape)
@@ -101,7 +104,7 @@ def report_sections(
     design: tuple[Array, Array, Array],
     message: str,
 ) -> Sized:
-    """Collect the result of areas, forces and prestress."""
+    """Build the result from areas, forces and prestress."""
     area, force, own = design
     sections, strings = program.sections, program.strings
     masses = sections.mass_per_area * area
@@ -126,7 +129,10 @@ def report_sections(
 
 
 def _find_reasons(sections: Sections, area: Array, states: Array) -> tuple[str, ...]:
-    """Find what governs each area: "yield", "buckling", "minimum" or "none"."""
+    """Find the governing limit of each area.
+
+    It is "yield", "buckling", "minimum" or "none".
+    """
     needs = [
         sections.needed_for_yield(states).max(axis=0, initial=0.0),
         sections.needed_for_buckling(states).max(axis=0, initial=0.0),
@@ -140,9 +146,9 @@ def _find_reasons(sections: Sections, area: Array, states: Array) -> tuple[str, 
 def _build_structure(
     structure: Structure, program: SizingProgram, area: Array, own: Array
 ) -> Structure:
-    """Build the structure of some areas and prestress.
+    """Build the structure with given areas and prestress.
 
-    Bars without force get a billionth of the largest area, because each needs a mass.
+    Bars without force get a billionth of the largest area, because each bar must have a mass.
     """
     sections, strings = program.sections, program.strings
     kept = np.maximum(area, FLOOR * (area.max(initial=0.0) or 1.0))

@@ -1,8 +1,8 @@
-"""Least mass with global stability in each load case: semidefinite programs.
+"""Least mass with global stability, by semidefinite programs.
 
-The tangent stiffness is linear in areas and prestress for given responses to the loads. It is kept
-positive semidefinite on the motions that earlier programs did not see to be unstable. Responses and
-tangents of Euler's loads follow from the areas of the last program, until both agree.
+The tangent stiffness is linear in areas and prestress for given responses to the loads. It is
+constrained to be positive semidefinite on the motions that were unstable in earlier solutions.
+Responses and Euler loads are linearized about the areas of the last program, until both agree.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from tenscasadi.design.tangent_stiffness import TangentStiffness, extend_basis
 from tenscasadi.util.validate import Array
 
 _ROUNDS = 60
-_SETTLED = 1e-8  # change of the mass from round to round, relative
-_FACTOR = 10.0  # by which areas change in a round at most, until they go back and forth
+_SETTLED = 1e-8  # relative change of the mass between iterations at convergence
+_FACTOR = 10.0  # largest factor of an area per iteration, before the areas oscillate
 _LARGEST_FACTOR = 1e6
-_FLOOR = 1e-9  # of the largest area: what counts as none
-_START = 1e-3  # least area at the start, relative to the largest: no area grows from zero
-_ROUNDING = 1e-8  # of the largest stiffness of a member: eigenvalues above its negative are stable
-_MODES = 6  # softest motions of a state that a program takes up
+_FLOOR = 1e-9  # area that counts as zero, relative to the largest area
+_START = 1e-3  # least initial area, relative to the largest: no area grows from zero
+_ROUNDING = 1e-8  # tolerance of negative eigenvalues, relative to the largest member stiffness
+_MODES = 6  # softest motions of a state that are checked for stability
 
 
 class StableDesign(NamedTuple):
-    """Areas and prestress.
+    """Areas, forces and prestress of a stable design.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class StableDesign(NamedTuple):
     prestress : ndarray (α + β,)
         Forces without loads [N].
     message : str
-        The reason if there is no design, else empty.
+        The reason of a failure; empty on success.
     """
 
     area: Array
@@ -54,7 +54,7 @@ class StableDesign(NamedTuple):
 
 
 class _Response(NamedTuple):
-    """Change of forces as a linear function of areas: constant + slope · area."""
+    """Linearized change of forces: constant + slope · area."""
 
     constant: Array
     slope: Array
@@ -65,7 +65,9 @@ class _Response(NamedTuple):
 
 
 class StableSizing:
-    """Search for areas and prestress of least mass with all states stable.
+    """Search for the least mass with all states stable.
+
+    Unknowns are areas and prestress.
 
     Attributes
     ----------
@@ -74,7 +76,7 @@ class StableSizing:
     tangent : TangentStiffness
         Tangent stiffness with elastic bars.
     given : ndarray (α + β,) or None
-        Prestress [N], if it is not to be chosen.
+        Prestress [N]; None if it is to be optimized.
     """
 
     def __init__(
@@ -85,7 +87,10 @@ class StableSizing:
         self._factor = _FACTOR
 
     def search(self, start: Array) -> StableDesign:
-        """Repeat the program with the response linearized about its last areas."""
+        """Find a stable design by successive linearization.
+
+        The response is linearized about the areas of the last program.
+        """
         area = np.maximum(start, _START * start.max(initial=0.0))
         own, last = np.zeros_like(area), np.zeros_like(area)
         weight = self.program.sections.mass_per_area
@@ -102,7 +107,7 @@ class StableSizing:
             area = np.maximum(found[0], _FLOOR * found[0].max(initial=0.0))
             if abs(weight @ step) <= _SETTLED * (weight @ area):
                 return self._design(area, own, "")
-            if step @ last < 0.0:  # there and back
+            if step @ last < 0.0:  # the areas oscillate
                 self._factor = self._factor**0.5
             last = step
         return self._design(
@@ -116,7 +121,10 @@ class StableSizing:
         return StableDesign(area, own + response, own, message)
 
     def _linearize(self, area: Array) -> list[_Response]:
-        """Linearize the changes of forces in all states; the first is without loads."""
+        """Linearize the changes of forces in all states.
+
+        The first state is without loads.
+        """
         members = len(area)
         slopes = response_slopes(self.program, area)
         values = elastic_response(self.program, area)
@@ -125,7 +133,10 @@ class StableSizing:
         return [none, *(_Response(value - slope @ area, slope) for value, slope in pairs)]
 
     def _stabilize(self, area: Array, states: list[_Response]) -> tuple[Array, Array] | None:
-        """Solve the program until its solution has no unstable motion that it did not see."""
+        """Solve programs until all states are stable.
+
+        Unstable motions of a solution become constraints of the next program.
+        """
         sections = self.program.sections
         for _ in range(_ROUNDS):
             found = self._minimize(area, states)
@@ -182,7 +193,10 @@ class StableSizing:
         return np.maximum(found.x[:members], 0.0) * unit, found.x[members:] * force
 
     def _limits(self, at: Array, states: list[_Response], unit: Array) -> list[LinearRows]:
-        """Build the limits of areas and forces [in units]; Euler's loads are tangents at areas."""
+        """Build the limits of areas and forces [in scaled units].
+
+        Euler loads are linearized about the areas `at`.
+        """
         sections, strings = self.program.sections, self.program.strings
         eye = np.eye(self.program.members)
         c = (sections.buckling * unit / sections.strength)[strings:]
@@ -204,12 +218,12 @@ class StableSizing:
 
 
 def _triangles(matrices: Array) -> Array:
-    """Stack the scaled triangles of matrices (k, r, r) as columns."""
+    """Arrange scaled triangles of matrices (k, r, r) as columns."""
     return np.stack([scaled_triangle(each) for each in matrices], axis=1)
 
 
 def _beside(of_areas: Array, of_prestress: Any) -> sp.csc_array:
-    """Put the columns of areas and of prestress side by side."""
+    """Concatenate the columns of areas and of prestress."""
     return sp.hstack([sp.csc_array(of_areas), sp.csc_array(of_prestress)], format="csc")
 
 

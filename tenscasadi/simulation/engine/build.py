@@ -75,7 +75,8 @@ def build_kernel(
     compiled : bool or Single, optional
         True: machine code. False: CasADi. None: machine code if there is a compiler.
     lazily : bool
-        Whether to begin without machine code and compile once it pays, if `compiled` is None.
+        Whether to begin without machine code and compile once this saves wall time, if `compiled`
+        is None.
 
     Returns
     -------

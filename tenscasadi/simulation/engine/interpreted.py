@@ -33,10 +33,16 @@ Values = Mapping[str, Any]
 
 
 class StepRows(NamedTuple):
-    """States and work z (k, n, nz) after each of k steps.
+    """Results of k steps of n runs.
 
-    `effects` (k, n, 2) are those of corrections, None without them. `code` is the reason if a step
-    failed.
+    Attributes
+    ----------
+    z : ndarray, shape (k, n, nz)
+        States and external work after each step.
+    effects : ndarray, shape (k, n, 2), or None
+        Effects of corrections; None without corrections.
+    code : int
+        The reason if a step failed.
     """
 
     z: Array
@@ -67,7 +73,10 @@ class Interpreted:
         self._mapped: dict[tuple[str, int, int], ArrayFunction] = {}
 
     def __call__(self, values: Values, first: int, last: int) -> None:
-        """Fill the result arrays of the runs from `first` to before `last`."""
+        """Compute the runs `first` to `last` − 1.
+
+        Their result arrays are filled.
+        """
         together = 256 if self.has("advance") else 1
         with np.errstate(all="ignore"):
             for begin in range(first, last, together):
@@ -158,7 +167,10 @@ class Loop:
         self.pending = self._find_pending()
 
     def _find_pending(self) -> int | None:
-        """Find the saved row before this request whose correction is still to come."""
+        """Find the saved row that awaits its correction.
+
+        It was saved in an earlier request.
+        """
         every, saved = self.q["correct_every"], self.q["save_every"]
         if not (self.step and every and saved):
             return None
@@ -211,7 +223,10 @@ class Loop:
             self.step, self.z, left = self.step + len(rows.z), rows.z[-1], left - len(rows.z)
 
     def _record_effects(self, rows: StepRows) -> None:
-        """Store the effect of the first correction after each saved row."""
+        """Store the effects of corrections after saved rows.
+
+        Only the first correction after each row counts.
+        """
         q = self.q
         if rows.effects is None or not q["save_every"]:
             return
@@ -243,7 +258,10 @@ class Loop:
         self.status[self.status == FINISHED] = code
 
     def _observe(self, z: Array, end: bool = False) -> None:
-        """Measure and save states (k, n, nz) before the next k steps, or the last ones."""
+        """Measure and save states (k, n, nz) before k steps.
+
+        With `end`, they are the final states.
+        """
         q, steps = self.q, self.step + np.arange(len(z))
         saved = (steps % q["save_every"] == 0) | end if q["save_every"] else steps < 0
         turns = 0.6180339887498949 * steps  # of the golden ratio, see `engine.hpp`
@@ -286,7 +304,7 @@ class Loop:
         return np.asarray(found.reshape(*shape, -1))
 
     def _find_faults(self, z: Array, measure: Array, steps: Indices) -> Any:
-        """Find the failures (k, n) of states before these steps."""
+        """Find the failure codes (k, n) of states before steps."""
         q, x = self.q, z[:, :, : self.sizes["nx"]]
         codes = np.full(x.shape[:2], FINISHED)
         if self.measures:
@@ -300,7 +318,10 @@ class Loop:
         return codes
 
     def weigh(self, z: Array) -> None:
-        """Update the extremes of the measures by states (n, nz) within a grid step."""
+        """Update the extremes of measures at substep states.
+
+        The states (n, nz) lie within a grid step.
+        """
         if self.measures:
             self._update_extremes(self._measure(z[None]), z[None], (self.status == FINISHED)[None])
 
@@ -343,11 +364,14 @@ class Loop:
         return np.ascontiguousarray(z[:, : self.sizes["nx"]])
 
     def _energy(self, measure: Array) -> Array:
-        """Compute the energy (…, n) [J] that the supplied energy changes."""
+        """Compute the stored energy (…, n) [J].
+
+        External work changes this energy.
+        """
         return np.asarray(measure[..., 2 : 5 if self.sizes["potential"] else 3].sum(axis=-1))
 
     def _supplied(self, z: Array) -> Array:
-        """Compute the energy supplied (…, n) [J]."""
+        """Compute the external work (…, n) [J]."""
         nx, jumped = self.sizes["nx"], np.broadcast_to(self.jumped, z.shape[:-1])
         return jumped + z[..., nx] if self.sizes["work"] else jumped
 

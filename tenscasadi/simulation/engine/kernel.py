@@ -1,4 +1,4 @@
-"""Kernel of runs: result arrays, time slices, threads and the choice of the backend."""
+"""Execution of runs: result arrays, time slices, threads, backend."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from tenscasadi.util.processes import on_interrupt
 from tenscasadi.util.validate import LARGEST, Array
 
 BROKEN_BARS = 0.1  # relative length error of a diverged run
-SLICE = 0.05  # s between two looks at progress, deadline and Ctrl-C
+SLICE = 0.05  # s between checks of progress, deadline and Ctrl-C
 WORTH_COMPILING = 0.1  # s in CasADi's virtual machine after which the compiler is started
 
 
@@ -40,7 +40,10 @@ class Backend(Protocol):
     chunk: int
 
     def __call__(self, values: Mapping[str, Any], first: int, last: int) -> None:
-        """Fill the result arrays of the runs from `first` to before `last`."""
+        """Compute the runs `first` to `last` − 1.
+
+        Their result arrays are filled.
+        """
 
 
 class Watch(NamedTuple):
@@ -70,7 +73,10 @@ class SchemeNumbers(NamedTuple):
 
 
 class _KernelArrays(NamedTuple):
-    """Arrays of n runs, by the names of `engine.hpp`, and their intervals."""
+    """Arrays and intervals of n runs.
+
+    The names of arrays are those of `engine.hpp`.
+    """
 
     values: dict[str, Any]
     intervals: Intervals
@@ -97,9 +103,10 @@ def _start_threads(count: int, always: bool = False) -> Iterator[_Threads | None
 class Kernel:
     """Integrator of one or many runs of a model.
 
-    `build_kernel` makes it. `lanes` is the number of runs that one instruction advances, 0 for code
+    `build_kernel` builds it. `lanes` is the number of runs that one instruction advances, 0 for code
     that is not compiled. `note` gives the reason if code cannot be compiled, or has one lane only.
-    With `codes`, the compiler starts once it pays, and takes over when it has finished.
+    With `codes`, the compiler starts once this saves wall time. Runs continue with the compiled
+    code as soon as it is available.
     """
 
     def __init__(
@@ -168,7 +175,7 @@ class Kernel:
         states : ndarray, shape (n or 1, nx)
             Initial states.
         inputs : ndarray, shape (n or 1, ·, nw)
-            Rows of inputs, which the intervals select.
+            Rows of inputs, selected by the intervals.
         intervals : Intervals
             Consecutive parts of the runs.
         save_every : int
@@ -178,7 +185,7 @@ class Kernel:
         longest : float
             Longest step of a scheme with error control [s].
         parameters : ndarray, shape (n or 1, np), optional
-            Parameters, if the inputs hold only the control.
+            Parameters, if the inputs contain only the control.
         feedback : dict, optional
             State feedback, with the names of `engine.hpp`.
         threads : int
@@ -217,7 +224,7 @@ class Kernel:
             watch.seen(n * total)
             return result
         values["deadline"] = watch.deadline
-        # Steps with error control may take long, and are waited for in another thread.
+        # Steps with error control may take long: a separate thread computes them.
         with (
             _start_threads(threads, always=numbers.trials > 0) as pool,
             on_interrupt(lambda: _stop(values), then_raise=False),
@@ -278,7 +285,10 @@ class Kernel:
         steps: tuple[int, int],
         threads: _Threads | None,
     ) -> None:
-        """Take steps of runs, each a range from a number to before another one."""
+        """Advance a range of runs by a range of steps.
+
+        Both ranges exclude their end.
+        """
         began, backend, (first, last) = time.perf_counter(), self.backend, runs
         given = _select(work, steps)
         if threads is None:
@@ -300,7 +310,10 @@ class Kernel:
     # --- compilation once it pays ---
 
     def prepare(self, seconds: float) -> None:
-        """Start the compiler if this many seconds without it are worth it, or adopt its code."""
+        """Start the compiler, or adopt compiled code.
+
+        The compiler starts if a wall time of `seconds` without machine code justifies it.
+        """
         if self._compilation is None:
             if self._codes and seconds > WORTH_COMPILING and Compilation.is_possible():
                 codes = self._codes
@@ -310,18 +323,27 @@ class Kernel:
             self.backend, self._codes, self._compilation = native or self.backend, [], None
 
     def expect(self, steps: int) -> float:
-        """Estimate the total wall time without machine code, with these steps to come [s]."""
+        """Estimate the total wall time without machine code [s].
+
+        `steps` is the number of remaining steps.
+        """
         rate = self._rates.get(0, np.inf)
         return self._interpreted + steps / rate
 
     @property
     def rate(self) -> float:
-        """Steps per second of the backend, as last measured; a low guess before."""
+        """Speed of the backend as last measured [steps/s].
+
+        It is a low estimate before the first measurement.
+        """
         return self._rates.get(self.lanes, self.backend.chunk * max(self.lanes, 1) / SLICE)
 
 
 class _March:
-    """Runs in blocks and time slices that take about `SLICE` s each."""
+    """Execution of runs in blocks and time slices.
+
+    Each takes about `SLICE` s.
+    """
 
     def __init__(
         self, kernel: Kernel, work: _KernelArrays, threads: _Threads | None, watch: Watch
@@ -367,7 +389,10 @@ class _March:
         return max(chunk, int(kernel.rate * SLICE / runs) // chunk * chunk)
 
     def _finish(self, first: int, last: int, step: int) -> None:
-        """Save the states of runs that are stopped after so many steps."""
+        """Save the states of stopped runs.
+
+        They have taken `step` steps.
+        """
         values = self._work.values
         alive = np.flatnonzero(values["status"][first:last] == FINISHED) + first
         own = self._work._replace(values={**values, "total": step})
@@ -401,7 +426,10 @@ def _select(work: _KernelArrays, steps: tuple[int, int]) -> dict[str, Any]:
 
 
 def _wait(work: list[Future[None]], values: Mapping[str, Any]) -> None:
-    """Wait for threads; stop them at the deadline and before their arrays are freed."""
+    """Wait for threads, and stop them at the deadline.
+
+    After an exception they are stopped before their arrays are freed.
+    """
     try:
         while wait(work, timeout=SLICE).not_done:
             if time.monotonic() > values.get("deadline", np.inf):

@@ -75,7 +75,10 @@ class Native:
         self.lanes = int(self._library.motion_lanes())
 
     def __call__(self, values: Mapping[str, Any], first: int, last: int) -> None:
-        """Fill the result arrays of the runs from `first` to before `last`."""
+        """Compute the runs `first` to `last` − 1.
+
+        Their result arrays are filled.
+        """
         counted = ctypes.c_int64(values["counted"])
         room = np.zeros(self._library.motion_room(self._at, counted), dtype=np.uint8)
         span = ctypes.c_int64(first), ctypes.c_int64(last)
@@ -88,9 +91,9 @@ def _address(library: ctypes.CDLL, name: str) -> int | None:
 
 
 class Compilation:
-    """Compilation in a thread of its own, one at a time.
+    """Compilation in a separate thread, one at a time.
 
-    `found` holds the backend, or the reason if compilation failed.
+    `found` contains the backend, or the reason if compilation failed.
     """
 
     _running: threading.Thread | None = None

@@ -51,9 +51,10 @@ _STRUCT = struct.Struct("".join(kind * len(names) for kind, *names in _FIELDS))
 
 
 def pack_request(values: Mapping[str, Any]) -> bytes:
-    """Pack the struct from numbers and C-contiguous arrays, which must outlive it.
+    """Pack the C struct of a request.
 
-    Missing values and None are 0. Other names are ignored.
+    Values are numbers and C-contiguous arrays, which must outlive the struct. Missing values and
+    None are 0. Unknown names are ignored.
     """
     given = [values.get(name) for name in _NAMES]
     return _STRUCT.pack(
@@ -106,7 +107,7 @@ class Rolled(NamedTuple):
     fault, good : ndarray, shape (n,)
         Step at which the failure was detected, and the last good one before.
     measured, worst, carry : ndarray, shapes (n, T, M + 1), (n, 8), (n, ·)
-        Measures of the saved rows and the energy supplied [J]; columns as in `WORST` and `CARRIED`.
+        Measures of the saved rows and the external work [J]; columns as in `WORST` and `CARRIED`.
     corrected : ndarray, shape (n, T, 2) or None
         Movement of a node [m] and energy [J] by the first correction after each saved row.
     """
@@ -124,7 +125,7 @@ class Rolled(NamedTuple):
 
     @property
     def supplied(self) -> Array:
-        """Energy supplied up to the end (n,) [J]."""
+        """External work (n,) up to the end [J]."""
         work, jumps = (self.carry[:, CARRIED.index(name)] for name in ("work", "jumps"))
         return np.asarray(work + jumps)
 
@@ -135,9 +136,9 @@ class Rolled(NamedTuple):
 
 
 def count_runs(joiner: str = ", ", /, **rows: int) -> int:
-    """Count the runs that arrays with these rows describe.
+    """Find the number of runs from the rows of arrays.
 
-    An array with one row is shared by all runs. Raises ValueError.
+    All runs share an array with one row. Raises ValueError.
     """
     several = {name: count for name, count in rows.items() if count != 1}
     if len(set(several.values())) > 1:

@@ -51,7 +51,7 @@ class Request(NamedTuple):
 class Runs(NamedTuple):
     """Result of a request.
 
-    `kernel` has computed it within `seconds` of wall time. It was `late` if the deadline stopped it.
+    `kernel` has computed it in `seconds` of wall time. `late` means that the deadline stopped it.
     """
 
     request: Request
@@ -69,7 +69,10 @@ class Runs(NamedTuple):
 
     @property
     def measured(self) -> Array:
-        """Measures of the saved rows and the energy supplied (n, T, M + 1)."""
+        """Measures of saved rows (n, T, M + 1).
+
+        The last column is the external work [J].
+        """
         if self.rolled.measured is None:
             raise RuntimeError("the kernel has measured nothing")
         return self.rolled.measured
@@ -158,9 +161,10 @@ def make_kernel(request: Request) -> Kernel:
 
 
 def _feedback_arrays(inputs: RunInputs) -> dict[str, Any]:
-    """Collect the arrays of state feedback, by the names of `engine.hpp`.
+    """Collect the arrays of state feedback.
 
-    After the plan, its last gain holds its last state.
+    Their names are those of `engine.hpp`. After the end of the plan, the last gain regulates the
+    last state.
     """
     plan, rows = inputs.feedback, inputs.grid.rows
     if plan is None:

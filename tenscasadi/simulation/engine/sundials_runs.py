@@ -77,7 +77,10 @@ class SundialsRuns(Interpreted):
         return (0, 0) if self._events is None else (self._events.events, self._events.trials)
 
     def __call__(self, values: Values, first: int, last: int) -> None:
-        """Fill the result arrays of the runs from `first` to before `last`."""
+        """Compute the runs `first` to `last` − 1.
+
+        Their result arrays are filled.
+        """
         self._stop, self.failure = values, ""
         if self._events is not None and not values["begin"]:
             self._events.events = self._events.trials = 0

@@ -1,4 +1,7 @@
-"""Controls of runs: constants, tables, profiles on a mesh, functions of time, feedback."""
+"""Controls of runs.
+
+They are constants, tables, profiles on a mesh, functions of time, or state feedback.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,7 @@ ControlInput = ArrayLike | Callable[[float], ArrayLike] | ControlFunction | None
 
 @dataclass(frozen=True, eq=False)
 class ControlProfile:
-    """Control on a mesh of intervals of any lengths.
+    """Control on a nonuniform mesh of intervals.
 
     The mesh covers a run from time 0 to its end.
 
@@ -65,7 +68,7 @@ class Controls(NamedTuple):
     feedback: Feedback | None = None
 
     def hold(self, grid: Grid) -> tuple[Grid, Array]:
-        """Make a linear control constant in each step, at its mean.
+        """Replace a linear control by its mean in each step.
 
         Returns the grid and the control of its rows.
         """
@@ -131,7 +134,7 @@ def read_controls(
 
 
 def drive_model(model: Model, control: Any, first: float, t_end: float) -> Model:
-    """Build or reuse the model that follows a control function.
+    """Build or reuse the model with a given control function.
 
     `first` is the time of its clock at the start [s]. Raises ValueError.
     """
@@ -155,7 +158,10 @@ def _find_initial(model: Model, p: Array) -> Array:
 
 
 def _read_table(controls: Any, nu: int, field: str, shapes: Sequence[str]) -> tuple[Array, str]:
-    """Read an array as (n or 1, K, nu), with the letters of its own shape."""
+    """Read a table of controls (n or 1, K, nu).
+
+    Also return the letters of its original shape.
+    """
     try:
         shape = np.shape(controls)
     except Exception:  # noqa: BLE001  finite_array rejects it by name
@@ -190,7 +196,7 @@ def _read_profile(profile: ControlProfile, nu: int, t_end: float) -> Controls:
 
 
 def _read_feedback(model: Model, feedback: Feedback, t_end: float) -> Controls:
-    """Check feedback for a model, and extend its updates to the end of the run."""
+    """Check feedback, and extend its updates to the run's end."""
     given, known = feedback.controls.shape[1], feedback.states.shape[1]
     clock = known - 2 * model.nq  # not fed back
     if given != model.nu or clock not in (0, 1):
@@ -212,7 +218,10 @@ def _read_feedback(model: Model, feedback: Feedback, t_end: float) -> Controls:
 
 
 def _check_rest_lengths(feedback: Feedback) -> None:
-    """Raise ValueError unless feedback keeps rest lengths positive."""
+    """Check that feedback keeps rest lengths positive.
+
+    Raises ValueError.
+    """
     least = np.where(np.any(feedback.gains, axis=(0, 2)), -np.inf, feedback.controls.min(axis=0))
     bad = np.flatnonzero(
         (np.maximum(least, feedback.lower) < SMALLEST) | (feedback.upper < SMALLEST)

@@ -15,17 +15,17 @@ class Feedback:
     """State feedback along a plan.
 
     The controls u = u_k − G_k (x − x_k), within limits, are updated at the times of the plan and
-    constant between them. After the plan, its last gain holds its last state at the period of its
-    last interval.
+    constant between them. After the end of the plan, the last gain regulates the last state. The
+    control period is then that of the last interval.
 
     Parameters
     ----------
     time : array_like, shape (K + 1,)
-        Times of the decisions, s, increasing from 0, and the end of the plan.
+        Times of the control updates [s], increasing from 0, and the end of the plan.
     controls : array_like, shape (K, nu)
-        The plan's controls u_k.
+        Controls u_k of the plan.
     states : array_like, shape (K + 1, nx)
-        The plan's states x_k. The clock is not fed back.
+        States x_k of the plan. The clock is not fed back.
     gains : array_like, shape (K, nu, nx)
         Gains G_k.
     lower, upper : array_like, scalar or shape (nu,)
@@ -39,12 +39,12 @@ class Feedback:
 
     See Also
     --------
-    rollouts : Many motions under it.
+    rollouts : Simulate a batch of runs, also under feedback.
 
     Examples
     --------
-    A mass is drawn outwards by 1 N; its string holds it at half a metre, by feedback of position
-    and velocity:
+    A force of 1 N pulls a mass outwards. Feedback of position and velocity to the force density of
+    its string keeps the mass at 0.5 m:
 
     >>> import numpy as np
     >>> import tenscasadi as tc

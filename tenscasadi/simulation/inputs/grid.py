@@ -1,4 +1,4 @@
-"""Time steps of a run, in intervals that end at breakpoints."""
+"""Time grid of a run, with breakpoints at interval ends."""
 
 from __future__ import annotations
 
@@ -41,7 +41,9 @@ class Changing(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Time steps of a run, equal within each of K intervals.
+    """Time grid of a run.
+
+    Steps are equal within each of K intervals.
 
     Attributes
     ----------
@@ -52,7 +54,7 @@ class Grid:
     rows : ndarray, shape (K,)
         Row of the control that is constant in each interval.
     early : float
-        The last interval is shorter by this time, which is below rounding [s].
+        Time by which the last interval is shorter, below rounding error [s].
     """
 
     edges: Array
@@ -95,9 +97,9 @@ class Grid:
         return Intervals(self.rows, self.counts, self.lengths)
 
     def times(self, steps: Indices) -> Array:
-        """Compute the time at the start of each of these steps [s].
+        """Compute the start times of steps [s].
 
-        Step `steps` stands for the end of the run.
+        The step number `self.steps` denotes the end of the run.
         """
         if not np.ptp(self.lengths):
             return np.where(steps == self.steps, self.t_end, steps * self.step)
@@ -107,13 +109,16 @@ class Grid:
         return np.where(steps == self.steps, self.t_end, times)
 
     def locate(self, steps: Indices) -> Indices:
-        """Find the interval of each step; that of the last step past the end."""
+        """Find the interval of each step.
+
+        Steps past the end belong to the last interval.
+        """
         return np.searchsorted(np.cumsum(self.counts), np.minimum(steps, self.steps - 1), "right")
 
     def scale_steps(self, factor: float) -> Grid:
-        """Lengthen the steps by about a factor.
+        """Scale the steps by about a factor.
 
-        Neighboring intervals with the same control and about equal steps are merged before.
+        First, neighboring intervals with the same control and about equal steps are merged.
         """
         if factor < 1:
             return Grid(self.edges, _divide(self.counts, factor), self.rows, self.early)
@@ -132,7 +137,7 @@ def _divide(counts: Integers, factor: float) -> Integers:
 def build_grid(
     edges: Array, step: float, changing: Sequence[Changing], first: float, fewest: int = 1
 ) -> Grid:
-    """Build the steps of a run.
+    """Build the time grid of a run.
 
     Parameters
     ----------
@@ -173,14 +178,14 @@ def build_grid(
     beyond = np.array([last + error])
     functions = [part.changing() for part in changing]
     finite = all(f is None or np.isfinite(values_at(f, beyond)).all() for f in functions)
-    # Rounding may take the clock past the end, where a function need not be finite.
+    # Rounding error may take the clock past the end, where a function need not be finite.
     return Grid(all_edges, counts, rows, 0.0 if finite else error)
 
 
 def _add_cuts(edges: Array, cuts: Array, error: float) -> Array:
-    """Add times at which steps end to the ends of intervals.
+    """Add breakpoints to the ends of intervals.
 
-    Those that rounding does not tell from others are left out.
+    Breakpoints that equal other ends within rounding error are left out.
     """
     t_end = float(edges[-1])
     inner = cuts[(cuts > 0) & (cuts < t_end)]
@@ -192,9 +197,10 @@ def _add_cuts(edges: Array, cuts: Array, error: float) -> Array:
 
 
 def _find_cuts(part: Changing, first: float, last: float, error: float) -> Array:
-    """Find the times at which steps end.
+    """Find the times at which steps must end.
 
-    A jump is between two of them, so that no stage reaches it. `error` is that of the clock [s].
+    A jump lies between two of them, so that no stage evaluates it. `error` is the rounding error of
+    the clock [s].
     """
     times, function = part.find_breakpoints(first, last), part.changing()
     if function is None or not len(times):

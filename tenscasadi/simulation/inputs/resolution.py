@@ -1,4 +1,4 @@
-"""Test whether the steps of a run resolve its functions of time."""
+"""Resolution of functions of time by the time steps."""
 
 from __future__ import annotations
 

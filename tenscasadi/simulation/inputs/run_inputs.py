@@ -29,16 +29,18 @@ from tenscasadi.util.validate import (
 
 
 class RunInputs(NamedTuple):
-    """Inputs of n runs of a model; an array with one row is shared by all.
+    """Inputs of n runs of a model.
+
+    All runs share an array with one row.
 
     Attributes
     ----------
     model : Model
-        Model of the runs, driven by the control if that is a function of time.
+        Model of the runs. It includes the control if that is a function of time.
     starts : ndarray, shape (n or 1, nx)
         Initial states.
     controls : ndarray, shape (n or 1, K, nu)
-        Controls, which the rows of the grid select.
+        Controls, selected by the rows of the grid.
     parameters : ndarray, shape (n or 1, np)
         Parameters.
     grid : Grid
@@ -70,9 +72,9 @@ class RunInputs(NamedTuple):
         return self._replace(starts=starts, controls=controls, parameters=p)
 
     def stack(self, k: int, steps: Indices) -> Array:
-        """Stack control and parameters (T, nw) of run k at the start of steps.
+        """Stack control and parameters (T, nw) of run k.
 
-        A control function is not included.
+        They are those at the start of steps. A control function is not included.
         """
         controls = self.controls[k if len(self.controls) > 1 else 0]
         p = self.parameters[k if len(self.parameters) > 1 else 0]
@@ -80,7 +82,10 @@ class RunInputs(NamedTuple):
         return np.hstack([held, np.broadcast_to(p, (len(held), len(p)))])
 
     def add_schedule(self, w: Array, time: Array) -> Array:
-        """Add the control function at times since the start [s] to inputs (T, nw)."""
+        """Add the control function to inputs (T, nw).
+
+        `time` is the time since the start [s].
+        """
         schedule = self.model.schedule
         if schedule is None:
             return w
@@ -98,7 +103,10 @@ class RunInputs(NamedTuple):
         return np.column_stack([states, self.first + time])
 
     def include_schedule(self, function: ca.Function) -> ca.Function:
-        """Add the control function to the inputs of a Function (x, w)."""
+        """Add the control function to the inputs of a Function.
+
+        The Function has the arguments (x, w).
+        """
         if self.model.schedule is None:
             return function
         x, w = ca.MX.sym("x", self.model.nx), ca.MX.sym("w", self.model.nw)
@@ -154,7 +162,7 @@ def choose_step(model: Model, scheme: Scheme, state: Array, p: Array, t_end: flo
     """Choose the default step [s].
 
     It is a hundredth of the run for schemes with error control. Otherwise it is 1 ms, or less if
-    stability or contact with the ground needs it.
+    stability or ground contact requires a smaller step.
     """
     if scheme.adaptive:
         return t_end / 100
@@ -221,7 +229,10 @@ def _read_parameters(model: Model, given: Any) -> Array:
 
 
 def _check_clock(latest: float, step: float) -> None:
-    """Raise ValueError if rounding dominates the clock's steps."""
+    """Check that the clock resolves the steps.
+
+    Raises ValueError if rounding errors dominate.
+    """
     if np.spacing(latest) > 1e-6 * step:
         raise ValueError(
             f"state: the clock runs to {latest:g} s, where steps of {step:g} s drown in rounding: start it nearer to 0"

@@ -1,4 +1,4 @@
-"""Endings of runs: description of the steps, causes of failures, cures."""
+"""Messages on ended runs: steps, causes of failures, cures."""
 
 from __future__ import annotations
 
@@ -34,7 +34,17 @@ FAULTS = {
 
 
 class StepSummary(NamedTuple):
-    """Description of the steps of a run, their mean length [s], and their number with rejected ones."""
+    """Summary of the steps of a run.
+
+    Attributes
+    ----------
+    text : str
+        Description of the steps.
+    step : float
+        Mean step [s].
+    computed : int
+        Number of steps, including rejected trial steps.
+    """
 
     text: str
     step: float
@@ -121,7 +131,10 @@ def _explain_loss(runs: Runs, k: int) -> str:
 
 
 class RunSamples(NamedTuple):
-    """Times [s], states and stacked inputs at a few rows of a run."""
+    """Samples of a run at a few rows.
+
+    They are times [s], states and stacked inputs.
+    """
 
     times: Array
     states: Array
@@ -136,7 +149,10 @@ def sample_run(runs: Runs, k: int) -> RunSamples:
 
 
 def explain_loss(model: Model, scheme: Scheme, step: float, samples: RunSamples) -> str:
-    """Explain a divergence by the start and the linearized motion, with a cure."""
+    """Explain the cause of a divergence, with a cure.
+
+    Causes are found from the start and the linearized motion.
+    """
     name = type(scheme).__name__
     violation = constraint_violation(model, samples.states[0])
     if violation > THRESHOLDS["start"].reported:
@@ -161,9 +177,9 @@ def explain_loss(model: Model, scheme: Scheme, step: float, samples: RunSamples)
 def find_stable_step(
     model: Model, scheme: Scheme, samples: RunSamples, step: float = 0.0
 ) -> tuple[float, float]:
-    """Find the smallest stable step at some rows, and its time [s].
+    """Find the smallest stability limit at some rows [s].
 
-    Rows after the first one with a limit below `step` do not count.
+    Also return its time [s]. Rows after the first one with a limit below `step` are not examined.
     """
     limits: list[float] = []
     for x, w in zip(samples.states, samples.inputs, strict=True):

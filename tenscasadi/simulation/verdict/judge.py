@@ -1,4 +1,4 @@
-"""Acceptance test of runs: how they ended, and whether they are trustworthy."""
+"""Acceptance test of runs by their endings and errors."""
 
 from __future__ import annotations
 
@@ -34,10 +34,18 @@ from tenscasadi.util.validate import Array
 
 
 class Verdict(NamedTuple):
-    """Verdict of n runs.
+    """Results of the acceptance test of n runs.
 
-    `error` (n,) are the estimated errors of the node positions [m], NaN if unknown. Steps have to
-    be `finer` (n,) times for small errors, once if they are small or unknown.
+    Attributes
+    ----------
+    success : ndarray of bool, shape (n,)
+        Whether a run reached its end and is trustworthy.
+    message : list of str
+        End of each run, and reasons not to trust it.
+    error : ndarray, shape (n,)
+        Estimated errors of the node positions [m], NaN if unknown.
+    finer : ndarray, shape (n,)
+        Refinement factors of the steps for small errors; 1 if errors are small or unknown.
     """
 
     success: NDArray[np.bool_]
@@ -47,7 +55,7 @@ class Verdict(NamedTuple):
 
 
 def judge(runs: Runs, verify: bool) -> Verdict:
-    """Find whether runs are trustworthy, and explain it.
+    """Assess whether runs are trustworthy, with reasons.
 
     With `verify`, a repetition estimates the step-size error.
     """
@@ -62,7 +70,7 @@ def judge(runs: Runs, verify: bool) -> Verdict:
     for k in finished.tolist():
         message[k] += doubts.text[k]
     error, finer = np.full(len(status), np.nan), np.ones(len(status))
-    if not len(finished):  # runs that are stopped answer at once, however many steps are left
+    if not len(finished):  # stopped runs return at once, however many steps remain
         return Verdict(success, message, error, finer)
     if verify:
         found = estimate_errors(runs, finished, THRESHOLDS["position"].reported)
@@ -82,14 +90,15 @@ def judge(runs: Runs, verify: bool) -> Verdict:
 
 
 class Measures(NamedTuple):
-    """Relative errors of n runs, and the energies that they are made of.
+    """Errors and exchanged energies of n runs.
 
     Attributes
     ----------
     start, bars : ndarray, shape (n,)
-        Constraint violation of the start, and largest error of bar lengths, see `THRESHOLDS`.
+        Constraint violation of the start, and largest relative error of bar lengths, see
+        `THRESHOLDS`.
     energy_error, moved : ndarray, shape (n,)
-        Largest energy error, 0 if it is rounding or unknown, and energy exchanged [J].
+        Largest energy error [J], 0 if it is a rounding error or unknown, and exchanged energy [J].
     """
 
     start: Array
@@ -99,7 +108,15 @@ class Measures(NamedTuple):
 
 
 class Doubts(NamedTuple):
-    """Reasons not to trust n runs, each after a semicolon, and whether they fail for it."""
+    """Reasons not to trust n runs.
+
+    Attributes
+    ----------
+    text : list of str
+        Reasons, each after a semicolon.
+    failed : ndarray of bool, shape (n,)
+        Whether a run fails for one of its reasons.
+    """
 
     text: list[str]
     failed: NDArray[np.bool_]
@@ -171,10 +188,10 @@ def _measure_runs(runs: Runs) -> Measures:
 
 
 def _rounding_energy(model: Model, size: Any, t_end: float, single: bool = False) -> Any:
-    """Compute an energy error that rounding explains [J].
+    """Estimate the energy error due to rounding [J].
 
-    `size` is the magnitude of the energies [J]. The motion across the extent of the structure has
-    another one.
+    It is a fraction of `size`, the magnitude of the energies [J], and of the kinetic energy of a
+    motion that covers the extent of the structure during the run.
     """
     s = model.structure
     mass = float(s.bar_mass.sum() + s.node_mass.sum() + s.string_mass.sum())
@@ -183,9 +200,10 @@ def _rounding_energy(model: Model, size: Any, t_end: float, single: bool = False
 
 
 def _check_errors(runs: Runs, found: StepErrors) -> tuple[Doubts, Array]:
-    """Judge the step-size errors, and name the cause and the cure of the largest.
+    """Compare the step-size errors with the thresholds.
 
-    Returns how many times finer steps have to be (n,), too.
+    The text gives the cause and the cure of the largest error. Also return the refinement factors
+    (n,) of the steps that would be sufficient.
     """
     least = 1e-9 * extent(runs.request.inputs.model)
     share = np.where(found.error > least, found.error / np.maximum(found.motion, 1e-300), 0.0)
@@ -202,9 +220,10 @@ def _check_errors(runs: Runs, found: StepErrors) -> tuple[Doubts, Array]:
 
 
 def _explain_error(runs: Runs, k: int, factor: float, finer: float) -> tuple[str, str]:
-    """Name the cause of a step-size error, and a step or tolerance without it.
+    """Find the cause and the cure of a step-size error.
 
-    Half the step reduces the error by the `factor`, and a step that is `finer` times is sufficient.
+    The cure is a smaller step or tolerance. Half the step reduces the error by `factor`, and steps
+    `finer` times as fine are sufficient.
     """
     scheme, model = runs.request.scheme, runs.request.inputs.model
     if scheme.adaptive:

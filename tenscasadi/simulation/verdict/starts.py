@@ -51,7 +51,10 @@ def start_violations(model: Model, starts: Array) -> Array:
 
 
 def constraint_violation(model: Model, state: Array) -> float:
-    """Compute the relative constraint violation of a state, see `start_violation`."""
+    """Compute the relative constraint violation of a state.
+
+    See `start_violation`.
+    """
     return float(start_violations(model, np.reshape(state, (1, -1)))[0])
 
 

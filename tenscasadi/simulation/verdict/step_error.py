@@ -18,8 +18,8 @@ from tenscasadi.simulation.engine.roll import Request, Runs, roll
 from tenscasadi.util.compile import Single
 from tenscasadi.util.validate import Array, Indices
 
-CLEAR = 0.3  # × reported error: larger differences need finer steps to be judged
-COMPARED = 64  # rows at least, if there are as many; all 1001 of a prism take 0.4 of 3.3 ms
+CLEAR = 0.3  # × reported error: larger differences need finer steps for an estimate
+COMPARED = 64  # least number of compared rows; all 1001 rows of a prism take 0.4 of 3.3 ms
 
 
 class StepErrors(NamedTuple):
@@ -40,9 +40,10 @@ class StepErrors(NamedTuple):
     factor: Array
 
     def refinement(self, share: float) -> Array:
-        """Compute how many times finer steps have to be for an error of a share of the motion.
+        """Compute the refinement (n,) required for a relative error.
 
-        They are (n,) from 1 to 1000, for schemes with error control those of the tolerance.
+        The error is relative to the motion. The factors are between 1 and 1000. They are those of
+        the step, or of the tolerance for schemes with error control.
         """
         excess = self.error / (share * np.maximum(self.motion, 1e-300))
         return np.asarray(np.clip(excess, 1.0, 1e3) ** (1 / np.log2(self.factor)))
@@ -51,8 +52,8 @@ class StepErrors(NamedTuple):
 def estimate_errors(runs: Runs, which: Indices, reported: float) -> StepErrors:
     """Estimate the step-size errors of finished runs.
 
-    An error is reported if it exceeds this share of the motion. The repetitions differ in their
-    steps alone.
+    An error is reported if it exceeds the fraction `reported` of the motion. The repetitions differ
+    only in their steps.
     """
     again = _Repetition(runs, which)
     least = np.maximum(reported * again.motion, again.rounding)
@@ -92,14 +93,18 @@ def _from_tolerances(again: _Repetition, least: Array) -> tuple[Array, Array]:
 
 
 def _largest(distances: Array) -> Array:
-    """Find the largest distance (m,) of rows (m, T); NaN without common rows."""
+    """Find the largest distance (m,) over rows (m, T).
+
+    It is NaN without common rows.
+    """
     return np.asarray(np.fmax.reduce(distances, axis=1, initial=np.nan))
 
 
 def _ratio(longer: Array, shorter: Array) -> Array:
-    """Find the smallest ratio of distances (m, T) of a run (m,), NaN if unknown.
+    """Find the smallest ratio (m,) of two distances (m, T).
 
-    Steps across events agree only by chance: the smallest ratio then is small.
+    It is NaN if unknown. Runs with steps across events agree only by chance: the smallest ratio is
+    then small.
     """
     used = np.isfinite(longer) & (longer >= 0.1 * _largest(longer)[:, None])
     with np.errstate(all="ignore"):
@@ -109,14 +114,17 @@ def _ratio(longer: Array, shorter: Array) -> Array:
 
 
 def _clip_factor(factor: Array, order: int) -> Array:
-    """Limit error factors (m,) of half the step to those of orders from 1 to `order`."""
+    """Clip error factors to the range of convergence orders.
+
+    The factors (m,) are those of half the step. Orders are between 1 and `order`.
+    """
     return np.clip(np.nan_to_num(factor, nan=2.0), 2.0, 2.0**order)
 
 
 def _largest_movement(model: Model, changes: Array) -> Array:
-    """Find the largest distance by which a node moves (m, T) [m].
+    """Compute the largest nodal displacement (m, T) [m].
 
-    The changes (m, T, nq) are those of positions in the state.
+    `changes` (m, T, nq) are those of positions in the state.
     """
     squares = np.zeros((model.nq + 1, *changes.shape[:2]))  # the last one for prescribed ones
     squares[:-1] = np.moveaxis(changes * changes, 2, 0)
@@ -141,13 +149,13 @@ class _Repetition:
         self.rounding = digits * extent(model)
 
     def select(self, places: Indices) -> _Repetition:
-        """Select runs by their places among those of this repetition."""
+        """Select runs by their indices within this repetition."""
         chosen = _Repetition(self._runs, self._which[places])
         chosen._stopped = self._stopped
         return chosen
 
     def compare_steps(self, factor: float) -> Array:
-        """Compute the distances (m, T) to runs with steps of another length [m].
+        """Compute distances (m, T) to runs with another step [m].
 
         They are NaN at rows without a common time, and inf if a run has diverged.
         """
@@ -162,7 +170,7 @@ class _Repetition:
         )
 
     def compare_tolerance(self, factor: float) -> Array:
-        """Compute the distances (m, T) to runs with another tolerance [m]."""
+        """Compute distances (m, T) to runs with another tolerance [m]."""
         scheme: Any = self._runs.request.scheme
         rtol = float(np.clip(factor * scheme.rtol, 1e-15, 0.5))
         atol = None if scheme.atol is None else factor * scheme.atol

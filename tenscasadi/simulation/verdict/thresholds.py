@@ -8,7 +8,15 @@ import numpy as np
 
 
 class Threshold(NamedTuple):
-    """Relative errors that the message reports, and with which a run fails."""
+    """Thresholds of a relative error.
+
+    Attributes
+    ----------
+    reported : float
+        Error above which the message reports it.
+    failed : float
+        Error above which the run fails.
+    """
 
     reported: float
     failed: float

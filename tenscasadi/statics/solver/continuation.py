@@ -1,8 +1,9 @@
-"""Equilibria along a path by arc length (Keller's pseudo-arclength continuation).
+"""Pseudo-arclength continuation of equilibria (Keller).
 
-Unknowns are displacements y, tensions t of rigid bars, and a factor f, by which loads and inputs
-change. A step predicts along the tangent of the path and corrects by Newton's method in the plane
-across it [1]_. Distances are dy/ℓ and df/φ with a length ℓ and a range φ of the factor.
+Unknowns are displacements y, tensions t of rigid bars, and a factor f of the change of loads and
+inputs. The predictor steps along the tangent of the path. The corrector is Newton's method in the
+hyperplane normal to the tangent [1]_. Arc length is measured in dy/ℓ and df/φ, with a length ℓ and
+the range φ of the factor.
 
 References
 ----------
@@ -26,16 +27,16 @@ from tenscasadi.statics.solver.static_equations import Conditions, StaticPoint
 from tenscasadi.statics.solver.trust_region import allowed_residual
 from tenscasadi.util.validate import Array
 
-LONGEST = 0.1  # step, in units of arc length
+LONGEST = 0.1  # longest step, in units of arc length
 SHORTEST = 1e-7
 ITERATIONS = 10  # of a corrector
-_TURN = 0.9  # cosine of the angle between tangents, below which a step is shortened
-_EASY = 4  # iterations of a corrector after which the step stays as long
-_FLAT = 10  # rows of one factor, after which a path ends
-_SAME = 1e-5  # of a step: singular points nearer to each other are one
-_JUMP = 100.0  # times the distance along the path that two points on it may be apart
-_ACROSS = 1e-6  # of a load along a critical motion: a smaller share makes a bifurcation
-_CRITICAL = 1e-6  # of the largest stiffness: that of a critical motion
+_TURN = 0.9  # cosine of the angle between successive tangents below which a step is shortened
+_EASY = 4  # corrector iterations that leave the step length unchanged
+_FLAT = 10  # rows with equal factors after which a path ends
+_SAME = 1e-5  # fraction of a step within which critical points count as one
+_JUMP = 100.0  # largest distance between two points of a path, relative to their arc length
+_ACROSS = 1e-6  # fraction of the load along a critical motion below which it is a bifurcation
+_CRITICAL = 1e-6  # stiffness of a critical motion, relative to the largest stiffness
 
 
 class LoadChange(NamedTuple):
@@ -67,7 +68,7 @@ class PathPoint(NamedTuple):
     Attributes
     ----------
     point : StaticPoint
-        Forces.
+        Nodes and forces.
     tension : ndarray (β_r,)
         Tensions of rigid bars [N].
     factor : float
@@ -77,7 +78,7 @@ class PathPoint(NamedTuple):
     unstable : int
         Number of motions without a positive stiffness.
     neutral : ndarray (free, r)
-        Rigid-body motions that nothing resists.
+        Rigid-body motions without stiffness.
     """
 
     point: StaticPoint
@@ -89,29 +90,37 @@ class PathPoint(NamedTuple):
 
 
 class PathRow(NamedTuple):
-    """Point of a path; `kind` is "limit" or "bifurcation" at critical points, otherwise ""."""
+    """Row of a path.
+
+    Attributes
+    ----------
+    place : PathPoint
+        The equilibrium.
+    kind : str
+        "limit" or "bifurcation" at critical points, otherwise "".
+    """
 
     place: PathPoint
     kind: str
 
 
 class PathEnd(ArithmeticError):
-    """The path ends, for the reason in the message."""
+    """End of a path, for the reason in the message."""
 
 
 class BranchJump(ArithmeticError):
-    """The corrector has left the path for another one nearby."""
+    """Convergence of the corrector to another branch nearby."""
 
 
 class Tracer:
-    """Follows equilibria along a path.
+    """Continuation of equilibria along a path.
 
     Parameters
     ----------
     system : NewtonSystem
         Newton systems of the scene.
     change : LoadChange
-        What changes with the factor.
+        Changes of loads and inputs per unit factor.
     factors : tuple of float
         Least and largest factor.
     """
@@ -129,13 +138,16 @@ class Tracer:
     # --- along the path ---
 
     def start(self, point: StaticPoint, tension: Array, factor: float) -> PathPoint:
-        """Begin at an equilibrium, towards larger factors unless the factor is the largest."""
+        """Begin a path at an equilibrium.
+
+        It leads towards larger factors, unless this factor is the largest.
+        """
         ahead = np.zeros(self.system.size + 1)
         ahead[-1] = 1.0 if factor < self.factors[1] else -1.0
         return self._complete(point, tension, factor, ahead)
 
     def follow(self, place: PathPoint, most: int) -> tuple[list[PathRow], str]:
-        """Follow the path until the factor leaves its range.
+        """Trace the path until the factor leaves its range.
 
         Parameters
         ----------
@@ -174,7 +186,11 @@ class Tracer:
         return rows, f"the factor stays in its range for {most} steps"
 
     def _advance(self, place: PathPoint, step: float) -> tuple[float, PathPoint]:
-        """Take a step that the corrector masters, of at most this length; return the length, too."""
+        """Take one step of at most a given length.
+
+        The step is halved until the corrector converges and the tangent turns little enough. Return
+        its length and the new point.
+        """
         while step >= SHORTEST:
             found = self._correct(place, step)
             if found is not None:
@@ -207,7 +223,10 @@ class Tracer:
     # --- predictor and corrector ---
 
     def _correct(self, place: PathPoint, step: float) -> tuple[PathPoint, int] | None:
-        """Find the equilibrium at a distance along the tangent; return the iterations, too."""
+        """Find the equilibrium at a distance along the tangent.
+
+        Also return the number of iterations.
+        """
         ahead = step * place.direction * self.units
         nodes = self.equations.displace(place.point.nodes, ahead[:-1])
         found = self._newton(
@@ -232,7 +251,10 @@ class Tracer:
         offset: float,
         neutral: Array,
     ) -> tuple[StaticPoint, Array, float, int] | None:
-        """Balance the forces in a plane across the path; None if that does not converge."""
+        """Balance the forces in a hyperplane across the path.
+
+        The hyperplane has the normal `across`. Return None if the iterations do not converge.
+        """
         equations, system = self.equations, self.system
         for iteration in range(ITERATIONS + 1):
             point = equations.at(nodes, self.change.at(factor))
@@ -258,7 +280,10 @@ class Tracer:
     def _solve(
         self, point: StaticPoint, tension: Array, factor: float, across: Array, neutral: Array
     ) -> Callable[[Array, Array, float], tuple[Array, Array, float]]:
-        """Factorize the system with a row `across` the path and without neutral motions."""
+        """Factorize the Newton system bordered by the hyperplane.
+
+        The row `across` is the normal of the hyperplane. Neutral motions are excluded.
+        """
         system, size, rigid = self.system, self.system.size, self.system.rigid
         scale = system.stiffness_scale(point, tension)
         K = system.tangent(point, tension) + system.load_tangent(point)
@@ -295,7 +320,7 @@ class Tracer:
         return solve
 
     def _push(self, point: StaticPoint, factor: float) -> Array:
-        """Compute the derivative (free,) of the forces by the factor."""
+        """Compute the derivative (free,) of forces by the factor."""
         pushed = self.change.load
         if self.change.inputs.any():
             pushed = pushed + self.equations.push(
@@ -306,7 +331,10 @@ class Tracer:
     def _complete(
         self, point: StaticPoint, tension: Array, factor: float, ahead: Array
     ) -> PathPoint:
-        """Find the tangent of the path and the number of motions that are not resisted."""
+        """Compute the tangent and stability of an equilibrium.
+
+        The path point contains the number of motions without a positive stiffness.
+        """
         system = self.system
         pressed = self.equations.at(
             point.nodes, self.change.at(factor)._replace(pressing=point.nodes)
@@ -328,12 +356,15 @@ class Tracer:
     # --- critical points ---
 
     def _find_critical(self, place: PathPoint, new: PathPoint) -> list[PathRow]:
-        """Find limit points and bifurcations between two equilibria, in order."""
+        """Locate limit points and bifurcations between two equilibria.
+
+        They are sorted by arc length.
+        """
         reach = float(place.direction @ self._way(place, new))
         low, high = sorted((place.unstable, new.unstable))
         if high == low and place.direction[-1] * new.direction[-1] >= 0.0:
             return []
-        # motions across the load, along which the system is singular at a bifurcation
+        # along motions orthogonal to the load the system is singular at a bifurcation
         _, motions = self._softest(place, high)
         push = self._push(place.point, place.factor)
         sideways = np.abs(motions.T @ push) <= _ACROSS * float(np.linalg.norm(push))
@@ -365,7 +396,10 @@ class Tracer:
         return [row for _, row in sorted(found, key=lambda entry: entry[0])]
 
     def _is_bifurcation(self, place: PathPoint, k: int) -> bool:
-        """Return whether the k-th softest motion is critical and across the load."""
+        """Return whether the k-th softest motion indicates a bifurcation.
+
+        It is then critical, and orthogonal to the load.
+        """
         values, motions = self._softest(place, k + 1)
         push = self._push(place.point, place.factor)
         scale = self.system.stiffness_scale(place.point, place.tension)
@@ -375,14 +409,20 @@ class Tracer:
     def _check_continuity(
         self, at: Callable[[float], PathPoint], step: float, reach: float
     ) -> None:
-        """Raise BranchJump if the points on both sides of a step are far from each other."""
+        """Check that the path is continuous at a step.
+
+        Raises BranchJump if the points on both sides are far from each other.
+        """
         before, after = (at(step + side * _SAME * reach) for side in (-1.0, 1.0))
         apart = float(np.linalg.norm(self._way(before, after)))
         if apart > _JUMP * _SAME * reach and reach > 1e3 * SHORTEST:
             raise BranchJump
 
     def _way(self, place: PathPoint, other: PathPoint) -> Array:
-        """Compute the way (free + 1,) from one point to another, in units of arc length."""
+        """Compute the scaled difference (free + 1,) of two points.
+
+        It is in units of arc length.
+        """
         moved = self._displacement(place, other)
         return np.asarray(np.append(moved, other.factor - place.factor) / self.units)
 
@@ -396,7 +436,7 @@ class Tracer:
 
 
 def _root(function: Callable[[float], float], reach: float) -> float:
-    """Find where a function changes its sign in (0, reach)."""
+    """Find a root of a function in (0, reach)."""
     first, last = function(0.0), function(reach)
     if first * last >= 0.0:  # the change is at an end
         return reach if abs(last) < abs(first) else 0.0

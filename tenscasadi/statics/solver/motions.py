@@ -1,4 +1,8 @@
-"""Motions that keep the lengths of rigid bars: the softest, and those that nothing resists."""
+"""Softest and neutral motions under rigid-bar constraints.
+
+All motions keep the lengths of rigid bars. Neutral motions are rigid-body motions without
+stiffness.
+"""
 
 from __future__ import annotations
 
@@ -16,14 +20,16 @@ from tenscasadi.util.linear_algebra import null_space
 from tenscasadi.util.validate import Array
 
 DENSE = 600  # free coordinates up to which all motions are computed, by dense matrices
-NEUTRAL = 1e-9  # of the stiffness by forces: a rigid-body motion with less is free
-REDUNDANT = 1e-9  # of the norm of J: smaller singular values belong to redundant bars
+NEUTRAL = 1e-9  # stiffness of a free rigid-body motion, relative to the stiffness due to forces
+REDUNDANT = 1e-9  # singular values of redundant bars, relative to the norm of J
 
 
 def softest_motions(
     K: Any, J: Any, left_out: Array, count: int | None = None
 ) -> tuple[Array, Array]:
-    """Compute the lowest eigenvalues of K on motions v with J v = 0.
+    """Compute the lowest eigenvalues of the constrained stiffness.
+
+    They are those of K on motions v with J v = 0.
 
     Parameters
     ----------
@@ -44,7 +50,7 @@ def softest_motions(
     size = K.shape[0]
     most = size - J.shape[0] - left_out.shape[1]
     if count is not None and size > DENSE and 2 * count < most:
-        with suppress(np.linalg.LinAlgError):  # then by dense matrices, in more time
+        with suppress(np.linalg.LinAlgError):  # dense matrices then take more time
             return lowest_eigenpairs(K, sp.eye_array(size, format="csc"), J, left_out, count)
     T = motion_basis(J, left_out)
     values, vectors = np.linalg.eigh(T.T @ (K @ T))
@@ -52,7 +58,9 @@ def softest_motions(
 
 
 def motion_basis(J: Any, left_out: Array) -> Array:
-    """Compute an orthonormal basis (n, ·) of the motions v with J v = 0.
+    """Compute a basis of the motions that keep rigid bars.
+
+    It is an orthonormal basis (n, ·) of all v with J v = 0.
 
     Parameters
     ----------
@@ -71,7 +79,7 @@ def motion_basis(J: Any, left_out: Array) -> Array:
 
 
 def neutral_motions(system: NewtonSystem, point: StaticPoint, tension: Array) -> Array:
-    """Find the rigid-body motions that nothing resists.
+    """Find the rigid-body motions without stiffness.
 
     Parameters
     ----------
@@ -89,7 +97,7 @@ def neutral_motions(system: NewtonSystem, point: StaticPoint, tension: Array) ->
     """
     equations = system.equations
     motions = equations.free.T @ rigid_body_motions(equations.structure, point.nodes)
-    # members keep their lengths: only their forces and the loads act on such motions
+    # members keep their lengths: only their forces and the loads contribute stiffness
     K = system.tangent(point._replace(slope=0 * point.slope), tension)
     return idle_combinations(motions, K @ motions, NEUTRAL * float(np.sqrt((K.data**2).sum())))
 
@@ -97,7 +105,9 @@ def neutral_motions(system: NewtonSystem, point: StaticPoint, tension: Array) ->
 def find_stable_factors(
     system: NewtonSystem, point: StaticPoint, tension: Array
 ) -> NewtonFactors | None:
-    """Factorize the Newton system if all motions but free rigid-body motions are resisted.
+    """Factorize the Newton system of a stable equilibrium.
+
+    All motions but free rigid-body motions then have a positive stiffness.
 
     Parameters
     ----------
@@ -111,7 +121,8 @@ def find_stable_factors(
     Returns
     -------
     NewtonFactors or None
-        Factors of K less the stiffness that counts as none; None if a motion is not resisted.
+        Factors of K, shifted by the threshold of zero stiffness; None if a motion has no positive
+        stiffness.
     """
     scale = system.stiffness_scale(point, tension)
     with suppress(np.linalg.LinAlgError):

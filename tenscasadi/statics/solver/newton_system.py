@@ -19,9 +19,9 @@ from tenscasadi.statics.solver.static_equations import StaticEquations, StaticPo
 from tenscasadi.util.sparse_pattern import MatrixEntries, SparsePattern, join_entries
 from tenscasadi.util.validate import Array, Indices
 
-FLAT = 1e-12  # of the largest stiffness: a motion with less counts as one without stiffness
-COMPLIANCE = 1e-8  # of rigid bars, relative to the stiffness scale: pivots of redundant bars
-REFINEMENTS = 2  # of a solution, which remove the compliance
+FLAT = 1e-12  # threshold of zero stiffness, relative to the largest stiffness
+COMPLIANCE = 1e-8  # of rigid bars, relative to 1/stiffness: keeps pivots of redundant bars nonzero
+REFINEMENTS = 2  # iterative refinements of a solution, which remove the effect of the compliance
 
 
 class NewtonSystem:
@@ -54,15 +54,21 @@ class NewtonSystem:
         return self._tangent.fill(self._values(point, tension))
 
     def member_matrix(self, gamma: Array, along: Array, vectors: Array) -> Any:
-        """Build the matrix (free × free) of blocks γ I + c v vᵀ of springs, then rigid bars."""
+        """Assemble the matrix (free × free) of member blocks.
+
+        Blocks γ I + c v vᵀ are those of springs, then of rigid bars.
+        """
         return self._only_members.fill(member_blocks(gamma, along, vectors).ravel())
 
     def load_tangent(self, point: StaticPoint) -> Any:
-        """Build the part of K that is not symmetric, due to loads."""
+        """Build the unsymmetric part of K, due to loads."""
         return self._load_tangent.fill(self._values(point, np.zeros(self.rigid)))
 
     def is_symmetric(self, point: StaticPoint) -> bool:
-        """Return whether the tangent of the loads is symmetric, as that of an energy."""
+        """Return whether the load tangent is symmetric.
+
+        Loads with an energy have a symmetric tangent.
+        """
         if not self.equations.follows:
             return True
         part = self.load_tangent(point)
@@ -73,7 +79,10 @@ class NewtonSystem:
         return self._jacobian.fill(self._values(point, np.zeros(self.rigid)))
 
     def nodal_material(self, point: StaticPoint) -> sp.csr_array:
-        """Build the stiffness (3n × 3n) due to the change of the springs' forces."""
+        """Build the material stiffness (3n × 3n).
+
+        It is due to the change of the magnitude of spring forces.
+        """
         pairs = self.equations.spring_pairs
         blocks = member_blocks(np.zeros(len(pairs)), 2 * point.slope, point.springs)
         size = point.nodes.size
@@ -81,7 +90,10 @@ class NewtonSystem:
         return sp.csr_array(pattern.fill(blocks.ravel()))
 
     def nodal_loads(self, point: StaticPoint) -> sp.csr_array:
-        """Build the symmetric part of the stiffness (3n × 3n) of loads that follow nodes."""
+        """Build the symmetric load stiffness (3n × 3n).
+
+        It is the symmetric part of the stiffness of loads that depend on the nodes.
+        """
         size = point.nodes.size
         rows, columns = self.equations.load_pattern
         slopes = sp.coo_array((-0.5 * point.load_slopes, (rows, columns)), shape=(size, size))
@@ -107,7 +119,7 @@ class NewtonSystem:
         Parameters
         ----------
         point : StaticPoint
-            Where K and J are taken.
+            Point at which K and J are evaluated.
         tension : ndarray, shape (β_r,)
             Tensions of rigid bars [N].
         scale : float
@@ -133,12 +145,14 @@ class NewtonSystem:
     def solve_unsymmetric(
         self, point: StaticPoint, tension: Array, f: Array, g: Array
     ) -> tuple[Array, Array]:
-        """Solve with the tangent stiffness of loads that have no energy.
+        """Solve with an unsymmetric tangent stiffness.
+
+        It is that of loads without an energy.
 
         Parameters
         ----------
         point : StaticPoint
-            Where K and J are taken.
+            Point at which K and J are evaluated.
         tension : ndarray, shape (β_r,)
             Tensions of rigid bars [N].
         f, g : ndarray, shape (free,), (β_r,)
@@ -165,7 +179,9 @@ class NewtonSystem:
         return tuple(np.split(factors.solve(np.concatenate([f, g])), [self.size]))  # type: ignore[return-value]
 
     def factor_bars(self, bars: Array) -> NewtonFactors:
-        """Factorize with K = I, for least displacements and least-squares tensions.
+        """Factorize the system with K = I.
+
+        Its solutions are least displacements and least-squares tensions.
 
         Parameters
         ----------
@@ -184,9 +200,9 @@ class NewtonSystem:
         return NewtonFactors(pattern.fill(values), order, self.size, 0.0, COMPLIANCE)
 
     def _values(self, point: StaticPoint, tension: Array, penalty: float = 0.0) -> Array:
-        """Stack the values of which all matrices are linear combinations.
+        """Stack the values whose linear combinations form all matrices.
 
-        A penalty on the lengths of rigid bars changes no solution but makes pivots larger.
+        A penalty on the lengths of rigid bars makes pivots larger. It changes no solution.
         """
         units = point.bars / self.equations.lengths[:, None]
         gamma = np.concatenate([point.gamma, tension / self.equations.lengths])
@@ -225,7 +241,7 @@ class NewtonSystem:
 
     @cached_property
     def _ordered(self) -> tuple[Indices, SparsePattern]:
-        """Order of elimination, and the system's pattern in this order."""
+        """Order of elimination, and the sparsity pattern in this order."""
         size, total = self.size, self.size + self.rigid
         bars = self._lengthening.shift(row=size)
         diagonal = np.arange(total)
@@ -249,7 +265,7 @@ class NewtonFactors:
     matrix : csc_array
         The system in the order of elimination, with a penalty and a compliance of rigid bars.
     order : ndarray of int
-        Place of each unknown in this order.
+        Position of each unknown in this order.
     size : int
         Number of free coordinates.
     penalty, slack : float
@@ -272,10 +288,11 @@ class NewtonFactors:
         return len(self.order) - self.size
 
     def count_negative(self) -> int:
-        """Count the negative eigenvalues of K + σ I on motions that keep rigid bars.
+        """Count the negative eigenvalues of the constrained stiffness.
 
-        By Sylvester's law of inertia they are the negative pivots beyond one for each rigid bar.
-        Raises LinAlgError if a pivot left the diagonal.
+        It is K + σ I on motions that keep rigid bars. By Sylvester's law of inertia, the count is
+        the number of negative pivots less the number of rigid bars. Raises LinAlgError if a pivot
+        left the diagonal.
         """
         if not np.array_equal(self.factors.perm_r, self.factors.perm_c):
             raise np.linalg.LinAlgError("a pivot left the diagonal")
@@ -311,14 +328,20 @@ class NewtonFactors:
 
 
 def member_blocks(gamma: Array, along: Array, vectors: Array) -> Array:
-    """Compute γ I + c v vᵀ (m, 3, 3) of members with c = `along` (m,)."""
+    """Compute the stiffness blocks (m, 3, 3) of members.
+
+    A block is γ I + c v vᵀ with c = `along` (m,).
+    """
     blocks = (along[:, None] * vectors)[:, :, None] * vectors[:, None, :]
     blocks[:, range(3), range(3)] += gamma[:, None]
     return np.asarray(blocks)
 
 
 def member_entries(pairs: Indices) -> MatrixEntries:
-    """Build the entries (3n × 3n) of members with blocks (3, 3), one after the other."""
+    """Build the matrix entries (3n × 3n) of member blocks.
+
+    The source of the values is one block (3, 3) after the other.
+    """
     first, second = 3 * pairs.T[:, :, None, None]
     a, b = np.arange(3)[:, None], np.arange(3)
     source = np.broadcast_to(np.arange(9 * len(pairs)).reshape(-1, 3, 3), (len(pairs), 3, 3))
@@ -340,7 +363,10 @@ def member_entries(pairs: Indices) -> MatrixEntries:
 
 
 def direction_entries(pairs: Indices) -> MatrixEntries:
-    """Build the entries (m × 3n) of the lengthening of members with unit vectors (3,)."""
+    """Build the matrix entries (m × 3n) of member elongations.
+
+    The source of the values is the unit vectors (3,) of the members.
+    """
     item = np.repeat(np.arange(len(pairs)), 3)
     source = np.arange(3 * len(pairs))
     axis = np.tile(np.arange(3), len(pairs))
@@ -353,9 +379,10 @@ def direction_entries(pairs: Indices) -> MatrixEntries:
 
 
 def elimination_order(tangent: SparsePattern, jacobian: SparsePattern) -> Indices:
-    """Find the place of each unknown in an order with little fill.
+    """Compute a fill-reducing order of elimination.
 
-    Each bar follows the coordinates of its ends: its own pivot is only its compliance.
+    Return the position of each unknown. Each bar follows the coordinates of its ends, as its own
+    pivot is only its compliance.
     """
     size = tangent.shape[0]
     values = np.random.default_rng(0).uniform(0.0, 1e-3, size=len(tangent.indices))

@@ -1,4 +1,6 @@
-"""Dynamic relaxation: a simulation that restarts at rest at each maximum of its kinetic energy [1]_.
+"""Dynamic relaxation with kinetic damping.
+
+A simulation restarts at rest at each maximum of its kinetic energy [1]_.
 
 References
 ----------
@@ -24,13 +26,15 @@ from tenscasadi.util.validate import Array
 
 ROUNDS = 100  # restarts
 MOST_STEPS = 10**5  # of all rounds together
-RESTED = 1e-12  # of the largest maximum of the kinetic energy: a smaller one is none
-_ROWS = 200  # of a round, in which its maximum is looked for
-_LONGEST = 1e-2  # s, steps of motions that nothing stiff limits
+RESTED = 1e-12  # kinetic energy at rest, relative to the largest maximum
+_ROWS = 200  # steps of a round, among which the maximum is sought
+_LONGEST = 1e-2  # s, longest step of a structure without stiff members
 
 
 def relax(scene: Scene, nodes: Array, control: Array, parameters: Array, time: float) -> Array:
-    """Let a scene come to rest under the loads of one instant.
+    """Relax a scene to rest under constant loads.
+
+    These are the loads of one instant.
 
     Parameters
     ----------
@@ -46,7 +50,7 @@ def relax(scene: Scene, nodes: Array, control: Array, parameters: Array, time: f
     Returns
     -------
     ndarray, shape (n, 3)
-        Nodes near an equilibrium; the last ones of a motion that does not come to rest.
+        Nodes near an equilibrium; the last nodes if the motion does not come to rest.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -76,7 +80,9 @@ def relax(scene: Scene, nodes: Array, control: Array, parameters: Array, time: f
 
 
 def freeze_loads(scene: Scene, nodes: Array, parameters: Array, time: float) -> Scene:
-    """Build the scene with the constant loads and supports of one instant.
+    """Freeze the loads and supports of a scene.
+
+    They are constants of one instant.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Equilibria under all static loads: friction, and loads without an energy."""
+"""Equilibria with friction and non-conservative loads."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from tenscasadi.statics.solver.trust_region import (
 )
 from tenscasadi.util.validate import Array
 
-SLIP = 1e-6  # sizes of the structure: a contact that sticks moves by about this distance
-ROUGH = 1e-4  # of the largest force: accuracy before the final Newton iterations
+SLIP = 1e-6  # displacement of a sticking contact, relative to the size of the structure
+ROUGH = 1e-4  # accuracy before the final Newton iterations, relative to the largest force
 NEWTON = 30  # iterations with the unsymmetric tangent
 
 
 def settle(system: NewtonSystem, nodes: Array, given: Conditions) -> SearchResult:
-    """Find a stable equilibrium, also where loads have no energy.
+    """Find a stable equilibrium under all static loads.
 
-    Contacts with friction slip from the start by no more than they must.
+    Loads may have no energy. Contacts with friction slip as little as possible from the start.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def settle(system: NewtonSystem, nodes: Array, given: Conditions) -> SearchResul
         stuck = find_rest(system, nodes, given._replace(pressing=deep), ROUGH)
         rest = find_rest(system, stuck.point.nodes, given, ROUGH)
     else:
-        # forces without an energy lead away from where they balance: Newton's method ends there
+        # forces without an energy lead away from equilibrium: the final Newton iterations reach it
         symmetric = system.is_symmetric(system.equations.at(nodes, given))
         rest = find_rest(system, nodes, given, ACCURACY if symmetric else ROUGH)
     exact = not system.equations.has_friction and system.is_symmetric(rest.point)
@@ -54,19 +54,24 @@ def settle(system: NewtonSystem, nodes: Array, given: Conditions) -> SearchResul
 
 
 def prepare_friction(system: NewtonSystem, nodes: Array, given: Conditions) -> Conditions:
-    """Let contacts slip from some nodes, if there is friction."""
+    """Set the nodes from which contacts with friction slip."""
     if not system.equations.has_friction:
         return given
     return given._replace(anchor=nodes, slip=SLIP * structure_size(nodes))
 
 
 def structure_size(nodes: Array) -> float:
-    """Return the largest extent of the nodes [m]; 1 where they coincide."""
+    """Compute the largest extent of the nodes [m].
+
+    It is 1 if all nodes coincide.
+    """
     return float(np.ptp(nodes, axis=0).max(initial=0.0)) or 1.0
 
 
 def finish(system: NewtonSystem, rest: SearchResult, given: Conditions) -> SearchResult:
-    """Balance the forces near an equilibrium by Newton's method with the exact tangent.
+    """Balance the forces by Newton's method with exact tangent.
+
+    The start is near an equilibrium.
 
     Parameters
     ----------

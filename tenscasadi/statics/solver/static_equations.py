@@ -32,7 +32,7 @@ from tenscasadi.structure.equilibrium_matrix import free_directions
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.validate import Array, Indices
 
-_CORNER = 1e-9  # relative: a string shorter than at rest by less is at its rest length
+_CORNER = 1e-9  # relative shortening up to which a string counts as at its rest length
 
 
 class Conditions(NamedTuple):
@@ -47,9 +47,9 @@ class Conditions(NamedTuple):
     anchor : ndarray (n, 3)
         Nodes from which contacts slip [m].
     pressing : ndarray (n, 3) or None
-        Nodes whose normal forces limit the friction; None: the current nodes.
+        Nodes at which the normal forces that limit friction are taken; None: the current nodes.
     slip : float
-        Slip distance over which friction grows to its limit [m].
+        Slip distance at which friction reaches its limit [m].
     added : ndarray (n, 3) or float
         Nodal forces in addition to those of the scene [N].
     """
@@ -68,7 +68,10 @@ class Conditions(NamedTuple):
 
 
 class NodeColumns(NamedTuple):
-    """Columns of N, one for each node, as force elements need them of a mechanism."""
+    """Stand-in for a mechanism, for force elements.
+
+    It has one column of N per node, and the attributes of a mechanism that force elements use.
+    """
 
     N: Array
     first: Indices
@@ -95,7 +98,7 @@ class StaticPoint(NamedTuple):
     applied : ndarray (n, 3)
         Loads and forces of springs on nodes [N].
     load_slopes : ndarray
-        Entries of the derivatives of the loads by the nodes, then by the pressing nodes.
+        Entries of the Jacobians of the loads with respect to the nodes, then the pressing nodes.
     """
 
     nodes: Array
@@ -172,7 +175,10 @@ class StaticEquations:
         return placed
 
     def ground_normals(self, nodes: Array) -> Array:
-        """Sum the normals (n, 3) of the grounds that act on each node."""
+        """Sum the ground normals (n, 3) at each node.
+
+        Grounds that do not act on a node are left out.
+        """
         normals = np.zeros_like(nodes)
         for surface in self.scene.grounds:
             which = np.arange(len(nodes)) if surface.nodes is None else list(surface.nodes)
@@ -206,12 +212,18 @@ class StaticEquations:
         return np.asarray(self._onto_free @ forces.ravel())
 
     def bar_forces(self, point: StaticPoint, tension: Array) -> Array:
-        """Compute the nodal forces (n, 3) of rigid bars with tensions (β_r,) [N]."""
+        """Compute the nodal forces (n, 3) of rigid bars [N].
+
+        The tensions (β_r,) are given [N].
+        """
         pull = (tension / self.lengths)[:, None] * point.bars
         return np.asarray(-(self._across_bars.T @ pull))
 
     def spring_vectors(self, nodes: Array) -> Array:
-        """Compute the vectors (·, 3) of strings and elastic bars [m]."""
+        """Compute the member vectors (·, 3) of springs [m].
+
+        Springs are strings, then elastic bars.
+        """
         return np.asarray(self._across @ nodes)
 
     def bar_vectors(self, nodes: Array) -> Array:
@@ -219,7 +231,7 @@ class StaticEquations:
         return np.asarray(self._across_bars @ nodes)
 
     def bar_errors(self, nodes: Array) -> Array:
-        """Compute φ (β_r,) [m], the excess lengths of rigid bars."""
+        """Compute the constraint residuals φ (β_r,) of rigid bars [m]."""
         bars = self.bar_vectors(nodes)
         squared = np.einsum("ij,ij->i", bars, bars)
         return np.asarray((squared - self.lengths**2) / (2 * self.lengths))
@@ -227,7 +239,10 @@ class StaticEquations:
     # --- derivatives with respect to inputs ---
 
     def push(self, nodes: Array, given: Conditions, change: Array) -> Array:
-        """Compute the change (n, 3) of the applied forces per unit of a change (nw,) of the inputs."""
+        """Compute the directional derivative (n, 3) of applied forces.
+
+        The direction is a change (nw,) of the inputs.
+        """
         springs = self._across @ nodes
         by_length = np.zeros(len(springs))
         if len(springs):
@@ -258,7 +273,10 @@ class StaticEquations:
         return self.scene.nu + len(self.scene.layout)
 
     def _densities(self, squared: Any, w: Any, corner: bool) -> Any:
-        """Build γ (1×springs); with `corner` strings at their rest lengths count as taut."""
+        """Build the force densities γ (1×springs).
+
+        With `corner`, strings at their rest lengths count as taut.
+        """
         scene, u = bind(self.scene, w)
         columns: Any = self._columns(w)
         count, parts = len(self.structure.strings), []
@@ -275,7 +293,10 @@ class StaticEquations:
         return ca.densify(ca.horzcat(*parts))
 
     def _columns(self, w: Any) -> NodeColumns:
-        """Build what force elements need of a mechanism: a column of N for each node."""
+        """Build the stand-in for a mechanism, for force elements.
+
+        It has a column of N for each node.
+        """
         n = len(self.structure.nodes)
         weights = node_weights(self.scene).expression(w[self.scene.nu :])
         row = ca.repmat(weights.T, 1, n // weights.shape[0])
@@ -329,7 +350,10 @@ class StaticEquations:
 
     @cached_property
     def _load_function(self) -> ca.Function:
-        """Function (N, C, A, slip, time, w) → loads, ground forces, derivatives of loads by N, C."""
+        """CasADi function of the loads and their Jacobians.
+
+        (N, C, A, slip, time, w) → loads, ground forces, Jacobians of loads with respect to N, C.
+        """
         loads, ground = self._load_expressions
         none = ca.MX(*[loads.shape[0]] * 2)
         slopes = [
@@ -343,7 +367,10 @@ class StaticEquations:
 
     @cached_property
     def _load_changes(self) -> ArrayFunction:
-        """Function (N, C, A, slip, time, w, dw) → change of the loads."""
+        """CasADi function of the change of the loads.
+
+        (N, C, A, slip, time, w, dw) → change of the loads.
+        """
         loads, _ = self._load_expressions
         dw = ca.MX.sym("dw", self.inputs)
         change = ca.jtimes(loads, self._load_symbols[-1], dw)
@@ -353,10 +380,10 @@ class StaticEquations:
 
 
 def _ground_forces(element: Contacts, at: NodeMotion, C: Any, slipped: Any) -> Any:
-    """Build the forces (3×n) of a ground on nodes at rest.
+    """Build the ground forces (3×n) on nodes at rest.
 
-    Friction resists `slipped` (3×n), relative to the slip distance, with the limit that the normal
-    forces at C set.
+    Friction resists `slipped` (3×n), relative to the slip distance. Its limit is given by the
+    normal forces at C.
     """
     surface = element.surface
     bare = replace(element, surface=with_fields(surface, friction=None, damping=0.0))

@@ -2,8 +2,8 @@
 
 The iterates keep the lengths of rigid bars. A step p minimizes the quadratic model of the energy
 with the exact tangent stiffness K over ‖p‖ ≤ Δ and J p = 0: (K + σ I) p = F with the least σ for
-which K + σ I is positive definite on these motions [1]_. It is judged by the work of the forces
-along it, so that forces without an energy need no other treatment.
+which K + σ I is positive definite on these motions [1]_. A step is accepted by the work of the
+forces along it, so that forces without an energy need no special treatment.
 
 References
 ----------
@@ -22,13 +22,13 @@ from tenscasadi.statics.solver.newton_system import FLAT, NewtonFactors, NewtonS
 from tenscasadi.statics.solver.static_equations import Conditions, StaticPoint
 from tenscasadi.util.validate import Array
 
-ACCURACY = 1e-11  # of the largest force: unbalanced forces in equilibrium
+ACCURACY = 1e-11  # unbalanced force in equilibrium, relative to the largest force
 ITERATIONS = 200
 ESCAPES = 20  # from saddles
-FARTHEST = 1e3  # sizes of the structure: a structure that moves farther is not held
+FARTHEST = 1e3  # displacement of an unsupported structure, relative to its size
 _ROUNDING = 16 * float(np.finfo(float).eps)
-_SHORTEST = 1e-14  # sizes of the structure: a shorter step changes nothing
-_BARS = 1e-13  # m per m: lengths of rigid bars
+_SHORTEST = 1e-14  # shortest step, relative to the size of the structure
+_BARS = 1e-13  # relative error of the lengths of rigid bars
 
 
 class SearchResult(NamedTuple):
@@ -45,9 +45,9 @@ class SearchResult(NamedTuple):
     converged : bool
         Whether the forces balance and no motion lowers the energy.
     stable : bool
-        Whether every motion is resisted but rigid-body motions that nothing resists.
+        Whether every motion but free rigid-body motions has a positive stiffness.
     stalled : bool
-        Whether the search ended where another start may help.
+        Whether the search stopped without progress, so that another start may help.
     reason : str
         Reason of a failure; empty on success.
     iterations : int
@@ -65,11 +65,11 @@ class SearchResult(NamedTuple):
 
 
 class NoRestError(ArithmeticError):
-    """There is no equilibrium near the start."""
+    """Absence of an equilibrium near the start."""
 
 
 class StalledError(NoRestError):
-    """The search makes no progress."""
+    """Search without progress."""
 
 
 def find_rest(
@@ -77,8 +77,8 @@ def find_rest(
 ) -> SearchResult:
     """Find a stable equilibrium near some nodes.
 
-    Friction is limited by the normal forces at the pressing nodes that are given, or else by those
-    of the previous iterate.
+    Friction is limited by the normal forces at the given pressing nodes. By default these are the
+    nodes of the previous iterate.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ class _SearchState:
         self._balance()
 
     def run(self) -> None:
-        """Take steps until the forces balance at a minimum of the energy."""
+        """Iterate until the forces balance at an energy minimum."""
         self._take(restore_bars(self.system, self.start))
         self._fit_tension()
         for self.steps in range(ITERATIONS):
@@ -152,7 +152,10 @@ class _SearchState:
 
     @property
     def floor(self) -> float:
-        """Least shift, by which motions without stiffness stay where they are [N/m]."""
+        """Least shift σ of the tangent stiffness [N/m].
+
+        It keeps motions without stiffness at rest.
+        """
         return FLAT * self.scale
 
     def _take(self, nodes: Array) -> None:
@@ -165,7 +168,7 @@ class _SearchState:
             raise NoRestError("the forces are not finite")
 
     def _fit_tension(self) -> None:
-        """Find the tensions of bars that balance the forces best."""
+        """Compute the least-squares tensions of rigid bars."""
         if self.system.rigid:
             force = self.equations.in_free_directions(self.point.applied)
             self.tension = self.system.factor_bars(self.point.bars).solve(force)[1]
@@ -184,7 +187,7 @@ class _SearchState:
     # --- steps ---
 
     def _step(self) -> None:
-        """Take one step of the trust region, or make the region smaller."""
+        """Take a trust-region step, or shrink the region."""
         factors, p, change = self._solve_model()
         length = float(np.linalg.norm(p))
         predicted = 0.5 * float(p @ self.residual) + 0.5 * self.shift * length**2
@@ -239,7 +242,7 @@ class _SearchState:
         return found
 
     def _polish(self, factors: NewtonFactors) -> None:
-        """Take a last Newton step if it leaves less unbalanced force."""
+        """Take a last Newton step if it reduces the residual."""
         before = self.point, self.tension, self.residual
         p, change = factors.solve(self.residual)
         nodes = self._move(p, factors)
@@ -277,14 +280,17 @@ class _SearchState:
         raise StalledError("no step leaves the saddle of the energy")
 
     def _move(self, p: Array, factors: NewtonFactors) -> Array | None:
-        """Displace the nodes and restore the lengths of bars; None where that fails."""
+        """Displace the nodes and restore the bar lengths.
+
+        Return None if the lengths cannot be restored.
+        """
         return pull_to_bars(self.system, self.equations.displace(self.point.nodes, p), factors)
 
     def _work(self, half: Array, whole: Array, tension: Array) -> float:
-        """Integrate the forces along the parabola through nodes, by Simpson's rule [J].
+        """Compute the work of the forces along a step [J].
 
-        It is exact for constant tensions of rigid bars, which do no work; they take most of the
-        rounding out of it.
+        Simpson's rule integrates along the parabola through the nodes. It is exact for constant
+        tensions of rigid bars, which do no work but cancel most of the rounding error.
         """
         first, last = half - self.point.nodes, whole - self.point.nodes
         ways = 4 * first - last, 4 * last, 3 * last - 4 * first
@@ -301,7 +307,10 @@ class _SearchState:
     # --- factors ---
 
     def _factor(self, shift: float) -> NewtonFactors | None:
-        """Factorize with a shift; None unless K + σ I is positive definite on the motions."""
+        """Factorize with a shift σ.
+
+        Return None unless K + σ I is positive definite on the motions that keep rigid bars.
+        """
         try:
             factors = self.system.factor(self.point, self.tension, self.scale, shift)
             return factors if factors.count_negative() <= 0 else None
@@ -312,9 +321,9 @@ class _SearchState:
 def allowed_residual(
     system: NewtonSystem, point: StaticPoint, tension: Array, accuracy: float = ACCURACY
 ) -> float:
-    """Return the unbalanced force that counts as none [N].
+    """Compute the unbalanced force that counts as zero [N].
 
-    It is relative to the largest force, and not below the rounding of the springs' forces.
+    It is relative to the largest force, and not below the rounding error of the spring forces.
     """
     lengths = np.linalg.norm(point.springs, axis=1)
     forces = [np.abs(point.gamma) * lengths, np.abs(tension), np.abs(point.loads)]
@@ -324,9 +333,9 @@ def allowed_residual(
 
 
 def restore_bars(system: NewtonSystem, nodes: Array) -> Array:
-    """Move nodes by as little as possible to where rigid bars have their lengths.
+    """Restore the lengths of rigid bars by least displacements.
 
-    Raises NoRestError where no such nodes are near.
+    Raises NoRestError if there is no such configuration nearby.
     """
     equations = system.equations
     if not system.rigid:
@@ -342,7 +351,10 @@ def restore_bars(system: NewtonSystem, nodes: Array) -> Array:
 
 
 def pull_to_bars(system: NewtonSystem, nodes: Array, factors: NewtonFactors) -> Array | None:
-    """Restore the lengths of rigid bars by the factors of nodes nearby; None where that fails."""
+    """Restore the lengths of rigid bars by given factors.
+
+    The factors are those of a configuration nearby. Return None if the lengths cannot be restored.
+    """
     equations = system.equations
     last = np.inf
     for _ in range(30 if system.rigid else 0):

@@ -38,10 +38,10 @@ def six_bar_ball(
     Parameters
     ----------
     bar_length : float
-        Length l of each bar, m.
+        Length l of each bar [m].
     prestress : float, optional
-        Smallest force density, N/m, at which the strings hold the structure in equilibrium; it sets
-        the rest lengths. By default strings are as long as their rest lengths.
+        Smallest string force density of the self-stress [N/m], which determines the rest
+        lengths. By default strings are unstressed.
     **options : array_like
         Other keywords of `Structure`, such as `bar_mass`, `stiffness` and `pinned`.
 
@@ -64,21 +64,21 @@ def six_bar_ball(
 def expanded_octahedron(
     bar_length: float = 1.0, ratio: float = 0.5, prestress: float | None = None, **options: Any
 ) -> Structure:
-    """Build an expanded octahedron of six bars by its ratio (class 1).
+    """Build an expanded octahedron of six bars (class 1).
 
-    Nodes, bars and strings are those of `six_bar_ball`, which has the ratio ½. The 24 strings are
-    equal at any ratio: √((1 − r + r²)/2) times the length of the bars.
+    Nodes, bars and strings are those of `six_bar_ball`, which has the ratio ½. The 24 strings have
+    equal lengths at any ratio r: √((1 − r + r²)/2) times the length of the bars.
 
     Parameters
     ----------
     bar_length : float
-        Length of each bar, m.
+        Length of each bar [m].
     ratio : float
-        Distance r of parallel bars relative to their length, between 0 and 1. At ½ there is a
-        self-stress; at 1/φ = 0.618 the nodes are those of a regular icosahedron.
+        Distance r of parallel bars relative to their length, between 0 and 1. The structure has a
+        self-stress at ½. At 1/φ = 0.618 the nodes are those of a regular icosahedron.
     prestress : float, optional
-        Smallest force density, N/m, at which the strings hold the structure in equilibrium; it sets
-        the rest lengths. By default strings are as long as their rest lengths.
+        Smallest string force density of the self-stress [N/m], which determines the rest
+        lengths. By default strings are unstressed.
     **options : array_like
         Other keywords of `Structure`, such as `bar_mass`, `stiffness` and `pinned`.
 
@@ -119,7 +119,7 @@ def truncated_tetrahedron(
     prestress: float | None = None,
     **options: Any,
 ) -> Structure:
-    """Build a ball of six bars on a truncated tetrahedron (class 1).
+    """Build a truncated tetrahedron of six bars (class 1).
 
     ::
 
@@ -128,18 +128,18 @@ def truncated_tetrahedron(
         3k  ────  3k+1         and one bar, to the node across one edge of the hexagon further
 
     Strings: the triangles 3k → 3k+1 → 3k+2 → 3k; then the six edges between triangles, in lexical
-    order, as are the bars.
+    order. Bars are in lexical order, too.
 
     Parameters
     ----------
     bar_length : float
-        Length of each bar, m.
+        Length of each bar [m].
     force_ratio : float
         Force density of the edges between triangles relative to that of the triangles. It
         determines the form.
     prestress : float, optional
-        Smallest force density, N/m, at which the strings hold the structure in equilibrium; it sets
-        the rest lengths. By default strings are as long as their rest lengths.
+        Smallest string force density of the self-stress [N/m], which determines the rest
+        lengths. By default strings are unstressed.
     **options : array_like
         Other keywords of `Structure`, such as `bar_mass`, `stiffness` and `pinned`.
 
@@ -150,8 +150,8 @@ def truncated_tetrahedron(
 
     Notes
     -----
-    Rotations of the tetrahedron map each node to every other one. The form is where the 3×3 matrix
-    of the equilibrium of one node is singular.
+    Rotations of the tetrahedron map each node to every other one. In the form of equilibrium, the
+    3×3 equilibrium matrix of one node is singular.
 
     Examples
     --------
@@ -170,7 +170,7 @@ def truncated_icosahedron(
     prestress: float | None = None,
     **options: Any,
 ) -> Structure:
-    """Build a ball of 30 bars on a truncated icosahedron (class 1).
+    """Build a truncated icosahedron of 30 bars (class 1).
 
     ::
 
@@ -181,18 +181,18 @@ def truncated_icosahedron(
             5k ── 5k+1
 
     Strings: the pentagons 5k → 5k+1 → … → 5k; then the 30 edges between pentagons, in lexical
-    order, as are the bars.
+    order. Bars are in lexical order, too.
 
     Parameters
     ----------
     bar_length : float
-        Length of each bar, m.
+        Length of each bar [m].
     force_ratio : float
         Force density of the edges between pentagons relative to that of the pentagons. It
         determines the form.
     prestress : float, optional
-        Smallest force density, N/m, at which the strings hold the structure in equilibrium; it sets
-        the rest lengths. By default strings are as long as their rest lengths.
+        Smallest string force density of the self-stress [N/m], which determines the rest
+        lengths. By default strings are unstressed.
     **options : array_like
         Other keywords of `Structure`, such as `bar_mass`, `stiffness` and `pinned`.
 
@@ -203,8 +203,8 @@ def truncated_icosahedron(
 
     Notes
     -----
-    Rotations of the icosahedron map each node to every other one. The form is where the 3×3 matrix
-    of the equilibrium of one node is singular.
+    Rotations of the icosahedron map each node to every other one. In the form of equilibrium, the
+    3×3 equilibrium matrix of one node is singular.
 
     Examples
     --------
@@ -227,7 +227,8 @@ def _truncate(
 ) -> Structure:
     """Build a ball on a truncated polyhedron.
 
-    `corner` is one of its corners, where `order` faces meet, and `edge` the middle of an edge there.
+    `corner` is a vertex of the polyhedron, shared by `order` faces, and `edge` the midpoint of an
+    edge at this vertex.
     """
     length, ratio = (
         positive_number("bar_length", bar_length),
@@ -253,10 +254,10 @@ def _truncate(
 
 
 def _generator(a: Array, b: Array, c: Array, ratio: float) -> Array:
-    """Find the node whose images under all rotations are in equilibrium.
+    """Find the generating node of a symmetric equilibrium.
 
-    Strings join it to its images under a, a⁻¹ (force density 1) and b (`ratio`), a bar to that
-    under c.
+    Its images under all rotations are the nodes. Strings connect it to its images under a, a⁻¹
+    (force density 1) and b (`ratio`), and a bar connects it to its image under c.
     """
     eye = np.eye(3)
     strings = a + a.T - 2 * eye + ratio * (b - eye)
@@ -264,7 +265,7 @@ def _generator(a: Array, b: Array, c: Array, ratio: float) -> Array:
     W = basis.T @ strings @ basis
     # c − I is 0 along the axis and −2 across it: the axis is eliminated, 2 q are eigenvalues
     values, vectors = np.linalg.eig(W[1:, 1:] - np.outer(W[1:, 0], W[0, 1:]) / W[0, 0])
-    across = vectors[:, np.argmin(np.abs(values))].real  # the only one that is super-stable
+    across = vectors[:, np.argmin(np.abs(values))].real  # the only super-stable solution
     return np.asarray(basis @ np.append(-W[0, 1:] @ across / W[0, 0], across))
 
 
@@ -276,7 +277,10 @@ def _rotate(axis: Array, angle: float) -> Array:
 
 
 def _images(rotations: list[Array], turn: Array) -> Indices:
-    """Find the index of rotation · turn for each rotation of a group."""
+    """Find the indices of rotations multiplied by a rotation.
+
+    The products rotation · turn are elements of the same group.
+    """
     flat = np.array(rotations).reshape(-1, 9)
     images = (np.array(rotations) @ turn).reshape(-1, 9)
     return np.asarray(np.argmax(images @ flat.T, axis=1))

@@ -27,10 +27,10 @@ def michell_cantilever(
     angle: float | None = None,
     **options: Any,
 ) -> Structure:
-    """Build Michell's cantilever: two families of spirals around a circle.
+    """Build Michell's cantilever from two families of spirals.
 
-    It carries a force in −y at node 0 with the least material: strings above, bars below. The
-    inner nodes are pinned, all others in z alone.
+    The spirals surround a circle. The cantilever carries a force in −y at node 0 with the least
+    material: strings above, bars below. The nodes on the circle are pinned, all others in z alone.
 
     ::
 
@@ -47,11 +47,11 @@ def michell_cantilever(
     order : int
         Number of levels, at least 1.
     radius : float
-        Distance of node 0 from the center of the circle, m.
+        Distance of node 0 from the center of the circle [m].
     inner_radius : float
-        Radius of the circle, m.
+        Radius of the circle [m].
     angle : float, optional
-        Angle by which the spirals turn from level to level, rad. Default: that of the least volume,
+        Angle of the spirals from level to level [rad]. Default: the angle of least volume,
         π/2 − 2 atan a, where a is the ratio of consecutive radii.
     **options : array_like
         Other keywords of `Structure`, such as `bar_mass`, `stiffness` and `pinned`.
@@ -63,8 +63,8 @@ def michell_cantilever(
 
     Notes
     -----
-    A force F at node 0 takes members with Σ |force| · length = order · F r₀ (1/a − a) [1]_, which
-    converges to Michell's 2 F r₀ ln(r₀/r_q).
+    Under a force F at node 0, Σ |force| · length = order · F r₀ (1/a − a) [1]_. With increasing
+    order it converges to Michell's 2 F r₀ ln(r₀/r_q).
 
     References
     ----------
@@ -107,10 +107,11 @@ def arm(
     prestress: float | None = None,
     **options: Any,
 ) -> Structure:
-    """Build an arm of cells of bars along x, guyed to a wall (class 2p).
+    """Build a cantilever arm of D-bar cells (class 2p).
 
-    Each cell is a D-bar in space: p bars spread from one node of the axis to a ring of strings, and
-    p bars return to the next node of the axis. Strings join the rings of consecutive cells.
+    The arm extends along x from a wall. Each cell is a spatial D-bar: p bars lead from one node of
+    the axis to the nodes of a ring of strings, and p bars from these to the next node of the axis.
+    Strings connect the rings of consecutive cells, and the first ring to the wall.
 
     ::
 
@@ -119,8 +120,8 @@ def arm(
         wall ─ axis 0 ─── axis 1 ─── axis 2   the last p nodes: wall, half a cell behind axis 0
 
     Bars: for each cell the p bars to the ring and the p bars from it. Strings: for each cell its
-    ring, its axis and p strings along x to the ring before it, or to the wall. Axis 0 and the wall
-    are pinned.
+    ring, its axis and p strings along x from the previous ring, or from the wall. Axis 0 and the
+    wall are pinned.
 
     Parameters
     ----------
@@ -129,12 +130,12 @@ def arm(
     sides : int
         Number p of nodes of each ring, at least 3.
     length : float
-        Length of a cell, m.
+        Length of a cell [m].
     radius : float
-        Radius of the rings, m.
+        Radius of the rings [m].
     prestress : float, optional
-        Smallest force density, N/m, at which the strings hold the structure in equilibrium; it sets
-        the rest lengths. By default strings are as long as their rest lengths.
+        Smallest string force density of the self-stress [N/m], which determines the rest
+        lengths. By default strings are unstressed.
     **options : array_like
         Other keywords of `Structure`, such as `bar_mass`, `stiffness` and `pinned`.
 
@@ -145,7 +146,7 @@ def arm(
 
     Notes
     -----
-    The prestress is that of equal force densities in all strings along x.
+    The self-stress has equal force densities in all strings along x.
 
     Examples
     --------
@@ -177,9 +178,10 @@ def arm(
 
 
 def _arm_stress(cells: int, p: int) -> Array:
-    """Compute the force densities of strings with 1 along x, cell by cell.
+    """Compute the string force densities of the self-stress.
 
-    Bars push with 2 + 2/p, but for those that end in the tip, which push with 2/p.
+    They are ordered cell by cell, and 1 along x. The force density of bars is 2 + 2/p, positive in
+    compression, or 2/p for bars that end at the tip.
     """
     pushes = np.full(cells, 2 * (2 + 2 / p))  # of both bars of a ring's node
     pushes[-1] = 2 + 4 / p

@@ -27,7 +27,9 @@ def bicycle_wheel(
     prestress: float | None = None,
     **options: Any,
 ) -> Structure:
-    """Build a bicycle wheel: a rim and an axle of bars, and spokes of strings (class 2).
+    """Build a bicycle wheel (class 2).
+
+    The rim and the axle are bars, the spokes are strings.
 
     ::
 
@@ -44,12 +46,12 @@ def bicycle_wheel(
     spokes : int
         Number p of spokes at each end of the axle, and of bars of the rim, at least 3.
     radius : float
-        Radius of the rim, m.
+        Radius of the rim [m].
     axle : float
-        Length of the axle, m.
+        Length of the axle [m].
     prestress : float, optional
-        Smallest force density, N/m, at which the strings hold the structure in equilibrium; it sets
-        the rest lengths. By default strings are as long as their rest lengths.
+        Smallest string force density of the self-stress [N/m], which determines the rest
+        lengths. By default strings are unstressed.
     **options : array_like
         Other keywords of `Structure`, such as `bar_mass`, `stiffness` and `pinned`.
 
@@ -83,9 +85,10 @@ def geiger_dome(
     prestress: float | None = None,
     **options: Any,
 ) -> Structure:
-    """Build a Geiger dome: radial ridges and diagonals over hoops (class 1).
+    """Build a Geiger cable dome (class 1).
 
-    Posts are bars. The outer ring of nodes is pinned.
+    Ridges, diagonals and hoops are strings; ridges and diagonals are radial. Posts are bars. The
+    outer ring of nodes is pinned.
 
     ::
 
@@ -105,14 +108,14 @@ def geiger_dome(
     hoops : int
         Number of hoops, at least 1.
     radius : float
-        Radius of the pinned ring, m.
+        Radius of the pinned ring [m].
     rise : float
-        Height of the central top above the pinned ring, m; all tops lie on a paraboloid.
+        Height of the central top above the pinned ring [m]; all tops lie on a paraboloid.
     post : float
-        Length of the posts, m.
+        Length of the posts [m].
     prestress : float, optional
-        Smallest force density, N/m, at which the strings hold the structure in equilibrium; it sets
-        the rest lengths. By default strings are as long as their rest lengths.
+        Smallest string force density of the self-stress [N/m], which determines the rest
+        lengths. By default strings are unstressed.
     **options : array_like
         Other keywords of `Structure`, such as `bar_mass`, `stiffness` and `pinned`.
 
@@ -140,11 +143,11 @@ def levy_dome(
     prestress: float | None = None,
     **options: Any,
 ) -> Structure:
-    """Build a Levy dome: triangles of ridges and diagonals over hoops (class 1).
+    """Build a Levy cable dome (class 1).
 
-    It differs from `geiger_dome` outside the first hoop: each ring is turned by half a segment, and
-    two ridges and two diagonals lead from each post to the next ring. Rings of ridges and of
-    diagonals hold the strings i → i, then i → i−1.
+    Ridges and diagonals form triangles. It differs from `geiger_dome` outside the first hoop: each
+    ring is rotated by half a segment, and two ridges and two diagonals lead from each post to the
+    next ring. Ridges and diagonals of a ring are the strings i → i, then i → i−1.
 
     Parameters
     ----------
@@ -153,14 +156,14 @@ def levy_dome(
     hoops : int
         Number of hoops, at least 1.
     radius : float
-        Radius of the pinned ring, m.
+        Radius of the pinned ring [m].
     rise : float
-        Height of the central top above the pinned ring, m; all tops lie on a paraboloid.
+        Height of the central top above the pinned ring [m]; all tops lie on a paraboloid.
     post : float
-        Length of the posts, m.
+        Length of the posts [m].
     prestress : float, optional
-        Smallest force density, N/m, at which the strings hold the structure in equilibrium; it sets
-        the rest lengths. By default strings are as long as their rest lengths.
+        Smallest string force density of the self-stress [N/m], which determines the rest
+        lengths. By default strings are unstressed.
     **options : array_like
         Other keywords of `Structure`, such as `bar_mass`, `stiffness` and `pinned`.
 
@@ -188,7 +191,10 @@ def _dome(
     prestress: float | None,
     options: dict[str, Any],
 ) -> Structure:
-    """Build a dome; `shifts` are the neighbors on the next ring that strings lead to."""
+    """Build a cable dome.
+
+    Strings lead from node i to the nodes i + shift of the next ring, for all `shifts`.
+    """
     count = whole_number("hoops", hoops, 1, _MOST_HOOPS)
     p = whole_number("segments", segments, 3, LARGEST_COUNT // count)
     size, rise = positive_number("radius", radius), positive_number("rise", rise)
@@ -211,7 +217,10 @@ def _dome(
 
 
 def _dome_nodes(p: int, hoops: int, radius: float, rise: float, post: float, turned: bool) -> Array:
-    """Compute the nodes: the central post, tops and bottoms of each hoop, the pinned ring."""
+    """Compute the nodes of a cable dome.
+
+    They are the central post, tops and bottoms of each hoop, and the pinned ring.
+    """
     nodes = [np.array([(0.0, 0.0, rise), (0.0, 0.0, rise - post)])]
     for k in range(1, hoops + 2):
         share = k / (hoops + 1)

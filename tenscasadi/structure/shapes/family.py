@@ -1,4 +1,4 @@
-"""Family of shapes, and the parts that several of them need."""
+"""Base class and common functions of shapes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tenscasadi.structure.names import name_members
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, Indices, positive_number
 
-LARGEST_COUNT = 10**5  # bars, rings or units; larger structures would take hours
+LARGEST_COUNT = 10**5  # bars, rings or units; larger structures would need hours
 _ROUNDING = 1e-9  # relative singular value below which a symmetric self-stress exists
 
 Groups = Mapping[str, Indices]  # pairs of nodes (members, 2) by the name of their group
@@ -42,9 +42,9 @@ def build_structure(
 ) -> Structure:
     """Build a structure from named groups of members.
 
-    Member k of a group is called ``name[k]``; a sole member has the name itself, and those of the
-    group "" have none. `prestress` is the smallest force density of the self-stress. It is
-    proportional to `stress` (α,) if that is given, else equal within groups.
+    Member k of a group is named ``name[k]``; a single member has the name itself, and members of the
+    group "" have no names. `prestress` is the smallest force density of the self-stress. The
+    self-stress is proportional to `stress` (α,) if that is given, else equal within groups.
     """
     bar_pairs, string_pairs = (
         np.concatenate([*groups.values()] or [np.zeros((0, 2), dtype=int)])
@@ -69,9 +69,10 @@ def build_structure(
 def symmetric_self_stress(
     structure: Structure, bars: Sequence[Indices], strings: Sequence[Indices]
 ) -> Array:
-    """Compute γ (α,) of the self-stress that is equal within groups [any scale].
+    """Compute the self-stress γ (α,) that is equal within groups.
 
-    Raises ValueError where the groups have no such self-stress, or more than one.
+    Its scale is arbitrary. Raises ValueError if there is no such self-stress with all strings in
+    tension, or more than one.
     """
     sizes = [len(pairs) for pairs in (*strings, *bars)]
     count = sum(sizes)
@@ -90,11 +91,14 @@ def symmetric_self_stress(
 
 
 def place_ring(count: int, radius: float, start: float, z: float) -> Array:
-    """Compute `count` points at equal angles around the z axis, from the angle `start`."""
+    """Compute points (count, 3) equally spaced on a circle.
+
+    The circle surrounds the z axis. The first point is at the angle `start`.
+    """
     angles = start + 2 * np.pi * np.arange(count) / count
     return np.column_stack([radius * np.cos(angles), radius * np.sin(angles), np.full(count, z)])
 
 
 def polygon(nodes: Indices) -> Indices:
-    """Join nodes to a closed polygon."""
+    """Build the node pairs of a closed polygon."""
     return np.column_stack([nodes, np.roll(nodes, -1)])

@@ -32,8 +32,8 @@ def membrane(
                  ╱  ╲     ╱  ╲     ╱        rings run from z = −length/2 to +length/2
         ring 0  0 ────── 1 ────── 2 …
 
-    Strings: the rings, ring by ring (q p); then for each node of ring j its two to ring j+1, to
-    nodes (j+1) p + i and (j+1) p + i−1 (2 p (q−1)).
+    Strings: the rings, ring by ring (q p); then for each node of ring j its two strings to ring
+    j+1, to nodes (j+1) p + i and (j+1) p + i−1 (2 p (q−1)).
 
     Parameters
     ----------
@@ -42,11 +42,11 @@ def membrane(
     q : int
         Number of rings, at least 2.
     radius : float
-        Radius of the cylinder, m.
+        Radius of the cylinder [m].
     length : float
-        Distance from the first ring to the last, m.
+        Distance from the first ring to the last [m].
     node_mass : array_like, shape (p q,)
-        Mass of each node, kg, or one number for all.
+        Mass of each node [kg], or one number for all.
     **options : array_like
         Other keywords of `Structure`, such as `bar_mass`, `stiffness` and `pinned`.
 
@@ -100,7 +100,7 @@ def membrane_faces(p: int = 8, q: int = 5) -> Indices:
     Returns
     -------
     ndarray of int, shape (2 p (q−1), 3)
-        Nodes of each triangle, as `Pressure` takes them.
+        Nodes of each triangle, for `Pressure`.
 
     Examples
     --------
@@ -144,22 +144,22 @@ def hyperbolic_paraboloid(
         │       │       │       └→ x
         0 ───── 3 ───── 6
 
-    Strings between inner nodes and their neighbors: along y, then along x, in lexical order of
-    their first nodes. The boundary has none. Equal force densities are in equilibrium.
+    Strings connect inner nodes with their neighbors: along y, then along x, in lexical order of
+    their first nodes. The boundary has no strings. Equal force densities are in equilibrium.
 
     Parameters
     ----------
     cells : int
         Number of cells along each side, at least 2.
     side : float
-        Side of the square ground plan, m.
+        Side of the square ground plan [m].
     rise : float
-        Height of the raised corners, m; the others are as low.
+        Height of two corners above z = 0 [m]. The other corners are as far below.
     node_mass : array_like, shape ((cells+1)²,)
-        Mass of each node, kg, or one number for all.
+        Mass of each node [kg], or one number for all.
     prestress : float, optional
-        Smallest force density, N/m, at which the strings hold the structure in equilibrium; it sets
-        the rest lengths. By default strings are as long as their rest lengths.
+        Smallest string force density of the self-stress [N/m], which determines the rest
+        lengths. By default strings are unstressed.
     **options : array_like
         Other keywords of `Structure`, such as `stiffness` and `pinned`.
 

@@ -29,9 +29,9 @@ def pendulum(length: float = 1.0, angle: float = np.pi / 4, **options: Any) -> S
     Parameters
     ----------
     length : float
-        Length of the bar, m.
+        Length of the bar [m].
     angle : float
-        Angle from hanging down towards +x, rad.
+        Angle from the downward vertical towards +x [rad].
     **options : array_like
         Other keywords of `Structure`, such as `bar_mass`, `stiffness` and `pinned`.
 
@@ -76,9 +76,9 @@ def double_pendulum(
     Parameters
     ----------
     lengths : array_like, shape (2,)
-        Lengths of bar 0, (0, 1), and of bar 1, (1, 2), m.
+        Lengths of bar 0, (0, 1), and of bar 1, (1, 2) [m].
     angles : array_like, shape (2,)
-        Angle of each bar from hanging down towards +x, rad.
+        Angle of each bar from the downward vertical towards +x [rad].
     **options : array_like
         Other keywords of `Structure`, such as `bar_mass`, `stiffness` and `pinned`.
 

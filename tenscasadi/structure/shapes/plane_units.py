@@ -36,20 +36,20 @@ def d_bar(
 
     Bars: (0, 1), (1, 2), (2, 3), (3, 0). Strings: (0, 2), (1, 3). Equal force densities are in
     equilibrium. A bar (a, b) becomes the bars (a, c), (c, b), (b, d), (d, a) and the strings (a, b),
-    (c, d), with new nodes c and d; strings are in the order of the iterations. No node is pinned by
+    (c, d), with new nodes c and d. Strings are in the order of the iterations. No node is pinned by
     default; the paper pins node 0 (Sect. 7.2).
 
     Parameters
     ----------
     bar_length : float
-        Length of each bar after the first iteration, m.
+        Length of each bar after the first iteration [m].
     angle : float
-        Angle of the bars off the x axis, rad, between 0 and π/2.
+        Angle of the bars off the x axis [rad], between 0 and π/2.
     prestress : float, optional
-        Smallest force density, N/m, at which the strings hold the structure in equilibrium; it sets
-        the rest lengths. By default strings are as long as their rest lengths.
+        Smallest string force density of the self-stress [N/m], which determines the rest
+        lengths. By default strings are unstressed.
     iterations : int
-        How often bars are replaced, the first D-bar included, at least 1.
+        Number of iterations, including the first D-bar, at least 1.
     **options : array_like
         Other keywords of `Structure`, such as `bar_mass`, `stiffness` and `pinned`.
 
@@ -60,8 +60,8 @@ def d_bar(
 
     Notes
     -----
-    In the self-stress of equal force densities along the long diagonals, the short diagonals of
-    iteration k have k times as much.
+    In the self-stress with equal force densities of all long diagonals, the force densities of the
+    short diagonals of iteration k are k times as large.
 
     Examples
     --------
@@ -98,7 +98,7 @@ def t_bar(
 ) -> Structure:
     """Build a T-bar of four bars (class 4).
 
-    All bars meet in node 4, the origin. They lie in the plane z = 0, inside a diamond of strings.
+    All bars share node 4, the origin. They lie in the plane z = 0, inside a diamond of strings.
     Each further iteration replaces the bars along the axis by T-bars of the same proportions.
 
     ::
@@ -111,20 +111,20 @@ def t_bar(
 
     Bars: (4, 0), (4, 1), (4, 2), (4, 3). Strings: (0, 1), (1, 2), (2, 3), (3, 0). Equal force
     densities are in equilibrium. A bar (a, b) becomes the bars (m, a), (m, c), (m, b), (m, d) and
-    the strings (a, c), (c, b), (b, d), (d, a), with new nodes c, d and m; bars across the axis come
-    first, strings are in the order of the iterations.
+    the strings (a, c), (c, b), (b, d), (d, a), with new nodes c, d and m. Bars across the axis come
+    first. Strings are in the order of the iterations.
 
     Parameters
     ----------
     length : float
-        Distance from node 0 to node 2, m.
+        Distance from node 0 to node 2 [m].
     width : float
-        Distance from node 1 to node 3, m.
+        Distance from node 1 to node 3 [m].
     prestress : float, optional
-        Smallest force density, N/m, at which the strings hold the structure in equilibrium; it sets
-        the rest lengths. By default strings are as long as their rest lengths.
+        Smallest string force density of the self-stress [N/m], which determines the rest
+        lengths. By default strings are unstressed.
     iterations : int
-        How often bars along the axis are replaced, the first T-bar included, at least 1.
+        Number of iterations, including the first T-bar, at least 1.
     **options : array_like
         Other keywords of `Structure`, such as `bar_mass`, `stiffness` and `pinned`.
 
@@ -158,9 +158,10 @@ def t_bar(
 
 
 def _beside(nodes: Array, a: Indices, b: Indices, offset: float) -> Array:
-    """Find two points beside the middle of each bar (a, b), to its right and to its left.
+    """Compute two points beside the midpoint of each bar.
 
-    Their distance from it is `offset` times the length of the bar.
+    They lie to the right and to the left of the bar (a, b). Their distance from the midpoint is
+    `offset` times the length of the bar.
     """
     right = offset * (nodes[b] - nodes[a])[:, [1, 0, 2]] * [1.0, -1.0, 1.0]
     middle = 0.5 * (nodes[a] + nodes[b])

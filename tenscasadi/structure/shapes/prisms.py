@@ -1,4 +1,4 @@
-"""Prisms."""
+"""Tensegrity prisms."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def prism(
 ) -> Structure:
     """Build a prism with inclined bars (class 1).
 
-    Strings form its two polygons. Each bar has a vertical string beside it and, with `diagonals`,
-    a string that crosses it.
+    Strings form the bottom and top polygons and the verticals. With `diagonals`, there is one more
+    string for each bar.
 
     ::
 
@@ -40,27 +40,27 @@ def prism(
         bottom   0 ──── 1 ──── …      nodes 0 … p−1, at z = 0, node i at (radius, 2π i/p) in polar coordinates
 
     Bars: i → p+(i+1 mod p). Strings: bottom polygon i → i+1, top polygon, vertical i → p+i, and
-    diagonal i → p+(i−1 mod p), p of each. They are named ``bottom[0]`` and so on, as are nodes.
+    diagonal i → p+(i−1 mod p), p of each. Strings and nodes are named ``bottom[0]`` and so on.
 
     Parameters
     ----------
     bars : int
         Number p of bars, at least 3.
     radius : float
-        Radius of the polygons, m.
+        Radius of the polygons [m].
     height : float
-        Distance between the polygons, m.
+        Distance between the polygons [m].
     twist : float, optional
-        Angle from a bar's bottom end to its top end about the z axis, rad. Default: π/2 + π/p, the
+        Angle from a bar's bottom end to its top end about the z axis [rad]. Default: π/2 + π/p, the
         only one with a self-stress; with diagonals 5π/4p + π/2, while all between π/2 + π/p and
         π/2 + 2π/p have one.
     prestress : float, optional
-        Smallest force density, N/m, at which the strings hold the structure in equilibrium; it sets
-        the rest lengths. By default strings are as long as their rest lengths.
+        Smallest string force density of the self-stress [N/m], which determines the rest
+        lengths. By default strings are unstressed.
     diagonals : bool
-        Whether the diagonal strings are there.
+        Whether to add diagonal strings.
     top_radius : float, optional
-        Radius of the top polygon, m, if it is another one.
+        Radius of the top polygon [m], if it is another one.
     **options : array_like
         Other keywords of `Structure`, such as `bar_mass`, `stiffness` and `pinned`.
 
@@ -107,12 +107,18 @@ def prism(
 
 
 def equilibrium_twist(bars: int) -> float:
-    """Compute the twist [rad] at which a prism without diagonals has a self-stress."""
+    """Compute the equilibrium twist of a prism [rad].
+
+    Without diagonals, the prism has a self-stress only at this twist.
+    """
     return np.pi / 2 + np.pi / bars
 
 
 def check_twist(prestress: float | None, bars: int, twist: float) -> None:
-    """Raise ValueError where a prism has a prestress and no self-stress."""
+    """Check that a prestressed prism has a self-stress.
+
+    Raises ValueError.
+    """
     balanced = equilibrium_twist(bars)
     if prestress is not None and not np.isclose(twist, balanced, rtol=0.0, atol=1e-12):
         raise ValueError(

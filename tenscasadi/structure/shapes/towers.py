@@ -1,4 +1,4 @@
-"""Towers: prisms on top of each other, and spines of tetrahedra."""
+"""Towers of stacked prisms, and spines of tetrahedra."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, Indices, number, positive_number, whole_number
 
 _MOST_STAGES = 100  # the overlap of class-1 towers needs determinants of 6 times as many rows
-_HALVINGS = 50  # of the interval of an overlap: to rounding
-_TRIALS = 100  # overlaps at which a change of sign of the determinant is searched for
+_HALVINGS = 50  # bisections of the interval of the overlap, to rounding error
+_TRIALS = 100  # overlaps at which the sign of the determinant is evaluated
 
 
 class _Tower(NamedTuple):
-    """Nodes and groups of members."""
+    """Nodes and groups of members of a tower."""
 
     nodes: Array
     bars: dict[str, Indices]
@@ -41,10 +41,11 @@ def prism_tower(
     prestress: float | None = None,
     **options: Any,
 ) -> Structure:
-    """Build a tower of prisms that lean in turns to the left and to the right.
+    """Build a tower of stacked prisms.
 
-    In class 2, consecutive stages share a polygon of strings. In class 1, no bars touch: each
-    stage starts below the top of the one before, and saddle strings zigzag between them.
+    Consecutive stages have opposite handedness. In class 2, consecutive stages share a polygon of
+    strings. In class 1, no bars share a node: each stage starts below the top of the previous one,
+    and saddle strings zigzag between them.
 
     ::
 
@@ -55,9 +56,10 @@ def prism_tower(
                                        ring 0  ── stage 0 begins
 
     Bars of stage s: i → i±1 from its lower ring to its upper ring. Strings of class 2: the
-    polygons, ring by ring; then the verticals i → i, stage by stage. Of class 1: the lowest and the
-    highest polygon and the verticals; then above each stage but the last the saddle strings to i and
-    to i−1, and the diagonals between the lower and between the upper rings of both stages.
+    polygons, ring by ring; then the verticals i → i, stage by stage. Strings of class 1 begin with
+    the lowest and the highest polygon and the verticals. Then each stage but the last has its
+    saddle strings, to i and to i−1 of the next stage. They are followed by its diagonals, between
+    the lower rings and between the upper rings of both stages.
 
     Parameters
     ----------
@@ -66,18 +68,18 @@ def prism_tower(
     bars : int
         Number p of bars of each stage, at least 3.
     radius : float
-        Radius of the rings, m.
+        Radius of the rings [m].
     height : float
-        Height of a stage, m.
+        Height of a stage [m].
     joint_class : {1, 2}
-        Largest number of bars that meet in a node.
+        Largest number of bars that share a node.
     twist : float, optional
-        Angle from a bar's lower end to its upper end about the z axis, rad. Default: π/2 + π/p in
+        Angle from a bar's lower end to its upper end about the z axis [rad]. Default: π/2 + π/p in
         class 2, the only one with a self-stress, and π/2 + 7π/6p in class 1, where it fixes the
         overlap.
     prestress : float, optional
-        Smallest force density, N/m, at which the strings hold the structure in equilibrium; it sets
-        the rest lengths. By default strings are as long as their rest lengths.
+        Smallest string force density of the self-stress [N/m], which determines the rest
+        lengths. By default strings are unstressed.
     **options : array_like
         Other keywords of `Structure`, such as `bar_mass`, `stiffness` and `pinned`.
 
@@ -89,8 +91,8 @@ def prism_tower(
     Raises
     ------
     ValueError
-        No overlap below the height of a stage holds all strings of class 1 in tension at this
-        twist.
+        No overlap below the height of a stage has a self-stress with all strings of class 1 in
+        tension at this twist.
 
     Examples
     --------
@@ -118,7 +120,10 @@ def prism_tower(
 
 
 def _stack(stages: int, p: int, radius: float, height: float, turn: float) -> _Tower:
-    """Build a tower of class 2; `turn` is the angle between the rings of a stage [rad]."""
+    """Build a tower of class 2.
+
+    `turn` is the angle between the rings of a stage [rad].
+    """
     i = np.arange(p)
     leaning = [(-1) ** s for s in range(stages)]
     angles = np.cumsum([0.0, *(side * turn for side in leaning)])
@@ -132,9 +137,9 @@ def _stack(stages: int, p: int, radius: float, height: float, turn: float) -> _T
 
 
 def _overlap(stages: int, p: int, radius: float, height: float, turn: float) -> _Tower:
-    """Build a tower of class 1 at the overlap where it has a self-stress.
+    """Build a tower of class 1 that has a self-stress.
 
-    There the square matrix of the equilibrium of one node of each ring is singular.
+    At its overlap, the square equilibrium matrix of one node of each ring is singular.
     """
 
     def build(overlap: float) -> _Tower:
@@ -165,7 +170,7 @@ def _overlap(stages: int, p: int, radius: float, height: float, turn: float) -> 
 def _build_class_one(
     stages: int, p: int, radius: float, height: float, turn: float, overlap: float
 ) -> _Tower:
-    """Build a tower of class 1 with a given overlap of its stages [m]."""
+    """Build a tower of class 1 with given overlap [m]."""
     i, nodes, angle = np.arange(p), [], 0.0
     strings = {"polygon0": polygon(i), "polygon1": polygon((2 * stages - 1) * p + i)}
     bars: dict[str, Indices] = {}
@@ -191,10 +196,11 @@ def _build_class_one(
 
 
 def _ring_balance(tower: _Tower, p: int) -> Array:
-    """Compute the forces on the first node of each ring, in its radial, tangential and z direction.
+    """Compute the symmetric equilibrium matrix of a tower.
 
-    A column for each group of bars, then of strings. Two rows are left out, which depend on the
-    others as the tower moves and turns as a whole.
+    Rows are radial, tangential and z forces on the first node of each ring. Columns are groups of
+    bars, then of strings. Two rows are left out, which are dependent because of the rigid-body
+    translation and rotation about z.
     """
     groups = [*tower.bars.values(), *tower.strings.values()]
     forces = np.zeros((len(tower.nodes), 3, len(groups)))
@@ -211,7 +217,10 @@ def _ring_balance(tower: _Tower, p: int) -> Array:
 
 
 def _join(p: int, lower: int, upper: int, shift: int) -> Indices:
-    """Join node i of a ring with node i + shift of another one."""
+    """Build node pairs between two rings.
+
+    Node i of the lower ring is paired with node i + shift of the upper ring.
+    """
     i = np.arange(p)
     return np.asarray(np.c_[lower * p + i, upper * p + (i + shift) % p])
 
@@ -225,7 +234,7 @@ def spine(
     prestress: float | None = None,
     **options: Any,
 ) -> Structure:
-    """Build a spine of tetrahedra that strings hold apart and together (class 3).
+    """Build a spine of tetrahedra and strings (class 3).
 
     The vertebrae do not touch.
 
@@ -238,21 +247,21 @@ def spine(
 
     Bars: the six edges of each vertebra, in lexical order. Strings between consecutive vertebrae:
     four verticals, which pull them together; then the four saddle strings from the top edge of the
-    lower one to the bottom edge of the upper one, which pull them apart.
+    lower vertebra to the bottom edge of the upper vertebra, which pull them apart.
 
     Parameters
     ----------
     vertebrae : int
         Number of vertebrae, at least 1.
     width : float
-        Length of the top and bottom edges, m.
+        Length of the top and bottom edges [m].
     height : float
-        Height of a vertebra, m.
+        Height of a vertebra [m].
     pitch : float, optional
-        Distance of consecutive vertebrae, m, less than the height; by default two thirds of it.
+        Distance of consecutive vertebrae [m], less than the height; by default two thirds of it.
     prestress : float, optional
-        Smallest force density, N/m, at which the strings hold the structure in equilibrium; it sets
-        the rest lengths. By default strings are as long as their rest lengths.
+        Smallest string force density of the self-stress [N/m], which determines the rest
+        lengths. By default strings are unstressed.
     **options : array_like
         Other keywords of `Structure`, such as `bar_mass`, `stiffness` and `pinned`.
 
@@ -263,7 +272,7 @@ def spine(
 
     Notes
     -----
-    In equilibrium the force densities of saddle strings and verticals are in the ratio pitch :
+    In the self-stress, the force densities of saddle strings and verticals are in the ratio pitch :
     (height − pitch).
 
     Examples
