@@ -214,7 +214,7 @@ PLACES = st.one_of(
     st.builds(
         lambda at, wide, size: lambda t: size * (ca.tanh((t - at) / wide) - ca.tanh(-at / wide)),
         TIME,
-        width(-5),
+        st.floats(0.01, 0.1),  # narrower than a step it would have to be declared
         st.floats(1e-6, 1e-4),
     ),
 )
