@@ -41,7 +41,9 @@ class Row(NamedTuple):
 
 def main(quick: bool = False) -> list[Row]:
     """Prints the table and returns its rows. `quick`: the smallest task of each program, once."""
-    rows = [measure(task, 1 if quick else 7) for task in tasks(quick)]
+    with warnings.catch_warnings():  # of the peers, and of their dependencies as they are imported
+        warnings.simplefilter("ignore")
+        rows = [measure(task, 1 if quick else 7) for task in tasks(quick)]
     print(f"{'':44s}{'own':>10s}{'peer':>10s}{'ratio':>8s}{'first':>9s}   errors: own, peer")
     for row in rows:
         times = f"{1e3 * row.own:7.1f} ms{1e3 * row.peer:7.1f} ms{row.peer / row.own:8.1f}{row.first:7.1f} s"
@@ -53,8 +55,7 @@ def measure(task: Task, repeats: int) -> Row:
     """Run a task with both programs, in turns."""
     own: list[float] = []
     peer: list[float] = []
-    with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
-        warnings.simplefilter("ignore")
+    with contextlib.redirect_stdout(io.StringIO()):
         started = time.perf_counter()
         theirs = task.peer()
         first = time.perf_counter() - started
