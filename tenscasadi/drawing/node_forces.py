@@ -80,10 +80,11 @@ def _find_contact_forces(scene: Scene, frame: Frame) -> Array:
 def _build_reactions(scene: Scene, size: int) -> Any:
     """Build the function that computes reactions (n, 3) [N].
 
-    Its arguments are a state of a given size and a control.
+    Its arguments are a state of a given size and a control. Returns None if no coordinates of the
+    scene have this size.
 
-    They balance the momentum of each node: N̈ M − F − B λ̂ C_b (Eq. 85). Forces between the bars of a
-    joint add up to zero. Returns None if no coordinates of the scene have this size.
+    Reactions balance the momentum of each node: N̈ M − F − B λ̂ C_b (Eq. 85). Forces between the bars
+    of a joint add up to zero.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the simulation has warned

@@ -21,8 +21,8 @@ from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, finite_array, instance, per_item, text
 
 _SIGNS: tuple[Rgb, ...] = (STYLE.reaction, STYLE.slack, STYLE.load)  # push, none, pull
-_THINNEST, _WIDEST = 0.001, 0.007  # radii of members without and with the largest force, and
-_LINE = 0.002  # of members in modes, relative to the structure
+# radii relative to the structure: of members without and with the largest force, and in modes
+_THINNEST, _WIDEST, _LINE = 0.001, 0.007, 0.002
 _ZOOM = 1.5  # of modes, which have no axes around them
 _AMPLITUDE = 0.12  # of the largest displacement in a mode, relative to the structure
 _COLUMNS = 3

@@ -113,7 +113,8 @@ class Layer:
     def _draw_arrows(self, kind: str, shape: DrawnShape) -> None:
         """Draw arrows as a batch of shafts and one of heads.
 
-        Nodes without an arrow have copies of no size. Arrows of viser take much more time on pages that draw in software.
+        Nodes without an arrow have copies of no size. Arrows of viser take much more time on pages
+        that draw in software.
         """
         count, shown = len(self.frame.nodes), len(shape.points)
         ends, radius = np.zeros((count, 2, 3)), np.zeros(count)

@@ -33,8 +33,7 @@ def save_mat(
     Indices count from 1 in the file. A structure becomes the variables N (3×n), C_b, C_s, s_0, k,
     c, m and pinned_nodes. The additional variables pinned_X, pinned_Y, pinned_Z, node_mass,
     string_mass, bar_radius, bar_stiffness (0: rigid), bar_rest_length, roller_nodes and
-    roller_normals are unknown to MOTES. `load_mat`
-    restores the structure exactly.
+    roller_normals are unknown to MOTES. `load_mat` restores the structure exactly.
 
     With `class_one` the file is valid input of ``tenseg_sim_class1open(load('x.mat'))`` or
     ``tenseg_sim_classkopen`` of MOTES. N then has a column for each end of a bar, P and D hold

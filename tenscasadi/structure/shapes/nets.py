@@ -69,7 +69,7 @@ def membrane(
     nodes = np.concatenate(
         [place_ring(p, radius, j * np.pi / p, length * (j / (q - 1) - 0.5)) for j in range(q)]
     )
-    ring, before, after = _membrane_neighbours(p, q)
+    ring, before, after = _membrane_neighbors(p, q)
     lower = ring[: p * (q - 1)]
     helices = np.stack(
         [np.c_[lower, lower + p], np.c_[lower, before[: len(lower)] + p]], axis=1
@@ -109,14 +109,14 @@ def membrane_faces(p: int = 8, q: int = 5) -> Indices:
     [[0, 1, 3], [1, 2, 4], [2, 0, 5], [0, 3, 5], [1, 4, 3], [2, 5, 4]]
     """
     p, q = whole_number("p", p, 3, LARGEST_COUNT), whole_number("q", q, 2, LARGEST_COUNT)
-    ring, before, after = _membrane_neighbours(p, q)
+    ring, before, after = _membrane_neighbors(p, q)
     lower, upper = slice(0, p * (q - 1)), slice(p, p * q)
     upright = np.c_[ring[lower], after[lower], ring[lower] + p]
     hanging = np.c_[ring[lower], ring[upper], before[upper]]
     return np.concatenate([upright, hanging])
 
 
-def _membrane_neighbours(p: int, q: int) -> tuple[Indices, Indices, Indices]:
+def _membrane_neighbors(p: int, q: int) -> tuple[Indices, Indices, Indices]:
     """Find all nodes and their neighbors on the ring."""
     ring = np.arange(p * q)
     first = ring - ring % p

@@ -63,9 +63,8 @@ def count_substeps(options: LiveOptions, model: Model, state: Array, control: Ar
 
 def _choose_step(model: Model, scheme: Scheme, state: Array, control: Array) -> float:
     """Choose the largest step that resolves strings and contacts [s]."""
-    stable = 0.5 * find_limit(
-        model, scheme, state, control
-    )  # NaN without a derivative at the start
+    # NaN without a derivative at the start
+    stable = 0.5 * find_limit(model, scheme, state, control)
     rate = contact_rate(model)  # rad/s
     limits = [1e-3, stable, 0.1 / rate if rate else np.inf]
     return float(np.nanmin([limit for limit in limits if limit > 0]))
