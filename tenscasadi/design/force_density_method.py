@@ -16,7 +16,6 @@ References
 from __future__ import annotations
 
 import warnings
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -27,6 +26,7 @@ from tenscasadi.design.force_densities import ForceDensities
 from tenscasadi.structure.class_one import connectivity
 from tenscasadi.structure.equilibrium_matrix import (
     equilibrium_matrix,
+    force_density_matrix,
     free_directions,
     member_pairs,
 )
@@ -37,15 +37,6 @@ _ITERATIONS = 100
 _CONVERGED = 1e-9  # step relative to the force densities; the error is its square
 _SMALLEST = 0.05  # lower limit of string force densities in the estimate, relative to their mean
 _PULL = 1e-3  # weight of equal force densities in the estimate, relative to that of equilibrium
-
-
-def force_density_matrix(structure: Structure, q: Array) -> Any:
-    """Compute the force-density matrix (n, n) [N/m].
-
-    D = Cᵀ q̂ C.
-    """
-    C = connectivity(member_pairs(structure), len(structure.nodes))
-    return sp.csc_array(C.T @ sp.diags_array(q) @ C)
 
 
 def solve_form(structure: Structure, q: Array, loads: Array) -> Array | None:
@@ -92,8 +83,8 @@ def estimate_force_densities(structure: Structure, densities: ForceDensities) ->
     none = LinearRows(sp.csc_array((0, unknown)), np.zeros(0))
     cost = B.T @ (A @ densities.given) - weight * target
     p = solve_conic(cost, none, below, P).x
-    scaled = 1.0 if densities.has_scale else strings / densities.of(p)[:strings].sum()
-    return np.asarray(scaled * p)
+    total = densities.of(p)[:strings].sum()
+    return np.asarray(p if densities.has_scale or not total else p * (strings / total))
 
 
 def adapt_force_densities(

@@ -10,7 +10,12 @@ import scipy.sparse as sp
 
 from tenscasadi.statics.self_stress import rigid_body_motions
 from tenscasadi.statics.solver.motions import softest_motions
-from tenscasadi.structure.equilibrium_matrix import balance_columns, free_directions, member_pairs
+from tenscasadi.structure.equilibrium_matrix import (
+    balance_columns,
+    force_density_matrix,
+    free_directions,
+    member_pairs,
+)
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.constrained_eigenproblem import SaddlePoint
 from tenscasadi.util.validate import Array
@@ -59,9 +64,7 @@ class TangentStiffness:
         """
         k = self.stiffness if stiffness is None else stiffness
         along = np.where(self.stiffness > 0.0, k - q, 0.0)
-        count = len(self.structure.nodes)
-        ends = balance_columns(self.pairs, np.ones((len(q), 3)), count)[::3]
-        across = sp.kron(ends @ sp.diags_array(q) @ ends.T, sp.eye_array(3))
+        across = sp.kron(force_density_matrix(self.structure, q), sp.eye_array(3))
         material = self.elongation.T @ sp.diags_array(along) @ self.elongation
         return sp.csc_array(material + self.free.T @ across @ self.free)
 
@@ -106,6 +109,8 @@ class TangentStiffness:
         It is the linear response to loads (cases, n, 3) about the state with force densities q.
         Raises LinAlgError if K is singular.
         """
+        if not self.free.shape[1]:
+            return np.zeros((len(q), len(loads)))
         forces = self.free.T @ loads.reshape(len(loads), -1).T
         held = sp.vstack([self.J, sp.csr_array(self.rigid_body.T)], format="csr")
         motion, pull = SaddlePoint(self.at(q), held).solve(forces)

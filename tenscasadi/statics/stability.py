@@ -34,8 +34,7 @@ from tenscasadi.statics.solver.newton_system import FLAT, NewtonSystem
 from tenscasadi.statics.solver.static_equations import StaticPoint
 from tenscasadi.statics.solver.trust_region import allowed_residual
 from tenscasadi.statics.super_stability import is_super_stable
-from tenscasadi.structure.class_one import connectivity
-from tenscasadi.structure.equilibrium_matrix import balance_bars, member_pairs
+from tenscasadi.structure.equilibrium_matrix import balance_bars, force_density_matrix
 from tenscasadi.structure.prestress import read_force_densities
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.kept import keep
@@ -148,11 +147,9 @@ class Stability(ReadOnlyArrays):
     @cached_property
     def force_density_matrix(self) -> sp.csr_array:
         """Force density matrix (n, n) [N/m], sparse."""
-        pairs = member_pairs(self.structure)
-        across = connectivity(pairs, len(self.structure.nodes))
         density = np.array(self.force_density)
         density[len(self.structure.strings) :] *= -1.0  # λ > 0 is compression
-        return sp.csr_array(across.T @ sp.diags_array(density) @ across)
+        return sp.csr_array(force_density_matrix(self.structure, density))
 
     @cached_property
     def tangent(self) -> sp.csr_array:
@@ -265,10 +262,13 @@ class Stability(ReadOnlyArrays):
     @cached_property
     def _flat(self) -> Array:
         """Orthonormal motions (free, ·) without stiffness."""
-        flat = np.abs(self.eigenvalues) <= FLAT * self.scale
-        free = self.system.equations.free
-        modes = self.modes[flat].reshape(int(flat.sum()), self.structure.nodes.size)
-        return np.hstack([self.neutral, free.T @ modes.T])
+        system, zero = self.system, FLAT * self.scale
+        values, modes = self.eigenvalues, self.modes
+        motions = system.equations.free.T @ modes.reshape(len(modes), self.structure.nodes.size).T
+        if len(values) and values[-1] <= zero:  # there may be more of them
+            K, J = system.tangent(self.point, self.tension), system.lengthening(self.point)
+            values, motions = softest_motions(K, J, self.neutral)
+        return np.hstack([self.neutral, motions[:, np.abs(values) <= zero]])
 
     def _displace(self, forces: Array) -> tuple[Array, Array]:
         """Compute the linear response to nodal forces (n, 3).
@@ -426,7 +426,9 @@ def _describe(
         np.linalg.norm((equations.free @ unbalanced).reshape(-1, 3), axis=1).max(initial=0.0)
     )
     balanced = residual <= allowed_residual(system, point, tension, BALANCED)
-    softest = f"softest motion {values[0]:.4g} N/m" if len(values) else "no motion is free"
+    softest = (
+        f"softest motion {values[0]:.4g} N/m" if len(values) else "no motion changes the shape"
+    )
     message = softest if balanced else f"not in equilibrium, {residual:.3g} N stay unbalanced"
     return Stability(
         structure, density, residual, message, values, modes, balanced,

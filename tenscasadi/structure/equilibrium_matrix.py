@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from tenscasadi.structure.class_one import connectivity
 from tenscasadi.util.validate import Array, Indices
 
 
@@ -38,6 +39,15 @@ def equilibrium_matrix(structure: Any) -> Any:
     return sp.csc_array(
         free_directions(structure).T @ balance_columns(pairs, vectors, len(structure.nodes))
     )
+
+
+def force_density_matrix(structure: Any, q: Array) -> Any:
+    """Compute the force density matrix Cᵀ q̂ C (n, n) [N/m].
+
+    The force densities q (α + β,) are positive in tension.
+    """
+    C = connectivity(member_pairs(structure), len(structure.nodes))
+    return sp.csc_array(C.T @ sp.diags_array(q) @ C)
 
 
 def balance_bars(structure: Any, gamma: Array, loads: Array | None = None) -> Array:

@@ -13,7 +13,11 @@ import scipy.sparse as sp
 from scipy.optimize import linprog
 
 from tenscasadi.design.sizing.material import Sections
-from tenscasadi.structure.equilibrium_matrix import equilibrium_matrix, free_directions
+from tenscasadi.structure.equilibrium_matrix import (
+    equilibrium_matrix,
+    free_directions,
+    member_pairs,
+)
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, Indices
 
@@ -199,7 +203,7 @@ def _end_weights(structure: Structure, sections: Sections, gravity: Array) -> An
 
     One half of a member's weight acts at each end.
     """
-    pairs = np.concatenate([structure.strings, structure.bars])
+    pairs = member_pairs(structure)
     half = 0.5 * sections.mass_per_area[:, None] * gravity
     rows = 3 * pairs[:, :, None] + np.arange(3)
     values = np.stack([half, half], axis=1)

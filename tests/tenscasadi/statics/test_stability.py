@@ -211,6 +211,13 @@ def test_stiffness_of_held_and_free_loads():
         free.displacement(np.zeros((5, 3)))
 
 
+def test_displacement_does_not_depend_on_the_count():
+    load = [(0, 0, 0), (0, 0, -1.0), (0, 0, 0)]
+    shapes = tc.shapes.double_pendulum()
+    few, all_ = (tc.stability(shapes, count=count).displacement(load) for count in (1, None))
+    np.testing.assert_allclose(few, all_, atol=1e-12)
+
+
 def test_stiffness_of_one_string():
     s = tc.Structure(
         [(0, 0, 0), (1, 0, 0)], strings=[(0, 1)], pinned=[0], node_mass=1, stiffness=50.0
