@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from tenscasadi.design.conic import ConicSolution, LinearRows
+from tenscasadi.design.conic import LinearRows
 from tenscasadi.design.force_densities import Groups, read_force_densities, set_prestress
 from tenscasadi.design.prestress_goals import (
     Even,
@@ -28,7 +28,7 @@ from tenscasadi.util.validate import Array, as_tuple, finite_array, instance, no
 
 _ROUNDS = 30  # iterations between the prestress and the response to loads
 _SMALLEST = 1e-6  # relative to the limits: smaller tensions are rounding errors of a solver
-_SETTLED = 1e-9  # relative change of the tensions between iterations
+_SETTLED = 1e-9  # change of the response between iterations, relative to the largest tension
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,45 +169,42 @@ class _PrestressSearch:
 
     def run(self, goal: PrestressGoal) -> PrestressDesign:
         """Find the optimal prestress for a goal."""
-        strings = len(self.least)
-        response = np.zeros((strings, 1))
-        if len(self.cases):
-            moved = np.abs(
-                self.tangent.rigid_body.T
-                @ (self.tangent.free.T @ self.cases.reshape(len(self.cases), -1).T)
-            ).max(axis=0, initial=0.0)
-            for case in np.flatnonzero(moved > _SETTLED * np.abs(self.cases).max(initial=0.0)):
-                return self.fail(f"load case {case} moves the structure as a whole: pin some nodes")
-            first = Even().solve(self.program(response, np.maximum(self.least, self.scale)))
-            q = (
-                self.basis @ first.x
-                if first.status == "solved"
-                else np.zeros(len(self.tangent.lengths))
-            )
-        found, tension = ConicSolution(np.zeros(0), "failed"), np.full(strings, np.inf)
-        for _ in range(_ROUNDS if len(self.cases) else 1):
-            if len(self.cases):
-                try:
-                    response = self.tangent.tension_change(q, self.cases)[:strings]
-                except np.linalg.LinAlgError:
-                    return self.fail(
-                        "a load case drives a mechanism that no prestress stiffens: add members or supports"
-                    )
-            found = goal.solve(self.program(response, self.least))
+        strings, none = len(self.least), np.zeros((len(self.least), 1))
+        if not len(self.cases):
+            found = goal.solve(self.program(none, self.least))
             if found.status != "solved":
                 return self.fail(self.explain(found.status))
-            q, last = self.basis @ found.x, tension
-            tension = q[:strings] * self.tangent.lengths[:strings]
-            if np.abs(tension - last).max(initial=0.0) <= _SETTLED * np.abs(tension).max(
-                initial=0.0
-            ):
-                break
-        else:
-            if len(self.cases):
+            return self.report(self.basis @ found.x)
+        moved = np.abs(
+            self.tangent.rigid_body.T
+            @ (self.tangent.free.T @ self.cases.reshape(len(self.cases), -1).T)
+        ).max(axis=0, initial=0.0)
+        for case in np.flatnonzero(moved > _SETTLED * np.abs(self.cases).max(initial=0.0)):
+            return self.fail(f"load case {case} moves the structure as a whole: pin some nodes")
+        first = Even().solve(self.program(none, np.maximum(self.least, self.scale)))
+        q = np.zeros(len(self.tangent.lengths))
+        if first.status == "solved":
+            q = self.basis @ first.x
+        last = np.full((strings, len(self.cases)), np.inf)
+        for _ in range(_ROUNDS):
+            try:
+                response = self.tangent.tension_change(q, self.cases)[:strings]
+            except np.linalg.LinAlgError:
                 return self.fail(
-                    "prestress and response to the loads do not settle: reduce the loads"
+                    "a load case drives a mechanism that no prestress stiffens: add members or supports"
                 )
-        return self.report(q)
+            # equal responses have equal programs, whose solutions are equal within solver tolerance
+            tension = q[:strings] * self.tangent.lengths[:strings]
+            allowed = _SETTLED * max(
+                np.abs(value).max(initial=0.0) for value in (tension, response)
+            )
+            if np.abs(response - last).max(initial=0.0) <= allowed:
+                return self.report(q)
+            found, last = goal.solve(self.program(response, self.least)), response
+            if found.status != "solved":
+                return self.fail(self.explain(found.status))
+            q = self.basis @ found.x
+        return self.fail("prestress and response to the loads do not settle: reduce the loads")
 
     def program(self, response: Array, least: Array) -> PrestressProgram:
         """Build the program with limits under the loads.

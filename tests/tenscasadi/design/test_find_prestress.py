@@ -110,6 +110,23 @@ def test_least_prestress_keeps_strings_taut_under_loads() -> None:
     np.testing.assert_allclose(pre.tension, 70.0)  # 30 N are left for the load
 
 
+@pytest.mark.parametrize("minimum", [0.0, 10.0, 1000.0])
+@pytest.mark.parametrize("goal", [tc.Least(), tc.Even()])
+def test_prestress_of_a_dome_settles_under_snow(goal, minimum: float) -> None:
+    dome = tc.shapes.levy_dome(segments=8, hoops=1, stiffness=1e6)
+    for factor in (0.1, 0.9, 1.0, 1.1):
+        snow = np.where(dome.fixed, 0.0, [0.0, 0.0, -500.0 * factor])
+        pre = tc.find_prestress(dome, goal, [snow], minimum=minimum)
+        assert pre.success, pre.message
+
+
+def test_load_on_pins_alone_changes_no_tension() -> None:
+    held = tc.shapes.prism(pinned=range(6))
+    pre = tc.find_prestress(held, tc.Least(), [np.ones((6, 3))], minimum=2.0)
+    assert pre.success, pre.message
+    np.testing.assert_allclose(pre.tension, 2.0)
+
+
 def test_limits_hold_at_the_equilibrium_under_load() -> None:
     s = tc.shapes.prism(diagonals=True, stiffness=1e5, pinned=[0, 1, 2])
     load = np.zeros((6, 3))
