@@ -348,7 +348,7 @@ class Tracer:
         scale = system.stiffness_scale(pressed, tension)
         try:
             factors = system.factor(pressed, tension, scale, -FLAT * scale)
-            unstable = max(0, factors.count_negative() - neutral.shape[1])
+            unstable = factors.count_negative(neutral)
         except np.linalg.LinAlgError:
             unstable = 1
         return PathPoint(point, tension, factor, direction, unstable, neutral)
@@ -386,7 +386,7 @@ class Tracer:
             self._check_continuity(at, step, reach)
             found.append((step, PathRow(at(step), "limit")))
         for k in range(low, high):
-            step = _root(lambda s, k=k: float(self._softest(at(s), k + 1)[0][k]), reach)  # type: ignore[misc]
+            step = _root(lambda s, k=k: self._stiffness(at(s), k), reach)  # type: ignore[misc]
             known = (0.0, *(other for other, _ in found))
             if any(abs(step - other) <= _SAME * reach for other in known):
                 continue
@@ -425,6 +425,11 @@ class Tracer:
         """
         moved = self._displacement(place, other)
         return np.asarray(np.append(moved, other.factor - place.factor) / self.units)
+
+    def _stiffness(self, place: PathPoint, k: int) -> float:
+        """Find the k-th lowest stiffness; 0 for neutral motions, which are left out."""
+        values, _ = self._softest(place, k + 1)
+        return float(values[k]) if k < len(values) else 0.0
 
     def _softest(self, place: PathPoint, count: int) -> tuple[Array, Array]:
         """Find the lowest stiffnesses and their motions (free, count)."""

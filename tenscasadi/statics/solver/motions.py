@@ -127,7 +127,8 @@ def find_stable_factors(
     scale = system.stiffness_scale(point, tension)
     with suppress(np.linalg.LinAlgError):
         factors = system.factor(point, tension, scale, -FLAT * scale)
-        below = factors.count_negative()
-        if below == 0 or below <= neutral_motions(system, point, tension).shape[1]:
+        if not factors.count_negative():
+            return factors
+        if not factors.count_negative(neutral_motions(system, point, tension)):
             return factors
     return None

@@ -287,16 +287,24 @@ class NewtonFactors:
         """Number of rigid bars."""
         return len(self.order) - self.size
 
-    def count_negative(self) -> int:
+    def count_negative(self, left_out: Array | None = None) -> int:
         """Count the negative eigenvalues of the constrained stiffness.
 
-        It is K + σ I on motions that keep rigid bars. By Sylvester's law of inertia, the count is
-        the number of negative pivots less the number of rigid bars. Raises LinAlgError if a pivot
-        left the diagonal.
+        It is K + σ I on motions that keep rigid bars and are orthogonal to `left_out` (free, r). By
+        Sylvester's law of inertia, the count is the number of negative pivots less the number of
+        rigid bars. Motions left out are further constraints, by Haynsworth's formula. Raises
+        LinAlgError if a pivot left the diagonal.
         """
         if not np.array_equal(self.factors.perm_r, self.factors.perm_c):
             raise np.linalg.LinAlgError("a pivot left the diagonal")
-        return int((self.factors.U.diagonal() < 0.0).sum()) - self.rigid
+        below = int((self.factors.U.diagonal() < 0.0).sum()) - self.rigid
+        if left_out is None or not left_out.size:
+            return below
+        target = np.zeros((len(self.order), left_out.shape[1]))
+        target[self.order[: self.size]] = left_out
+        flexibility = target.T @ self.factors.solve(target)
+        positive = int((np.linalg.eigvalsh(flexibility) > 0.0).sum())
+        return below + positive - int(left_out.shape[1])
 
     def solve(self, f: Array, g: Array | None = None) -> tuple[Array, Array]:
         """Solve for displacements p (free,) and tensions (β_r,).

@@ -208,7 +208,9 @@ class _SearchState:
             self.tension = self.tension + change
             self._balance()
         elif self.radius < _SHORTEST * self.size:
-            raise StalledError("no step lowers the energy any more")
+            self._fit_tension()  # those of the model are too large after all strings became slack
+            if not self._is_balanced():
+                raise StalledError("no step lowers the energy any more")
 
     def _solve_model(self) -> tuple[NewtonFactors, Array, Array]:
         """Minimize the quadratic model within the trust region."""

@@ -154,6 +154,22 @@ def test_column_under_compression_leaves_its_straight_saddle():
     assert eq.nodes[1, 0] < 0.5  # it snaps through
 
 
+def test_flat_dbar_folds_until_its_strings_are_slack():
+    s = tc.Structure(
+        [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)],
+        bars=[(0, 1), (1, 2), (2, 3), (3, 0)],
+        strings=[(0, 2), (1, 3)],
+        pinned=[0],
+        stiffness=100.0,
+        rest_length=[0.5, 1.0],
+    )
+    eq = tc.find_equilibrium(tc.Scene(s))  # flat, it is in equilibrium at a saddle of the energy
+    assert eq.success, eq.message
+    assert eq.residual < 1e-9
+    assert not eq.stable
+    np.testing.assert_array_equal(eq.tension, 0.0)
+
+
 @pytest.mark.parametrize("control", [tc.RestLength(), tc.ForceDensity()])
 def test_control_and_parameters(control):
     s = prism()

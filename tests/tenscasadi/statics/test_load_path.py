@@ -40,6 +40,14 @@ def check_rows(path: tc.LoadPath, scene: tc.Scene, load: np.ndarray) -> None:
         assert np.abs(total[~s.fixed]).max(initial=0) <= 1e-9 * largest
 
 
+def test_pressed_bar_on_one_pin_is_unstable():
+    bar = tc.Structure([(0, 0, 0), (0, 0, 1)], bars=[(0, 1)], pinned=[0])
+    path = tc.load_path(tc.Scene(bar), [(0, 0, 0), (0, 0, -1.0)])
+    assert path.success, path.message
+    assert not path.stable[1:].any()
+    np.testing.assert_allclose(path.bar_force[:, 0], -path.factor)
+
+
 def test_truss_of_von_mises_snaps_through():
     """Limit load 42.914326 N at height 0.277880."""
     scene = tc.Scene(truss())
