@@ -67,7 +67,7 @@ class StaticsReport:
         """Describe the softest motions: stiffness and frequency."""
         stiffness, frequency = self.stability.eigenvalues[:SOFTEST], self.modes.frequency[:SOFTEST]
         if not len(stiffness):
-            return ["softest       none: bars and supports hold all nodes"]
+            return ["softest       none: bars and supports keep the shape"]
         return [
             f"softest       {', '.join(f'{value:.4g}' for value in stiffness)} N/m",
             f"frequencies   {', '.join(f'{value:.4g}' for value in frequency)} Hz",

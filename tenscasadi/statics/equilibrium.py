@@ -15,7 +15,7 @@ from tenscasadi.scene.binding import fix, initial_control
 from tenscasadi.scene.loads import NodalForce
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import RestLength
-from tenscasadi.statics.self_stress import rigid_body_motions
+from tenscasadi.statics.self_stress import TOLERANCE, rigid_body_motions
 from tenscasadi.statics.solver.newton_system import NewtonSystem
 from tenscasadi.statics.solver.relaxation import relax
 from tenscasadi.statics.solver.settling import settle
@@ -361,7 +361,9 @@ def _message(system: NewtonSystem, rest: SearchResult, unbalanced: Array, residu
         return f"in equilibrium after {rest.iterations} steps, unbalanced force {residual:.1e} N"
     cure = "give another start, or change supports, loads or rest lengths"
     if is_unheld(system, rest):
-        force = ", ".join(f"{value:.3g}" for value in unbalanced.sum(axis=0))
+        total = unbalanced.sum(axis=0)
+        total[np.abs(total) <= TOLERANCE * np.abs(total).max()] = 0.0
+        force = ", ".join(f"{value:.3g}" for value in total)
         cure = f"support the structure, or balance the net load of ({force}) N"
     return f"no equilibrium: {rest.reason}, {residual:.3g} N stay unbalanced: {cure}"
 
