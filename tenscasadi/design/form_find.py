@@ -148,6 +148,8 @@ def form_find(
     (True, [-1.732051, -1.732051, -1.732051])
     """
     instance("structure", structure, Structure, "a tenscasadi.Structure")
+    if not len(structure.strings):
+        raise ValueError("structure has no strings: add some, or keep its nodes")
     densities = read_force_densities(structure, force_density, groups)
     goals = _read_goals(structure, lengths, positions, equal_tension, loads)
     forms = (

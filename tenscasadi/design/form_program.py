@@ -1,8 +1,9 @@
 """Form finding as a nonlinear program.
 
-The unknowns are nodes and force densities. Equilibrium and goals are constraints. Among the forms that satisfy them, those that best keep the
-lengths of bars are found. Among these, the program selects the form nearest to the start for
-free-standing structures, and the form of most equal force densities for supported ones.
+The unknowns are nodes and force densities. Equilibrium and goals are constraints. Among the forms
+that satisfy them, those that best keep the lengths of bars are found. Among these, the program
+selects the form nearest to the start for free-standing structures, and the form of most equal force
+densities for supported ones.
 """
 
 from __future__ import annotations
@@ -97,7 +98,7 @@ class FormProgram:
         if not (densities.has_scale or goals.loads.any()):
             self.equilibrium = ca.vertcat(self.equilibrium, ca.sum1(q[:strings]) / strings - 1)
         bars = ca.DM(structure.bar_lengths / self.length)
-        self.bars = (squared[strings:] - bars**2) / (2 * bars)
+        self.bars = (squared[strings:, 0] - bars**2) / (2 * bars)
         self.goals, self.names = self._goal_rows(goals, N, squared, q)
         uneven = ca.sumsqr(p - ca.DM(np.where(np.isfinite(densities.lower), 1.0, -1.0)))
         first, then = (uneven, ca.sumsqr(y)) if goals.hold(structure) else (ca.sumsqr(y), uneven)
@@ -146,7 +147,7 @@ class FormProgram:
         Equilibrium is a constraint, too. Returns x, and whether it satisfies all constraints.
         """
         rows = ca.vertcat(self.equilibrium, constraints)
-        program = {"x": self.x, "f": objective, "g": rows}
+        program = {"x": self.x, "f": objective, "g": ca.densify(rows)}
         if rows.numel() > self.x.numel():
             return start, False
         solver = ca.nlpsol("form", "ipopt", program, _OPTIONS)

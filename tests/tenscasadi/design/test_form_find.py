@@ -243,6 +243,20 @@ def test_wrong_input_is_named(given, message: str) -> None:
         tc.form_find(tc.shapes.prism(), **given)
 
 
+def test_structure_without_strings_is_rejected() -> None:
+    with pytest.raises(ValueError, match="structure has no strings"):
+        tc.form_find(tc.shapes.double_pendulum())
+
+
+def test_one_string_beside_a_loose_node_has_a_verdict() -> None:
+    loose = tc.Structure(
+        [(0, 0, 0), (1, 0, 0), (0, 1, 1)], strings=[(0, 1)], pinned=[0], node_mass=1.0
+    )
+    form = tc.form_find(loose)
+    assert not form.success
+    assert np.all(np.isfinite(form.structure.nodes))
+
+
 def test_position_of_a_pinned_node_is_rejected() -> None:
     with pytest.raises(ValueError, match="positions of node 0 prescribes x, which a support fixes"):
         tc.form_find(tc.shapes.hyperbolic_paraboloid(3), positions={0: (0, None, None)})
