@@ -19,7 +19,7 @@ from tenscasadi.design.sizing.elastic_forces import (
 )
 from tenscasadi.design.sizing.material import Material, Sections, build_sections
 from tenscasadi.design.sizing.program import SizedForces, SizingProgram
-from tenscasadi.design.sizing.search import Design, find_least_mass
+from tenscasadi.design.sizing.search import find_least_mass
 from tenscasadi.design.sizing.sized import Sized, report_failure, report_sections
 from tenscasadi.design.sizing.stable import StableSizing
 from tenscasadi.design.tangent_stiffness import TangentStiffness
@@ -123,7 +123,11 @@ def size(
     if not stable:
         if given is not None and given.any():
             return _superpose(structure, program, cases, given)
-        message = f"within {_gap(design):.1e} of the least mass" if len(cases) else "no loads"
+        message = (
+            f"within {_gap(design.best.mass, design.bound):.1e} of the least mass"
+            if len(cases)
+            else "no loads"
+        )
         chosen = _choose_forces(program, design.best, given)
         return report_sections(structure, program, cases, chosen, message)
     elastic = structure.replace(bar_stiffness=1.0)  # any: areas give the stiffness
@@ -131,8 +135,8 @@ def size(
     found = search.search(sections.needed(design.best.force))
     if found.message:
         return report_failure(structure, cases, found.message)
-    more = float(found.area @ sections.mass_per_area) / design.bound - 1.0
-    message = f"stable, {max(more, 0.0):.1e} above the least mass without that"
+    more = _gap(float(found.area @ sections.mass_per_area), design.bound)
+    message = f"stable, {more:.1e} above the least mass without that"
     sized = report_sections(structure, program, cases, found[:3], message)
     least = float(sized.buckling.min(initial=np.inf))
     if least < 1.0 - ROUNDING:
@@ -141,9 +145,9 @@ def size(
     return sized
 
 
-def _gap(design: Design) -> float:
+def _gap(mass: float, bound: float) -> float:
     """Compute the relative gap between mass and lower bound."""
-    return max(design.best.mass / design.bound - 1.0, 0.0) if design.bound > 0.0 else 0.0
+    return max(mass / bound - 1.0, 0.0) if bound > 0.0 else 0.0
 
 
 def _read_sections(

@@ -80,12 +80,14 @@ class Sized(ReadOnlyArrays):
     def buckling(self) -> Array:
         """Global buckling factors (cases,) of the load cases.
 
-        They are those of `buckling_factor` for `structure`. A factor is inf without buckling, and 0
-        if there is no stable equilibrium without the load.
+        They are those of `buckling_factor` for `structure`. A factor is inf without buckling or
+        load, and 0 if there is no stable equilibrium without the load.
         """
         own = NodalForce(self.weight) if self.weight.any() else None
         scene = Scene(self.structure, forces=own)
-        return np.array([buckling_factor(scene, load).factor for load in self.loads])
+        return np.array(
+            [buckling_factor(scene, load).factor if load.any() else np.inf for load in self.loads]
+        )
 
 
 def report_failure(structure: Structure, loads: Array, message: str) -> Sized:

@@ -306,6 +306,15 @@ def test_sized_structure_has_masses_and_stiffness() -> None:
     assert tc.Model(tc.Scene(s.replace(bar_stiffness=None))).nx > 0
 
 
+@pytest.mark.parametrize(("cases", "stable"), [([], True), ([np.zeros((6, 3))], False)])
+def test_no_load_needs_no_mass_and_never_buckles(cases, stable: bool) -> None:
+    steel = tc.Material(210e9, 7850.0, 235e6)
+    sized = tc.size(tc.shapes.prism(pinned=[0, 1, 2]), cases, steel, steel, stable=stable)
+    assert sized.success, sized.message
+    assert sized.mass == pytest.approx(0.0, abs=1e-9)
+    assert np.all(sized.buckling == np.inf)
+
+
 def test_cases_without_balance_fail_with_a_reason() -> None:
     load = np.zeros((4, 3))
     load[1, 1] = 3.0
