@@ -5,6 +5,7 @@ The acceptance test of each attempt is its replay.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import NamedTuple
@@ -18,6 +19,7 @@ from ocp.problem.instant import forces_of
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.results.acceptance import assess_plan
+from ocp.results.diagnosis import build_interpolant
 from ocp.results.replay import replay_open
 from ocp.results.result import PlanResult
 from ocp.search.coordinates import ReducedCoordinates, reduce_coordinates
@@ -27,6 +29,9 @@ from ocp.search.task import Method, PlanningTask, prepare
 from ocp.solvers.base import Outcome
 from ocp.solvers.monitor import Monitor
 from ocp.solvers.relaxation import TOO_SLOW
+from ocp.targets.find_target import find_target
+from ocp.targets.infeasible_goal import TargetNotFoundWarning
+from ocp.targets.target import Target
 from ocp.transcription.base import Transcription
 from ocp.transcription.mesh import PiecewiseConstant
 from ocp.transcription.multiple_shooting import MultipleShooting
@@ -126,9 +131,19 @@ def _worth(plan: PlanResult) -> tuple[bool, bool, float]:
 
 
 def _try(search: _PlanSearch, attempt: Attempt) -> PlanResult:
-    """Run one attempt and its acceptance test."""
-    outcome, target = run_attempt(search.task, attempt)
-    plan = _record(search.task, attempt, outcome)
+    """Run one attempt and its acceptance test.
+
+    If its optimum misses the goals, a second run imposes the rows of a target near its end.
+    """
+    task = search.task
+    outcome, target = run_attempt(task, attempt)
+    plan = _record(task, attempt, outcome)
+    other = _find_other_target(task, plan, outcome)
+    if other is not None:
+        before, own = outcome.iterations, attempt._replace(guess=replace(plan, duals=None))
+        outcome, target = run_attempt(task._replace(target=other), own)
+        outcome = outcome._replace(iterations=before + outcome.iterations)
+        plan = _record(task, attempt, outcome)
 
     def replay(plan: PlanResult, tracked: bool) -> Trajectory:
         given = plan if search.reduced is None else search.reduced.restore(plan)
@@ -138,7 +153,28 @@ def _try(search: _PlanSearch, attempt: Attempt) -> PlanResult:
             motion = replay_open(given, given.require_model("replay"), RungeKutta4(), None)
         return motion if search.reduced is None else search.reduced.lower(motion)
 
-    return assess_plan(plan, target, outcome, search.task.tolerance, replay, search.tracked)
+    return assess_plan(plan, target, outcome, task.tolerance, replay, search.tracked)
+
+
+def _find_other_target(task: PlanningTask, plan: PlanResult, found: Outcome) -> Target | None:
+    """Find the target near the end of an optimum that misses the goals.
+
+    Rows that are redundant at one target need not be so at other ends. For instance, a bar
+    perpendicular to its direction at the target can still rotate. Returns None if the optimum meets
+    the goals, or if no other target is found.
+    """
+    target, problem, duration = task.target, task.problem, float(plan.time[-1])
+    if target is None or not target.met or not found.success or found.duals is None:
+        return None
+    fractions = np.diff(plan.time) / duration
+    state_at = build_interpolant(problem.model, found.states, duration, fractions)
+    residuals = target.begin_at(found.states[0]).measure(state_at).distances(duration)
+    if residuals.max(initial=0.0) <= task.tolerance or task.monitor.status():
+        return None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", TargetNotFoundWarning)
+        other = find_target(problem, task.scales, state_at)
+    return other if other.met else None
 
 
 def _record(task: PlanningTask, attempt: Attempt, found: Outcome) -> PlanResult:

@@ -1,9 +1,11 @@
 """Selection of independent goal rows that a solver can impose.
 
 Let A be the gradients of the invariants at the target and Z a basis of null(A). A goal with
-gradient H can be changed in range(H Z) only. The other combinations of its rows are satisfied at
-every feasible target. If they are imposed, the constraint gradients of the optimal control problem
-are linearly dependent and solvers fail. Singular lengths are replaced by rows of the shape.
+gradient H can be changed in range(H Z) only. If the other combinations of its rows are imposed, the
+constraint gradients of the optimal control problem are linearly dependent and solvers fail. Near
+the target these combinations are satisfied; elsewhere they need not be, so that a plan with another
+end is found again from a target there (`ocp.search.find_plan`). Singular lengths are replaced by
+rows of the shape.
 """
 
 from __future__ import annotations

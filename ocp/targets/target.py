@@ -35,13 +35,16 @@ class GoalResiduals(NamedTuple):
         """Select the residuals (n, ·) in a unit."""
         return self.values[:, [own == unit for own in self.units]]
 
+    def distances(self, duration: float) -> Array:
+        """Compute the residuals [m]; velocities are multiplied by the duration."""
+        return self.values * [duration if unit == "m/s" else 1.0 for unit in self.units]
+
     def find_worst(self, duration: float) -> tuple[str, float, str]:
         """Find the largest residual of the first motion.
 
         Returns its name, value and unit. Velocities count as the distance over the duration.
         """
-        sizes = self.values[0] * [duration if unit == "m/s" else 1.0 for unit in self.units]
-        k = int(np.argmax(sizes))
+        k = int(np.argmax(self.distances(duration)[0]))
         return self.names[k], float(self.values[0, k]), self.units[k]
 
 

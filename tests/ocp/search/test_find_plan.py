@@ -1,0 +1,40 @@
+"""The search for a plan by several attempts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from planning import driven
+
+import ocp
+import tenscasadi as tc
+
+
+@pytest.mark.parametrize("solver", [ocp.Ipopt(), ocp.CondensedNewton()])
+def test_bars_come_to_rest_at_right_angles_to_the_target(solver):
+    """A bar that turns by 90° in the given time keeps its speed along the target's bar.
+
+    The row of `AtRest` that the bar's length makes redundant at the target is not so there.
+    """
+    anchors = [[0, 2, 0], [0, -2, 0], [2, 0, 0], [-2, 0, 0]]
+    strings = [[1, node] for node in range(2, 6)]
+    structure = tc.Structure(
+        [[0, 0, 0], [1, 0, 0], *anchors], [[0, 1]], strings, pinned=[0, 2, 3, 4, 5]
+    )
+    model, speed = driven(structure), np.pi / 2
+
+    def turned(angle):
+        nodes, velocities = structure.nodes.copy(), np.zeros((6, 3))
+        nodes[1] = np.cos(angle), np.sin(angle), 0.0
+        velocities[1] = -speed * np.sin(angle), speed * np.cos(angle), 0.0
+        return model.state(nodes, velocities)
+
+    free = [turned(angle) for angle in np.linspace(0.0, np.pi / 2, 13)]
+    bounds = [ocp.ForceDensityLimits(upper=100.0)]
+    problem = ocp.Problem(model, 1.0, free[0], [ocp.AtRest()], bounds, costs=[ocp.Effort()])
+    guess = ocp.TrajectoryGuess(free, np.full((12, 4), 0.1))
+    plan = ocp.solve(problem, ocp.Variational(12), solver, guess)
+    assert plan.success, plan.message
+    assert abs(plan.trajectory.velocities[-1]).max() < 1e-6
+    other = ocp.solve(problem, ocp.Variational(12), solver)
+    assert plan.objective == pytest.approx(other.objective, rel=1e-3)
