@@ -24,8 +24,10 @@ from ocp.problem.control import reject_rest_length_control
 from ocp.problem.phase import reject_phases
 from ocp.problem.scaling import Scales
 from ocp.results.acceptance import measure_errors
+from ocp.results.actuation import WOUND_STEPS
 from ocp.results.replay import STEPS
 from ocp.results.rest_length_schedule import wind
+from ocp.search.find_plan import RELIABLE
 from ocp.targets.find_target import find_target
 from tenscasadi.scene.strings import RestLength, rest_length
 from tenscasadi.simulation.inputs.controls import ControlProfile
@@ -35,8 +37,6 @@ from tenscasadi.util.validate import Array, positive_number, whole_number
 
 MOST_SAMPLES = 1_000_000  # replays
 UPDATES = 10  # rest-length updates in each interval
-WOUND_STEPS = 5  # integration steps between two rest-length updates
-RELIABLE = 1e-2  # default tolerance, relative to the structure's size
 
 
 def measure_robustness(
@@ -62,7 +62,8 @@ def measure_robustness(
             "parameters is empty and start is 0: give something that varies, such as {'bar_mass': 0.05}"
         )
     names = tuple(spreads)
-    planned = plan.require_model("robustness")
+    planned, problem = plan.require_model("robustness"), plan.problem
+    reject_phases(() if problem is None else problem.phases, "robustness")
     reject_rest_length_control(planned, "robustness")
     wound = any(name in STRINGS for name in names)
     model = vary_model(planned, names, RestLength() if wound else planned.scene.control)
@@ -76,7 +77,7 @@ def measure_robustness(
     factors = 1 + draws * np.array(list(spreads.values()))
     starts, changes = draw_starts(model, plan.trajectory.states[0], place, factors, rng)
     began = clock.perf_counter()
-    ways = [] if plan.problem is None else plan.problem.waypoints
+    ways = [] if problem is None else problem.waypoints
     rolled = rollouts(
         model,
         float(plan.time[-1]),
@@ -87,9 +88,8 @@ def measure_robustness(
         save_every=1 if ways else None,
     )
     seconds = clock.perf_counter() - began
-    problem, target = plan.problem, None
+    target = None
     if problem is not None:
-        reject_phases(problem.phases, "robustness")
         target = find_target(problem, Scales.of(problem)).begin_at(plan.trajectory.states[0])
     misses = measure_errors(plan, target, rolled.time, rolled.states)
     size = float(np.linalg.norm(np.ptp(planned.structure.nodes, axis=0))) or 1.0

@@ -248,10 +248,6 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
         limit = positive_number("tolerance", tolerance)
         whole_number("attempts", attempts, 1)
         self.require_model("refine")
-        if self.problem is None or self.transcription is None or self.solver is None:
-            raise ValueError(
-                f"refine needs to know how the plan was solved ({self.not_restored}): refine solve(problem, ..., guess=plan)"
-            )
         found = refine_until_accurate(self, limit, attempts, find_plan)
         return found if isinstance(found, Plan) else Plan.of(found)
 

@@ -148,7 +148,7 @@ def assess_plan(
     kept = found.success or found.coarse or not _violated(plan)
     success = counts.worst(duration) <= tolerance and kept
     name = "tracked replay" if plan.tracked else "replay"
-    verdict = _accepted(found) if success else _rejected(plan, found, tolerance, name, near)
+    verdict = _accepted(found) if success else _rejected(plan, found, tolerance, name)
     ends = counts.describe(name, success)
     if plan.tracked:
         reason = growth or "tracked=True"
@@ -218,7 +218,7 @@ def _accepted(found: Outcome) -> str:
     return f"{text}; the cost is not settled: {found.why.split('; ')[0]}"
 
 
-def _rejected(plan: PlanResult, found: Outcome, tolerance: float, name: str, near: bool) -> str:
+def _rejected(plan: PlanResult, found: Outcome, tolerance: float, name: str) -> str:
     if not (found.success or found.coarse):
         return f"no plan: {found.why}"
     text = f"a plan was found after {found.iterations} iterations, but its {name} misses by"
