@@ -187,7 +187,7 @@ def check_spreads(parameters: Any) -> dict[str, float]:
     for name, value in spreads.items():
         if name == "rest_length":
             raise ValueError(
-                "parameters has 'rest_length', which a plan commands, as force densities or by winding: vary 'stiffness' instead"
+                "parameters has 'rest_length', which a plan commands: vary 'stiffness' instead"
             )
         if value >= 1:
             raise ValueError(

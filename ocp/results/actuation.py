@@ -145,5 +145,5 @@ def replay_rest_lengths(
 def _check_pulled(plan: PlanResult) -> None:
     if plan.rest_length is not None:
         raise ValueError(
-            "plan has decided rest lengths: Plan.rest_lengths tells them, and Plan.replay controls_rest_lengths to them"
+            "plan has decided rest lengths: Plan.rest_lengths returns them, and Plan.replay applies them"
         )

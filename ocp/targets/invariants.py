@@ -167,8 +167,9 @@ def free_motions(
 
     Returns the free axes (3,) of its nodes (n, 3), and the rotations (t, ω) with conserved
     momentum. A rotation moves node r by t + ω×(r − c), with c the center of mass along the free
-    axes. Its momentum is conserved if it moves no `with_parameters` (n, 3) coordinate and no weight, wherever
-    the nodes are (Noether's theorem). A single pin leaves three rotations, and two pins leave one.
+    axes. Its momentum is conserved if it moves no pinned coordinate (`fixed`, (n, 3)) and no
+    weight, wherever the nodes are (Noether's theorem). A single pin leaves three rotations, and two
+    pins leave one.
     """
     along: Flags = np.logical_not(np.asarray(fixed.any(axis=0)))
     origin = nodes.mean(axis=0)
