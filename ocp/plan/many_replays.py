@@ -26,7 +26,7 @@ from ocp.problem.scaling import Scales
 from ocp.results.acceptance import measure_errors
 from ocp.results.actuation import WOUND_STEPS
 from ocp.results.replay import STEPS
-from ocp.results.rest_length_schedule import wind
+from ocp.results.rest_length_schedule import compute_rest_lengths
 from ocp.search.find_plan import RELIABLE
 from ocp.targets.find_target import find_target
 from tenscasadi.scene.strings import RestLength, rest_length
@@ -139,7 +139,7 @@ def _wound(plan: Any, tracker: Any) -> tuple[Feedback, float]:
     """
     plan.rest_lengths()  # raises an error that names a string of too low stiffness
     k, size = plan.structure.stiffness, plan.trajectory.states.shape[1]
-    time, rest = wind(plan, k, UPDATES)
+    time, rest = compute_rest_lengths(plan, k, UPDATES)
     if tracker is None:
         return _open_loop(time, rest, size), float(np.diff(time).min()) / WOUND_STEPS
     model = plan.require_model("robustness")

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ocp.results.rest_length_schedule import wind
+from ocp.results.rest_length_schedule import compute_rest_lengths
 from ocp.results.result import PlanResult
 from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.strings import RestLength, rest_length
@@ -60,7 +60,7 @@ def is_realizable(
     True
     """
     instance("plan", plan, PlanResult, "an ocp.Plan")
-    _check_pulled(plan)
+    _reject_rest_lengths(plan)
     count = plan.force_density.shape[1]
     given = plan.structure.stiffness if stiffness is None else stiffness
     k = nonnegative("stiffness", per_item("stiffness", given, count), "string")
@@ -119,7 +119,7 @@ def replay_rest_lengths(
     True
     """
     instance("plan", plan, PlanResult, "an ocp.Plan")
-    _check_pulled(plan)
+    _reject_rest_lengths(plan)
     whole_number("updates", updates, 1, MOST_UPDATES)
     plan.rest_lengths(stiffness)  # raises an error that names a string of too low stiffness
     planned = plan.require_model("replay_rest_lengths")
@@ -128,7 +128,7 @@ def replay_rest_lengths(
         plan.structure.stiffness if stiffness is None else stiffness,
         len(plan.structure.strings),
     )
-    time, rest = wind(plan, k, updates)
+    time, rest = compute_rest_lengths(plan, k, updates)
     elastic = replace(
         planned.scene,
         structure=plan.structure.replace(stiffness=k, damping=damping),
@@ -142,7 +142,7 @@ def replay_rest_lengths(
     return simulate(model, end, end, state=plan.trajectory.states[0], control=wound, compiled=False)
 
 
-def _check_pulled(plan: PlanResult) -> None:
+def _reject_rest_lengths(plan: PlanResult) -> None:
     if plan.rest_length is not None:
         raise ValueError(
             "plan has decided rest lengths: Plan.rest_lengths returns them, and Plan.replay applies them"

@@ -18,7 +18,7 @@ MOST_WORK = (
 )
 
 
-def grown_errors(model: Model, time: Array, states: Array, force_density: Array) -> float:
+def measure_error_growth(model: Model, time: Array, states: Array, force_density: Array) -> float:
     """Compute the worst-case growth of initial errors.
 
     It is the largest singular value of the state-transition matrix of the motion, restricted to

@@ -11,7 +11,7 @@ from tenscasadi.scene.strings import rest_length
 from tenscasadi.util.validate import Array
 
 
-def wind(plan: PlanResult, stiffness: Array, updates: int) -> tuple[Array, Array]:
+def compute_rest_lengths(plan: PlanResult, stiffness: Array, updates: int) -> tuple[Array, Array]:
     """Compute the rest-length schedule of a plan.
 
     The rest lengths are s (1 − γ/k) in the middle of each step of a fine replay (Eq. 99).

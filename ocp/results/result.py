@@ -10,7 +10,7 @@ import numpy as np
 
 from ocp.guess.initial_guess import resample_guess
 from ocp.problem.problem import Problem
-from ocp.results.error_growth import grown_errors
+from ocp.results.error_growth import measure_error_growth
 from ocp.results.planned_forces import PlannedForces
 from ocp.sampling.solver import Sampling
 from ocp.solvers.base import Solver
@@ -86,7 +86,7 @@ class PlanResult(PlannedForces, Stored):
         """
         if self.problem is not None and self.problem.phases:
             return np.nan
-        return grown_errors(
+        return measure_error_growth(
             self.require_model("error_growth"), self.time, self.trajectory.states, self.control
         )
 

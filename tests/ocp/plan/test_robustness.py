@@ -12,7 +12,7 @@ from planning import driven, folding, prism, raising
 import ocp
 import tenscasadi as tc
 from ocp.plan.robustness import share_variance
-from ocp.results.rest_length_schedule import wind
+from ocp.results.rest_length_schedule import compute_rest_lengths
 from tenscasadi.scene.strings import rest_length
 
 
@@ -109,7 +109,7 @@ def test_tracked_replays_are_those_of_the_tracker(plan, k):
 def test_stiffness_acts_through_wound_strings(stiff):
     found = stiff.robustness({"stiffness": 0.1}, samples=3)
     model = scaled(stiff, tc.RestLength(), "stiffness")
-    time, rest = wind(stiff, stiff.structure.stiffness, 10)
+    time, rest = compute_rest_lengths(stiff, stiff.structure.stiffness, 10)
     assert len(time) == 101
     for k in range(3):
         once = tc.simulate(

@@ -8,7 +8,7 @@ from planning import driven, leaning_arm, raising
 
 import ocp
 import tenscasadi as tc
-from ocp.results.error_growth import grown_errors
+from ocp.results.error_growth import measure_error_growth
 from tenscasadi.dynamics.linearization import tangents
 
 
@@ -20,7 +20,7 @@ def test_a_free_mass_drifts():
     model = driven(structure)
     time = np.linspace(0.0, 0.7, 8)
     states = np.repeat(model.initial_state[None], 8, axis=0)
-    assert grown_errors(model, time, states, np.zeros((7, 1))) == pytest.approx(
+    assert measure_error_growth(model, time, states, np.zeros((7, 1))) == pytest.approx(
         (1 + np.sqrt(5)) / 2
     )
 
@@ -37,7 +37,7 @@ def test_an_inverted_pendulum_falls(intervals):
     model = driven(structure, gravity=tc.Gravity())
     T, angle = 2.0, np.sqrt(1.5 * 9.81) * 2.0
     time = np.linspace(0.0, T, intervals + 1)
-    grown = grown_errors(
+    grown = measure_error_growth(
         model,
         time,
         np.repeat(model.initial_state[None], intervals + 1, axis=0),
@@ -110,4 +110,6 @@ def test_success_in_closed_loop(arm):
 def test_growth_of_what_is_not_known():
     model = driven(tc.shapes.prism())
     states = np.full((3, model.nx), np.nan)
-    assert np.isnan(grown_errors(model, np.array([0.0, 1.0, 2.0]), states, np.zeros((2, model.nu))))
+    assert np.isnan(
+        measure_error_growth(model, np.array([0.0, 1.0, 2.0]), states, np.zeros((2, model.nu)))
+    )
