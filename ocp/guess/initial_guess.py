@@ -9,8 +9,7 @@ import numpy as np
 import scipy.interpolate
 from numpy.typing import ArrayLike
 
-from ocp.guess.inverse_dynamics import inverse_dynamics
-from ocp.guess.path import follow, make_guess, select_coordinates
+from ocp.guess.path import follow, make_guess, select_coordinates, stay_at_start
 from ocp.problem.control import controls_rest_lengths
 from ocp.problem.problem import Problem
 from ocp.targets.target import Target
@@ -137,16 +136,14 @@ class InverseDynamics(NamedGuess, kind="InverseDynamics"):
 
     @staticmethod
     def _along_path(problem: Problem, target: Target, intervals: int, given: ArrayLike) -> Guess:
-        model, duration = problem.model, problem.typical_duration
+        model = problem.model
         path = finite_array("InverseDynamics.path", given, (None, len(model.structure.nodes), 3))
         before = np.linspace(0.0, 1.0, len(path))
         degree = min(3, len(path) - 1)
         spline = scipy.interpolate.make_interp_spline(
             before, select_coordinates(model, path.reshape(len(path), -1, 3)), k=degree
         )
-        return follow(
-            problem, target, np.asarray(spline(np.linspace(0.0, 1.0, intervals + 1))), duration
-        )
+        return follow(problem, target, np.asarray(spline(np.linspace(0.0, 1.0, intervals + 1))))
 
 
 @dataclass(frozen=True)
@@ -184,13 +181,7 @@ class EquilibriumGuess(NamedGuess, kind="EquilibriumGuess", earlier="Equilibrium
         Guess
             States (K + 1, nx), controls (K, α) and duration [s].
         """
-        duration = problem.typical_duration
-        states = np.repeat(target.start[None], intervals + 1, axis=0)
-        model = problem.model
-        _, _, clock = model.split(states)
-        clock += np.linspace(0.0, duration, intervals + 1)[:, None][:, : clock.shape[1]]
-        controls, _ = inverse_dynamics(problem, states, duration / intervals)
-        return Guess(states, controls, duration)
+        return stay_at_start(problem, target, intervals)
 
 
 @dataclass(frozen=True, eq=False)

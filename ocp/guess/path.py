@@ -30,34 +30,40 @@ def make_guess(problem: Problem, target: Target, intervals: int) -> Guess:
     It has no noise. Of several paths, it follows the one whose accelerations the controls reproduce
     best.
     """
-    duration = problem.typical_duration
-    paths = find_paths(target, problem.model, intervals, duration)
-    guesses = [_follow(problem, target, path, duration) for path in paths]
+    paths = find_paths(target, problem.model, intervals, problem.typical_duration)
+    guesses = [_follow(problem, target, path) for path in paths]
     return min(guesses, key=lambda pair: pair[1])[0]
 
 
-def follow(problem: Problem, target: Target, positions: Array, duration: float) -> Guess:
+def follow(problem: Problem, target: Target, positions: Array) -> Guess:
     """Build the guess that follows given coordinates.
 
     The free coordinates (K + 1, nq) are at equal times. They are projected onto the constraints of
     bars and joints. The controls follow by inverse dynamics.
     """
-    return _follow(problem, target, positions, duration)[0]
+    return _follow(problem, target, positions)[0]
 
 
-def _follow(
-    problem: Problem, target: Target, positions: Array, duration: float
-) -> tuple[Guess, float]:
+def stay_at_start(problem: Problem, target: Target, intervals: int) -> Guess:
+    """Build the guess that stays at the start, balanced by its controls."""
+    duration = problem.typical_duration
+    states = np.repeat(target.start[None], intervals + 1, axis=0)
+    _, _, clock = problem.model.split(states)
+    clock += np.linspace(0.0, duration, intervals + 1)[:, None][:, : clock.shape[1]]
+    controls, _ = inverse_dynamics(problem, states, duration / intervals)
+    return Guess(states, controls, duration)
+
+
+def _follow(problem: Problem, target: Target, positions: Array) -> tuple[Guess, float]:
     """Build the guess along a path, and its acceleration error.
 
     The error is the mean squared error of the accelerations. It is inf if a bar turns by 90° or
-    more within an interval; the guess is then constant in time.
+    more within an interval; the guess then stays at the start.
     """
+    duration = problem.typical_duration
     states = _add_velocities(problem, target, positions, duration)
-    if states is None:  # a bar turns too far within an interval: guess a constant state
-        states = np.repeat(target.start[None], len(positions), axis=0)
-        controls, _ = inverse_dynamics(problem, states, duration / (len(states) - 1))
-        return Guess(states, controls, duration), np.inf
+    if states is None:
+        return stay_at_start(problem, target, len(positions) - 1), np.inf
     interval = duration / (len(states) - 1)
     controls, error = inverse_dynamics(problem, states, interval)
     return Guess(states, controls, duration), error

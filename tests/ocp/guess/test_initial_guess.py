@@ -8,7 +8,7 @@ from planning import prism, raising
 
 import ocp
 import tenscasadi as tc
-from ocp.guess.path import make_guess
+from ocp.guess.path import follow, make_guess
 from ocp.problem.scaling import Scales
 from ocp.targets.find_target import find_target
 
@@ -30,6 +30,16 @@ def test_the_guess_keeps_bars_and_limits_and_follows_the_path():
     assert guess.force_density[:, :8].max() <= 30.0
     assert np.all(guess.force_density[:, 8] == 1.0)
     assert guess.duration == 0.4
+
+
+def test_guess_without_a_path_keeps_the_clock_running():
+    push = tc.NodalForce(lambda t: [[0, 0, t]] * 6)
+    model = tc.Model(tc.Scene(PRISM, control=tc.ForceDensity(), forces=push))
+    problem = ocp.Problem(model, 0.4, goals=[LENGTHS])
+    target = find_target(problem, Scales.of(problem))
+    guess = follow(problem, target, np.full((5, model.nq), np.nan))
+    assert np.all(guess.states[:, :-1] == target.start[:-1])
+    assert guess.states[:, -1] == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4])
 
 
 def test_noise_parts_what_symmetry_makes_equal_in_the_same_way_for_any_number_of_intervals():
