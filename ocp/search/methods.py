@@ -26,6 +26,7 @@ from ocp.solvers.correction import (
     solve_corrected,
 )
 from ocp.solvers.ipopt import Ipopt
+from ocp.solvers.monitor import TIME_UP
 from ocp.solvers.multipliers import name_duals, warm_start_program
 from ocp.solvers.relaxation import find_rate_relaxation
 from ocp.targets.target import Target
@@ -92,7 +93,8 @@ def _stop_early(
 ) -> Outcome:
     """Return the initial guess as result of a stopped attempt."""
     own = on_mesh(task.problem.model, guess, transcription.fractions, transcription.control)
-    why = "stopped before the solver began, with the guess: increase time_limit"
+    cure = ": increase time_limit" if status == TIME_UP else ""
+    why = f"stopped before the solver began, with the guess{cure}"
     return Outcome(own.states, own.force_density, own.duration, np.nan, False, status, 0, why=why)
 
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from planning import driven
+from planning import driven, raising
 
 import ocp
 import tenscasadi as tc
+from ocp.search.find_plan import find_plan
+from ocp.solvers.monitor import Monitor
 
 
 @pytest.mark.parametrize("solver", [ocp.Ipopt(), ocp.CondensedNewton()])
@@ -38,3 +40,11 @@ def test_bars_come_to_rest_at_right_angles_to_the_target(solver):
     assert abs(plan.trajectory.velocities[-1]).max() < 1e-6
     other = ocp.solve(problem, ocp.Variational(12), solver)
     assert plan.objective == pytest.approx(other.objective, rel=1e-3)
+
+
+def test_interruption_before_the_solver_begins_blames_no_limit():
+    monitor = Monitor()
+    monitor.interrupted = True
+    plan = find_plan(raising(), ocp.Variational(6), monitor=monitor)
+    assert "before the solver began" in plan.message
+    assert "time_limit" not in plan.message
