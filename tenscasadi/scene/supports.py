@@ -181,10 +181,13 @@ class SupportMotion(Value, kind="SupportMotion"):
         Returns
         -------
         casadi.Function
-            t (s) → accelerations (m/s²) of the moved nodes, (3, k) in the order of `nodes`.
+            t (s) → accelerations (m/s²) and velocities (m/s) of the moved nodes, (3, k) in the
+            order of `nodes`. Accelerations alone do not show a shift within a step: their impulse
+            is zero.
         """
         t = ca.SX.sym("t")
-        return ca.Function("accelerations", [t], [self.rates()(t)[2]])
+        _, velocities, accelerations = self.rates()(t)
+        return ca.Function("supports", [t], [accelerations, velocities])
 
     def rates(self) -> ca.Function:
         """Build positions, velocities and accelerations of the moved nodes.

@@ -36,7 +36,10 @@ class Changing(Protocol):
         """Find the times of jumps and kinks [s]."""
 
     def changing(self) -> ca.Function | None:
-        """Build the function of time, or return None."""
+        """Build the function of time, or return None.
+
+        Steps end at jumps of its first output, and must resolve all outputs.
+        """
 
 
 @dataclass(frozen=True, eq=False)

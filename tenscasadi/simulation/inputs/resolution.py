@@ -47,13 +47,15 @@ def describe_unresolved(
         if function is None:
             continue
         ends = _refine(first + grid.times(np.arange(grid.steps + 1)), step)
-        unseen, size = _compare_quadratures(function, ends, order)
-        if unseen.sum() > 0.01 * size:  # of the impulse over the run
-            time = ends[int(unseen.argmax())]
-            text += (
-                f"; {part.field} {UNRESOLVED} near t = {time:.6g} s more than their stages see: "
-                "declare breakpoints=(…) there, or try a smaller step"
-            )
+        for output in range(function.n_out()):
+            unseen, size = _compare_quadratures(function, output, ends, order)
+            if unseen.sum() > 0.01 * size:  # of the impulse over the run
+                time = ends[int(unseen.argmax())]
+                text += (
+                    f"; {part.field} {UNRESOLVED} near t = {time:.6g} s more than their stages "
+                    "see: declare breakpoints=(…) there, or try a smaller step"
+                )
+                break
     return text
 
 
@@ -65,10 +67,12 @@ def _refine(ends: Array, step: float) -> Array:
     return np.append(ends[owner] + share * np.diff(ends)[owner], ends[-1])
 
 
-def _compare_quadratures(function: ca.Function, ends: Array, order: int) -> tuple[Array, float]:
-    """Compare coarse and fine quadratures over K steps.
+def _compare_quadratures(
+    function: ca.Function, output: int, ends: Array, order: int
+) -> tuple[Array, float]:
+    """Compare coarse and fine quadratures of an output over K steps.
 
-    Returns the differences (K,) and the integral of the function's absolute value.
+    Returns the differences (K,) and the integral of its absolute value.
     """
     points, weights = np.polynomial.legendre.leggauss(8)
     divisions = -(-2048 // (len(ends) - 1))  # at least 2048 parts in all
@@ -81,7 +85,7 @@ def _compare_quadratures(function: ca.Function, ends: Array, order: int) -> tupl
         starts = ends[begin : begin + block + 1]
         lengths = np.diff(starts)[:, None]
         sampled = [
-            values_at(function, (starts[:-1, None] + lengths * places).ravel()).reshape(
+            values_at(function, (starts[:-1, None] + lengths * places).ravel(), output).reshape(
                 len(lengths), len(places), -1
             )
             for places in (fine, coarse)

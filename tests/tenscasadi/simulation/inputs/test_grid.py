@@ -224,6 +224,15 @@ def test_pulses_of_supports_are_seen() -> None:
     assert run.nodes[-1, 1] == pytest.approx([np.cos(angle), 0, np.sin(angle) + 1e-3], abs=1e-9)
 
 
+@pytest.mark.parametrize("scheme", SCHEMES[:4], ids=lambda scheme: type(scheme).__name__)
+def test_undeclared_shift_of_a_support_is_told(scheme: Any) -> None:
+    """Its acceleration has no impulse over the step that contains it."""
+    shift = SupportMotion({0: lambda t: (4e-5 * (1 + ca.tanh((t - 0.5) / 1e-4)), 0, 0)})
+    run = simulate(Model(Scene(SPRING, supports=shift)), 1.0, 0.011, scheme, compiled=False)
+    assert "SupportMotion.positions changes within steps near t = 0.49" in run.message
+    assert run.success == scheme.adaptive
+
+
 def test_recommended_ways_know_of_pulses() -> None:
     model = Model(Scene(SPRING, forces=TABLE))
     advice = recommend(model, 1.0, 1e-4, schemes=[RungeKutta4(), DormandPrince54()], compiled=False)
