@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.stabilization import Correction, Projection
+from tenscasadi.integrators.stabilization import Correction, Projection, check_correction
 from tenscasadi.scene.strings import ForceDensity, RestLength
 from tenscasadi.simulation.verdict.starts import off_constraints
-from tenscasadi.util.renamed import RenamedAttribute, rename_keywords
+from tenscasadi.util.renamed import rename_fields
 from tenscasadi.util.validate import (
     Array,
     finite_array,
@@ -64,6 +64,7 @@ class Transition:
     time: Array
 
 
+@rename_fields(speed="rest_length_rate")
 @dataclass(frozen=True, eq=False)
 class Task:
     """Control task: model, action limits, reward, and random variations.
@@ -177,16 +178,12 @@ class Task:
             raise ValueError(f"Task.duration is {fault}: give a longer one")
         if off := off_constraints(model, own["state"], 1e-3):  # rounded numbers are projected
             raise ValueError(f"Task.state is {off}")
-        if self.correction is not None and not hasattr(self.correction, "every"):
-            cure = "give Projection(every), BarLengthCorrection(weight) or None"
-            raise TypeError(f"Task.correction is {format_value(self.correction)}: {cure}")
+        check_correction(self.correction, "Task.correction")
 
     def _per_string(self, name: str, strict: bool = False) -> Array:
         field = f"Task.{name}"
         array = per_item(field, getattr(self, name), self.model.nu)
         return nonnegative(field, array, "string", strict=strict)
-
-    speed = RenamedAttribute("rest_length_rate")
 
     @property
     def controls_rest_lengths(self) -> bool:
@@ -211,9 +208,6 @@ class Task:
             place = self.model.parameters.places[name]
             values[place] = share * np.abs(self.model.parameters.nominal[place])
         return values
-
-
-Task.__init__ = rename_keywords(speed="rest_length_rate")(Task.__init__)  # type: ignore[method-assign]
 
 
 def read_spread(field: str, value: Any) -> tuple[float, float]:

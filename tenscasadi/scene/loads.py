@@ -9,12 +9,12 @@ from typing import Annotated, Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from tenscasadi.scene.over_time import OverTime, accept_breaks
+from tenscasadi.scene.over_time import OverTime
 from tenscasadi.schema.containers import ListOf, MapOf, NodeForceTable
 from tenscasadi.schema.field_types import TIMES, Index, Members, varying
 from tenscasadi.util.casadi_tools import is_expression
 from tenscasadi.util.read_only import ReadOnlyArrays
-from tenscasadi.util.renamed import RenamedAttribute
+from tenscasadi.util.renamed import RenamedAttribute, rename_fields
 from tenscasadi.util.validate import (
     Indices,
     as_tuple,
@@ -25,7 +25,7 @@ from tenscasadi.util.validate import (
 )
 
 
-@accept_breaks
+@rename_fields(breaks="breakpoints")
 @dataclass(frozen=True)
 class Gravity(OverTime, kind="Gravity", short="acceleration"):
     """Uniform gravity, constant or time-varying.
@@ -103,7 +103,7 @@ class Gravity(OverTime, kind="Gravity", short="acceleration"):
         return ca.DM(0) if self.varies else -ca.sum1(ca.sum2(N * self.forces(node_weight)))
 
 
-@accept_breaks
+@rename_fields(breaks="breakpoints")
 @dataclass(frozen=True)
 class Pressure(OverTime, kind="Pressure"):
     """Pressure on triangles that follows their motion.
@@ -198,7 +198,7 @@ class Pressure(OverTime, kind="Pressure"):
         return ca.mtimes(push, spread)
 
 
-@accept_breaks
+@rename_fields(breaks="breakpoints")
 @dataclass(frozen=True, eq=False)
 class NodalForce(OverTime, ReadOnlyArrays, kind="NodalForce"):
     """Forces on nodes, constant or time-varying.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, TypeVar
+from typing import Annotated, Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -18,18 +18,7 @@ from tenscasadi.scene.time_functions import (
 from tenscasadi.schema.field_types import TIMES
 from tenscasadi.schema.value import Value
 from tenscasadi.util.casadi_tools import is_expression
-from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import Array, finite_array
-
-Timed = TypeVar("Timed", bound=type)
-
-
-def accept_breaks(kind: Timed) -> Timed:
-    """Accept `breaks`, the deprecated name of the field `breakpoints`."""
-    made: Any = kind
-    made.earlier_names = {"breaks": "breakpoints"}
-    made.__init__ = rename_keywords(**made.earlier_names)(made.__init__)
-    return kind
 
 
 class OverTime(Value):

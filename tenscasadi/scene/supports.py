@@ -10,7 +10,6 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.scene.breakpoints import find_breakpoints, probe_times
-from tenscasadi.scene.over_time import accept_breaks
 from tenscasadi.scene.time_functions import CURE, Samples, check_over_run, express
 from tenscasadi.schema.containers import Either, MapOf
 from tenscasadi.schema.definitions import OneOf
@@ -18,6 +17,7 @@ from tenscasadi.schema.field_types import MOVING_POINT, TIMES
 from tenscasadi.schema.time_formula import TimeFormula
 from tenscasadi.schema.value import Value
 from tenscasadi.structure.structure import Structure
+from tenscasadi.util.renamed import rename_fields
 from tenscasadi.util.validate import Array, finite_array, format_value, node_index
 
 _MOTION = Either((dict, Samples), OneOf(Samples), MOVING_POINT)
@@ -30,7 +30,7 @@ _JUMPS = {
 }
 
 
-@accept_breaks
+@rename_fields(breaks="breakpoints")
 @dataclass(frozen=True, eq=False)
 class SupportMotion(Value, kind="SupportMotion"):
     """Prescribed motion of pinned nodes, such as a shaking base.
