@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 from tenscasadi.io.document import ENDINGS, Change, read_document
 from tenscasadi.io.scene_files import read_scene
@@ -94,8 +93,3 @@ def find_source(name: str, changes: Sequence[Change] = ()) -> SceneSource:
         cure = f"`tenscasadi new prism > {path.name}` writes one to start from"
         raise FileNotFoundError(f"there is no file {name}: {cure}")
     return SceneSource(name, path, changes)
-
-
-def describe_change(option: str, key: str, value: Any) -> Change:
-    """Build the change that an option asks for."""
-    return Change(f"--{option} {value}", key, str(value))

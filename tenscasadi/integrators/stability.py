@@ -7,7 +7,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from tenscasadi.dynamics.linearization import EquationDerivatives
 from tenscasadi.dynamics.model import Model
@@ -21,7 +20,6 @@ linalg = lazy_module("scipy.sparse.linalg")
 
 DENSE = 400  # states up to which all eigenvalues are computed
 # edge of the upper half of the left unit half-disc
-_HALF_DISC = np.append(1j * np.linspace(0, 1, 101), np.exp(1j * np.linspace(np.pi / 2, np.pi, 100)))
 
 
 def fastest_rate(model: Model, x: Any = None, u: Any = None, parameters: Any = None) -> float:
@@ -184,72 +182,6 @@ def _contact(model: Model, parameters: Any) -> tuple[Any, float, float]:
     )
     pull = 0.0 if scene.gravity is None else float(ca.norm_2(scene.gravity.at(0.0)))
     return scene.grounds, lightest_mass(model, p), mass * pull
-
-
-def log_growth(
-    model: Model,
-    scheme: Scheme,
-    step: float,
-    x: Any,
-    u: Any,
-    ignored: float,
-    bound: float,
-    parameters: Any = None,
-) -> float:
-    """Compute log |R| of the most amplified mode.
-
-    The motion is linearized at a state, and one step of `step` s is taken. Growth of the motion
-    itself does not count. The result is 0 if no mode grows, or if `bound` limits the growth to
-    `ignored`.
-    """
-    if (
-        _largest_log(scheme, step * bound * _HALF_DISC) <= ignored
-    ):  # an analytic R is largest on the boundary
-        return 0.0
-    rates = _rates(model, x, u, parameters)
-    return _largest_log(scheme, step * np.where(rates.real > 0, 1j * np.abs(rates), rates))
-
-
-def fastest_decay(model: Model, x: Any, u: Any, parameters: Any = None) -> float:
-    """Compute the fastest decay rate of an overdamped mode [1/s].
-
-    The motion is linearized at a state. 0 if no mode is overdamped.
-    """
-    rates = _rates(model, x, u, parameters)
-    return float(-rates.real[-rates.real > np.abs(rates.imag)].min(initial=0.0))
-
-
-def _largest_log(scheme: Scheme, z: NDArray[Any]) -> float:
-    if not np.isfinite(z).all():
-        return 0.0  # unknown
-    with np.errstate(all="ignore"):
-        largest = float(np.abs(scheme.amplification(z)).max(initial=1.0))
-    return float(np.log(largest)) if largest > 1 + 1e-9 else 0.0
-
-
-def rate_bound(model: Model, x: Any, u: Any, parameters: Any = None) -> float:
-    """Compute a cheap upper bound of ω_max [rad/s].
-
-    It follows from λ² q = (λ C + K) q. For large models it is an estimate, likely too high.
-    """
-    w = model.stack_inputs(u, parameters)
-    if model.nx > DENSE:
-        along, v, size = _directional(model), np.random.default_rng(0).normal(size=model.nx), 1.0
-        sizes = []
-        for _ in range(4):
-            v = along(x, w, v / size if size else v).full().ravel()
-            size = float(np.linalg.norm(v))
-            sizes.append(size)
-        pairs = np.sqrt(
-            np.multiply(sizes[1:], sizes[:-1])
-        )  # the growth alternates between positions and velocities
-        return 3.0 * float(pairs[-1])  # few products underestimate the largest
-    jacobian, n = _jacobian(model, x, w), model.nq
-    K, C = (
-        min(abs(block).sum(axis=0).max(initial=0.0), abs(block).sum(axis=1).max(initial=0.0))
-        for block in (jacobian[n : 2 * n, :n], jacobian[n : 2 * n, n : 2 * n])
-    )
-    return float(C + np.sqrt(C * C + 4 * K)) / 2
 
 
 def _jacobian(model: Model, x: Any, w: Any) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 import casadi as ca
@@ -67,8 +67,7 @@ class Trajectory(
     pinned : ndarray of int
         Nodes with pins or rollers.
     success : bool
-        Whether the run reached its end and is trustworthy. Runs are not trustworthy if the start
-        violates bars and joints, or if steps above the stability limit make vibrations grow.
+        Whether the run reached its end and is trustworthy, see `simulate`.
     message : str
         End of the run, and reasons not to trust it.
     step : float
@@ -286,18 +285,6 @@ def record_trajectory(
         step=step,
         message=message,
         **fields | others,
-    )
-
-
-def first_rows(trajectory: Trajectory, count: int) -> Trajectory:
-    """Select the first `count` rows of a trajectory."""
-    return replace(
-        trajectory,
-        **{
-            name: getattr(trajectory, name)[:count]
-            for name, (letters, _) in array_fields(Trajectory).items()
-            if str(letters).startswith("T")
-        },
     )
 
 
