@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from functools import cached_property
 from itertools import pairwise
@@ -24,6 +23,7 @@ from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.simulation.engine.build import build_kernel
 from tenscasadi.simulation.engine.request import STOPPED, Intervals
 from tenscasadi.util.casadi_tools import ArrayFunction
+from tenscasadi.util.processes import count_processors
 from tenscasadi.util.validate import Array
 
 Watcher = Callable[[str], bool]  # function of a line of progress; returns whether to stop
@@ -86,7 +86,7 @@ class BatchSimulation:
             strength,
             dict[tuple[str, int], ArrayFunction](),
         )
-        self._threads = len(os.sched_getaffinity(0)) if threads is None else threads
+        self._threads = count_processors() if threads is None else threads
         count, longest = len(fractions), problem.longest
         held = (
             np.tile(problem.initial_state, (count + 1, 1)),

@@ -21,6 +21,7 @@ from tenscasadi.simulation.motions import Rollouts
 from tenscasadi.simulation.simulate import check_options
 from tenscasadi.simulation.verdict.judge import judge
 from tenscasadi.util.compile import Compiled
+from tenscasadi.util.processes import count_processors
 from tenscasadi.util.validate import Array, positive_number, whole_number
 
 
@@ -127,7 +128,7 @@ def rollouts(  # noqa: PLR0913  the options of a batch
     inputs = read_inputs(model, t_end, step, scheme, states, controls, parameters, many=True)
     steps, n = inputs.grid.steps, inputs.runs
     every = steps if save_every is None else whole_number("save_every", save_every, 1)
-    workers = _processors() if threads is None else whole_number("threads", threads, 1, 1024)
+    workers = count_processors() if threads is None else whole_number("threads", threads, 1, 1024)
     _check_memory(n, 1 - (-steps // every), model.nx)
     varies = inputs.controls.shape[1] > 1 or inputs.feedback is not None
     request = Request(
@@ -171,13 +172,6 @@ def _free_memory() -> float:
             return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
         except (AttributeError, ValueError, OSError):
             return np.inf
-
-
-def _processors() -> int:
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:  # not on every system
-        return os.cpu_count() or 1
 
 
 def _record(model: Model, runs: Runs, verify: bool) -> Rollouts:

@@ -25,6 +25,7 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
 from tenscasadi.sweeps.case_files import CaseOutcome, check_results
+from tenscasadi.util.processes import count_processors
 from tenscasadi.util.validate import format_value
 
 Function = Callable[[Any], Any]
@@ -98,7 +99,7 @@ def run_in_processes(
     processes cannot import the function, RuntimeError if they cannot begin.
     """
     _check_function(function)
-    workers = min(_cores(), len(cases))
+    workers = min(count_processors(), len(cases))
     waiting, suspects, checked = deque(cases), deque[Any](), False
     with _environment(_ONE_THREAD):
         while waiting or suspects:
@@ -191,12 +192,6 @@ def _check_worker(pool: ProcessPoolExecutor, function: Function) -> bool:
         raise RuntimeError(
             f"worker processes cannot begin, or cannot import {format_value(function)}: {cure}"
         ) from None
-
-
-def _cores() -> int:
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 @contextlib.contextmanager

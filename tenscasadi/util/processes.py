@@ -1,4 +1,4 @@
-"""State of the whole process: child programs, BLAS threads, Ctrl-C."""
+"""State of the whole process: child programs, processors, BLAS threads, Ctrl-C."""
 
 from __future__ import annotations
 
@@ -22,6 +22,14 @@ linalg = lazy_module("scipy.linalg")
 _lock = threading.Lock()
 _users = 0  # calls, of all threads, that limit BLAS to one thread now
 _before: list[int] = []  # threads of each library, before the first of them
+
+
+def count_processors() -> int:
+    """Count the processors that this process may use."""
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # not on every system
+        return os.cpu_count() or 1
 
 
 def run_program(
