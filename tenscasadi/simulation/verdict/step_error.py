@@ -1,7 +1,7 @@
 """Step-size error of runs, estimated by repeating them.
 
 Runs with fixed steps h are repeated with 2 h and 4 h. If those differ too much, they are repeated
-with h/2. Schemes with error control repeat with another tolerance.
+with h/2. Schemes with error control repeat with another tolerance if it sets their steps.
 """
 
 from __future__ import annotations
@@ -82,14 +82,21 @@ def _from_steps(again: _Repetition, least: Array) -> tuple[Array, Array]:
 
 
 def _from_tolerances(again: _Repetition, least: Array) -> tuple[Array, Array]:
-    """Estimate errors (m,) from runs with other tolerances."""
+    """Estimate errors and factors (m,) from runs with other tolerances.
+
+    If another tolerance leaves a run as it is, the grid sets its steps.
+    """
     looser = 10.0
     largest = _largest(again.compare_tolerance(looser))
     error = largest / (looser - 1)
     unclear = np.flatnonzero(~(largest <= CLEAR * least))
     if len(unclear):
         error[unclear] = _largest(again.select(unclear).compare_tolerance(0.01))
-    return error, np.full(len(error), 2.0)
+    factor = np.full(len(error), 2.0)
+    same = np.flatnonzero(largest == 0.0)
+    if len(same):
+        error[same], factor[same] = _from_steps(again.select(same), least[same])
+    return error, factor
 
 
 def _largest(distances: Array) -> Array:

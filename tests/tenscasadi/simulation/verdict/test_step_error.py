@@ -10,7 +10,7 @@ import pytest
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.rattle import Rattle
-from tenscasadi.integrators.runge_kutta import DormandPrince853, RungeKutta4
+from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853, RungeKutta4
 from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stability import stable_step
 from tenscasadi.integrators.sundials import Cvodes
@@ -20,6 +20,7 @@ from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Linear, RestLength
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.structure.shapes import double_pendulum
 from tenscasadi.structure.structure import Structure
 
 WORD = re.compile(r"position error about (.*) m\): try .*step=(.*)")
@@ -252,3 +253,10 @@ def test_the_estimate_is_about_the_error() -> None:
         run = simulate(model, 1.0, 0.02, scheme, state=pulled, compiled=False)
         assert off(model, run) / 30 < run.error_estimate < 30 * off(model, run) + 1e-12
     assert np.isnan(simulate(model, 1.0, 0.02, verify=False, compiled=False).error_estimate)
+
+
+def test_error_is_estimated_if_the_grid_sets_adaptive_steps() -> None:
+    model = Model(Scene(double_pendulum(), gravity=Gravity((0, -9.81, 0))))
+    run = simulate(model, 1.0, 0.02, DormandPrince54(1e-4), compiled=False)
+    assert run.message.startswith("finished 50 steps of 0.02 s")
+    assert off(model, run) / 3 < run.error_estimate < 30 * off(model, run)
