@@ -58,7 +58,8 @@ def read_document(path: str | os.PathLike[str], changes: Sequence[Change] = ()) 
         known = data.get("numbers", {})
         if section == "numbers" and name not in known:
             cure = nearest(name, known)
-            raise ValueError(f"{change.option.split()[0]} is no option and no number: {cure}")
+            option = change.option.removesuffix(change.value).rstrip(" =")
+            raise ValueError(f"{option} is no option and no number: {cure}")
         data = _merge(data, reader.parse(change.option, _format_change(change), "toml"))
     document = Document(source.name, data, {}, tuple(reader.sources))
     for name in data:

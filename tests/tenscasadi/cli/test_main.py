@@ -330,7 +330,10 @@ def test_failed_plan_is_reported_and_written(tmp_path, capsys):
         (["simulate", "prism", "extra"], "extra"),
         (["export", "prism", "p.toml", "--height", "3"], "--height"),
         (["simulate", "prism", "--set", "step"], "set is 'step': give KEY=VALUE"),
-        (["simulate", "prism", "--set", "numbers.new=3"], "no number"),
+        (
+            ["simulate", "prism", "--set", "numbers.new=3"],
+            "--set numbers.new is no option and no number",
+        ),
         (["new", "cube"], "six-bar-ball"),
         (["simulate", "gone.toml"], "new prism > gone.toml"),
         (["plan", "gone.toml"], "gone.toml"),
@@ -413,7 +416,7 @@ def test_fields_of_sections_are_options(tmp_path, capsys):
     out = capsys.readouterr().out
     for name in ("t_end", "step", "scheme", "correction", "save_every", "energy_balance"):
         assert f"--{name.replace('_', '-')}" in out
-    assert "End of the run, s." in out  # from the docstring
+    assert "End of the run [s]." in out  # from the docstring
     options = ["--scheme", "Rattle", "--correction", "{kind = 'Projection', every = 3}"]
     options += ["--t-end", "0.02", "--set", "scene.gravity=[0, 0, '-g']", "--no-plots"]
     assert run("simulate", "prism", "--output", tmp_path, *options) == 2
