@@ -109,11 +109,11 @@ def roll(request: Request, progress: bool = False) -> Runs:
     kernel = make_kernel(request)
     total = inputs.runs * inputs.grid.steps
     controls = inputs.controls
-    feedback = None if inputs.feedback is None else _feedback_arrays(inputs)
+    feedback = _feedback_arrays(inputs)
     intervals = inputs.grid.intervals
     if inputs.model.has_clock:
         intervals = intervals._replace(clock=inputs.first + inputs.grid.edges[:-1])
-    if feedback is not None:
+    if feedback:
         intervals = intervals._replace(row=np.zeros_like(intervals.row))
     with contextlib.ExitStack() as stack:
         watch = Watch(deadline=request.deadline)
@@ -161,7 +161,7 @@ def make_kernel(request: Request) -> Kernel:
 
 
 def _feedback_arrays(inputs: RunInputs) -> dict[str, Any]:
-    """Collect the arrays of state feedback.
+    """Collect the arrays of state feedback, if there is any.
 
     Their names are those of `engine.hpp`. After the end of the plan, the last gain regulates the
     last state.
