@@ -173,7 +173,7 @@ def modes(
     u : array_like (nu,), optional
         Control of equilibrium; None: the initial control.
     count : int, optional
-        How many modes, from the lowest frequency on; unstable ones are the lowest. None: all of a
+        Number of modes, from the lowest frequency on; unstable ones are the lowest. None: all of a
         structure of up to 600 coordinates (`model.nq`), the 20 lowest of a larger one.
     parameters : array_like, shape (np,), or mapping, optional
         Values of the model's parameters, see `ParameterLayout.values`; nominal if None.

@@ -134,7 +134,7 @@ def recommend(
     corrections : sequence of corrections
         Each None, `Projection()` or `BarLengthCorrection()`.
     compiled : bool or Single, optional
-        How to run, as for `simulate`.
+        As for `simulate`.
     time_limit : float
         Wall-clock limit [s], of which the reference may take half. Runs that would exceed it are
         not started. The result is then the best so far, and `message` names the schemes without a

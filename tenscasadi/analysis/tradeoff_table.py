@@ -132,9 +132,9 @@ class Tradeoff:
     t_end : float
         Duration of each, s.
     reference_error : float
-        How far the reference itself may be off, m.
+        Estimated error of the reference, m.
     reference_message : str
-        How the reference was found.
+        Description of the reference.
     complete : bool
         False where the study was interrupted.
     message : str

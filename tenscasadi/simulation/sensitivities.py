@@ -133,7 +133,7 @@ def sensitivities(  # noqa: PLR0913  options of the run and of the derivatives
     t_end : float, optional
         End of the run [s]; required unless `start` is a trajectory.
     step : float, optional
-        Largest step [s], as for `simulate`. Default: 1 ms.
+        Largest step [s]. Default: 1 ms, or less if stability or contact requires it.
     scheme : Scheme, optional
         Integration scheme with steps of fixed size, such as `RungeKutta4` (default), `Rattle` or
         `Collocation`; of a trajectory: its own.

@@ -107,9 +107,10 @@ def simulate(  # noqa: PLR0913  the options of a run
         Motion at the saved times with its errors. A run ends early if it diverges, its scheme
         fails or Ctrl-C stops it. It diverges if the state is not finite or a bar is off by 10 % of
         its length. `success` is then False and `message` gives the reason. The same holds for
-        finished runs that are not trustworthy, for one of three reasons. The start violates bars
-        and joints by more than a fifth of lengths and speeds. Unstable steps make a vibration grow
-        tenfold. The stages do not resolve a function of time.
+        finished runs that are not trustworthy, for one of four reasons. The start violates bars
+        and joints by more than a fifth of lengths and speeds. The step-size error exceeds a tenth
+        of the motion. The energy is off by more than half of the exchanged energy. The stages of
+        fixed steps do not resolve a function of time.
 
     Raises
     ------
