@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tenscasadi.scene.scene import Scene
 from tenscasadi.schema.stored import check_indices
-from tenscasadi.simulation.scene_result import SceneResult
+from tenscasadi.simulation.scene_result import SceneResult, format_largest
 from tenscasadi.util.validate import Array, Indices, node_index
 from tenscasadi.util.viewable import Viewable
 
@@ -176,9 +176,9 @@ class Rollouts(Viewable, SceneResult, form="tenscasadi rollouts 1", title="file 
             f"time          {self.time[0]:g} … {self.time[-1]:g} s, {self.steps} steps of {self.step:g} s each, {len(self.time)} rows kept",
             f"wall time     {self.seconds:.3g} s{rate}, {way}, {self.threads} threads"
             + (f"; {self.note}" if self.note else ""),
-            f"energy        largest error {_largest(self.energy_error[self.success], 'J')}",
-            f"bar lengths   largest relative error {_largest(self.bar_length_error[self.success])}",
-            f"joints        largest gap {_largest(self.joint_error[self.success], 'm')}",
+            f"energy        largest error {format_largest(self.energy_error[self.success], 'J')}",
+            f"bar lengths   largest relative error {format_largest(self.bar_length_error[self.success])}",
+            f"joints        largest gap {format_largest(self.joint_error[self.success], 'm')}",
         ]
         ends = Counter(self.message[~self.success].tolist()).most_common()
         lines += [f"{count:<13} {message}" for message, count in ends[:_TOLD]]
@@ -224,8 +224,3 @@ def _check_values(content: Mapping[str, Any]) -> None:
     for name in ("energy_error", "bar_length_error", "joint_error", "error_estimate"):
         if np.any(np.asarray(content[name]) < 0):
             raise ValueError(f"field {name!r} holds a value below 0")
-
-
-def _largest(errors: Array, unit: str = "") -> str:
-    known = np.abs(errors[np.isfinite(errors)])
-    return f"{known.max():.2g} {unit}".strip() if known.size else "not computed"

@@ -73,3 +73,9 @@ def _read_scene(document: Document) -> dict[str, Any]:
     sampled = document.root.table().get("sampled")
     names = tuple(item.text() for item in sampled.entries()) if sampled else ()
     return {"scene": read_scene(document), "sampled": names}
+
+
+def format_largest(errors: Array, unit: str = "") -> str:
+    """Format the largest known error for a summary."""
+    known = np.abs(errors[np.isfinite(errors)])
+    return f"{known.max():.2g} {unit}".strip() if known.size else "not computed"

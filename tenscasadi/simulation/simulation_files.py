@@ -134,26 +134,25 @@ def load_simulation(path: str | os.PathLike[str]) -> Simulation:
     return read_simulation(document, read_scene(document))
 
 
-def read_simulation(document: Document, scene: Scene, t_end: float | None = None) -> Simulation:
-    """Read [start] and [simulation]; `t_end` is for files without one.
+def read_simulation(document: Document, scene: Scene) -> Simulation:
+    """Read [start] and [simulation].
 
     Raises SceneFileError.
     """
     item, first = document.section("simulation"), document.section("start")
-    if item is None and t_end is None:
+    if item is None:
         cure = "give one with t_end, the end of the run in s"
         raise document.root.error(f"it has no [simulation]: {cure}")
-    item, given = (document.root, {}) if item is None else (item, item.table())
     item = item._replace(names=scene.structure.names)
-    table = {name: entry._replace(names=item.names) for name, entry in given.items()}
-    options: dict[str, Any] = {"scene": scene, "t_end": t_end, **SIMULATION.read_fields(table)}
+    table = item.table()
+    options: dict[str, Any] = {"scene": scene, **SIMULATION.read_fields(table)}
     where: dict[str, Any] = {}
     if first is not None:
         options |= START.read(first._replace(names=item.names)).options(scene)
         where = first.table()
         moving = [where[name] for name in ("velocities", "velocity", "spin") if name in where]
         where |= {"velocities": moving[0]} if moving else {}
-    if options["t_end"] is None:
+    if "t_end" not in options:
         raise item.error("has no t_end: give the end of the run, s")
     simulation: Simulation = call(Simulation, item, where | table, options)
     call(simulation.check, item, where | table, {})

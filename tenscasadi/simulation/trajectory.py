@@ -13,7 +13,7 @@ import numpy as np
 from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.scene import Scene
 from tenscasadi.schema.stored import array_fields, check_indices
-from tenscasadi.simulation.scene_result import SceneResult
+from tenscasadi.simulation.scene_result import SceneResult, format_largest
 from tenscasadi.util.tables import Columns, Tabular, name_columns, name_coordinates
 from tenscasadi.util.validate import LARGEST, Array, Indices
 from tenscasadi.util.viewable import Viewable
@@ -165,13 +165,14 @@ class Trajectory(
             f"{self.message}",
             f"time          {self.time[0]:g} … {self.time[-1]:g} s, {steps} steps of {self.step:g} s{tried}, {len(self.time)} rows kept",
             f"wall time     {self.seconds:.3g} s{rate}, {way}",
-            f"energy        {self.energy[0]:.6g} → {self.energy[-1]:.6g} J, largest error {_largest(self.energy_error, 'J')}",
-            f"bar lengths   largest relative error {_largest(self.bar_length_error)}",
-            f"joints        largest gap {_largest(self.joint_error, 'm')}",
+            f"energy        {self.energy[0]:.6g} → {self.energy[-1]:.6g} J, largest error {format_largest(self.energy_error, 'J')}",
+            f"bar lengths   largest relative error {format_largest(self.bar_length_error)}",
+            f"joints        largest gap {format_largest(self.joint_error, 'm')}",
         ]
         if np.any(self.correction_shift > 0):
             lines.append(
-                f"correction    moves a node by {_largest(self.correction_shift, 'm')} and adds {_largest(self.correction_energy, 'J')} at most"
+                f"correction    moves a node by {format_largest(self.correction_shift, 'm')} "
+                f"and adds {format_largest(self.correction_energy, 'J')} at most"
             )
         elif np.any(np.isnan(self.correction_shift)):
             lines.append(
@@ -323,8 +324,3 @@ def _check_values(content: Mapping[str, Any]) -> None:
             raise ValueError(
                 f"field {name!r} is {value[tuple(place)]} at {place}, although the run succeeded: it must be finite, below {LARGEST:g}"
             )
-
-
-def _largest(errors: Array, unit: str = "") -> str:
-    known = np.abs(errors[np.isfinite(errors)])
-    return f"{known.max():.2g} {unit}".strip() if known.size else "not computed"
