@@ -224,7 +224,7 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
 
         Each attempt solves on a finer mesh, starting from the last plan. If finer meshes are not
         sufficient, deferred correction follows, as with `accuracy` of a transcription. Refinement
-        ends when the error is within the tolerance, or a finer mesh no longer halves it.
+        ends when the error is within the tolerance or rounding, or a finer mesh no longer halves it.
 
         Parameters
         ----------

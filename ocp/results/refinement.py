@@ -25,6 +25,7 @@ MOST_PARTS = 4  # maximum number of parts of an interval in one refinement
 FAR = float(
     MOST_PARTS**4
 )  # × tolerance: the largest error that one refinement removes, with a method of order 4
+ROUNDING = 1e-12  # × largest coordinate: smaller errors of a replay are rounding errors
 CAUTION = 0.3  # safety factor: error that refinement aims at, in units of the tolerance
 
 Again = Callable[..., PlanResult]  # (plan, new options of its transcription) → plan
@@ -80,6 +81,10 @@ def _refine(
         error = plan.worst_error
         if error <= tolerance or not (plan.duals or plan.success):
             return plan, ""
+        rounding = ROUNDING * float(np.abs(plan.trajectory.nodes).max())
+        if error <= rounding:
+            why = f"because of rounding errors, about {rounding:.1g} m: give a larger tolerance"
+            break
         if correctable and np.isfinite(error) and error > FAR * tolerance:
             plan, correctable = _better(plan, again(plan, accuracy=CAUTION * tolerance)), False
             continue
