@@ -16,7 +16,12 @@ from threadpoolctl import ThreadpoolController
 
 import ocp
 import tenscasadi as tc
-from tenscasadi.util.processes import on_interrupt, one_blas_thread, run_program
+from tenscasadi.util.processes import (
+    count_processors,
+    on_interrupt,
+    one_blas_thread,
+    run_program,
+)
 
 
 def test_what_it_says_and_how_it_ends() -> None:
@@ -156,3 +161,9 @@ def test_planning_takes_one():
     ).success
     assert set(seen[0]) == {1}
     assert set(threads()) == {2}
+
+
+def test_processors_are_counted_without_affinity(monkeypatch: pytest.MonkeyPatch) -> None:
+    """macOS and Windows do not know `os.sched_getaffinity`."""
+    monkeypatch.delattr(os, "sched_getaffinity", raising=False)
+    assert count_processors() == os.cpu_count()
