@@ -25,7 +25,7 @@ from ocp.solvers.interior_point_qp import solve_qp
 from ocp.targets.find_target import find_target
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
-from tenscasadi.util.casadi_tools import ArrayFunction
+from tenscasadi.util.casadi_tools import ArrayFunction, symbol_kind
 from tenscasadi.util.validate import Array, finite_array, instance, positive_number, whole_number
 
 # cost of a scaled violation of a path constraint; a departure of `place` costs 1
@@ -365,7 +365,7 @@ class _MpcDecision(NamedTuple):
 
 def _build_slopes(model: Model) -> ca.Function:
     """Build the Function (x, u) → ẋ, ∂ẋ/∂x, ∂ẋ/∂u."""
-    kind: Any = ca.SX if model.ode.is_a("SXFunction") else ca.MX
+    kind = symbol_kind(model.ode)
     x, u = kind.sym("x", model.nx), kind.sym("u", model.nu)
     rate = model.ode(x, u)
     outputs = [rate, ca.jacobian(rate, x), ca.jacobian(rate, u)]

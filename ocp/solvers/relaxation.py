@@ -16,8 +16,8 @@ from ocp.transcription.sparse_nlp import (
     Separable,
     Unknowns,
     split_symbol,
-    symbol_kind,
 )
+from tenscasadi.util.casadi_tools import symbol_kind
 from tenscasadi.util.validate import Array, Indices
 
 TOO_SLOW = "Rates_Too_Slow"  # status: only a motion with wider limits of rates was found

@@ -26,10 +26,9 @@ from ocp.transcription.sparse_nlp import (
     Separable,
     gather,
     split_symbol,
-    symbol_kind,
 )
 from ocp.transcription.variables import Variables
-from tenscasadi.util.casadi_tools import sparse
+from tenscasadi.util.casadi_tools import sparse, symbol_kind
 from tenscasadi.util.validate import Indices
 
 # term of the objective: symbol z, expression in z, entries (instances, size of z)

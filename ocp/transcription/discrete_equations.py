@@ -14,11 +14,11 @@ import numpy as np
 
 from ocp.transcription.contact_set import ContactSet, reaction_names
 from ocp.transcription.equations import build_constraints, constraint_names, evaluate_multipliers
-from ocp.transcription.sparse_nlp import Block, expand, gather, split_symbol, symbol_kind
+from ocp.transcription.sparse_nlp import Block, expand, gather, split_symbol
 from ocp.transcription.variables import Variables, name_intervals, name_states
 from tenscasadi.dynamics import forces
 from tenscasadi.integrators.stabilization import build_projection
-from tenscasadi.util.casadi_tools import sparse
+from tenscasadi.util.casadi_tools import sparse, symbol_kind
 from tenscasadi.util.validate import Array, Indices
 
 # Fractions of an interval at which a linear γ equals its mean weighted by the hat function of the

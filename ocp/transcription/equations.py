@@ -5,10 +5,9 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from ocp.transcription.sparse_nlp import symbol_kind
 from tenscasadi.dynamics.equation_of_motion import compute_forces, forward_dynamics
 from tenscasadi.dynamics.model import Model
-from tenscasadi.util.casadi_tools import sparse
+from tenscasadi.util.casadi_tools import sparse, symbol_kind
 from tenscasadi.util.validate import Array
 
 

@@ -16,9 +16,9 @@ from ocp.transcription.equations import (
     evaluate_multipliers,
 )
 from ocp.transcription.mesh import held_values
-from ocp.transcription.sparse_nlp import Block, Kind, expand, split_symbol, symbol_kind
+from ocp.transcription.sparse_nlp import Block, Kind, expand, split_symbol
 from ocp.transcription.variables import Variables, name_states
-from tenscasadi.util.casadi_tools import sparse
+from tenscasadi.util.casadi_tools import sparse, symbol_kind
 from tenscasadi.util.validate import Array, Indices
 
 _Rows = tuple[Any, float, Sequence[str]]  # expressions, their scale and names

@@ -17,6 +17,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from tenscasadi.util.casadi_tools import symbol_kind
 from tenscasadi.util.validate import Array, Indices
 
 Kind = Literal[
@@ -328,11 +329,6 @@ def gather(y: Any, index: Indices) -> Any:
     The index is (count, nz), the result (nz, count).
     """
     return ca.reshape(y[index.ravel().tolist()], index.shape[1], index.shape[0])
-
-
-def symbol_kind(function: ca.Function) -> Any:
-    """Return SX for a Function of scalar code, else MX."""
-    return ca.SX if function.is_a("SXFunction") else ca.MX
 
 
 def expand(function: ca.Function) -> ca.Function:

@@ -24,6 +24,7 @@ from tenscasadi.dynamics.node_coordinates import NodeCoordinates, check_column
 from tenscasadi.scene.binding import initial_control
 from tenscasadi.scene.scene import Scene
 from tenscasadi.structure.mass_checks import check_mass_ratio
+from tenscasadi.util.casadi_tools import symbol_kind
 from tenscasadi.util.read_only import read_only
 from tenscasadi.util.renamed import RenamedAttribute
 from tenscasadi.util.validate import Array, choice, finite_array, instance
@@ -242,7 +243,7 @@ class StateSpace(NodeCoordinates):
             return function
 
         def build() -> tuple[ca.Function, ca.Function]:
-            kind: Any = ca.SX if function.is_a("SXFunction") else ca.MX
+            kind = symbol_kind(function)
             x, w = kind.sym("x", self.nx), kind.sym("w", self.nw)
             outputs = function.call([x, w[: self.nu], w[self.nu :]], True, False)
             names = ["x", "w"], function.name_out()

@@ -18,7 +18,7 @@ from tenscasadi.dynamics.constraint_forces import (
 from tenscasadi.dynamics.mechanism import Mechanism
 from tenscasadi.dynamics.model import Model
 from tenscasadi.schema.value import Value
-from tenscasadi.util.casadi_tools import sparse
+from tenscasadi.util.casadi_tools import sparse, symbol_kind
 from tenscasadi.util.validate import instance, positive_number, whole_number
 
 
@@ -244,7 +244,7 @@ def build_correction(model: Model, correction: Correction) -> ca.Function | None
     project = correction.step(model)
     if project is None:
         return None
-    kind: Any = ca.SX if project.is_a("SXFunction") else ca.MX
+    kind = symbol_kind(project)
     x, w = kind.sym("x", model.nx), kind.sym("w", model.nw)
     inputs = [x, w[model.nu :]] if model.np else [x]
     return ca.Function(

@@ -35,6 +35,11 @@ def call_as_sx(
     )
 
 
+def symbol_kind(function: ca.Function) -> Any:
+    """Return SX for a Function of scalar code, else MX."""
+    return ca.SX if function.is_a("SXFunction") else ca.MX
+
+
 def is_expression(value: Any) -> bool:
     """Return whether a value is a CasADi matrix."""
     return isinstance(value, (ca.SX, ca.MX, ca.DM))

@@ -25,6 +25,7 @@ from tenscasadi.integrators.runge_kutta import (
 from tenscasadi.integrators.scheme import Scheme, equations
 from tenscasadi.integrators.stabilization import Correction, build_correction, build_effect
 from tenscasadi.integrators.tableaux import Tableau
+from tenscasadi.util.casadi_tools import symbol_kind
 
 Measured = Literal["nothing", "errors", "all"]
 # Functions of `struct Model`, in order
@@ -197,7 +198,7 @@ def _measure(observe: ca.Function, everything: bool) -> ca.Function:
 
     With `everything`, force densities and tensions follow.
     """
-    kind: Any = ca.SX if observe.is_a("SXFunction") else ca.MX
+    kind = symbol_kind(observe)
     x, w = kind.sym("x", observe.size1_in(0)), kind.sym("w", observe.size1_in(1))
     found = dict(zip(observe.name_out(), observe.call([x, w]), strict=True))
     names = ["bar_length_error", "joint_error", "energy"]
