@@ -270,7 +270,8 @@ def test_breakpoints_belong_to_functions() -> None:
 def test_breaks_is_the_deprecated_name_of_breakpoints() -> None:
     with pytest.warns(DeprecationWarning, match="use breakpoints"):
         force = NodalForce(lambda t: [[0, 0, 0], [t, 0, 0]], breaks=[0.5])  # type: ignore[call-arg]
-    assert force.breakpoints.tolist() == [0.5]
+    with pytest.warns(DeprecationWarning, match="use breakpoints"):
+        assert force.breaks.tolist() == [0.5]  # type: ignore[attr-defined]
 
 
 def test_supports_may_move_along_splines() -> None:
