@@ -110,7 +110,7 @@ def check_over_run(
 
 def is_same(number: Array, value: Array) -> bool:
     """Return whether two values agree up to rounding."""
-    return number.shape != value.shape or np.allclose(
+    return number.shape == value.shape and np.allclose(
         number, value, rtol=1e-6, atol=1e-9 * max(1.0, abs(number).max(initial=0.0))
     )
 
