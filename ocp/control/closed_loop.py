@@ -145,7 +145,7 @@ def run(
         or not callable(controller.control)
     ):
         raise TypeError(
-            f"controller is {format_value(controller)}: give an ocp.Mpc(...), ocp.track(plan), or what has model, period and control(time, state)"
+            f"controller is {format_value(controller)}: give an ocp.Mpc(...), ocp.track(plan), or an object with model, period, control(time, state)"
         )
     instance("controller.model", controller.model, Model, "a tenscasadi.Model")
     period = positive_number("controller.period", controller.period)

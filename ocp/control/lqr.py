@@ -22,6 +22,7 @@ from tenscasadi.dynamics.linearization import tangents
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.stability import fastest_rate
+from tenscasadi.scene.strings import rest_length
 from tenscasadi.simulation.inputs.feedback import Feedback
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.read_only import ReadOnlyArrays
@@ -294,7 +295,9 @@ def _rest(
         return found
     lengths = plan.lengths()[-1]
     return found._replace(
-        force_density=np.clip(lengths * (1 - found.force_density / structure.stiffness), *limits)
+        force_density=np.clip(
+            rest_length(found.force_density, lengths, structure.stiffness), *limits
+        )
     )
 
 

@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ocp.control.holding import at_rest
 from ocp.guess.inverse_dynamics import inverse_dynamics
 from ocp.problem.control import reject_rest_length_control
 from ocp.problem.costs import Cost
@@ -367,6 +368,5 @@ def _read_cost(k: int, cost: Any, model: Model) -> Cost:
 
 def _find_initial(problem: Problem) -> Array:
     """Find the force densities (α,) that hold the start best."""
-    state = problem.initial_state.copy()
-    state[problem.model.nq : 2 * problem.model.nq] = 0.0
+    state = at_rest(problem.model, problem.initial_state)
     return np.asarray(inverse_dynamics(problem, np.array([state, state]), 1.0)[0][0])

@@ -43,14 +43,18 @@ class SamplingDefaults(NamedTuple):
 
     def intervals(self, problem: Problem) -> int:
         """Choose a number of intervals, 0.6 rad of vibration each."""
-        structure = problem.model.scene.structure
-        ends = max(1.0, 2 * len(structure.strings) / len(structure.nodes))
-        rate = np.sqrt(ends * self.strength / self.mass)
+        rate = np.sqrt(count_strings_per_node(problem) * self.strength / self.mass)
         return int(np.clip(np.ceil(problem.longest * rate / 0.6), 20, 400))
 
     def knots(self, seconds: float) -> int:
         """Choose a number of knots, three in the free-fall time."""
         return int(np.clip(np.ceil(3 * seconds / self.fall), 6, 24))
+
+
+def count_strings_per_node(problem: Problem) -> float:
+    """Count the strings at a node, on average and at least 1."""
+    structure = problem.model.scene.structure
+    return max(1.0, 2 * len(structure.strings) / len(structure.nodes))
 
 
 def choose_defaults(problem: Problem) -> SamplingDefaults:

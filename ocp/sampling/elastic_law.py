@@ -7,6 +7,7 @@ import numpy as np
 
 from ocp.problem.instant import symbolic
 from ocp.problem.problem import Problem
+from ocp.sampling.defaults import count_strings_per_node
 
 
 def elastic_law(problem: Problem, strength: float, mass: float, interval: float) -> ca.Function:
@@ -24,8 +25,7 @@ def elastic_law(problem: Problem, strength: float, mass: float, interval: float)
     interval : float
         Length of an interval [s].
     """
-    structure = problem.model.scene.structure
-    ends = max(1.0, 2 * len(structure.strings) / len(structure.nodes))
+    ends = count_strings_per_node(problem)
     # k of 1.5 γ keeps shapes that constant force densities let collapse; the other factors are
     # shares of the stability limits of n strings on a node that is held for an interval
     k = min(1.5 * strength, 0.7 * mass / (ends * interval**2))

@@ -10,7 +10,12 @@ from ocp.problem.control import reject_rest_length_control
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.sampling.batch_simulation import BatchSimulation
-from ocp.sampling.defaults import SamplingDefaults, choose_defaults, find_symmetry_groups
+from ocp.sampling.defaults import (
+    SamplingDefaults,
+    choose_defaults,
+    count_strings_per_node,
+    find_symmetry_groups,
+)
 from ocp.sampling.descent import Candidate, Descent
 from ocp.sampling.elastic_law import elastic_law
 from ocp.sampling.search import Search
@@ -126,7 +131,7 @@ class _Method:
                 self._motions.law = self._law
                 self._try_all()
         except KeyboardInterrupt:
-            self._stopped = "stopped from the keyboard, with the best so far"
+            self._stopped = _STOPS[STOPPED]
         return self._outcome()
 
     def _try_all(self) -> None:
@@ -253,6 +258,5 @@ def simulate_defaults(motions: BatchSimulation, given: SamplingDefaults) -> Cand
 
 def _swing(given: SamplingDefaults, problem: Problem) -> float:
     """Estimate the fastest vibration of nodes [rad/s]."""
-    structure = problem.model.scene.structure
-    ends = max(1.0, 2 * len(structure.strings) / len(structure.nodes))
+    ends = count_strings_per_node(problem)
     return float(np.sqrt(ends * (given.strength + 2 * given.spread.mean()) / given.mass))
