@@ -399,8 +399,8 @@ class Terrain(ReadOnlyArrays, Surface, kind="Terrain"):
     def _corners(self) -> ca.Function:
         """Function that looks up heights and cosines at corners.
 
-        The input is the number of a cell. The result is (8,): heights, then cosines of the slope, in the order 00, 10, 01, 11. The
-        grid is extended by a cell on each side.
+        The input is the number of a cell. The result is (8,): heights, then cosines of the slope,
+        in the order 00, 10, 01, 11. The grid is extended by a cell on each side.
         """
         slopes = np.gradient(self.heights, *self.spacing)
         cosines = 1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)

@@ -163,9 +163,10 @@ def compile_library(
 ) -> ctypes.CDLL:
     """Compile and load C or C++ code.
 
-    The library is cached as by `compile_function`. The C compiler is used, so C++ code (suffix ".cpp") cannot use the C++ library. Without `build`,
-    the library is only loaded from the cache. Raises CompileError if there is no compiler, it does
-    not accept the code, or the cache does not have the library.
+    The library is cached as by `compile_function`. The C compiler is used, so C++ code (suffix
+    ".cpp") cannot use the C++ library. Without `build`, the library is only loaded from the cache.
+    Raises CompileError if there is no compiler, it does not accept the code, or the cache does not
+    have the library.
     """
     compiler = find_compiler()
     if compiler is None:

@@ -65,7 +65,8 @@ def fit_rotation(vectors: Array, others: Array) -> Array:
 def null_space(A: Array, tolerance: float) -> Array:
     """Compute an orthonormal basis of a null space.
 
-    The matrix A is (m, n) and the basis (n, n − rank). Singular values up to `tolerance` count as zero.
+    The matrix A is (m, n) and the basis (n, n − rank). Singular values up to `tolerance` count as
+    zero.
     """
     _, values, right = compute_block_svd(A)
     return np.asarray(right[int(np.sum(values > tolerance)) :].T)
@@ -74,8 +75,8 @@ def null_space(A: Array, tolerance: float) -> Array:
 def independent_rows(A: Array, tolerance: float) -> Array:
     """Find independent orthonormal combinations of rows.
 
-    The matrix A is (m, n) and the combinations (rank, m). Singular values up to `tolerance` times the largest count as
-    zero. The result is the identity if A is empty or not finite.
+    The matrix A is (m, n) and the combinations (rank, m). Singular values up to `tolerance` times
+    the largest count as zero. The result is the identity if A is empty or not finite.
     """
     if not np.all(np.isfinite(A)) or not A.size:
         return np.eye(len(A))
