@@ -72,18 +72,6 @@ def null_space(A: Array, tolerance: float) -> Array:
     return np.asarray(right[int(np.sum(values > tolerance)) :].T)
 
 
-def independent_rows(A: Array, tolerance: float) -> Array:
-    """Find independent orthonormal combinations of rows.
-
-    The matrix A is (m, n) and the combinations (rank, m). Singular values up to `tolerance` times
-    the largest count as zero. The result is the identity if A is empty or not finite.
-    """
-    if not np.all(np.isfinite(A)) or not A.size:
-        return np.eye(len(A))
-    left, values, _ = np.linalg.svd(A, full_matrices=False)
-    return np.asarray(left[:, values > tolerance * values.max(initial=0.0)].T)
-
-
 def compute_block_svd(A: Array) -> tuple[Array, Array, Array]:
     """Compute the full singular value decomposition by blocks.
 

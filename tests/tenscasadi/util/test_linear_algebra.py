@@ -8,7 +8,6 @@ import pytest
 
 from tenscasadi.util.linear_algebra import (
     find_blocks,
-    independent_rows,
     null_space,
     semidefinite_inverse,
     solve_semidefinite,
@@ -54,12 +53,3 @@ def test_parts_that_share_nothing_are_taken_apart():
     assert free.shape == (90, 90 - rank)
     assert free.T @ free == pytest.approx(np.eye(90 - rank), abs=1e-12)
     assert np.abs(A @ free).max() < 1e-12
-
-
-def test_independent_rows_span_the_rows():
-    A = np.random.default_rng(0).normal(size=(5, 3)) @ np.random.default_rng(1).normal(size=(3, 8))
-    kept = independent_rows(A, 1e-9)
-    assert kept.shape == (3, 5)
-    assert kept @ kept.T == pytest.approx(np.eye(3))
-    assert kept.T @ kept @ A == pytest.approx(A)
-    assert len(independent_rows(np.full((2, 3), np.nan), 1e-9)) == 2
