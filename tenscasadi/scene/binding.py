@@ -12,14 +12,13 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
-from tenscasadi.scene.parameters import QUANTITIES
+from tenscasadi.scene.parameters import ELASTIC_BARS, QUANTITIES
 from tenscasadi.scene.strings import ForceDensity, RestLength
 from tenscasadi.util.casadi_tools import is_expression
 from tenscasadi.util.validate import Array
 
 Value = TypeVar("Value")
 
-_ELASTIC = "bar_stiffness", "bar_rest_length"
 _LOADS = ("gravity", "pressure", "forces")
 
 
@@ -61,7 +60,7 @@ def bind(scene: Any, w: Any) -> tuple[Any, Any]:
         segments = np.arange(count), s.string_parent
         onto_segments = sp.csr_array((share, segments), shape=(count, len(items[name].constant)))
         own[name] = items[name].then(onto_segments).expression(p).T
-    own |= {name: items[name].expression(p).T for name in items.keys() & set(_ELASTIC)}
+    own |= {name: items[name].expression(p).T for name in items.keys() & set(ELASTIC_BARS)}
     if own:
         changes["modelled"] = with_fields(s, **own)
     on_grounds = {
@@ -107,7 +106,7 @@ def fix(scene: Any, p: Array) -> Any:
         return scene
     items = {name: affine.numbers(p) for name, affine in scene.layout.quantities.items()}
     own = {name: value for name, value in items.items() if QUANTITIES[name].part == "structure"}
-    for name in own.keys() & set(_ELASTIC):  # rigid bars have none
+    for name in own.keys() & set(ELASTIC_BARS):  # rigid bars have none
         own[name] = np.where(scene.structure.elastic, own[name], getattr(scene.structure, name))
     changes: dict[str, Any] = {"parameters": None, "structure": scene.structure.replace(**own)}
     on_grounds = {

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
-from tenscasadi.scene.parameters import GROUPED, QUANTITIES, Parameters
+from tenscasadi.scene.parameters import ELASTIC_BARS, GROUPED, QUANTITIES, Parameters
 from tenscasadi.structure.mass_checks import check_mass_ratio
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.casadi_tools import sparse
@@ -205,8 +205,6 @@ class ParameterLayout(ReadOnlyArrays):
 
 EMPTY = ParameterLayout((), (), np.zeros(0), {}, {}, {})
 
-_ELASTIC = "bar_stiffness", "bar_rest_length"
-
 
 class _ParameterBlock(NamedTuple):
     """Entries of p for one quantity.
@@ -257,7 +255,7 @@ def _build_block(scene: Any, parameters: Parameters, name: str) -> _ParameterBlo
     scaled = name in parameters.scale
     for key, group in zip(keys, members, strict=True):
         own = values[group]
-        if name in _ELASTIC and not scene.structure.elastic[group].all():
+        if name in ELASTIC_BARS and not scene.structure.elastic[group].all():
             bar = group[~scene.structure.elastic[group]][0]
             raise ValueError(
                 f"Parameters has {name!r}, but bar {bar} is rigid: give groups of elastic bars"
@@ -274,7 +272,7 @@ def _build_block(scene: Any, parameters: Parameters, name: str) -> _ParameterBlo
     items = np.concatenate(members)
     constant = np.array(values, dtype=float)
     constant[items] = 0.0
-    if name in _ELASTIC:  # rigid bars have none
+    if name in ELASTIC_BARS:  # rigid bars have none
         constant[~scene.structure.elastic] = 0.0
     return _ParameterBlock(
         [f"{name}{' scale' if scaled else ''}{key}" for key in keys],
@@ -348,6 +346,6 @@ def _find_strict(scene: Any, name: str, count: int) -> Any:
         return bare
     if name == "string_mass":  # strings with inner nodes
         return np.bincount(scene.modelled.string_parent, minlength=count) > 1
-    if name in _ELASTIC:  # rigid bars have none
+    if name in ELASTIC_BARS:  # rigid bars have none
         return s.elastic
     return np.full(count, QUANTITIES[name].least == "positive")

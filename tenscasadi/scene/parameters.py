@@ -40,6 +40,7 @@ QUANTITIES = {
 }
 GROUPED = "string", "bar", "node", "ground"
 MASSES = "bar_mass", "node_mass", "string_mass"
+ELASTIC_BARS = "bar_stiffness", "bar_rest_length"  # rigid bars have none
 
 _GROUPS = TableOf(
     {
