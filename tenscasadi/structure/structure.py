@@ -24,11 +24,11 @@ from tenscasadi.structure.class_one import (
     read_matrices,
 )
 from tenscasadi.structure.derived import read_derived, write_derived
-from tenscasadi.structure.elastic_bars import read_elastic_bars
 from tenscasadi.structure.mass_checks import check_node_masses
 from tenscasadi.structure.names import find_names, read_names
 from tenscasadi.structure.pins import Normals, read_axes, read_pins, read_rollers
 from tenscasadi.structure.prestress import find_rest_lengths
+from tenscasadi.structure.properties import read_properties
 from tenscasadi.structure.subdivision import divide_strings
 from tenscasadi.util.read_only import ReadOnlyArrays, read_only
 from tenscasadi.util.renamed import rename_keywords
@@ -39,13 +39,9 @@ from tenscasadi.util.validate import (
     finite_array,
     flag,
     node_pairs,
-    nonnegative,
-    per_item,
     rows_of_size,
 )
 from tenscasadi.util.viewable import Viewable
-
-MAX_THICKNESS = 1e3  # radius / length of a bar; above, rounding errors make M indefinite
 
 
 class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
@@ -186,34 +182,16 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         own["bar_lengths"] = member_lengths("bars", self.nodes, self.bars, "bar")
         own["string_lengths"] = member_lengths("strings", self.nodes, self.strings, "string")
         beta, alpha = len(self.bars), len(self.strings)
-        for name, value, count, item in (
-            ("bar_mass", bar_mass, beta, "bar"),
-            ("bar_radius", bar_radius, beta, "bar"),
-            ("node_mass", node_mass, n, "node"),
-            ("stiffness", stiffness, alpha, "string"),
-            ("damping", damping, alpha, "string"),
-            (
-                "rest_length",
-                self.string_lengths if rest_length is None else rest_length,
-                alpha,
-                "string",
-            ),
-            ("string_mass", string_mass, alpha, "string"),
-        ):
-            own[name] = nonnegative(
-                name, per_item(name, value, count), item, strict=name in ("bar_mass", "rest_length")
-            )
-        own.update(read_elastic_bars(bar_stiffness, bar_rest_length, self.bar_lengths))
+        given = {
+            **{"bar_mass": bar_mass, "bar_radius": bar_radius, "node_mass": node_mass},
+            **{"stiffness": stiffness, "damping": damping, "rest_length": rest_length},
+            **{"string_mass": string_mass, "bar_stiffness": bar_stiffness},
+            "bar_rest_length": bar_rest_length,
+        }
+        own.update(read_properties(given, n, self.bar_lengths, self.string_lengths))
         own["node_names"] = read_names("node_names", node_names, n)
         own["string_names"] = read_names("string_names", string_names, alpha)
         own["bar_names"] = read_names("bar_names", bar_names, beta)
-        slenderness = self.bar_radius / self.bar_lengths
-        for i in np.flatnonzero(slenderness > MAX_THICKNESS):
-            most = f"{MAX_THICKNESS:g} times its length, {self.bar_lengths[i]:g} m"
-            raise ValueError(
-                f"bar_radius of bar {i} is {self.bar_radius[i]:g} m: it must be at most {most}"
-            )
-        own["bar_inertia"] = self.bar_mass * (1.0 / 12.0 + slenderness**2 / 4.0)  # Eq. 19
         check_node_masses(
             self.node_mass,
             self.fixed.all(axis=1),
