@@ -98,16 +98,18 @@ def neutral_motions(system: NewtonSystem, point: StaticPoint, tension: Array) ->
     equations = system.equations
     motions = equations.free.T @ rigid_body_motions(equations.structure, point.nodes)
     # members keep their lengths: only their forces and the loads contribute stiffness
-    K = system.tangent(point._replace(slope=0 * point.slope), tension)
+    rigid = point._replace(slope=0 * point.slope)
+    K = system.tangent(rigid, tension) + system.load_tangent(point)
     return idle_combinations(motions, K @ motions, NEUTRAL * float(np.sqrt((K.data**2).sum())))
 
 
 def find_stable_factors(
-    system: NewtonSystem, point: StaticPoint, tension: Array
+    system: NewtonSystem, point: StaticPoint, tension: Array, shift: float = -FLAT
 ) -> NewtonFactors | None:
     """Factorize the Newton system of a stable equilibrium.
 
-    All motions but free rigid-body motions then have a positive stiffness.
+    All motions but free rigid-body motions then have a positive stiffness. Loads without an energy
+    count by the symmetric part of their tangent.
 
     Parameters
     ----------
@@ -117,16 +119,18 @@ def find_stable_factors(
         Forces in the equilibrium.
     tension : ndarray, shape (β_r,)
         Tensions of rigid bars [N].
+    shift : float
+        Shift of K, relative to the largest stiffness. A positive one admits motions without
+        stiffness.
 
     Returns
     -------
     NewtonFactors or None
-        Factors of K, shifted by the threshold of zero stiffness; None if a motion has no positive
-        stiffness.
+        Factors of the shifted K; None if a motion has no positive stiffness then.
     """
     scale = system.stiffness_scale(point, tension)
     with suppress(np.linalg.LinAlgError):
-        factors = system.factor(point, tension, scale, -FLAT * scale)
+        factors = system.factor(point, tension, scale, shift * scale)
         if not factors.count_negative():
             return factors
         if not factors.count_negative(neutral_motions(system, point, tension)):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tenscasadi.statics.solver.motions import find_stable_factors
-from tenscasadi.statics.solver.newton_system import NewtonSystem
+from tenscasadi.statics.solver.newton_system import FLAT, NewtonSystem
 from tenscasadi.statics.solver.static_equations import Conditions
 from tenscasadi.statics.solver.trust_region import (
     ACCURACY,
@@ -96,8 +96,10 @@ def finish(system: NewtonSystem, rest: SearchResult, given: Conditions) -> Searc
             # its stiffness is that with constant normal forces, which is symmetric
             point = equations.at(point.nodes, given._replace(pressing=point.nodes))
             stable = find_stable_factors(system, point, tension) is not None
+            found = stable or find_stable_factors(system, point, tension, FLAT) is not None
+            reason = "" if found else "the equilibrium found is unstable"
             steps = rest.iterations + step
-            return SearchResult(point, tension, residual, True, stable, False, "", steps)
+            return SearchResult(point, tension, residual, found, stable, not found, reason, steps)
         try:
             p, change = system.solve_unsymmetric(
                 point, tension, residual, -equations.bar_errors(point.nodes)

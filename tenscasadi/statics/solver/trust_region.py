@@ -17,7 +17,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tenscasadi.statics.solver.motions import find_stable_factors, softest_motions
+from tenscasadi.statics.solver.motions import (
+    find_stable_factors,
+    neutral_motions,
+    softest_motions,
+)
 from tenscasadi.statics.solver.newton_system import FLAT, NewtonFactors, NewtonSystem
 from tenscasadi.statics.solver.static_equations import Conditions, StaticPoint
 from tenscasadi.util.validate import Array
@@ -132,12 +136,12 @@ class _SearchState:
         for self.steps in range(ITERATIONS):
             if self._is_balanced():
                 if not self.system.is_symmetric(self.point):
-                    return  # without an energy there is no minimum of it
-                factors = find_stable_factors(self.system, self.point, self.tension)
-                self.stable = factors is not None
-                factors = factors or self._factor(self.floor)
+                    return  # `settle` judges the equilibrium after its last Newton iterations
+                factors = self._stable_factors()
                 if factors is not None:
-                    return self._polish(factors)
+                    self._polish(factors)
+                    self.stable = self._stable_factors(-FLAT) is not None
+                    return
                 self._leave_saddle()
             else:
                 self._step()
@@ -262,8 +266,8 @@ class _SearchState:
             raise StalledError("all equilibria found are saddles of the energy")
         K = self.system.tangent(self.point, self.tension)
         J = self.system.lengthening(self.point)
-        none = np.zeros((self.system.size, 0))
-        _, vectors = softest_motions(K, J, none, 1)
+        neutral = neutral_motions(self.system, self.point, self.tension)
+        _, vectors = softest_motions(K, J, neutral, 1)
         direction, factors = vectors[:, 0], self.system.factor_bars(self.point.bars)
         direction = direction * (np.sign(direction[np.argmax(np.abs(direction))]) or 1.0)
         length = 0.1 * self.size
@@ -307,6 +311,10 @@ class _SearchState:
         return float(sum(works)) / 6
 
     # --- factors ---
+
+    def _stable_factors(self, shift: float = FLAT) -> NewtonFactors | None:
+        """Factorize with a relative shift, or return None at a saddle."""
+        return find_stable_factors(self.system, self.point, self.tension, shift)
 
     def _factor(self, shift: float) -> NewtonFactors | None:
         """Factorize with a shift σ.

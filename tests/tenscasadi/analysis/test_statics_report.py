@@ -65,6 +65,18 @@ def test_members_without_section_are_counted() -> None:
     assert "3 members have no section" in report.summary()
 
 
+def test_soft_motions_and_frequencies_of_a_pressurized_membrane_agree() -> None:
+    """The free edges of an open membrane give its pressure no energy."""
+    s = tc.shapes.membrane(8, 5).prestressed(10.0)
+    pressure = tc.Pressure(tc.shapes.membrane_faces(8, 5), 3.0)
+    report = report_statics(tc.Scene(s, pressure=pressure))
+    assert report.equilibrium.success
+    assert report.stability.stable
+    assert report.stability.eigenvalues[0] > 0.0
+    assert report.modes.frequency[0] > 0.0
+    assert report.stability.modes.shape[0] + report.modes.rigid == 3 * len(s.nodes)
+
+
 def test_slack_structures_and_mechanisms_are_reported() -> None:
     text = report_statics(tc.Scene(tc.shapes.prism())).summary()
     assert "all slack: give a prestress" in text

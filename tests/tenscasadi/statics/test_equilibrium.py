@@ -221,6 +221,32 @@ def test_pressure_without_an_energy_balances():
     eq = tc.find_equilibrium(scene)
     assert eq.success, eq.message
     assert eq.residual < 1e-9
+    assert eq.stable
+    assert tc.stability(eq).stable
+
+
+def test_saddle_beside_a_load_without_energy_is_no_success():
+    """A column buckles at 50 N; the free edges of a face give its pressure no energy."""
+    column = [(0, 0, 0), (1, 0, 0), (2, 0, 0), (1, 1, 0), (1, -1, 0)]
+    corners = [(5, 0, 0), (6, 0, 0), (5.5, 1, 0)]
+    outside = [(4, -1, 0), (7, -1, 0), (5.5, 2, 0)]
+    sides = [(5, 6), (6, 7), (7, 5), (5, 8), (6, 9), (7, 10)]
+    s = tc.Structure(
+        [*column, *corners, *outside],
+        bars=[(0, 1), (1, 2)],
+        strings=[(1, 3), (1, 4), *sides],
+        stiffness=50.0,
+        rest_length=0.5,
+        node_mass=1.0,
+        pinned={0: "xyz", 1: "z", 2: "yz", **dict.fromkeys((3, 4, 8, 9, 10), "xyz")},
+    )
+    for force, stable in ((49.0, True), (51.0, False)):
+        load = np.zeros((11, 3))
+        load[2, 0] = -force
+        pressure = tc.Pressure([[5, 6, 7]], 1.0)
+        eq = tc.find_equilibrium(tc.Scene(s, forces=tc.NodalForce(load), pressure=pressure))
+        assert eq.success == eq.stable == stable
+        assert stable or "unstable" in eq.message
 
 
 def test_structure_stands_on_the_ground():
