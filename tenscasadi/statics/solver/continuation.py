@@ -166,18 +166,19 @@ class Tracer:
         for _ in range(most):
             try:
                 taken, new = self._advance(place, step)
-                out = not low <= new.factor <= high
-                if out:
-                    new = self._stop_at(place, new, high if new.factor > high else low)
-                critical = self._find_critical(place, new)
+                ahead = [*self._find_critical(place, new), PathRow(new, "")]
             except BranchJump:
                 step = 0.2 * taken
                 continue
             except PathEnd as error:
                 return rows, str(error)
-            rows += [*critical, PathRow(new, "")]
-            if out:
-                return rows, ""
+            for row in ahead:
+                factor = row.place.factor
+                if not low <= factor <= high:
+                    bound = high if factor > high else low
+                    last = self._stop_at(rows[-1].place, row.place, bound)
+                    return [*rows, PathRow(last, "")], ""
+                rows.append(row)
             if len(rows) > _FLAT and np.ptp([row.place.factor for row in rows[-_FLAT:]]) < 1e-9 * (
                 high - low
             ):
@@ -203,9 +204,17 @@ class Tracer:
         raise PathEnd(f"no equilibrium follows the one at factor {place.factor:.6g}")
 
     def _stop_at(self, place: PathPoint, beyond: PathPoint, bound: float) -> PathPoint:
-        """Find the equilibrium at a factor between two equilibria."""
-        share = (bound - place.factor) / (beyond.factor - place.factor)
-        y = share * self._displacement(place, beyond)
+        """Find the equilibrium at a factor between two equilibria.
+
+        The initial guess is on the parabola through both along the first tangent, so that the
+        first one can be a limit point.
+        """
+        way = self._way(place, beyond)
+        along = float(place.direction @ way) * place.direction
+        curve = way - along
+        roots = np.roots([curve[-1], along[-1], (place.factor - bound) / self.units[-1]])
+        share = min((r.real for r in roots if r.imag == 0.0 and 0.0 < r.real <= 1.0), default=1.0)
+        y = ((share * along + share**2 * curve) * self.units)[:-1]
         tension = place.tension + share * (beyond.tension - place.tension)
         across = np.zeros(self.system.size + 1)
         across[-1] = 1.0

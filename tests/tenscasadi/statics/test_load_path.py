@@ -48,6 +48,18 @@ def test_pressed_bar_on_one_pin_is_unstable():
     np.testing.assert_allclose(path.bar_force[:, 0], -path.factor)
 
 
+@pytest.mark.parametrize("low", [42.9, 42.91432])
+@pytest.mark.parametrize("high", [50.0, 1e3, 1e6])
+def test_path_turns_at_a_limit_point_within_its_first_step(low, high):
+    """It ends at the factor of its start, on the other side of the limit point."""
+    path = tc.load_path(tc.Scene(truss()), load=DOWN, factors=(low, high))
+    assert path.success, path.message
+    np.testing.assert_allclose(path.factor[path.limit_points], [42.914326], atol=5e-7)
+    assert path.factor[0] == path.factor[-1] == low
+    assert path.nodes[-1, 1, 1] < 0.277880 < path.nodes[0, 1, 1]
+    check_rows(path, tc.Scene(truss()), np.array(DOWN))
+
+
 def test_truss_of_von_mises_snaps_through():
     """Limit load 42.914326 N at height 0.277880."""
     scene = tc.Scene(truss())
