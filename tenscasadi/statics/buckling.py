@@ -16,11 +16,13 @@ from scipy.sparse.linalg import ArpackError, LinearOperator, eigsh
 from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.loads import NodalForce
 from tenscasadi.scene.scene import Scene
-from tenscasadi.statics.equilibrium import Equilibrium, find_equilibrium
+from tenscasadi.statics.equilibrium import Equilibrium, find_equilibrium, read_load
 from tenscasadi.statics.solver.motions import DENSE, motion_basis
-from tenscasadi.statics.stability import Stability, stability
+from tenscasadi.statics.solver.prestressed_state import PrestressedState
+from tenscasadi.statics.stability import describe_state, read_state
 from tenscasadi.util.validate import Array, instance
 
+_TIPPING = 1e-9  # stiffness of a neutral motion under the load, and its resultant: relative
 _NONE = 1e-12  # ratio μ of load stiffness to tangent stiffness below which no buckling occurs
 
 
@@ -34,7 +36,7 @@ class BucklingFactor(NamedTuple):
     mode : ndarray, shape (n, 3)
         Displacements of the nodes, of unit norm; zero if there is no mode.
     success : bool
-        Whether the scene has a stable equilibrium under its own loads.
+        Whether the scene has a stable equilibrium under its own loads and small factors of the load.
     message : str
         Result in one sentence; the reason of a failure.
 
@@ -78,7 +80,9 @@ def buckling_factor(
     Returns
     -------
     BucklingFactor
-        Factor and mode. Without a stable equilibrium, `success` is False and the factor 0.
+        Factor and mode. Without a stable equilibrium, `success` is False and the factor 0. So it
+        is where supports let the load tip the structure over. Loads that balance each other
+        without reactions rotate with the structure.
 
     Raises
     ------
@@ -113,7 +117,8 @@ def buckling_factor(
         eq = find_equilibrium(scene.source, scene, control, parameters)
     else:
         eq = find_equilibrium(scene, None, control, parameters)
-    st = stability(eq)
+    state, structure = read_state(eq)
+    st = describe_state(state, structure)
     none = np.zeros(eq.nodes.shape)
     size = st.stiffness(load)  # also checks the load
     if not (eq.success and st.stable):
@@ -121,26 +126,29 @@ def buckling_factor(
         return BucklingFactor(0.0, none, False, f"no stable equilibrium without the load: {fault}")
     if size == 0.0:
         return BucklingFactor(0.0, none, False, "the load moves the structure freely: support it")
-    ratio, mode = _largest_ratio(st, load)
+    forces = read_load(state.system, load)
+    change = state.force_stiffness(forces)
+    tipping = None if _is_balanced(forces, eq.nodes) else _tipping_motion(state, change)
+    if tipping is not None:
+        mode = _unit_displacement(state, tipping)
+        reason = "every factor of the load tips the structure over: support it"
+        return BucklingFactor(0.0, mode, False, reason)
+    ratio, mode = _largest_ratio(state, change)
     if ratio <= _NONE:
         return BucklingFactor(np.inf, none, True, "the load never buckles the structure")
-    nodal = (st.system.equations.free @ mode).reshape(none.shape)
-    nodal = nodal / np.linalg.norm(nodal)
+    nodal = _unit_displacement(state, mode)
     return BucklingFactor(1.0 / ratio, nodal, True, f"buckles at {1.0 / ratio:.6g} times the load")
 
 
-def _largest_ratio(st: Stability, load: Any) -> tuple[float, Array]:
+def _largest_ratio(state: PrestressedState, change: Any) -> tuple[float, Array]:
     """Find the dominant eigenpair of the buckling problem.
 
-    It is the largest μ with −ΔK v = μ K v, and v (free,).
+    It is the largest μ with −ΔK v = μ K v, and v (free,), orthogonal to neutral motions.
     """
-    system = st.system
-    K, J = system.tangent(st.point, st.tension), system.lengthening(st.point)
-    change = -st.force_stiffness(load)
-    free = system.size - system.rigid - st.neutral.shape[1]
+    system, K, flat = state.system, state.tangent, state.neutral
+    free = system.size - system.rigid - flat.shape[1]
     if system.size > DENSE and free > 2:
-        factors = system.factor(st.point, st.tension, st.scale, 0.0)
-        flat = st.neutral
+        factors = system.factor(state.point, state.tension, state.scale, 0.0)
 
         def solve(f: Array) -> Array:
             y = factors.solve(f - flat @ (flat.T @ f))[0]
@@ -149,10 +157,38 @@ def _largest_ratio(st: Stability, load: Any) -> tuple[float, Array]:
         inverse = LinearOperator(K.shape, matvec=lambda f: solve(f.ravel()), dtype=float)
         start = solve(np.random.default_rng(0).normal(size=system.size))
         with suppress(ArpackError):
-            values, vectors = eigsh(change, 1, K, which="LA", Minv=inverse, v0=start)
+            values, vectors = eigsh(-change, 1, K, which="LA", Minv=inverse, v0=start)
             return float(values[0]), vectors[:, 0]
-    T = motion_basis(J, st.neutral)
+    T = motion_basis(state.lengthening, flat)
     if not T.shape[1]:
         return 0.0, np.zeros(system.size)
-    values, vectors = scipy.linalg.eigh(T.T @ (change @ T), T.T @ (K @ T))
+    values, vectors = scipy.linalg.eigh(-T.T @ (change @ T), T.T @ (K @ T))
     return float(values[-1]), T @ vectors[:, -1]
+
+
+def _tipping_motion(state: PrestressedState, change: Any) -> Array | None:
+    """Find the neutral motion (free,) that a load destabilizes most.
+
+    Return None if there is none.
+    """
+    flat = state.neutral
+    if not flat.shape[1]:
+        return None
+    values, vectors = np.linalg.eigh(flat.T @ (change @ flat))
+    if values[0] >= -_TIPPING * float(np.sqrt((change.data**2).sum())):
+        return None
+    return np.asarray(flat @ vectors[:, 0])
+
+
+def _is_balanced(forces: Array, nodes: Array) -> bool:
+    """Return whether nodal forces (n, 3) balance each other without reactions."""
+    arms = nodes - nodes.mean(axis=0)
+    size = float(np.abs(arms).max(initial=0.0)) or 1.0
+    net = np.concatenate([forces.sum(axis=0), np.cross(arms, forces).sum(axis=0) / size])
+    return bool(np.abs(net).max() <= _TIPPING * np.abs(forces).max())
+
+
+def _unit_displacement(state: PrestressedState, motion: Array) -> Array:
+    """Compute the nodal displacements (n, 3) of a motion, of unit norm."""
+    nodal = (state.system.equations.free @ motion).reshape(-1, 3)
+    return np.asarray(nodal / np.linalg.norm(nodal))

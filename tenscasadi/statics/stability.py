@@ -24,13 +24,8 @@ from tenscasadi.statics.equilibrium import (
     read_problem,
 )
 from tenscasadi.statics.self_stress import mechanisms, self_stress
-from tenscasadi.statics.solver.motions import (
-    DENSE,
-    find_stable_factors,
-    neutral_motions,
-    softest_motions,
-)
 from tenscasadi.statics.solver.newton_system import FLAT, NewtonSystem
+from tenscasadi.statics.solver.prestressed_state import PrestressedState
 from tenscasadi.statics.solver.static_equations import StaticPoint
 from tenscasadi.statics.solver.trust_region import allowed_residual
 from tenscasadi.statics.super_stability import is_super_stable
@@ -41,7 +36,6 @@ from tenscasadi.util.kept import keep
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import Array, instance, whole_number
 
-LOWEST = 20  # motions of large structures that are computed by default
 BALANCED = 1e-6  # unbalanced force in equilibrium, relative to the largest force
 _HELD = 1e-9  # relative to the least compliance: below it supports and rigid bars carry the load
 _FREE = 1e-9  # fraction of a load on motions without stiffness that moves the structure freely
@@ -71,14 +65,6 @@ class Stability(ReadOnlyArrays):
         Their motions, of unit norm.
     success : bool
         Whether the forces balance.
-    system : NewtonSystem
-        Newton systems of the scene.
-    point : StaticPoint
-        Forces and stiffness of the members in the nodes.
-    tension : ndarray
-        Tensions of the rigid bars [N].
-    neutral : ndarray, shape (free coordinates, ·)
-        Orthonormal rigid-body motions without stiffness.
 
     Examples
     --------
@@ -97,10 +83,7 @@ class Stability(ReadOnlyArrays):
     eigenvalues: Array
     modes: Array
     success: bool
-    system: NewtonSystem = field(repr=False)
-    point: StaticPoint = field(repr=False)
-    tension: Array = field(repr=False)  # of rigid bars
-    neutral: Array = field(repr=False)
+    _state: PrestressedState = field(repr=False)
 
     @cached_property
     def self_stress(self) -> Array:
@@ -121,7 +104,7 @@ class Stability(ReadOnlyArrays):
 
         All motions that keep rigid bars then have a positive stiffness.
         """
-        return find_stable_factors(self.system, self.point, self.tension) is not None
+        return self._state.is_stable
 
     @cached_property
     def prestress_stable(self) -> bool:
@@ -162,7 +145,7 @@ class Stability(ReadOnlyArrays):
 
         It is due to the change of member forces: (k − γ) e eᵀ of each member.
         """
-        return self.system.nodal_material(self.point)
+        return self._state.system.nodal_material(self._state.point)
 
     @cached_property
     def geometric(self) -> sp.csr_array:
@@ -172,7 +155,7 @@ class Stability(ReadOnlyArrays):
         such loads it is the force density matrix in each of the three axes.
         """
         members = sp.kron(self.force_density_matrix, sp.eye_array(3))
-        return sp.csr_array(members + self.system.nodal_loads(self.point))
+        return sp.csr_array(members + self._state.system.nodal_loads(self._state.point))
 
     def displacement(self, load: ArrayLike | NodalForce) -> Array:
         """Compute the linear displacements under a load.
@@ -193,8 +176,9 @@ class Stability(ReadOnlyArrays):
         TypeError, ValueError
             If the load is wrong.
         """
-        free = self.system.equations.free
-        return np.asarray((free @ self._displace(read_load(self.system, load))[0]).reshape(-1, 3))
+        state = self._state
+        y, _ = state.displace(read_load(state.system, load))
+        return np.asarray((state.system.equations.free @ y).reshape(-1, 3))
 
     def stiffness(self, load: ArrayLike | NodalForce) -> float:
         """Compute the stiffness against a load: |load|²/(load · displacement).
@@ -215,77 +199,17 @@ class Stability(ReadOnlyArrays):
         TypeError, ValueError
             If the load is wrong or zero.
         """
-        forces = read_load(self.system, load)
+        state = self._state
+        forces = read_load(state.system, load)
         size = float(np.linalg.norm(forces))
         if size == 0.0:
             raise ValueError("load is zero: give forces on the nodes")
         unit = forces / size
-        f = self.system.equations.in_free_directions(unit)
-        if np.linalg.norm(self._flat.T @ f) > _FREE:
+        f = state.system.equations.in_free_directions(unit)
+        if np.linalg.norm(state.flat.T @ f) > _FREE:
             return 0.0
-        compliance = float(f @ self._displace(unit)[0])
-        return np.inf if abs(compliance) <= _HELD / self.scale else 1.0 / compliance
-
-    # --- linear algebra ---
-
-    @property
-    def scale(self) -> float:
-        """Largest stiffness [N/m], approximately."""
-        return self.system.stiffness_scale(self.point, self.tension)
-
-    def force_stiffness(self, load: ArrayLike | NodalForce) -> Any:
-        """Build the geometric stiffness of the forces under a load.
-
-        It is due to the member forces that the load adds, on free coordinates.
-
-        Parameters
-        ----------
-        load : array_like, shape (n, 3), or NodalForce
-            Forces on the nodes [N].
-
-        Returns
-        -------
-        csc_array
-            Σ Δt/l (I − e eᵀ) of all members [N/m].
-        """
-        y, tension = self._displace(read_load(self.system, load))
-        equations, point = self.system.equations, self.point
-        moved = equations.spring_vectors((equations.free @ y).reshape(-1, 3))
-        squared = np.einsum("ij,ij->i", point.springs, point.springs)
-        along = point.gamma + 2 * point.slope * squared  # stiffness along the member
-        pull = along * np.einsum("ij,ij->i", moved, point.springs) / squared  # Δt/l
-        density = np.concatenate([pull, tension / equations.lengths])
-        vectors = np.concatenate([point.springs, point.bars])
-        squared = np.einsum("ij,ij->i", vectors, vectors)
-        return self.system.member_matrix(density, -density / squared, vectors)
-
-    @cached_property
-    def _flat(self) -> Array:
-        """Orthonormal motions (free, ·) without stiffness."""
-        system, zero = self.system, FLAT * self.scale
-        values, modes = self.eigenvalues, self.modes
-        motions = system.equations.free.T @ modes.reshape(len(modes), self.structure.nodes.size).T
-        if len(values) and values[-1] <= zero:  # there may be more of them
-            K, J = system.tangent(self.point, self.tension), system.lengthening(self.point)
-            values, motions = softest_motions(K, J, self.neutral)
-        return np.hstack([self.neutral, motions[:, np.abs(values) <= zero]])
-
-    def _displace(self, forces: Array) -> tuple[Array, Array]:
-        """Compute the linear response to nodal forces (n, 3).
-
-        Return displacements (free,) and tensions of rigid bars.
-        """
-        system, flat, shift = self.system, self._flat, FLAT * self.scale
-        f = system.equations.in_free_directions(forces)
-        f = f - flat @ (flat.T @ f)
-        factors = system.factor(self.point, self.tension, self.scale, shift)
-        y, multipliers = factors.solve(f)
-        K, J = system.tangent(self.point, self.tension), system.lengthening(self.point)
-        for _ in range(3):  # removes the shift
-            rest = f - K @ y - J.T @ multipliers
-            change, more = factors.solve(rest - flat @ (flat.T @ rest))
-            y, multipliers = y + change, multipliers + more
-        return np.asarray(y - flat @ (flat.T @ y)), multipliers
+        compliance = float(f @ state.displace(unit)[0])
+        return np.inf if abs(compliance) <= _HELD / state.scale else 1.0 / compliance
 
 
 def stability(
@@ -353,6 +277,18 @@ def stability(
     kinds = (Structure, Scene, Model, Equilibrium)
     instance("source", source, kinds, "a tenscasadi.Structure, Scene, Model or Equilibrium")
     number = None if count is None else whole_number("count", count, 1)
+    return describe_state(*read_state(source, force_density, parameters), number)
+
+
+def read_state(
+    source: Structure | Scene | Model | Equilibrium,
+    force_density: ArrayLike | None = None,
+    parameters: Any = None,
+) -> tuple[PrestressedState, Structure]:
+    """Read the state of a source, and the structure in its nodes.
+
+    The arguments are those of `stability`. Raises TypeError, ValueError.
+    """
     scene, start = _read_source(source)
     nodes, given = read_problem(scene, start, None, parameters)
     bare = scene if isinstance(scene, Scene) else scene.scene
@@ -366,7 +302,7 @@ def stability(
     else:
         force = equations.in_free_directions(point.applied)
         tension = system.factor_bars(point.bars).solve(force)[1]
-    return _describe(system, point, tension, structure, number)
+    return PrestressedState(system, point, tension), structure
 
 
 def _read_source(source: Any) -> tuple[Any, Any]:
@@ -400,37 +336,26 @@ def _impose(
     return point._replace(gamma=density, slope=along, applied=point.loads + pull), tension
 
 
-def _describe(
-    system: NewtonSystem,
-    point: StaticPoint,
-    tension: Array,
-    structure: Structure,
-    count: int | None,
+def describe_state(
+    state: PrestressedState, structure: Structure, count: int | None = None
 ) -> Stability:
-    """Compute the softest motions and the message."""
-    equations = system.equations
-    if count is None and system.size > DENSE:
-        count = LOWEST
-    neutral = neutral_motions(system, point, tension)
-    K, J = system.tangent(point, tension), system.lengthening(point)
-    values, vectors = softest_motions(K, J, neutral, count)
+    """Compute the softest motions and the message of a state."""
+    system, point, equations = state.system, state.point, state.system.equations
+    values, vectors = state.lowest if count is None else state.softest(count)
     modes = (equations.free @ vectors).T.reshape(-1, *point.nodes.shape)
     strings = len(structure.strings)
     density = np.zeros(strings + len(structure.bars))
     density[:strings] = point.gamma[:strings]
     density[strings + equations.elastic] = -point.gamma[strings:]
-    density[strings + equations.rigid] = -tension / equations.lengths
-    bars = equations.bar_forces(point, tension)
+    density[strings + equations.rigid] = -state.tension / equations.lengths
+    bars = equations.bar_forces(point, state.tension)
     unbalanced = equations.in_free_directions(point.applied + bars)
     residual = float(
         np.linalg.norm((equations.free @ unbalanced).reshape(-1, 3), axis=1).max(initial=0.0)
     )
-    balanced = residual <= allowed_residual(system, point, tension, BALANCED)
+    balanced = residual <= allowed_residual(system, point, state.tension, BALANCED)
     softest = (
         f"softest motion {values[0]:.4g} N/m" if len(values) else "no motion changes the shape"
     )
     message = softest if balanced else f"not in equilibrium, {residual:.3g} N stay unbalanced"
-    return Stability(
-        structure, density, residual, message, values, modes, balanced,
-        system, point, tension, neutral,
-    )  # fmt: skip
+    return Stability(structure, density, residual, message, values, modes, balanced, state)

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 import tenscasadi as tc
+from tenscasadi.statics.stability import read_state
+from tenscasadi.structure.equilibrium_matrix import free_directions
 
 END = [(0, 0, 0), (0, 0, 0), (-1.0, 0, 0), (0, 0, 0), (0, 0, 0)]
 
@@ -81,8 +83,8 @@ def test_prism_under_its_axis():
     assert found.success
     st = tc.stability(s)
     T = st.modes.reshape(len(st.modes), 18).T
-    free = st.system.equations.free
-    change = free @ st.force_stiffness(load) @ free.T
+    free = free_directions(s)
+    change = free @ read_state(s)[0].force_stiffness(load) @ free.T
     values = np.linalg.eigvalsh(T.T @ ((st.tangent + found.factor * change) @ T))
     assert abs(values[0]) < 1e-8 * values[-1]
     below = np.linalg.eigvalsh(T.T @ ((st.tangent + 0.99 * found.factor * change) @ T))
@@ -100,8 +102,8 @@ def test_large_structures_by_lanczos():
     found = tc.buckling_factor(eq, load)
     assert found.success
     st = tc.stability(eq)
-    change = st.force_stiffness(load)
-    free = st.system.equations.free
+    change = read_state(eq)[0].force_stiffness(load)
+    free = free_directions(s)
     K = (free.T @ st.tangent @ free).toarray()
     ratios = np.linalg.eigvals(np.linalg.solve(K, -change.toarray())).real
     assert found.factor == pytest.approx(1 / ratios.max(), rel=1e-7)
@@ -119,6 +121,20 @@ def test_no_stable_equilibrium_is_told():
     free = tc.buckling_factor(tc.Scene(tc.shapes.prism(prestress=10.0)), np.ones((6, 3)))
     assert not free.success
     assert "freely" in free.message
+
+
+@pytest.mark.parametrize("options", [{}, {"bar_stiffness": 1e4}], ids=["rigid", "elastic"])
+@pytest.mark.parametrize("pins", [{0: "xyz"}, {0: "xyz", 1: "y"}], ids=["space", "plane"])
+def test_upright_bar_on_its_foot_tips_over(pins, options):
+    bar = tc.Structure([(0, 0, 0), (0, 0, 1)], bars=[(0, 1)], pinned=pins, **options)
+    found = tc.buckling_factor(tc.Scene(bar), [(0, 0, 0), (0, 0, -1.0)])
+    assert not found.success
+    assert found.factor == 0.0
+    assert "tips" in found.message
+    assert np.linalg.norm(found.mode[1, :2]) == pytest.approx(1.0)
+    pulled = tc.buckling_factor(tc.Scene(bar), [(0, 0, 0), (0, 0, 1.0)])
+    assert pulled.success
+    assert pulled.factor == np.inf
 
 
 @pytest.mark.parametrize(

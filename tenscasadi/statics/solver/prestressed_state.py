@@ -1,0 +1,133 @@
+"""Linear response of a scene about given nodes and member forces."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from tenscasadi.statics.solver.motions import (
+    DENSE,
+    find_stable_factors,
+    neutral_motions,
+    softest_motions,
+)
+from tenscasadi.statics.solver.newton_system import FLAT, NewtonSystem
+from tenscasadi.statics.solver.static_equations import StaticPoint
+from tenscasadi.util.validate import Array
+
+LOWEST = 20  # motions of large structures that are computed by default
+
+
+class PrestressedState:
+    """Forces of a scene in some nodes, with their tangent stiffness.
+
+    Displacements and motions are those of the free coordinates.
+
+    Parameters
+    ----------
+    system : NewtonSystem
+        Newton systems of the scene.
+    point : StaticPoint
+        Forces and stiffness of the members in the nodes.
+    tension : ndarray (β_r,)
+        Tensions of the rigid bars [N].
+    """
+
+    def __init__(self, system: NewtonSystem, point: StaticPoint, tension: Array) -> None:
+        self.system, self.point, self.tension = system, point, tension
+
+    @cached_property
+    def scale(self) -> float:
+        """Largest stiffness [N/m], approximately."""
+        return self.system.stiffness_scale(self.point, self.tension)
+
+    @cached_property
+    def tangent(self) -> Any:
+        """Tangent stiffness K (free, free), sparse."""
+        return self.system.tangent(self.point, self.tension)
+
+    @cached_property
+    def lengthening(self) -> Any:
+        """Derivative J (β_r, free) of the lengths of rigid bars, sparse."""
+        return self.system.lengthening(self.point)
+
+    @cached_property
+    def neutral(self) -> Array:
+        """Orthonormal rigid-body motions (free, ·) without stiffness."""
+        return neutral_motions(self.system, self.point, self.tension)
+
+    @cached_property
+    def is_stable(self) -> bool:
+        """Whether all motions but neutral ones have a positive stiffness."""
+        return find_stable_factors(self.system, self.point, self.tension) is not None
+
+    @cached_property
+    def lowest(self) -> tuple[Array, Array]:
+        """Lowest eigenvalues of K [N/m], and their motions (free, ·).
+
+        They are all of a small structure.
+        """
+        return self.softest(None if self.system.size <= DENSE else LOWEST)
+
+    @cached_property
+    def flat(self) -> Array:
+        """Orthonormal motions (free, ·) without stiffness, neutral ones among them."""
+        zero = FLAT * self.scale
+        values, motions = self.lowest
+        if len(values) and values[-1] <= zero:  # there may be more of them
+            values, motions = self.softest(None)
+        return np.hstack([self.neutral, motions[:, np.abs(values) <= zero]])
+
+    def softest(self, count: int | None) -> tuple[Array, Array]:
+        """Compute the lowest eigenvalues of K and their motions; None: all."""
+        return softest_motions(self.tangent, self.lengthening, self.neutral, count)
+
+    def displace(self, forces: Array) -> tuple[Array, Array]:
+        """Compute the linear response to nodal forces.
+
+        Parameters
+        ----------
+        forces : ndarray, shape (n, 3)
+            Forces on the nodes [N].
+
+        Returns
+        -------
+        tuple of ndarray
+            Displacements (free,) [m] and changes of the tensions of rigid bars (β_r,) [N].
+        """
+        system, flat = self.system, self.flat
+        f = system.equations.in_free_directions(forces)
+        f = f - flat @ (flat.T @ f)
+        factors = system.factor(self.point, self.tension, self.scale, FLAT * self.scale)
+        y, multipliers = factors.solve(f)
+        for _ in range(3):  # removes the shift
+            rest = f - self.tangent @ y - self.lengthening.T @ multipliers
+            change, more = factors.solve(rest - flat @ (flat.T @ rest))
+            y, multipliers = y + change, multipliers + more
+        return np.asarray(y - flat @ (flat.T @ y)), multipliers
+
+    def force_stiffness(self, forces: Array) -> Any:
+        """Build the geometric stiffness of the member forces under a load.
+
+        Parameters
+        ----------
+        forces : ndarray, shape (n, 3)
+            Forces on the nodes [N].
+
+        Returns
+        -------
+        csc_array (free, free)
+            Σ Δt/l (I − e eᵀ) of all members [N/m].
+        """
+        y, tension = self.displace(forces)
+        equations, point = self.system.equations, self.point
+        moved = equations.spring_vectors((equations.free @ y).reshape(-1, 3))
+        squared = np.einsum("ij,ij->i", point.springs, point.springs)
+        along = point.gamma + 2 * point.slope * squared  # stiffness along the member
+        pull = along * np.einsum("ij,ij->i", moved, point.springs) / squared  # Δt/l
+        density = np.concatenate([pull, tension / equations.lengths])
+        vectors = np.concatenate([point.springs, point.bars])
+        squared = np.einsum("ij,ij->i", vectors, vectors)
+        return self.system.member_matrix(density, -density / squared, vectors)
