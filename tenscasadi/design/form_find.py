@@ -245,7 +245,10 @@ def _assess(
     formed = structure
     if not short:
         formed = set_prestress(structure.replace(nodes=nodes), q[:strings], -q[strings:])
-    message = fault or f"in equilibrium, unbalanced forces below {max(unbalanced, 1e-16):.1g} N"
+    change = np.abs(lengths[strings:] / structure.bar_lengths - 1.0).max(initial=0.0)
+    far = f", bars change their lengths by up to {change:.2g} times" if change > _FLAT else ""
+    balanced = f"in equilibrium, unbalanced forces below {max(unbalanced, 1e-16):.1g} N"
+    message = fault or balanced + far
     return Form(formed, q[:strings], forces[strings:], not fault, message)
 
 
@@ -261,7 +264,9 @@ def _find_fault(
     Returns "" if it is valid.
     """
     strings = len(structure.strings)
-    largest = float(np.abs(forces).max(initial=0.0)) or 1.0
+    largest = float(np.abs(forces).max(initial=0.0))
+    if largest == 0.0:
+        return "no member carries a force: give force densities above 0, or leave them free (NaN)"
     pushing = np.flatnonzero(forces[:strings] < -_BALANCED * largest)
     missed = max(misses.items(), key=lambda item: item[1], default=("", 0.0))
     if unbalanced > _BALANCED * largest:

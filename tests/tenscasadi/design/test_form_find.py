@@ -195,6 +195,16 @@ def test_forms_come_prestressed_where_stiffness_allows() -> None:
     np.testing.assert_array_equal(soft.structure.rest_length, soft.structure.string_lengths)
 
 
+def test_change_of_bar_lengths_is_reported() -> None:
+    form = tc.form_find(tc.shapes.prism(), lengths={0: 100.0})
+    assert form.success
+    change = form.structure.bar_lengths / tc.shapes.prism().bar_lengths - 1.0
+    assert f"bars change their lengths by up to {np.abs(change).max():.2g} times" in form.message
+    kept = tc.form_find(tc.shapes.prism(), lengths={0: 0.8})
+    assert kept.success
+    assert "bars" not in kept.message
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [
@@ -213,6 +223,9 @@ def test_forms_without_equilibrium_fail_with_a_reason() -> None:
     form = tc.form_find(tc.shapes.prism(), [1.0] * 6 + [3.0] * 3)
     assert not form.success
     assert "these force densities have 2 dimensions" in form.message
+    zero = tc.form_find(tc.shapes.hyperbolic_paraboloid(4), force_density=0.0)
+    assert not zero.success
+    assert "no member carries a force" in zero.message
     loose = tc.Structure([(0, 0, 0), (1, 0, 0), (0, 1, 0)], strings=[(0, 1), (1, 2)], node_mass=1.0)
     collapsed = tc.form_find(loose, [1.0, 1.0])
     assert not collapsed.success
