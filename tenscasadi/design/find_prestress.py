@@ -49,7 +49,7 @@ class PrestressDesign(ReadOnlyArrays):
     structure : Structure
         The structure with rest lengths for this prestress.
     success : bool
-        Whether the prestress satisfies all limits.
+        Whether the prestress satisfies all limits and is stable.
     message : str
         Result in one sentence; the reason of a failure.
 
@@ -253,12 +253,13 @@ class _PrestressSearch:
             q, forces = np.zeros_like(q), np.zeros_like(q)
         values = self.tangent.softest(q, 1)[0]
         softest = float(values[0]) if len(values) else np.inf
+        stable = softest > 0.0
         message = "within all limits"
-        if softest <= 0.0:
-            message += f", but unstable: the least stiffness is {softest:.3g} N/m"
+        if not stable:
+            message = f"unstable within the limits, the least stiffness is {softest:.3g} N/m: add members or supports"
         prestressed = set_prestress(structure, q[:strings], -q[strings:])
         return PrestressDesign(
-            forces[:strings], forces[strings:], q[:strings], softest, prestressed, True, message
+            forces[:strings], forces[strings:], q[:strings], softest, prestressed, stable, message
         )
 
 
