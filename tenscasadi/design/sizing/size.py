@@ -232,9 +232,10 @@ def _choose_forces(
 
 def _explain(program: SizingProgram) -> str:
     """Explain why no sections carry the loads."""
-    for case, load in enumerate(program.loads):
+    for case in np.flatnonzero(program.loads.any(axis=1)):
+        load = program.loads[case]
         left = unbalanced_load(program, load)
-        if left > ROUNDING * float(np.abs(load).max(initial=0.0)):
+        if left > ROUNDING * float(np.abs(load).max()):
             return f"no forces with strings in tension balance load case {case}, {left:.3g} N stay unbalanced: change supports, members or the load"
     if program.weight.nnz:
         return "no sections carry their own weight: use a stronger material or shorter members"

@@ -91,6 +91,8 @@ class StableSizing:
 
         The response is linearized about the areas of the last program.
         """
+        if not start.any():  # no member carries a load
+            return self._design(start, np.zeros_like(start), "")
         area = np.maximum(start, _START * start.max(initial=0.0))
         own, last = np.zeros_like(area), np.zeros_like(area)
         weight = self.program.sections.mass_per_area
