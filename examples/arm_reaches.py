@@ -54,7 +54,7 @@ def main(folder: Path = Path()) -> dict[str, ocp.Plan]:
         print(plan.report())
         print(f"hand          at {replay.nodes[-1, 1].round(5)} m, wanted {REACH}")
         print(
-            f"ball          bars come as near as {nearest(replay):.4f} m to its centre, its radius is {RADIUS} m"
+            f"ball          bars come as near as {nearest(replay):.4f} m to its center, its radius is {RADIUS} m"
         )
     figure = plots.time_lapse(
         plans["round the ball"].replay(), instants=6, title="arm: reaches round a ball"
@@ -70,7 +70,7 @@ def draw_ball(axes: Any) -> None:
     around, down = np.meshgrid(np.linspace(0, 2 * np.pi, 25), np.linspace(0, np.pi, 13))
     x, y, z = np.sin(down) * np.cos(around), np.sin(down) * np.sin(around), np.cos(down)
     axes.plot_wireframe(
-        *(centre + RADIUS * side for centre, side in zip(BALL, (x, y, z), strict=True)),
+        *(center + RADIUS * side for center, side in zip(BALL, (x, y, z), strict=True)),
         color="tab:red",
         linewidth=0.4,
         zorder=1,
@@ -78,7 +78,7 @@ def draw_ball(axes: Any) -> None:
 
 
 def nearest(motion: tc.Trajectory) -> float:
-    """The least distance of the bars from the ball's centre."""
+    """The least distance of the bars from the ball's center."""
     least = np.inf
     for a, b in motion.bars:
         start, along = motion.nodes[:, a], motion.nodes[:, b] - motion.nodes[:, a]

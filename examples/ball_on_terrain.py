@@ -44,7 +44,7 @@ def main(folder: Path = Path(), quick: bool = False) -> tuple[tc.Terrain, tc.Tra
     reached = float(run.nodes[..., 0].max())
     depth = np.asarray(field.depth(run.nodes[-1].T)).ravel()
     print(
-        f"its centre goes {way[-1, 0] - way[0, 0]:.2f} m ahead and {way[0, 2] - way[-1, 2]:.2f} m down, {reached - WALL:.3f} m into the wall"
+        f"its center goes {way[-1, 0] - way[0, 0]:.2f} m ahead and {way[0, 2] - way[-1, 2]:.2f} m down, {reached - WALL:.3f} m into the wall"
     )
     print(
         f"at the end it stands on nodes {np.flatnonzero(depth > 0).tolist()}, at {np.abs(run.velocities[-1]).max():.1g} m/s at most"

@@ -112,7 +112,7 @@ def main(folder: Path = Path(), quick: bool = False) -> tuple[ocp.Plan, tc.Traje
 
 
 def standing(ball: tc.Structure) -> tc.Structure:
-    """The ball, centred at the origin, turned to stand on the ground z = 0; x points from node BEHIND over EDGE."""
+    """The ball, centered at the origin, turned to stand on the ground z = 0; x points from node BEHIND over EDGE."""
     edge, behind = ball.nodes[list(EDGE)], ball.nodes[BEHIND]
     down, ahead = edge.sum(axis=0) + behind, edge.mean(axis=0) - behind
     x, z = ahead / np.linalg.norm(ahead), -down / np.linalg.norm(down)

@@ -101,9 +101,9 @@ def travel(slope: float, nodes: np.ndarray, duration: float) -> Row:
 
     def wrong(now: ocp.Instant) -> Any:
         forward, sideways, up = ca.vertsplit(ca.sum2(now.velocities) / len(nodes))
-        centre = ca.sum2(now.nodes)[2] / len(nodes)
+        center = ca.sum2(now.nodes)[2] / len(nodes)
         moving = (forward - SPEED) ** 2 + sideways**2 + 0.3 * up**2
-        return moving + 10.0 * (centre - height) ** 2 + 0.3 * ca.sumsqr(now.lengths - length)
+        return moving + 10.0 * (center - height) ** 2 + 0.3 * ca.sumsqr(now.lengths - length)
 
     problem = ocp.Problem(
         believed,
@@ -118,7 +118,7 @@ def travel(slope: float, nodes: np.ndarray, duration: float) -> Row:
 
 
 def draw(rows: list[Row], path: Path, instants: int = 5) -> None:
-    """Side views of each run at equal intervals of time, and the way of the centre."""
+    """Side views of each run at equal intervals of time, and the way of the center."""
     figure = Figure(figsize=(9.6, 3.9 * len(rows) + 0.6), layout="constrained")
     for ax, row in zip(np.ravel(figure.subplots(len(rows), 1, sharex=True)), rows, strict=True):
         angle, motion = np.radians(row.slope), row.motion
@@ -138,8 +138,8 @@ def draw(rows: list[Row], path: Path, instants: int = 5) -> None:
                     side[motion.bars], colors="0.25", linewidths=3.0, capstyle="round", alpha=shade
                 )
             )
-        centre = motion.nodes.mean(axis=1)[:, [0, 2]] @ turn.T
-        ax.plot(*centre.T, color="tab:red", lw=1.2, label="way of the centre")
+        center = motion.nodes.mean(axis=1)[:, [0, 2]] @ turn.T
+        ax.plot(*center.T, color="tab:red", lw=1.2, label="way of the center")
         ax.set(
             aspect="equal",
             ylabel="z (m)",

@@ -109,13 +109,13 @@ def theirs(rockit: Any, name: str, method: Any, options: dict[str, Any] | None =
     seconds = time.perf_counter() - began
     gamma = np.clip(np.asarray(solution.sample(u, grid="control")[1])[:count], LEAST, MOST)
     replay = tc.simulate(model, 1.0, 0.1 / count, state=target.start, control=gamma, compiled=False)
-    metres = np.abs(np.asarray(target.misfit(replay.states[-1])[0].full())).max()
+    meters = np.abs(np.asarray(target.misfit(replay.states[-1])[0].full())).max()
     return Row(
         name,
         "ours" if options else "as they come",
         seconds,
         int(solution.stats["iter_count"]),
-        float(metres),
+        float(meters),
         float(np.sum(gamma**2) / count),
     )
 

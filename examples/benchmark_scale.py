@@ -72,7 +72,7 @@ def links(bars: int) -> tc.Structure:
 def measure(name: str, structure: tc.Structure) -> Row:
     """Builds, compiles and times the right-hand side of one structure under gravity."""
     began = time.perf_counter()
-    # Joined bars: Ω couples neighbours only, while λ of reduced coordinates couples all bars that
+    # Joined bars: Ω couples neighbors only, while λ of reduced coordinates couples all bars that
     # hang together.
     model = tc.Model(
         tc.Scene(structure, gravity=tc.Gravity()),

@@ -98,7 +98,7 @@ def top_of_a_jump(nodes: int) -> list[ocp.Constraint]:
 def prism_jumps(
     rise: float, stiffness: float = 1e4, damping: float = 20.0, duration: float = 0.5
 ) -> ocp.Problem:
-    """The prism jumps: its centre of mass is `rise` m higher at the end, which is the top of its way."""
+    """The prism jumps: its center of mass is `rise` m higher at the end, which is the top of its way."""
     model = low_prism(stiffness, damping)
     goal = ocp.CenterOfMass((None, None, model.structure.nodes[:, 2].mean() + rise))
     return ocp.Problem(
@@ -131,7 +131,7 @@ def prism_lands(rise: float = 0.15) -> ocp.Problem:
 
 
 def prism_crawls(step: float = 0.1, period: float = 0.4, cycles: int = 3) -> ocp.Problem:
-    """The prism crawls along x: after each period its centre of mass is a step further, and as high as it was."""
+    """The prism crawls along x: after each period its center of mass is a step further, and as high as it was."""
     model = heavy_prism()
     start = model.structure.nodes - [0, 0, 9.81 / 1e3]  # three nodes carry 3 kg
     x, _, z = start.mean(axis=0).tolist()
@@ -149,7 +149,7 @@ def prism_crawls(step: float = 0.1, period: float = 0.4, cycles: int = 3) -> ocp
 
 
 def ball_tips(slope: float = 0.0) -> ocp.Problem:
-    """The ball tips onto its next face and stands there: the nodes of the face are in their places, the centre is high, and nothing moves."""
+    """The ball tips onto its next face and stands there: the nodes of the face are in their places, the center is high, and nothing moves."""
     model = ball_on_face(slope)
     nodes = model.structure.nodes
     ahead, up = nodes[:, 0] - nodes[EDGE[0], 0], nodes[:, 2]
@@ -186,15 +186,15 @@ PROBLEMS: dict[str, Asked] = {
 
 
 def draw(plans: dict[str, ocp.Plan], path: Path, instants: int = 6) -> None:
-    """Side views of each motion at equal intervals of time, and the way of the centre."""
+    """Side views of each motion at equal intervals of time, and the way of the center."""
     rows = -(-len(plans) // 2)
     figure = Figure(figsize=(12.0, 1.6 * rows + 0.5), layout="constrained")
     for ax, (name, plan) in zip(
         np.ravel(figure.subplots(rows, 2, squeeze=False)), plans.items(), strict=False
     ):
         motion = plan.replay()
-        centre = motion.nodes.mean(axis=1)
-        size, apart = np.ptp(motion.nodes[0], axis=0).max(), np.ptp(centre[:, 0]) > 0.05
+        center = motion.nodes.mean(axis=1)
+        size, apart = np.ptp(motion.nodes[0], axis=0).max(), np.ptp(center[:, 0]) > 0.05
         ax.axhspan(-1.0, 0.0, color="0.9")
         shots = np.linspace(0, len(motion.time) - 1, instants).astype(int)
         for k, shot in enumerate(shots):
@@ -205,16 +205,16 @@ def draw(plans: dict[str, ocp.Plan], path: Path, instants: int = 6) -> None:
             ax.add_collection(
                 LineCollection(side[motion.bars], colors="0.25", linewidths=2.0, capstyle="round")
             )
-            ax.plot(centre[shot, 0] + 1.15 * size * k, centre[shot, 2], "o", color="tab:red", ms=3)
+            ax.plot(center[shot, 0] + 1.15 * size * k, center[shot, 2], "o", color="tab:red", ms=3)
         ax.set(aspect="equal", ylabel="z (m)", title=f"{name}, {motion.time[-1]:g} s", xticks=[])
         ax.set_xlim(
-            -0.8 * size, 1.15 * size * (instants - 0.4) + (np.ptp(centre[:, 0]) if apart else 0.0)
+            -0.8 * size, 1.15 * size * (instants - 0.4) + (np.ptp(center[:, 0]) if apart else 0.0)
         )
         ax.set_ylim(-0.1, motion.nodes[:, :, 2].max() + 0.1)
     for ax in figure.axes[len(plans) :]:
         ax.set_axis_off()
     figure.suptitle(
-        "side views at equal intervals of time, next to each other; the centre of mass in red"
+        "side views at equal intervals of time, next to each other; the center of mass in red"
     )
     figure.savefig(path, dpi=150)
 

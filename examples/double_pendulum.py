@@ -86,7 +86,7 @@ def pin_column(structure: tc.Structure) -> int:
 
 
 def newton(model: tc.Model, states: np.ndarray) -> np.ndarray:
-    """Mass times acceleration of the centre of mass, less weight: what the pin has to exert (T, 3), N."""
+    """Mass times acceleration of the center of mass, less weight: what the pin has to exert (T, 3), N."""
     accelerations = np.array(
         [
             model.nodes(

@@ -120,7 +120,7 @@ def through_nothing() -> float:
 
 
 def all_slack() -> float:
-    """A ball with loose strings thrown in gravity: its centre of mass flies a parabola and no string pulls; relative to the height."""
+    """A ball with loose strings thrown in gravity: its center of mass flies a parabola and no string pulls; relative to the height."""
     ball = tc.shapes.six_bar_ball()
     model = tc.Model(
         tc.Scene(ball.replace(rest_length=10 * ball.string_lengths), gravity=tc.Gravity())
@@ -206,7 +206,7 @@ def long_run(steps: int) -> tuple[float, float]:
 
 
 def large(prisms: int) -> tuple[float, float]:
-    """A chain of many prisms in free fall: distance from the parabola of the centre of mass, and bar lengths; relative."""
+    """A chain of many prisms in free fall: distance from the parabola of the center of mass, and bar lengths; relative."""
     one = tc.shapes.prism(prestress=30.0)
     nodes = np.concatenate([one.nodes + [1.5 * k, 0, 0] for k in range(prisms)])
     bars = np.concatenate([one.bars + 6 * k for k in range(prisms)])
@@ -243,17 +243,17 @@ def both_stiffnesses(scheme: Any, step: float) -> float:
 
 
 def unlike_bars(masses: tuple[float, float]) -> float:
-    """Two hinged bars in a line that turn once about their common centre of mass: nothing bends them; relative to their length."""
+    """Two hinged bars in a line that turn once about their common center of mass: nothing bends them; relative to their length."""
     line = tc.Structure([(0, 0, 0), (1, 0, 0), (2, 0, 0)], [(0, 1), (1, 2)], bar_mass=masses)
     model = tc.Model(tc.Scene(line))
-    centre = np.array([np.average([0.5, 1.5], weights=masses), 0, 0])
-    start = model.state(line.nodes, np.cross([0, 0, 1.0], line.nodes - centre))
+    center = np.array([np.average([0.5, 1.5], weights=masses), 0, 0])
+    start = model.state(line.nodes, np.cross([0, 0, 1.0], line.nodes - center))
     run = tc.simulate(model, 2 * np.pi, 2 * np.pi / 1000, state=start, compiled=False)
     return float(abs(run.nodes[-1] - line.nodes).max())
 
 
 def no_stiffness() -> float:
-    """A prism whose strings have none falls as a rigid body; metres and newtons."""
+    """A prism whose strings have none falls as a rigid body; meters and newtons."""
     prism = tc.shapes.prism().replace(stiffness=0.0, damping=0.0)
     run = tc.simulate(tc.Model(tc.Scene(prism, gravity=tc.Gravity())), 1.0, 1e-2, compiled=False)
     return float(max(abs(run.nodes[-1] - prism.nodes - [0, 0, -9.81 / 2]).max(), run.tension.max()))
@@ -334,7 +334,7 @@ def rows() -> Iterator[Row]:
     }.items():  # fmt: skip
         yield Row(
             name,
-            "the motion in metres, kilograms and seconds",
+            "the motion in meters, kilograms and seconds",
             float(abs(scaled(*units) - plain).max()),
             1e-12,
         )
@@ -368,7 +368,7 @@ def rows() -> Iterator[Row]:
     yield Row("1,000,000 steps", "bars", worst, 1e-14)
     yield Row("1,000,000 steps", "energy", energy, 1e-6)
     parabola, bars = large(1667)
-    yield Row("5,001 bars", "centre of mass falls (m)", parabola, 1e-12)
+    yield Row("5,001 bars", "center of mass falls (m)", parabola, 1e-12)
     yield Row("5,001 bars", "bars, at up to 2500 m from the origin", bars, 1e-11)
 
 

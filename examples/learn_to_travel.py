@@ -86,7 +86,7 @@ def ball() -> tc.Model:
 
 
 def forward(now: Transition) -> np.ndarray:
-    """The reward: metres that the centre moves along x."""
+    """The reward: meters that the center moves along x."""
     return np.asarray((now.nodes - now.nodes_before)[:, :, 0].mean(axis=1))
 
 

@@ -22,7 +22,7 @@ EXPECTED = (2.304, 1.551, 1.101, 0.827, 0.675)  # m, face down
 
 
 def ball(down: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> tc.Structure:
-    """Bars of 1 m and 1 kg; strings of 5000 N/m, 10 N·s/m and 0.1 kg at 1000 N/m; its centre at 3.5 m, its direction `down` down.
+    """Bars of 1 m and 1 kg; strings of 5000 N/m, 10 N·s/m and 0.1 kg at 1000 N/m; its center at 3.5 m, its direction `down` down.
 
     (1, 1, 1) puts one of the eight triangles of strings flat on the ground, (0, 0, 1) a pair of
     nodes.
@@ -35,7 +35,7 @@ def ball(down: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> tc.Structure:
 
 
 def drop(structure: tc.Structure, t_end: float = T_END) -> tuple[tc.Trajectory, np.ndarray]:
-    """The fall of a ball without friction, and the height of its centre of mass (T,), m."""
+    """The fall of a ball without friction, and the height of its center of mass (T,), m."""
     # Two segments a string: its mass is one point mass in its middle.
     scene = tc.Scene(
         structure, segments=2, gravity=tc.Gravity(), ground=tc.Ground(stiffness=1e4, damping=10.0)
@@ -47,7 +47,7 @@ def drop(structure: tc.Structure, t_end: float = T_END) -> tuple[tc.Trajectory, 
 
 
 def rebounds(height: np.ndarray) -> np.ndarray:
-    """The rows of the tops of bounces, those above 0.6 m (at rest the centre is at about 0.4 m)."""
+    """The rows of the tops of bounces, those above 0.6 m (at rest the center is at about 0.4 m)."""
     local = np.flatnonzero((height[1:-1] > height[:-2]) & (height[1:-1] >= height[2:])) + 1
     return local[height[local] > 0.6]
 
@@ -59,7 +59,7 @@ def main(folder: Path = Path(), quick: bool = False) -> list[float]:
     tops = rebounds(height)[: len(EXPECTED)]
     heights = [float(height[k]) for k in tops]
     print(
-        f"{ball()!r}, centre of mass from {HEIGHT:g} m, one triangle down\n{trajectory.summary()}\n"
+        f"{ball()!r}, center of mass from {HEIGHT:g} m, one triangle down\n{trajectory.summary()}\n"
     )
     print("rebound  expected m   here m   at s   energy J")
     for i, (k, expected) in enumerate(zip(tops, EXPECTED, strict=False)):
@@ -101,7 +101,7 @@ def figure_11(
     tops: np.ndarray,
     edge: tuple[tc.Trajectory, np.ndarray],
 ) -> Figure:
-    """Height of the centre of mass, and energy, over time."""
+    """Height of the center of mass, and energy, over time."""
     figure = Figure(figsize=(7.2, 5.0), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
     upper.plot(trajectory.time, height, label="a triangle down")
@@ -114,7 +114,7 @@ def figure_11(
         color="black",
         label="expected rebounds",
     )
-    upper.set(ylabel="centre of mass (m)", ylim=(0, 1.05 * HEIGHT), xlim=(0, trajectory.time[-1]))
+    upper.set(ylabel="center of mass (m)", ylim=(0, 1.05 * HEIGHT), xlim=(0, trajectory.time[-1]))
     lower.plot(trajectory.time, trajectory.energy - trajectory.energy[-1])
     lower.set(ylabel="energy above the last (J)", xlabel="time (s)")
     for ax in (upper, lower):

@@ -117,7 +117,7 @@ def main(folder: Path = Path(), quick: bool = False) -> dict[tuple[int, int], Ro
         print(
             f"({p:2},{q:3}) {row.peak:15.4f} {EXPECTED[p, q]:11.4f} {1e3 * row.time:6.1f} {axial:9.1e} {len(structure.strings):8} {row.mass:8.0f}"
         )
-    print("\npaper: no vertical motion of the centre nodes, radial vibration that is damped")
+    print("\npaper: no vertical motion of the center nodes, radial vibration that is damped")
     coarse = next(iter(runs))
     rest = radial(runs[coarse], *coarse)[len(runs[coarse].time) // 2 :, 0].mean()
     print(
@@ -155,9 +155,9 @@ def figure_9(runs: dict[tuple[int, int], tc.Trajectory]) -> Figure:
             1e3 * trajectory.time, 1e3 * end, lw=0.9, ls="--", color=lower.lines[-1].get_color()
         )
     upper.set(ylabel="radial motion (mm)", xlim=(0, 1e3 * T_END))
-    upper.set_title(f"membrane after a rise of pressure to {RISE:g} atm: centre", fontsize=10)
+    upper.set_title(f"membrane after a rise of pressure to {RISE:g} atm: center", fontsize=10)
     lower.set(ylabel="axial motion (mm)", xlabel="time (ms)")
-    lower.set_title("centre: full lines, at 0; end ring: dashed", fontsize=10)
+    lower.set_title("center: full lines, at 0; end ring: dashed", fontsize=10)
     for ax in (upper, lower):
         ax.grid(visible=True, color="0.9")
     figure.legend(

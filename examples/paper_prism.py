@@ -1,4 +1,4 @@
-"""Sect. 7.1 of the paper: a prism whose strings have mass, modelled by 1 to 10 segments each. How many segments are enough?
+"""Sect. 7.1 of the paper: a prism whose strings have mass, modeled by 1 to 10 segments each. How many segments are enough?
 
 Run it with a folder for the pictures: python examples/paper_prism.py pictures
 """

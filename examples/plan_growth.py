@@ -109,7 +109,7 @@ def draw(rows: list[Row], path: Path) -> None:
         bars,
         0.3 * rows[0].seconds * (bars / 3) ** 2,
         ":",
-        color="grey",
+        color="gray",
         label="second power of the bars",
     )
     axes.set(

@@ -60,7 +60,7 @@ def main(folder: Path = Path()) -> ocp.Plan:
 
 
 def draw(plan: ocp.Plan, replay: tc.Trajectory, path: Path) -> None:
-    """Shapes on the way, side by side, above the height of the centre of mass and the force densities over time."""
+    """Shapes on the way, side by side, above the height of the center of mass and the force densities over time."""
     figure = Figure(figsize=(9, 6), layout="constrained")
     shapes, heights, forces = figure.subplots(3, 1, height_ratios=(1, 1, 1))
     ends = plan.time[:: (len(plan.time) - 1) // 4]
@@ -88,7 +88,7 @@ def draw(plan: ocp.Plan, replay: tc.Trajectory, path: Path) -> None:
     heights.plot(
         plan.time, plan.trajectory.nodes[:, :, 2].mean(axis=1), "k.", ms=3, label="planned"
     )
-    heights.set(ylabel="centre of mass (m)", xticklabels=[])
+    heights.set(ylabel="center of mass (m)", xticklabels=[])
     heights.legend(frameon=False)
     forces.step(plan.time[:-1], plan.force_density, where="post", lw=0.8)
     forces.set(ylabel="force density (N/m)", xlabel="time (s)")

@@ -67,7 +67,7 @@ def main(folder: Path = Path()) -> ocp.Plan:
 
 
 def axis(nodes: np.ndarray) -> np.ndarray:
-    """The unit vector from the bottom's centre to the top's: a free prism may turn on its way."""
+    """The unit vector from the bottom's center to the top's: a free prism may turn on its way."""
     along = nodes[3:].mean(axis=0) - nodes[:3].mean(axis=0)
     return np.asarray(along / np.linalg.norm(along))
 

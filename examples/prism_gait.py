@@ -150,15 +150,15 @@ def film(plan: ocp.Plan, walk: tc.Trajectory, path: Path) -> None:
     side.axhspan(-0.1, 0.0, color="0.93")
     for row in np.linspace(0, len(plan.time) - 1, 4).astype(int):
         places = plan.trajectory.nodes[row][:, [0, 2]]
-        colour = scale.to_rgba(plan.time[row])
+        color = scale.to_rgba(plan.time[row])
         side.add_collection(
             LineCollection(
-                places[plan.structure.strings], colors=[colour], linewidths=0.7, alpha=0.6
+                places[plan.structure.strings], colors=[color], linewidths=0.7, alpha=0.6
             )
         )
         side.add_collection(
             LineCollection(
-                places[plan.structure.bars], colors=[colour], linewidths=3.0, capstyle="round"
+                places[plan.structure.bars], colors=[color], linewidths=3.0, capstyle="round"
             )
         )
     side.autoscale_view()

@@ -63,7 +63,7 @@ def main(folder: Path = Path()) -> list[Row]:
 
     parabola = np.array(VELOCITY) * T_END + np.array(GRAVITY) * T_END**2 / 2
     drift = np.abs(finest.nodes[-1].mean(axis=0) - parabola).max()
-    print(f"\ncentre of mass: {drift:.1e} m from the parabola of its throw")
+    print(f"\ncenter of mass: {drift:.1e} m from the parabola of its throw")
     plots.time_lapse(
         finest, instants=5, title="a thrown six-bar ball", path=folder / "simulate_ball.png"
     )

@@ -1,4 +1,4 @@
-"""How stiff should the strings of a ball be that falls? Each stiffness and damping is a ball of its own, dropped from a metre: a sweep on all cores.
+"""How stiff should the strings of a ball be that falls? Each stiffness and damping is a ball of its own, dropped from a meter: a sweep on all cores.
 
 What has finished is kept in a folder, so that a second run is done at once:
 
@@ -50,14 +50,14 @@ def drop(case: dict[str, Any]) -> dict[str, Any]:
         correction=tc.Projection(every=10),
         compiled=case["compiled"],
     )
-    centre = run.nodes[:, :, 2].mean(axis=1)
-    landed = int(np.argmax(np.diff(centre) > 0))  # where it first rises
+    center = run.nodes[:, :, 2].mean(axis=1)
+    landed = int(np.argmax(np.diff(center) > 0))  # where it first rises
     size = np.ptp(run.nodes[[0, landed], :, 2], axis=1)
     return {
         "tension": run.tension.max(),  # N
         "crushed": 1 - size[1] / size[0],  # share of its height
-        "rebound": (centre[landed:].max() - centre[landed])
-        / (centre[0] - centre[landed]),  # share of the fall
+        "rebound": (center[landed:].max() - center[landed])
+        / (center[0] - center[landed]),  # share of the fall
         "success": run.success,
     }
 

@@ -297,8 +297,8 @@ def share_variance(draws: Mapping[str, Array], misses: Array) -> dict[str, float
     """
     single = {name: x for name, x in draws.items() if x.shape[1] == 1}
     products = [single[one] * single[other] for one, other in combinations(single, 2)]
-    columns = [_centred(part) for x in single.values() for part in (x, x**2)] + [
-        _centred(part) for part in products
+    columns = [_centered(part) for x in single.values() for part in (x, x**2)] + [
+        _centered(part) for part in products
     ]
     seen = np.all(np.isfinite(misses), axis=1)
     total = float(np.var(misses[seen], axis=0).sum()) if seen.any() else 0.0
@@ -317,5 +317,5 @@ def share_variance(draws: Mapping[str, Array], misses: Array) -> dict[str, float
     }
 
 
-def _centred(values: Array) -> Array:
+def _centered(values: Array) -> Array:
     return np.asarray(values - values.mean(axis=0))

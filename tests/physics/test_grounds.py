@@ -70,7 +70,7 @@ def test_what_slides_down_a_slope_accelerates_as_coulomb_says(
     assert run.velocities[-1, 0, 2] - run.velocities[len(run.time) // 2, 0, 2] == pytest.approx(
         -rate * np.sin(angle) * end / 2, rel=1e-3
     )
-    law = solve_ivp(  # the regularised law along the slope, where the push does not change
+    law = solve_ivp(  # the regularized law along the slope, where the push does not change
         lambda t, y: [y[1], G * (np.sin(angle) - mu * np.cos(angle) * y[1] / np.hypot(y[1], v_s))],
         (0, end),
         (0.0, 0.0),

@@ -1,4 +1,4 @@
-"""Linearisation and natural modes against independent figures and analytic frequencies."""
+"""Linearization and natural modes against independent figures and analytic frequencies."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scenes in which nothing can move, or next to nothing: simulated, certified, recommended, compared and linearised like any other."""
+"""Scenes in which nothing can move, or next to nothing: simulated, certified, recommended, compared and linearized like any other."""
 
 from __future__ import annotations
 

@@ -181,7 +181,7 @@ def test_friction_stops_alike(tmp_path: Any) -> None:
     assert slid[1] == pytest.approx(0.4, rel=1e-3)
     assert slid[0] == pytest.approx(
         ours.nodes[-1, :, 0].mean() - s.nodes[:, 0].mean(), rel=0.1
-    )  # slip is not regularised alike
+    )  # slip is not regularized alike
 
 
 def test_controls_are_those_of_the_model(tmp_path: Any) -> None:
