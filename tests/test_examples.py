@@ -175,7 +175,21 @@ CLAIMS = (
 
 
 IN_A_BROWSER = "benchmark_viewer"
-SLOW = ("extremes", "ocp_tradeoff", "plan_growth", "prism_gait")  # a quarter of a minute and more
+SLOW = (  # five seconds and more
+    "ball_rolls",
+    "extremes",
+    "ocp_suite",
+    "ocp_tradeoff",
+    "paper_dbar",
+    "paper_lander",
+    "paper_membrane",
+    "paper_prism",
+    "plan_growth",
+    "plan_landing",
+    "prism_gait",
+    "stiff_strings",
+    "sweep_stiffness",
+)
 NAMES = sorted(path.stem for path in EXAMPLES.glob("*.py"))
 
 

@@ -28,6 +28,7 @@ GENERATED = (
     "scene_fields.md",
     "viewer/",
 )  # pages that the site makes of the code
+SLOW = ("docs/planning.md", "docs/rollouts.md", "docs/tutorials/plan.md")  # eight seconds and more
 
 
 def blocks(language: str, text: str = README) -> list[str]:
@@ -59,6 +60,7 @@ def test_readme_fits_a_screen():
     assert len(README.splitlines()) <= 150
 
 
+@pytest.mark.slow
 def test_snippets_of_modeling_page(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     page = (ROOT / "docs" / "modeling.md").read_text(encoding="utf-8")
@@ -70,7 +72,13 @@ def test_snippets_of_modeling_page(tmp_path, monkeypatch, capsys):
     assert "finished 1000 steps" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("name", sorted(set(DOCUMENTS) - {"docs/modeling.md"}))
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW))
+        for name in sorted(set(DOCUMENTS) - {"docs/modeling.md"})
+    ],
+)
 def test_snippets_of_documents_run(name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     try:

@@ -17,6 +17,8 @@ import pytest
 
 import tenscasadi
 
+pytestmark = pytest.mark.slow  # builds both files, installs them
+
 ROOT = Path(__file__).resolve().parents[1]
 HEADERS = {
     path.relative_to(ROOT).as_posix()
@@ -160,7 +162,7 @@ def test_one_place_says_the_version(release: Release) -> None:
     assert f"\n## {version}\n" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("kind", ["wheel", pytest.param("sdist", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kind", ["wheel", "sdist"])
 def test_every_module_is_imported_from_a_fresh_environment(
     release: Release, kind: str, tmp_path: Path
 ) -> None:

@@ -93,13 +93,16 @@ def read_force_densities(structure: Any, given: Any) -> tuple[Array, Array | Non
         If the shape is another one or a number is not finite.
     """
     strings, bars = len(structure.strings), len(structure.bars)
-    if nesting(given) and bars and np.shape(given) == (strings + bars,):
-        both = finite_array("force_density", given, (strings + bars,))
-        return both[:strings], both[strings:]
-    if nesting(given) and bars and np.shape(given) != (strings,):
-        real_array("force_density", given, f"({strings},) or ({strings + bars},) numbers")
-        raise ValueError(
-            f"force_density has shape {np.shape(given)}: "
-            f"give ({strings},) for strings or ({strings + bars},) for strings, then bars"
-        )
+    if nesting(given) and bars:
+        shape = real_array(
+            "force_density", given, f"({strings},) or ({strings + bars},) numbers"
+        ).shape
+        if shape == (strings + bars,):
+            both = finite_array("force_density", given, (strings + bars,))
+            return both[:strings], both[strings:]
+        if shape != (strings,):
+            raise ValueError(
+                f"force_density has shape {shape}: "
+                f"give ({strings},) for strings or ({strings + bars},) for strings, then bars"
+            )
     return per_item("force_density", given, strings), None

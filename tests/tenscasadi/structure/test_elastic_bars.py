@@ -121,6 +121,15 @@ def test_unattainable_force_densities_of_bars_are_rejected():
         s.prestressed(np.ones(10))
 
 
+def test_unreadable_force_densities_are_refused_by_name():
+    class Unreadable:
+        def __array__(self, *_: object, **__: object) -> np.ndarray:
+            raise RuntimeError("broken")
+
+    with pytest.raises(TypeError, match="force_density is not"):
+        tc.stability(tc.shapes.prism(), force_density=Unreadable())
+
+
 def test_shapes_prestress_their_elastic_bars():
     s = tc.shapes.prism(prestress=10.0, bar_stiffness=1e4)
     np.testing.assert_allclose(s.bar_rest_length / s.bar_lengths, 1 + 10 * 3**0.5 / 1e4, rtol=1e-12)
