@@ -14,7 +14,7 @@ from ocp.targets.target import Target
 from ocp.transcription.mesh import Guess, held_values
 from tenscasadi.util.validate import Array, format_value
 
-PULLS = 3.0  # force density of the guess, in units of weight / size of the structure
+TYPICAL_FORCE_DENSITY = 3.0  # force density of the guess, in units of weight / size
 
 
 def guess_phases(
@@ -27,7 +27,7 @@ def guess_phases(
     strings, and within their limits. `count` is the number of intervals of a phase, and `weight`
     the weight of the structure [N].
     """
-    typical = PULLS * weight / scales.length or scales.mass / scales.time**2
+    typical = TYPICAL_FORCE_DENSITY * weight / scales.length or scales.mass / scales.time**2
     drawn, nq, at = np.random.default_rng(0), parts[0].model.nq, targets[0].start
     found = []
     share = np.linspace(0.0, 1.0, count + 1)[:, None]

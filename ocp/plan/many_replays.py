@@ -23,8 +23,8 @@ from ocp.plan.robustness import (
 from ocp.problem.control import reject_rest_length_control
 from ocp.problem.phase import reject_phases
 from ocp.problem.scaling import Scales
-from ocp.results.acceptance import measure_errors
-from ocp.results.actuation import WOUND_STEPS
+from ocp.results.acceptance import interpolate_replays, measure_errors
+from ocp.results.actuation import STEPS_PER_UPDATE
 from ocp.results.replay import STEPS
 from ocp.results.rest_length_schedule import compute_rest_lengths
 from ocp.search.find_plan import RELIABLE
@@ -65,14 +65,16 @@ def measure_robustness(
     planned, problem = plan.require_model("robustness"), plan.problem
     reject_phases(() if problem is None else problem.phases, "robustness")
     reject_rest_length_control(planned, "robustness")
-    wound = any(name in STRINGS for name in names)
-    model = vary_model(planned, names, RestLength() if wound else planned.scene.control)
+    elastic = any(name in STRINGS for name in names)
+    model = vary_model(planned, names, RestLength() if elastic else planned.scene.control)
     tracker = (
         None
         if track is None
-        else track(plan, decisions=(UPDATES if wound else 1) * (len(plan.time) - 1))
+        else track(plan, decisions=(UPDATES if elastic else 1) * (len(plan.time) - 1))
     )
-    feedback, step = _wound(plan, tracker) if wound else _driven(plan, tracker)
+    feedback, step = (
+        _control_rest_lengths(plan, tracker) if elastic else _control_force_densities(plan, tracker)
+    )
     draws = rng.uniform(-1, 1, (samples, len(names)))
     factors = 1 + draws * np.array(list(spreads.values()))
     starts, changes = draw_starts(model, plan.trajectory.states[0], place, factors, rng)
@@ -91,7 +93,7 @@ def measure_robustness(
     target = None
     if problem is not None:
         target = find_target(problem, Scales.of(problem)).begin_at(plan.trajectory.states[0])
-    misses = measure_errors(plan, target, rolled.time, rolled.states)
+    misses = measure_errors(plan, target, interpolate_replays(rolled.time, rolled.states))
     size = float(np.linalg.norm(np.ptp(planned.structure.nodes, axis=0))) or 1.0
     varied = {name: draws[:, [k]] for k, name in enumerate(names)} | (
         {"start": changes} if any(place) else {}
@@ -110,7 +112,7 @@ def measure_robustness(
     )
 
 
-def _driven(plan: Any, tracker: Any) -> tuple[Feedback | ControlProfile, float]:
+def _control_force_densities(plan: Any, tracker: Any) -> tuple[Feedback | ControlProfile, float]:
     """Build the force-density control of a replay, and its step.
 
     It is the profile of the plan, or the feedback of its tracker. The step is the longest one [s].
@@ -128,7 +130,7 @@ def _driven(plan: Any, tracker: Any) -> tuple[Feedback | ControlProfile, float]:
     return ControlProfile(plan.time, plan.force_density, STEPS), float(plan.time[-1])
 
 
-def _wound(plan: Any, tracker: Any) -> tuple[Feedback, float]:
+def _control_rest_lengths(plan: Any, tracker: Any) -> tuple[Feedback, float]:
     """Build the rest-length control of a replay, and its step.
 
     It realizes the force densities of the plan, or of its tracker, at the planned string lengths s.
@@ -141,7 +143,7 @@ def _wound(plan: Any, tracker: Any) -> tuple[Feedback, float]:
     k, size = plan.structure.stiffness, plan.trajectory.states.shape[1]
     time, rest = compute_rest_lengths(plan, k, UPDATES)
     if tracker is None:
-        return _open_loop(time, rest, size), float(np.diff(time).min()) / WOUND_STEPS
+        return _open_loop(time, rest, size), float(np.diff(time).min()) / STEPS_PER_UPDATE
     model = plan.require_model("robustness")
     ends = model.nodes(tracker.states)[:, plan.structure.strings]
     s = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2)[:-1]
@@ -152,7 +154,7 @@ def _wound(plan: Any, tracker: Any) -> tuple[Feedback, float]:
     control, gains = rest_length(tracker.force_density, s, k), -(s / k)[:, :, None] * tracker.gains
     return Feedback(
         tracker.time, control, tracker.states, gains, np.maximum(lower, 1e-6 * s.min()), upper
-    ), float(np.diff(time).min()) / WOUND_STEPS
+    ), float(np.diff(time).min()) / STEPS_PER_UPDATE
 
 
 def _open_loop(time: Array, controls: Array, size: int) -> Feedback:

@@ -14,6 +14,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import build_projection
 from tenscasadi.scene.parameters import Parameters
 from tenscasadi.util.read_only import ReadOnlyArrays
+from tenscasadi.util.renamed import RenamedAttribute
 from tenscasadi.util.validate import (
     Array,
     finite_array,
@@ -65,7 +66,7 @@ class Robustness(ReadOnlyArrays):
     >>> goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()]
     >>> plan = ocp.solve(ocp.Problem(cross, goals=goals, costs=[ocp.Effort()]), ocp.MultipleShooting(10))
     >>> found = plan.robustness({"bar_mass": 0.05}, samples=100, tolerance=0.05)
-    >>> found.error.shape, found.matters_most
+    >>> found.error.shape, found.dominant_factor
     ((100,), 'bar_mass')
     """
 
@@ -81,7 +82,7 @@ class Robustness(ReadOnlyArrays):
     seconds: float
 
     def __repr__(self) -> str:
-        return f"Robustness({len(self.error)} replays, {self.share:.1%} within {self.tolerance:.2g} m, tracked={self.tracked})"
+        return f"Robustness({len(self.error)} replays, {self.success_rate:.1%} within {self.tolerance:.2g} m, tracked={self.tracked})"
 
     @property
     def worst_error(self) -> Array:
@@ -97,12 +98,12 @@ class Robustness(ReadOnlyArrays):
         return self.worst_error <= self.tolerance
 
     @property
-    def share(self) -> float:
-        """Success rate: fraction of the replays that meet the tolerance."""
+    def success_rate(self) -> float:
+        """Fraction of the replays that meet the tolerance."""
         return float(np.mean(self.meets))
 
     @property
-    def matters_most(self) -> str:
+    def dominant_factor(self) -> str:
         """Varied quantity that explains most variance of the residuals.
 
         It is a parameter or "start", and "" if there are too few replays.
@@ -112,6 +113,9 @@ class Robustness(ReadOnlyArrays):
             if np.all(np.isfinite(list(self.importance.values())))
             else ""
         )
+
+    share = RenamedAttribute("success_rate")
+    matters_most = RenamedAttribute("dominant_factor")
 
     def quantiles(self, shares: Sequence[float] = SHARES) -> Array:
         """Compute quantiles of the replay error.
@@ -158,10 +162,10 @@ class Robustness(ReadOnlyArrays):
         lines = [
             f"replays       {len(self.error)}, {how}, {self.seconds:.3g} s"
             + (f"; {lost} diverge" if lost else ""),
-            f"tolerance     {self.share:.1%} end within {self.tolerance:.3g} m",
+            f"tolerance     {self.success_rate:.1%} end within {self.tolerance:.3g} m",
             f"error         below {', '.join(told)}",
             f"what matters  {', '.join(parts)}"
-            if self.matters_most
+            if self.dominant_factor
             else "what matters  too few replays to tell: give more samples",
         ]
         return "\n".join(lines)

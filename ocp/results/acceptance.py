@@ -12,13 +12,13 @@ from typing import NamedTuple
 import numpy as np
 
 from ocp.problem.problem import Problem
-from ocp.results.diagnosis import find_long_steps
+from ocp.results.diagnosis import find_long_steps, interpolate_plan
 from ocp.results.error_growth import UNSTABLE
 from ocp.results.report import report_of, violated_limits
 from ocp.results.result import PlanResult
 from ocp.results.terminal_limits import measure_terminal_limits
 from ocp.solvers.base import Outcome
-from ocp.targets.target import Target
+from ocp.targets.target import StateAt, Target
 from ocp.transcription.mesh import held_values
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import Array
@@ -45,20 +45,12 @@ class ReplayMeasures(NamedTuple):
     worst: str = ""
 
 
-def measure_errors(
-    plan: PlanResult, target: Target | None, times: Array, states: Array
-) -> ReplayMeasures:
-    """Compute the goal residuals of several replays.
+def measure_errors(plan: PlanResult, target: Target | None, state_at: StateAt) -> ReplayMeasures:
+    """Compute the goal residuals of several motions.
 
-    The replays have states (n, T, nx) at times (T,) [s]. Residuals refer to the user's goals and
-    waypoints. Without goals they refer to the final state of the plan.
+    `state_at` returns their states (n, nx) at a fraction of the duration. Residuals refer to the
+    user's goals and waypoints. Without goals they refer to the final state of the plan.
     """
-
-    def state_at(share: float) -> Array:
-        k = min(int(np.searchsorted(times, share * times[-1], side="right")), len(times) - 1)
-        part = (share * times[-1] - times[k - 1]) / (times[k] - times[k - 1])
-        return np.asarray((1 - part) * states[:, k - 1] + part * states[:, k])
-
     duration, worst = float(plan.time[-1]), ""
     if target is not None and any(part.names for _, part, _ in target.instants):
         found = target.measure(state_at)
@@ -67,12 +59,26 @@ def measure_errors(
     else:
         model, end = plan.require_model("replay"), plan.trajectory.states[-1]
         position, velocity = (
-            np.linalg.norm(values(states[:, -1]) - values(end), axis=2)
+            np.linalg.norm(values(np.atleast_2d(state_at(1.0))) - values(end), axis=2)
             for values in (model.nodes, model.velocities)
         )
     rows = np.hstack([position, velocity * duration])
     largest, fastest = (part.max(axis=1, initial=0.0) for part in (position, velocity))
     return ReplayMeasures(largest, fastest, rows, worst)
+
+
+def interpolate_replays(times: Array, states: Array) -> StateAt:
+    """Interpolate the fine steps of n replays linearly.
+
+    Their states (n, T, nx) are given at times (T,) [s].
+    """
+
+    def state_at(share: float) -> Array:
+        k = min(int(np.searchsorted(times, share * times[-1], side="right")), len(times) - 1)
+        part = (share * times[-1] - times[k - 1]) / (times[k] - times[k - 1])
+        return np.asarray((1 - part) * states[:, k - 1] + part * states[:, k])
+
+    return state_at
 
 
 class _Verified(NamedTuple):
@@ -134,8 +140,9 @@ def assess_plan(
     open_loop = counts = (
         _verify(plan, target, replay, False) if whole else _Verified(None, np.nan, np.nan)
     )
-    near = bool(whole) and _reaches(plan, target, tolerance)
-    growth = _describe_growth(plan) if near and open_loop.worst(duration) > tolerance else ""
+    missed = find_missed_goal(plan, target, tolerance) if whole else ""
+    inexact = bool(whole) and not missed and open_loop.worst(duration) > tolerance
+    growth = _describe_growth(plan) if inexact else ""
     if tracked or growth:
         counts = _verify(plan, target, replay, True)
     plan = replace(
@@ -148,7 +155,7 @@ def assess_plan(
     kept = found.success or found.coarse or not _violated(plan)
     success = counts.worst(duration) <= tolerance and kept
     name = "tracked replay" if plan.tracked else "replay"
-    verdict = _accepted(found) if success else _rejected(plan, found, tolerance, name)
+    verdict = _accepted(found) if success else _rejected(plan, found, tolerance, name, missed)
     ends = counts.describe(name, success)
     if plan.tracked:
         reason = growth or "tracked=True"
@@ -176,7 +183,7 @@ def _verify(plan: PlanResult, target: Target, replay: Replay, tracked: bool) -> 
         return _Verified(None, np.nan, np.nan, f"ocp.track does not keep to it: {error}")
     if not motion.success:
         return _Verified(None, np.nan, np.nan)
-    errors = measure_errors(plan, target, motion.time, motion.states[None])
+    errors = measure_errors(plan, target, interpolate_replays(motion.time, motion.states[None]))
     position, velocity = float(errors.position[0]), float(errors.velocity[0])
     if plan.problem is None:
         return _Verified(motion, position, velocity, "", errors.worst)
@@ -186,10 +193,14 @@ def _verify(plan: PlanResult, target: Target, replay: Replay, tracked: bool) -> 
     return _Verified(motion, max(position, limit.distance), velocity, note, errors.worst)
 
 
-def _reaches(plan: PlanResult, target: Target, tolerance: float) -> bool:
-    """Return whether the planned motion itself meets the goals."""
-    errors = measure_errors(plan, target, plan.time, plan.trajectory.states[None])
-    return bool(errors.rows.max(initial=0.0) <= tolerance)
+def find_missed_goal(plan: PlanResult, target: Target, tolerance: float) -> str:
+    """Find the goal row that the planned motion itself misses most.
+
+    Waypoints refer to the interpolant by which they are imposed. Returns "" if the motion meets
+    all goals within the tolerance [m].
+    """
+    errors = measure_errors(plan, target, interpolate_plan(plan))
+    return "" if errors.rows.max(initial=0.0) <= tolerance else errors.worst
 
 
 def _violated(plan: PlanResult) -> bool:
@@ -218,13 +229,17 @@ def _accepted(found: Outcome) -> str:
     return f"{text}; the cost is not settled: {found.why.split('; ')[0]}"
 
 
-def _rejected(plan: PlanResult, found: Outcome, tolerance: float, name: str) -> str:
+def _rejected(plan: PlanResult, found: Outcome, tolerance: float, name: str, missed: str) -> str:
     if not (found.success or found.coarse):
         return f"no plan: {found.why}"
     text = f"a plan was found after {found.iterations} iterations, but its {name} misses by"
     text = f"{text} more than {tolerance:.2g} m (or {tolerance:.2g} m per duration)"
     if found.coarse:
         text = f"{text}; {found.why}"
+    if missed and not found.coarse:
+        return (
+            f"{text}; so does the planned motion itself, farthest in {missed}: give another guess"
+        )
     return f"{text}: {_advise(plan, found)}, or plan.refine({tolerance:.2g})"
 
 

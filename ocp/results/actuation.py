@@ -18,7 +18,7 @@ from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import Array, instance, nonnegative, per_item, whole_number
 
 MOST_UPDATES = 1000  # maximum number of rest-length updates in an interval
-WOUND_STEPS = 5  # integration steps between two rest-length updates
+STEPS_PER_UPDATE = 5  # integration steps between two rest-length updates
 
 
 @rename_keywords(shortest="min_rest_length")
@@ -114,8 +114,8 @@ def replay_rest_lengths(
     >>> cross = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()))
     >>> goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()]
     >>> plan = ocp.solve(ocp.Problem(cross, goals=goals, costs=[ocp.Effort()]), ocp.MultipleShooting(10))
-    >>> wound = ocp.replay_rest_lengths(plan, stiffness=1000.0)
-    >>> bool(abs(wound.nodes[-1] - plan.trajectory.nodes[-1]).max() < 0.01)
+    >>> elastic = ocp.replay_rest_lengths(plan, stiffness=1000.0)
+    >>> bool(abs(elastic.nodes[-1] - plan.trajectory.nodes[-1]).max() < 0.01)
     True
     """
     instance("plan", plan, PlanResult, "an ocp.Plan")
@@ -137,9 +137,11 @@ def replay_rest_lengths(
     model = Model(
         elastic, planned.coordinates, "constant" if planned.mechanism.constant_length else "current"
     )
-    wound = ControlProfile(time, rest, WOUND_STEPS)
+    control = ControlProfile(time, rest, STEPS_PER_UPDATE)
     end = float(plan.time[-1])
-    return simulate(model, end, end, state=plan.trajectory.states[0], control=wound, compiled=False)
+    return simulate(
+        model, end, end, state=plan.trajectory.states[0], control=control, compiled=False
+    )
 
 
 def _reject_rest_lengths(plan: PlanResult) -> None:

@@ -12,6 +12,7 @@ from ocp.problem.bounds.bound import PathBound, RateBound
 from ocp.problem.limit_conflict import find_conflict
 from ocp.problem.path_constraints import path_constraints
 from ocp.problem.problem import Problem
+from ocp.results.result import PlanResult
 from ocp.solvers.base import Solution
 from ocp.solvers.ipopt import SADDLE
 from ocp.solvers.monitor import STOPPED, TIME_UP
@@ -63,6 +64,13 @@ def build_interpolant(model: Model, states: Array, duration: float, fractions: A
         return np.asarray(ca.DM(state).full()).ravel()
 
     return state_at
+
+
+def interpolate_plan(plan: PlanResult) -> StateAt:
+    """Build the interpolant of the states of a plan; see `build_interpolant`."""
+    duration = float(plan.time[-1])
+    model, fractions = plan.require_model("solve"), np.diff(plan.time) / duration
+    return build_interpolant(model, plan.trajectory.states, duration, fractions)
 
 
 def explain_failure(

@@ -19,7 +19,7 @@ from ocp.problem.instant import forces_of
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.results.acceptance import assess_plan
-from ocp.results.diagnosis import build_interpolant
+from ocp.results.diagnosis import interpolate_plan
 from ocp.results.replay import replay_open
 from ocp.results.result import PlanResult
 from ocp.search.coordinates import ReducedCoordinates, reduce_coordinates
@@ -31,7 +31,7 @@ from ocp.solvers.monitor import Monitor
 from ocp.solvers.relaxation import TOO_SLOW
 from ocp.targets.find_target import find_target
 from ocp.targets.infeasible_goal import TargetNotFoundWarning
-from ocp.targets.target import Target
+from ocp.targets.target import StateAt, Target
 from ocp.transcription.base import Transcription
 from ocp.transcription.mesh import PiecewiseConstant
 from ocp.transcription.multiple_shooting import MultipleShooting
@@ -81,13 +81,25 @@ def find_plan(
     limit = RELIABLE * Scales.of(problem).length if tolerance is None else tolerance
     control = PiecewiseConstant() if given is None else given.transcription.control
     with monitor.catching_interrupts():
-        task = prepare(problem, control, limit, monitor)
+        task = prepare(problem, control, limit, monitor, _interpolate_guess(problem, guess))
         rows = attempts(task, guess) if given is None else [given._replace(guess=guess)]
         result = _walk(_PlanSearch(task, tracked, reduced), rows, automatic)
     if reduced is None:
         return result
     note = "; found in reduced coordinates" if result.success else ""
     return reduced.restore(replace(result, message=f"{result.message}{note}"))
+
+
+def _interpolate_guess(problem: Problem, guess: InitialGuess | None) -> StateAt | None:
+    """Build the interpolant of a plan that is the initial guess.
+
+    Returns None for other guesses, and for plans of other states.
+    """
+    if not isinstance(guess, PlanResult) or guess.model is None or problem.phases:
+        return None
+    states = guess.trajectory.states
+    same = states.shape[1] == problem.model.nx and bool(np.isfinite(states).all())
+    return interpolate_plan(guess) if same else None
 
 
 def _walk(search: _PlanSearch, rows: Iterable[Attempt], automatic: bool) -> PlanResult:
@@ -102,7 +114,8 @@ def _walk(search: _PlanSearch, rows: Iterable[Attempt], automatic: bool) -> Plan
             continue
         if plan is not None and attempt.after == INEXACT:
             attempt = attempt.refine(search.task.problem, plan)
-        plan = _try(search, attempt)
+        plan, target = _try(search, attempt)
+        search = search._replace(task=search.task._replace(target=target))
         tried.append((attempt.describe(), plan))
         if plan.success or plan.status == TOO_SLOW or search.task.monitor.status():
             break
@@ -130,10 +143,11 @@ def _worth(plan: PlanResult) -> tuple[bool, bool, float]:
     return plan.success, is_inexact(plan), -plan.worst_error
 
 
-def _try(search: _PlanSearch, attempt: Attempt) -> PlanResult:
+def _try(search: _PlanSearch, attempt: Attempt) -> tuple[PlanResult, Target | None]:
     """Run one attempt and its acceptance test.
 
     If its optimum misses the goals, a second run imposes the rows of a target near its end.
+    Returns the plan, and the target from which the next attempt starts.
     """
     task = search.task
     outcome, target = run_attempt(task, attempt)
@@ -141,7 +155,8 @@ def _try(search: _PlanSearch, attempt: Attempt) -> PlanResult:
     other = _find_other_target(task, plan, outcome)
     if other is not None:
         before, own = outcome.iterations, attempt._replace(guess=replace(plan, duals=None))
-        outcome, target = run_attempt(task._replace(target=other), own)
+        task = task._replace(target=other)
+        outcome, target = run_attempt(task, own)
         outcome = outcome._replace(iterations=before + outcome.iterations)
         plan = _record(task, attempt, outcome)
 
@@ -153,7 +168,8 @@ def _try(search: _PlanSearch, attempt: Attempt) -> PlanResult:
             motion = replay_open(given, given.require_model("replay"), RungeKutta4(), None)
         return motion if search.reduced is None else search.reduced.lower(motion)
 
-    return assess_plan(plan, target, outcome, task.tolerance, replay, search.tracked)
+    plan = assess_plan(plan, target, outcome, task.tolerance, replay, search.tracked)
+    return plan, task.target
 
 
 def _find_other_target(task: PlanningTask, plan: PlanResult, found: Outcome) -> Target | None:
@@ -166,8 +182,7 @@ def _find_other_target(task: PlanningTask, plan: PlanResult, found: Outcome) -> 
     target, problem, duration = task.target, task.problem, float(plan.time[-1])
     if target is None or not target.met or not found.success or found.duals is None:
         return None
-    fractions = np.diff(plan.time) / duration
-    state_at = build_interpolant(problem.model, found.states, duration, fractions)
+    state_at = interpolate_plan(plan)
     residuals = target.begin_at(found.states[0]).measure(state_at).distances(duration)
     if residuals.max(initial=0.0) <= task.tolerance or task.monitor.status():
         return None

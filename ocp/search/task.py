@@ -17,7 +17,7 @@ from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.monitor import Monitor
 from ocp.targets.find_target import find_target
 from ocp.targets.infeasible_goal import Certificate, InfeasibleGoalError
-from ocp.targets.target import Target
+from ocp.targets.target import StateAt, Target
 from ocp.transcription.mesh import Profile, group_matrix
 
 MOST_STARTS = 1000  # maximum number of starts of a multistart
@@ -49,18 +49,23 @@ class PlanningTask(NamedTuple):
 
 
 def prepare(
-    problem: Problem, control: Profile, tolerance: float, monitor: Monitor | None = None
+    problem: Problem,
+    control: Profile,
+    tolerance: float,
+    monitor: Monitor | None = None,
+    near: StateAt | None = None,
 ) -> PlanningTask:
     """Check a problem and find its target.
 
-    Raises ValueError for conflicting limits, and InfeasibleGoalError for infeasible goals.
+    With `near`, the target is the nearest one to that motion; see `find_target`. Raises ValueError
+    for conflicting limits, and InfeasibleGoalError for infeasible goals.
     """
     check_groups(problem, control)
     monitor = Monitor() if monitor is None else monitor
     scales = Scales.of(problem)
     if problem.phases:
         return PlanningTask(problem, None, scales, tolerance, monitor)
-    target = find_target(problem, scales)
+    target = find_target(problem, scales, near)
     if not problem.free_start:
         check_start(problem)
         check_end(problem, target)

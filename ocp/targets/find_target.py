@@ -149,14 +149,16 @@ class _TargetSearch:
     def _starts(self, near: Array) -> Iterator[Array]:
         """Yield the starting points of the search.
 
-        They are the given state, and states that fit the goals, each at several durations.
+        They are the given state, the initial state, and states that fit the goals, each at several
+        durations.
         """
         problem = self.problem
         times = [self.typical]
         if self.shortest < self.longest:
             times += np.linspace(self.shortest, self.longest, 5).tolist()
         split = problem.model.split
-        for state in chain([near], fit_start(problem.model, self.given, near)):
+        given = [near] if near is problem.initial_state else [near, problem.initial_state]
+        for state in chain(given, fit_start(problem.model, self.given, near)):
             for time in times:
                 y = np.append(state, time)
                 split(y[:-1])[2][:] = split(problem.initial_state)[2] + time

@@ -106,7 +106,7 @@ def test_tracked_replays_are_those_of_the_tracker(plan, k):
     assert found.speed_error[k] == pytest.approx(missed(plan, x)[1], rel=1e-6)
 
 
-def test_stiffness_acts_through_wound_strings(stiff):
+def test_stiffness_acts_under_rest_length_control(stiff):
     found = stiff.robustness({"stiffness": 0.1}, samples=3)
     model = scaled(stiff, tc.RestLength(), "stiffness")
     time, rest = compute_rest_lengths(stiff, stiff.structure.stiffness, 10)
@@ -128,7 +128,7 @@ def test_stiffness_acts_through_wound_strings(stiff):
     assert nominal.speed_error[0] == pytest.approx(missed(stiff, wound.states[-1])[1], rel=1e-6)
 
 
-def test_wound_strings_pull_as_the_tracker_decides_at_the_planned_lengths(stiff):
+def test_tensions_follow_the_tracker_at_planned_lengths(stiff):
     found = stiff.robustness({"stiffness": 0.2}, start=(0.01, 0.05), samples=1, tracked=True)
     model, tracker = scaled(stiff, tc.RestLength(), "stiffness"), ocp.track(stiff, decisions=100)
     ends = stiff.model.nodes(tracker.states)[:, stiff.structure.strings]
@@ -148,8 +148,8 @@ def test_tracking_helps_where_the_start_is_off(plan):
         plan.robustness(start=0.005, samples=200, tracked=tracked, tolerance=0.02)
         for tracked in (False, True)
     )
-    assert free.share < 0.5 < held.share
-    assert (free.matters_most, held.matters_most) == ("start", "start")
+    assert free.success_rate < 0.5 < held.success_rate
+    assert (free.dominant_factor, held.dominant_factor) == ("start", "start")
 
 
 @pytest.mark.slow
@@ -244,12 +244,12 @@ def test_replays_that_diverge_are_left_out_of_the_variance():
 def test_starts_far_off_never_meet_the_tolerance(cross):
     wild = cross.robustness(start=(0.0, 1e9), samples=20)
     assert np.all(np.isinf(wild.error) | (wild.error > 0.1))
-    assert wild.share == 0.0
+    assert wild.success_rate == 0.0
 
 
 def test_few_replays_do_not_tell_what_matters(plan):
     found = plan.robustness({"bar_mass": 0.05}, start=0.01, samples=20)
-    assert found.matters_most == ""
+    assert found.dominant_factor == ""
     assert "too few replays to tell" in found.summary()
 
 
@@ -268,7 +268,11 @@ def test_quantiles_and_text(plan):
     found = plan.robustness({"bar_mass": 0.05}, samples=101, tolerance=0.003)
     ordered = np.sort(found.worst_error)
     assert found.quantiles([0.0, 0.5, 1.0]).tolist() == ordered[[0, 50, 100]].tolist()
-    assert found.share == np.mean(ordered <= 0.003)
+    assert found.success_rate == np.mean(ordered <= 0.003)
+    with pytest.warns(DeprecationWarning, match=r"use success_rate"):
+        assert found.share == found.success_rate
+    with pytest.warns(DeprecationWarning, match=r"use dominant_factor"):
+        assert found.matters_most == found.dominant_factor
     assert "open loop" in found.summary()
     assert "bar_mass" in found.summary()
     assert "within 0.003 m" in repr(found)
@@ -343,7 +347,7 @@ def test_bad_arguments_are_refused_by_name(plan, name):
         make(plan)
 
 
-def test_strings_that_are_too_soft_to_be_wound_are_named():
+def test_message_names_strings_too_soft_for_rest_length_control():
     model = driven(prism(1.0, stiffness=1.0))
     plan = ocp.solve(raising(model=model), ocp.MultipleShooting(6))
     with pytest.raises(ValueError, match=r"stiffness of string \d is 1 N/m: it must exceed"):

@@ -8,7 +8,9 @@ from planning import driven, raising
 
 import ocp
 import tenscasadi as tc
+from ocp.results.diagnosis import interpolate_plan
 from ocp.search.find_plan import find_plan
+from ocp.search.task import prepare
 from ocp.solvers.monitor import Monitor
 
 
@@ -40,6 +42,12 @@ def test_bars_come_to_rest_at_right_angles_to_the_target(solver):
     assert abs(plan.trajectory.velocities[-1]).max() < 1e-6
     other = ocp.solve(problem, ocp.Variational(12), solver)
     assert plan.objective == pytest.approx(other.objective, rel=1e-3)
+    ends = [
+        prepare(problem, ocp.PiecewiseConstant(), 0.01, near=near).target.state
+        for near in (None, interpolate_plan(plan))
+    ]
+    distances = [abs(model.nodes(end) - plan.trajectory.nodes[-1]).max() for end in ends]
+    assert distances[1] < 1e-3 < distances[0]  # next attempts start from the end of the plan
 
 
 def test_interruption_before_the_solver_begins_blames_no_limit():

@@ -1,0 +1,49 @@
+"""The acceptance test of plans."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from planning import raising
+
+import ocp
+from ocp.problem.scaling import Scales
+from ocp.results.acceptance import assess_plan, find_missed_goal
+from ocp.results.diagnosis import interpolate_plan
+from ocp.solvers.base import Outcome
+from ocp.targets.find_target import find_target
+
+
+@pytest.fixture(scope="module")
+def plan():
+    return ocp.solve(raising(), ocp.Variational(6))
+
+
+def find_goals(plan, *goals):
+    problem = replace(plan.problem, goals=goals)
+    return find_target(problem, Scales.of(problem))
+
+
+def test_waypoints_are_judged_on_the_interpolant_that_imposes_them(plan):
+    share = 0.25 / 6  # within the first interval, where velocities change most
+    model, state = plan.model, interpolate_plan(plan)(share)
+    node = int(np.argmax(np.linalg.norm(model.velocities(state), axis=1)))
+    place = ocp.NodePositions({node: tuple(model.nodes(state)[node])})
+    target = find_goals(plan, ocp.Waypoint([place], share=share))
+    straight = plan.trajectory.nodes[:2, node]
+    assert np.abs(0.75 * straight[0] + 0.25 * straight[1] - model.nodes(state)[node]).max() > 1e-5
+    assert find_missed_goal(plan, target, 1e-9) == ""
+
+
+def test_message_names_the_goal_that_the_planned_motion_misses(plan):
+    node = int(np.argmax(plan.trajectory.nodes[-1][:, 2]))
+    place = plan.trajectory.nodes[-1][node]
+    far = find_goals(plan, ocp.NodePositions({node: (None, None, place[2] - 0.1)}))
+    states, gamma = plan.trajectory.states, plan.force_density
+    found = Outcome(states, gamma, float(plan.time[-1]), plan.objective, True, "", 1)
+    judged = assess_plan(plan, far, found, 1e-3, lambda plan, tracked: plan.replay(), False)
+    assert not judged.success
+    assert f"node {node} z: give another guess" in judged.message
+    assert "intervals" not in judged.message
