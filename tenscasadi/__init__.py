@@ -39,6 +39,7 @@ from tenscasadi.simulation.simulation_files import load_simulation
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure import shapes
 from tenscasadi.structure.class_one import ClassOne
+from tenscasadi.structure.rigid_body import RigidBody
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.compile import CompileError, Single
 from tenscasadi.util.renamed import find_attribute
@@ -135,6 +136,7 @@ def __dir__() -> list[str]:
 __all__ = [
     # structure and statics
     "Structure",
+    "RigidBody",
     "ClassOne",
     "shapes",
     "equilibrium_force_density",

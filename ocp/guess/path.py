@@ -133,7 +133,7 @@ def select_coordinates(model: Model, nodes: Array) -> Array:
 
     Nodes are (P, n, 3) [m], the coordinates (P, nq).
     """
-    columns = nodes[:, model.mechanism.physical].reshape(len(nodes), -1)
+    columns = np.array([model.columns(place).ravel() for place in nodes])
     return np.asarray(model.mechanism.local(columns)[:, model.mechanism.free_index])
 
 

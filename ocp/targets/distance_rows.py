@@ -13,13 +13,14 @@ import numpy as np
 import scipy.sparse as sp
 
 from ocp.targets.row_reduction import RANK
+from tenscasadi.structure.body_assembly import connected_pairs
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, Indices
 
 
 def list_neighbors(structure: Structure) -> Indices:
     """List the pairs (m, 2) of nodes within two members."""
-    n, members = len(structure.nodes), np.concatenate([structure.bars, structure.strings])
+    n, members = len(structure.nodes), connected_pairs(structure)
     one = sp.coo_array((np.ones(len(members)), (members[:, 0], members[:, 1])), shape=(n, n))
     steps = sp.csr_array(one + one.T)
     return np.argwhere(np.triu((steps + steps @ steps).toarray(), 1) > 0)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ocp.problem.rows import Rows
 from tenscasadi.dynamics.mechanism import Mechanism
 from tenscasadi.dynamics.model import Model
+from tenscasadi.structure.body_assembly import connected_pairs
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.validate import Array, Indices
@@ -74,7 +75,7 @@ def rigid_rows(model: Model, x: Any) -> list[Rows]:
     mech, rows = model.mechanism, model.constraints(x)
     groups = []
     if mech.bars:
-        names = tuple(f"bar {k} keeps its length" for k in range(mech.bars))
+        names = tuple(f"{name} keeps its length" for name in mech.bar_names)
         groups.append(
             Rows(
                 ca.vertcat(rows.bars, rows.bar_rates),
@@ -143,7 +144,7 @@ def bodies(structure: Structure, gravity: Array) -> list[Body]:
     Members that meet in a pinned node are not connected there.
     """
     pinned: Flags = np.asarray(structure.fixed.all(axis=1), dtype=bool).reshape(-1)
-    pairs = np.concatenate([structure.bars, structure.strings])
+    pairs = connected_pairs(structure)
     at_pin: Flags = pinned[pairs[:, 0]] | pinned[pairs[:, 1]]
     links, held = pairs[~at_pin], pairs[at_pin]
     n = len(structure.nodes)

@@ -181,22 +181,20 @@ class DiscreteEquations:
     def _nodes(self, x: Any) -> Any:
         return self.model.unpack(x)[0]
 
-    def _coordinates(self, columns: Any) -> Any:
-        """Select the free coordinates of columns (3, n)."""
-        return self.model.split(self.model.pack(columns, columns, 0))[0]
-
     def _momentum(self, velocities: Any) -> Any:
         """Compute the momenta along the free coordinates.
 
         Moving supports are included.
         """
-        return self._coordinates(ca.mtimes(velocities, sparse(self.model.mechanism.M)))
+        return self.model.mechanism.generalized_forces(
+            ca.mtimes(velocities, sparse(self.model.mechanism.M))
+        )
 
     def _force(self, x: Any, gamma: Any, pushes: Any) -> Any:
         """Compute the total forces on the free coordinates."""
         N, V, clock = self.model.unpack(x)
         total = forces.total(self.model.scene, self.model.mechanism, N, V, gamma, clock)
-        return self._coordinates(total) + self._push(x, pushes)
+        return self.model.mechanism.generalized_forces(total) + self._push(x, pushes)
 
     def _push(self, x: Any, pushes: Any) -> Any:
         """Compute constraint forces and ground reactions.
@@ -284,7 +282,9 @@ class DiscreteEquations:
         z = ca.vertcat(z[: self.nq, :], central, z[2 * self.nq :, :])
         left = self._leaving.function.map(v.count - 1)(z)
         pushed = ca.SX.sym("pushed", self.nq)
-        V = self.model.unpack(self._state(pushed, pushed, 0))[1]
-        per_mass = self._coordinates(self.model.mechanism.with_inverse(V))
+        P = self.model.unpack(self._state(pushed, pushed, 0))[1]
+        P[:, np.flatnonzero(self.model.mechanism.dependent).tolist()] = 0.0
+        V = self.model.mechanism.with_inverse(P)
+        per_mass = self.model.split(self.model.pack(V, V, 0))[0]
         divide = ca.Function("per_mass", [pushed], [per_mass]).map(v.count - 1)
         return central + divide(left) * (self._row_scale / duration)

@@ -14,7 +14,7 @@ from tenscasadi.util.validate import Array
 def constraint_names(model: Model) -> tuple[str, ...]:
     """Name the constraints of bars and joints."""
     joints = len(model.constraints(model.initial_state).joints)
-    bars = [f"bar {k} length" for k in range(model.mechanism.bars)]
+    bars = [f"{name} length" for name in model.mechanism.bar_names]
     return (*bars, *(f"joint constraint {k}" for k in range(joints)))
 
 
@@ -48,7 +48,7 @@ def build_residuals(model: Model) -> ca.Function:
     _, rates, push = constraints(x, mu)
     N, V, time = model.unpack(x)
     F, _ = compute_forces(model, N, V, u, time)
-    forces = model.split(model.pack(F, F, 0))[0] + push
+    forces = model.mechanism.generalized_forces(F) + push
     _, v, clock = model.split(x)
     bends = ca.jtimes(rates, x, ca.vertcat(v, a, kind.ones(*clock.shape)))
     M = sparse(model.mechanism.free_mass)

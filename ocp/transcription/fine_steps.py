@@ -192,4 +192,4 @@ def _build_momentum(model: Model) -> ca.Function:
     if model.scene.supports is not None:  # prescribed velocities have no jumps
         V[:, model.scene.supports.nodes] = 0.0
     P = ca.mtimes(V, sparse(model.mechanism.M))
-    return ca.Function("momentum", [v], [model.split(model.pack(P, P, 0))[0]])
+    return ca.Function("momentum", [v], [model.mechanism.generalized_forces(P)])

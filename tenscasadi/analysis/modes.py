@@ -361,12 +361,12 @@ def _find_rigid_motions(model: Model, state: Array) -> Array:
     The result is an orthonormal basis (nq, ≤ 6).
     """
     mech = model.mechanism
-    columns = model.nodes(state)[mech.physical]
+    columns = model.columns(model.nodes(state))
     fields = [np.broadcast_to(axis, columns.shape) for axis in np.eye(3)] + [
         np.cross(axis, columns - columns.mean(axis=0)) for axis in np.eye(3)
     ]
     motions = scipy.linalg.orth(np.stack([mech.local(field.ravel()) for field in fields], axis=1))
-    held = np.flatnonzero(~mech.free.ravel())
+    held = np.flatnonzero(~(mech.free | mech.dependent[:, None]).ravel())
     allowed = motions @ scipy.linalg.null_space(motions[held]) if len(held) else motions
     return np.asarray(allowed[mech.free_index])
 

@@ -98,7 +98,7 @@ def _build_reactions(scene: Scene, size: int) -> Any:
     mech = model.with_masses(u, inverse=False)
     pushed = total(scene, mech, N, V, u, time)
     pushed += nodal_forces(mech, mech.bar_vectors(N), multipliers)
-    lacking = ca.mtimes(accelerations, ca.DM(mech.M.tocsc())) - pushed
+    lacking = mech.gather(ca.mtimes(accelerations, ca.DM(mech.M.tocsc())) - pushed)
     function = ca.Function("reactions", [x, u], [lacking])
     held = np.asarray(scene.modelled.held).any(axis=1, keepdims=True)
 

@@ -265,7 +265,14 @@ def find_redundancy(mech: Mechanism) -> str | None:
             + " (columns of P) and the bars between them"
         )
     else:
-        names = "bars " + ", ".join(str(k) for k in mech.rigid[involved])
+        count = mech.bars - len(mech.body_of_bar)
+        parts = {
+            "bars": mech.rigid[involved[involved < count]],
+            "bodies": np.unique(mech.body_of_bar[involved[involved >= count] - count]),
+        }
+        names = " and ".join(
+            f"{kind} " + ", ".join(map(str, which)) for kind, which in parts.items() if len(which)
+        )
     return (
         f"the constraints of {names} depend on each other in the initial shape ({int(null.sum())} redundant, condition number "
         f"{float(values[-1]) / smallest:.1e}): motion is exact as long as they stay consistent, their multipliers are not unique; "

@@ -14,10 +14,11 @@ from tenscasadi.dynamics.masses import read_masses
 from tenscasadi.dynamics.mechanism import BarLength, Coordinates, Mechanism, free_mass_matrix
 from tenscasadi.scene.parameters import MASSES
 from tenscasadi.scene.scene import Scene
+from tenscasadi.structure.body_assembly import BodyAssembly
 from tenscasadi.structure.class_one import connectivity
 from tenscasadi.structure.pins import Normals
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.casadi_tools import block_inverse, drop_rounding
+from tenscasadi.util.casadi_tools import block_inverse, drop_rounding, product
 from tenscasadi.util.validate import Array, Indices
 
 
@@ -32,6 +33,11 @@ def scene_mechanism(
             "Scene.parameters contains masses, and a roller is inclined: "
             'give Model(coordinates="full") for both'
         )
+    if scene.modelled.bodies and _has_open_masses(scene):
+        raise ValueError(
+            "Scene.parameters contains masses, and the structure has bodies: give masses as "
+            "numbers, and others by structure.replace(bodies=...)"
+        )
     masses = read_masses(scene, mechanism.physical, mechanism.inverse, layout)
     return mechanism if masses is None else replace(mechanism, masses=masses)
 
@@ -44,7 +50,7 @@ def choose_coordinates(scene: Scene, bar_length: BarLength = "current") -> Coord
     neighbors. Reduced coordinates are also rejected if they do not support the scene.
     """
     structure = scene.modelled
-    if structure.coupled_mass.any():
+    if structure.coupled_mass.any() or structure.bodies:
         return "reduced"
     if structure.rollers and _has_open_masses(scene):
         return "full"
@@ -86,25 +92,72 @@ def _build_reduced(structure: Structure, constant_length: bool) -> Mechanism:
     n, M, free, turn = len(structure.nodes), structure.mass_matrix(), ~structure.fixed, None
     if structure.rollers:
         free, turn = _build_local_coordinates(structure)
-        inverse = _invert_masses(M, turn, np.flatnonzero(free.ravel()))
+    own = {
+        "N": structure.nodes.T,
+        "physical": np.arange(n),
+        "C_s": connectivity(structure.strings, n),
+        **_split_bars(structure, connectivity(structure.bars, n), structure.bars),
+    }
+    if (bodies := structure._assembly) is not None:
+        free, turn = _add_auxiliary_columns(bodies, free, turn)
+        own |= _add_bodies(bodies, own)
+    spread = own.get("spread")
+    reduced = M if spread is None else product(spread.T, M, spread)
+    if turn is not None:
+        inverse = _invert_masses(reduced, turn, np.flatnonzero(free.ravel()))
     else:
         axes = free.T[:1] if (free == free[:, :1]).all() else free.T
-        inverse = tuple(block_inverse(M, axis) for axis in axes)
+        inverse = tuple(block_inverse(reduced, axis) for axis in axes)
+    if spread is not None:
+        inverse = tuple(product(spread, part, spread.T) for part in inverse)
     return Mechanism(
-        N=structure.nodes.T,
         free=free,
-        physical=np.arange(n),
         first=np.arange(n),
-        C_s=connectivity(structure.strings, n),
         M=M,
         inverse=inverse,
-        P=sp.csr_array((n, 0)),
+        P=sp.csr_array((M.shape[0], 0)),
         D=np.zeros((3, 0)),
         active=np.ones((3, 0), bool),
         constant_length=constant_length,
         turn=turn,
-        **_split_bars(structure, connectivity(structure.bars, n), structure.bars),
+        **own,
     )
+
+
+def _add_auxiliary_columns(
+    bodies: BodyAssembly, free: Any, turn: sp.csr_array | None
+) -> tuple[Any, sp.csr_array | None]:
+    """Add auxiliary nodes to the free coordinates and frames.
+
+    Dependent nodes are not free.
+    """
+    count = len(bodies.hosts)
+    free = np.concatenate([free, np.ones((count, 3), dtype=bool)])
+    free[bodies.dependent] = False
+    if turn is not None and count:
+        turn = sp.csr_array(sp.block_diag([turn, sp.eye_array(3 * count)]))
+    return free, turn
+
+
+def _add_bodies(bodies: BodyAssembly, own: dict[str, Any]) -> dict[str, Any]:
+    """Add auxiliary nodes and the bars of bodies to the fields of a mechanism."""
+    more, size = len(bodies.hosts), len(bodies.nodes)
+    widths = {
+        name: sp.csr_array(
+            (own[name].data, own[name].indices, own[name].indptr), (own[name].shape[0], size)
+        )
+        for name in ("C_s", "C_b", "C_e")
+    }
+    last = len(own["bar_ends"]) + np.arange(len(bodies.bars))
+    return widths | {
+        "N": bodies.nodes.T,
+        "physical": np.concatenate([own["physical"], *([host[0]] for host in bodies.hosts[:more])]),
+        "C_b": sp.csr_array(sp.vstack([widths["C_b"], connectivity(bodies.bars, size)])),
+        "rigid": np.concatenate([own["rigid"], last]),
+        "lengths": np.concatenate([own["lengths"], bodies.lengths]),
+        "spread": bodies.spread if len(bodies.dependent) else None,
+        "body_of_bar": bodies.body,
+    }
 
 
 def _build_full(structure: Structure, constant_length: bool) -> Mechanism:
@@ -112,6 +165,8 @@ def _build_full(structure: Structure, constant_length: bool) -> Mechanism:
         raise ValueError(
             'coordinates is "full", where bars have no mass in common: give "reduced" for strings with Scene(ends="consistent")'
         )
+    if structure.bodies:
+        raise ValueError('coordinates is "full", which has no bodies: give "reduced"')
     split = structure.class_one(sparse=True)
     n = split.N.shape[1]
     first = np.unique(split.physical, return_index=True)[1]

@@ -115,8 +115,11 @@ def compute_forces(
 def joint_forces(space: StateSpace, N: Any, V: Any, A: Any, lam: Any, u: Any, time: Any) -> Any:
     """Compute Ω (3×c) in reduced coordinates.
 
-    These are the joint forces of Eq. 85 for the given accelerations A of the class-one nodes.
+    These are the joint forces of Eq. 85 for the given accelerations A of the class-one nodes. With
+    bodies there are no such nodes, and no joint forces.
     """
+    if space.structure.bodies:
+        return ca.DM.zeros(3, 0)
     full = scene_mechanism(space.scene, "full")
     if not full.joints:
         return ca.DM.zeros(3, 0)

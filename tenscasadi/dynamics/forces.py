@@ -149,8 +149,9 @@ def string_force_density(scene: Scene, mech: Mechanism, N: Any, V: Any, w: Any) 
 def bar_force_density(scene: Scene, mech: Mechanism, N: Any, w: Any, lam: Any) -> Any:
     """Compute λ (1×bars) of rigid and elastic bars [N/m].
 
-    It is positive in compression.
+    It is positive in compression. Bars of bodies are left out.
     """
+    lam = lam[:, : mech.bars - len(mech.body_of_bar)]
     if not mech.C_e.shape[0]:
         return lam
     bars = ElasticBars(bind(scene, w)[0], mech)

@@ -63,7 +63,7 @@ def count_terms(space: StateSpace, ode: ca.Function) -> TermCounts:
         if name == "string damping":  # counted as the difference of the whole law to elasticity
             outputs.pop("string elasticity")
         # forces on pinned nodes are not needed
-        outputs[name] = mech.local(ca.vec(expression))[mech.free_index.tolist()]
+        outputs[name] = mech.generalized_forces(expression)
         count = ca.Function("terms", [x, u], ca.cse(list(outputs.values()))).n_instructions()
         counts[name] = count - before
         before = count

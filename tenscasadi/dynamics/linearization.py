@@ -108,7 +108,7 @@ class EquationDerivatives:
         x, w, a = kind.sym("x", nx), kind.sym("w", model.nw), kind.sym("a", nq)
         N, V, time = model.unpack(x)
         F, _ = compute_forces(model, N, V, w, time)
-        force = model.split(model.pack(F, F, 0))[0]
+        force = model.mechanism.generalized_forces(F)
         constraints = model.constraints(x)
         rates = ca.densify(ca.vertcat(kind(0, 1), constraints.bar_rates, constraints.joint_rates))
         self.constraints = rates.shape[0]

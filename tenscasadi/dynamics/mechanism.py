@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
@@ -81,6 +81,8 @@ class Mechanism(ReadOnlyArrays):
     constant_length: bool  # λ̂ divides by l² as in Eqs. 46-87 instead of bᵀb
     frames: Any = None  # (c, 3, 3) frame of each column of P; None: x, y, z
     turn: sp.csr_array | None = None  # 3n×3n, local coordinates to those of N; None: identity
+    spread: sp.csr_array | None = None  # n×n weights of independent columns on all; None: identity
+    body_of_bar: Indices = field(default_factory=lambda: np.zeros(0, np.intp))  # of the last bars
     masses: Masses | None = None  # dependence of M and M⁻ on parameters; None: constant
     weights: Any = None  # CasADi column of the entries of M and M⁻, if they are expressions
 
@@ -126,10 +128,20 @@ class Mechanism(ReadOnlyArrays):
         turned = (
             set() if self.turn is None else set(np.flatnonzero(np.diff(self.turn.indptr) > 1) // 3)
         )
+        real = len(self.first) if len(self.body_of_bar) else self.N.shape[1]
+        owners = [
+            f"{'' if k < real else 'auxiliary '}node {n}" for k, n in enumerate(self.physical)
+        ]
         return [
-            f"node {self.physical[k // 3]} {'along its roller' if k // 3 in turned else 'xyz'[k % 3]}"
+            f"{owners[k // 3]} {'along its roller' if k // 3 in turned else 'xyz'[k % 3]}"
             for k in self.free_index
         ]
+
+    @property
+    def bar_names(self) -> list[str]:
+        """Names of the rigid bars, such as "bar 3", and of bars of bodies."""
+        own = self.rigid[: self.bars - len(self.body_of_bar)]
+        return [*(f"bar {k}" for k in own), *(f"body {k}" for k in self.body_of_bar)]
 
     @property
     def frames_of_nodes(self) -> Array:
@@ -158,13 +170,35 @@ class Mechanism(ReadOnlyArrays):
         """Convert vectors from local coordinates to the axes of N."""
         return vector if self.turn is None else _rotate(self.turn, vector)
 
+    @property
+    def dependent(self) -> Any:
+        """Flags (n,) of columns that are affine combinations of others."""
+        n = self.N.shape[1]
+        return np.zeros(n, bool) if self.spread is None else self.spread.diagonal() == 0.0
+
+    def expand(self, Z: Any) -> Any:
+        """Set the dependent columns of positions or velocities (3×n)."""
+        return Z if self.spread is None else ca.mtimes(Z, sparse(self.spread.T))
+
+    def gather(self, F: Any) -> Any:
+        """Move forces (3×n) from dependent to independent columns."""
+        return F if self.spread is None else ca.mtimes(F, sparse(self.spread))
+
+    def generalized_forces(self, F: Any) -> Any:
+        """Compute the forces (nq) along the free coordinates from those on columns (3×n)."""
+        own = self.local(ca.vec(self.gather(F)))
+        return ca.densify(
+            own if len(self.free_index) == own.shape[0] else own[self.free_index.tolist()]
+        )
+
     @cached_property
     def free_mass(self) -> Any:
         """Mass matrix (nq×nq) of the free coordinates [kg]."""
-        if not is_expression(self.M):
-            return free_mass_matrix(self.M, self.turn, self.free_index)
+        M = self.M if self.spread is None else product(self.spread.T, self.M, self.spread)
+        if not is_expression(M):
+            return free_mass_matrix(M, self.turn, self.free_index)
         wide = sp.csc_array(
-            sp.csr_array(sp.kron(number_nonzeros(self.M), sp.eye_array(3)))[self.free_index][
+            sp.csr_array(sp.kron(number_nonzeros(M), sp.eye_array(3)))[self.free_index][
                 :, self.free_index
             ]
         )
@@ -172,7 +206,7 @@ class Mechanism(ReadOnlyArrays):
         pattern = ca.Sparsity(
             wide.shape[0], wide.shape[1], wide.indptr.tolist(), wide.indices.tolist()
         )
-        return matrix_with_pattern(pattern, self.M.nz[:][(wide.data - 1).astype(int).tolist()])
+        return matrix_with_pattern(pattern, M.nz[:][(wide.data - 1).astype(int).tolist()])
 
     @property
     def node_weight(self) -> Any:

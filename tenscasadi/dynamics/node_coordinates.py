@@ -85,14 +85,34 @@ class NodeCoordinates:
             speeds = speeds.copy()
             speeds[self._moved] = self._supports(0.0)[1].full().T  # supports override
         self._check_supports(positions, speeds)
-        columns = self.mechanism.physical
         x = np.zeros(self.nx)
         q, v, _ = self.split(x)
         q[:], v[:] = (
-            self.mechanism.local(vectors[columns].ravel())[self._free]
-            for vectors in (positions, speeds)
+            self.mechanism.local(vectors.ravel())[self._free]
+            for vectors in (self.columns(positions), self.columns(positions, speeds))
         )
         return x
+
+    def columns(self, nodes: Array, velocities: Array | None = None) -> Array:
+        """Select positions or velocities of the columns of the mechanism.
+
+        Parameters
+        ----------
+        nodes : ndarray, shape (n, 3)
+            Positions of the physical nodes [m].
+        velocities : ndarray, shape (n, 3), optional
+            Their velocities [m/s].
+
+        Returns
+        -------
+        ndarray, shape (columns, 3)
+            Velocities if they are given, else positions. Auxiliary nodes move with their bodies.
+        """
+        own, bodies = nodes if velocities is None else velocities, self.structure._assembly
+        found = own[self.mechanism.physical]
+        if bodies is not None:
+            found[len(nodes) :] = bodies.find_auxiliary(nodes, velocities)
+        return found
 
     def _check_supports(self, positions: Array, speeds: Array) -> None:
         """Check that nodes and velocities (n, 3) satisfy the supports."""
@@ -170,7 +190,7 @@ class NodeCoordinates:
         N, V = self._place(q, start), self._place(v, np.zeros_like(start))
         if self._supports is not None and self.coordinates == "reduced":
             N[:, self._moved], V[:, self._moved], _ = self._supports(time)
-        return N, V, time
+        return self.mechanism.expand(N), self.mechanism.expand(V), time
 
     def targets(self, time: Any) -> tuple[Any, Any, Any]:
         """Compute D of N P = D and its rates (3×c).
@@ -228,7 +248,7 @@ class NodeCoordinates:
             return ca.DM(*self.mechanism.N.shape)  # sparse zero: adds no instructions
         moved = type(time).zeros(*self.mechanism.N.shape)
         moved[:, self._moved] = self._supports(time)[2]
-        return moved
+        return self.mechanism.expand(moved)
 
     def _physical(self, x: Any, part: int, elsewhere: Array) -> Any:
         if isinstance(x, (ca.SX, ca.MX)):
@@ -251,6 +271,16 @@ class NodeCoordinates:
             times = states[..., -1].ravel()
             moved = self._supports.map(times.size)(times.reshape(1, -1))[part].full().T
             nodes[..., self._moved, :] = moved.reshape(*shape, len(self._moved), 3)
+        return self.place_dependent(nodes)
+
+    def place_dependent(self, nodes: Array) -> Array:
+        """Set the dependent nodes of positions or velocities (…, n, 3)."""
+        spread, n = self.mechanism.spread, nodes.shape[-2]
+        if spread is None:
+            return nodes
+        rows = np.flatnonzero(self.mechanism.dependent[:n])  # auxiliary nodes have no weights
+        weights = spread[rows][:, :n].toarray()
+        nodes[..., rows, :] = np.einsum("dn,...na->...da", weights, nodes)
         return nodes
 
 

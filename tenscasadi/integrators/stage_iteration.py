@@ -182,7 +182,7 @@ def _solver(model: Model) -> ca.Function:
 
         def slopes(elements: list[forces.ForceElement]) -> Any:
             F = forces.sum_forces(elements, mech, at)
-            return ca.jacobian(model.split(model.pack(F, F, 0))[0], x)
+            return ca.jacobian(mech.generalized_forces(F), x)
 
         K, C = ca.horzsplit(_drag_slopes(slopes, elements, at, moved), [0, nq, 2 * nq, model.nx])[
             :2

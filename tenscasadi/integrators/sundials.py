@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.dynamics.constraint_forces import nodal_forces
-from tenscasadi.dynamics.equation_of_motion import compute_forces
+from tenscasadi.dynamics.equation_of_motion import compute_forces, forward_dynamics
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.events import build_mode_ode, count_switches, split_mode
 from tenscasadi.integrators.scheme import (
@@ -357,5 +357,6 @@ class Idas(Sundials, kind="Idas"):
         if not mech.constrained:
             return None
         x, u = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nw)
-        lam, Omega = model.with_stacked_input(model.multiplier_function)(x, u)
-        return ca.Function("start", [x, u], [ca.vertcat(lam, ca.vec(Omega)[: 3 * mech.joints])])
+        N, V, time = model.unpack(x)
+        _, lam, Omega = forward_dynamics(model, N, V, u, time)
+        return ca.Function("start", [x, u], [ca.densify(ca.vertcat(lam.T, ca.vec(Omega)))])

@@ -11,7 +11,7 @@ import numpy as np
 
 from tenscasadi.io.structure_types import MemberGroups, NodeTable, PerItem, Turn
 from tenscasadi.schema.containers import ListOf, MapOf, TableOf, for_items
-from tenscasadi.schema.definitions import Definition, definition
+from tenscasadi.schema.definitions import Definition, OneOf, definition
 from tenscasadi.schema.field_types import (
     POINTS,
     TIMES,
@@ -25,6 +25,7 @@ from tenscasadi.schema.field_types import (
 )
 from tenscasadi.schema.reading import Item, ItemKind, Names, call, nearest
 from tenscasadi.structure.names import find_names, name_members
+from tenscasadi.structure.rigid_body import RigidBody
 from tenscasadi.structure.shapes import Shape
 from tenscasadi.structure.structure import Structure
 
@@ -43,6 +44,7 @@ _TYPES: dict[str, FieldType] = {
     **{name: PerItem("string", _OTHERS[name]) for name in STRINGS},
     "node_mass": PerItem("node", 0.0),
     "pinned": for_items("node", Word(), Members("node")),
+    "bodies": ListOf(OneOf(RigidBody)),
     "rollers": MapOf("node", Numbers(((3,), (None, 3)))),
     **dict.fromkeys(("node_names", "bar_names", "string_names"), ListOf(Word())),
 }

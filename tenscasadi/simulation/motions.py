@@ -69,6 +69,9 @@ class Rollouts(Viewable, SceneResult, form="tenscasadi rollouts 1", title="file 
         Nodes with pins or rollers; empty in older files.
     turn : ndarray, shape (N, 3, 3)
         Local axes of the coordinates of each node, as columns; empty if all are x, y, z.
+    follow : ndarray, shape (w, 3)
+        Nodes of rigid bodies that are affine combinations of others: the node, another one, and its
+        weight; empty without bodies.
     error_estimate : ndarray, shape (n,)
         Estimated step-size error of the node positions [m], NaN if unknown; empty in older files.
     scene : Scene or None
@@ -115,6 +118,7 @@ class Rollouts(Viewable, SceneResult, form="tenscasadi rollouts 1", title="file 
     )
     pinned: Annotated[Indices, "p", "i"] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
     turn: Annotated[Array, "r33", "f"] = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    follow: Annotated[Array, "w3", "f"] = field(default_factory=lambda: np.zeros((0, 3)))
     error_estimate: Annotated[Array, "e", "f"] = field(default_factory=lambda: np.zeros(0))
     scene: Scene | None = None
     sampled: tuple[str, ...] = ()
@@ -128,6 +132,7 @@ class Rollouts(Viewable, SceneResult, form="tenscasadi rollouts 1", title="file 
             check_indices(name, getattr(self, name), len(self.place))
         if len(self.turn) not in (0, len(self.place)) or not np.all(np.abs(self.turn) <= 1 + 1e-9):
             raise ValueError("field 'turn' holds no directions of each node")
+        check_indices("follow", self.follow[:, :2], len(self.place))
 
     def __repr__(self) -> str:
         n, rows, _ = self.states.shape
@@ -196,11 +201,25 @@ class Rollouts(Viewable, SceneResult, form="tenscasadi rollouts 1", title="file 
 
 def node_positions(rollouts: Rollouts, nodes: Any, motions: Any = slice(None)) -> Array:
     """Compute positions (m, T, k, 3) of selected nodes [m]."""
-    place, given, states = rollouts.place[nodes], rollouts.given[:, nodes], rollouts.states[motions]
+    follow = rollouts.follow[np.isin(rollouts.follow[:, 0], nodes)]
+    dependent, others = (follow[:, k].astype(np.intp) for k in (0, 1))
+    chosen = np.arange(len(rollouts.place))[nodes]
+    columns = np.concatenate([chosen, np.unique(others)])
+    place, given, states = (
+        rollouts.place[columns],
+        rollouts.given[:, columns],
+        rollouts.states[motions],
+    )
     found = np.repeat(given[None], len(states), axis=0)
     free = place >= 0
     found[..., free] = states[..., place[free]]
-    return np.einsum("kij,mtkj->mtki", rollouts.turn[nodes], found) if len(rollouts.turn) else found
+    if len(rollouts.turn):
+        found = np.einsum("kij,mtkj->mtki", rollouts.turn[columns], found)
+    for k in np.flatnonzero(np.isin(chosen, dependent)):
+        own = dependent == chosen[k]
+        sources = len(chosen) + np.searchsorted(np.unique(others), others[own])
+        found[:, :, k] = np.einsum("w,mtwa->mta", follow[own, 2], found[:, :, sources])
+    return found[:, :, : len(chosen)]
 
 
 def _check_values(content: Mapping[str, Any]) -> None:

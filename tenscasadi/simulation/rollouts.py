@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from tenscasadi.dynamics.mechanism import Mechanism
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme
@@ -211,9 +212,21 @@ def _record(model: Model, runs: Runs, verify: bool) -> Rollouts:
         scene=model.scene,
         strings=model.structure.strings,
         pinned=np.array(sorted({*model.structure.pinned, *model.structure.rollers}), dtype=np.intp),
-        turn=model.mechanism.frames_of_nodes,
+        turn=model.mechanism.frames_of_nodes[model.mechanism.first]
+        if model.mechanism.turn is not None
+        else np.zeros((0, 3, 3)),
+        follow=_find_weights(model.mechanism),
         error_estimate=verdict.error,
     )
+
+
+def _find_weights(mech: Mechanism) -> Array:
+    """Find dependent nodes with their independent nodes and weights (w, 3)."""
+    if mech.spread is None:
+        return np.zeros((0, 3))
+    weights = mech.spread.tocoo()
+    own = mech.dependent[weights.row]
+    return np.column_stack([weights.row[own], weights.col[own], weights.data[own]])
 
 
 def _find_places(model: Model, clock: Array) -> tuple[Any, Array]:

@@ -117,7 +117,14 @@ def free_directions(structure: Any) -> sp.csr_array:
     -------
     csr_array, shape (3n, free coordinates)
         The basis, node by node.
+
+    Raises
+    ------
+    ValueError
+        If the structure has bodies.
     """
+    if structure.bodies:
+        raise ValueError("bodies: statics and design have no rigid bodies: use tc.simulate")
     if not structure.rollers:
         return sp.eye_array(structure.fixed.size, format="csr")[:, np.flatnonzero(~structure.fixed)]
     blocks = [np.eye(3)[:, ~fixed] for fixed in structure.fixed]

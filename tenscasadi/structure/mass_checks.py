@@ -11,13 +11,13 @@ from tenscasadi.util.validate import SMALLEST, Array, Indices
 MAX_MASS_RATIO = 1e12  # between bars; above, rounding errors exceed the forces on the lighter bar
 
 
-def check_node_masses(node_mass: Array, fixed: Any, bars: Indices, heavy_strings: Indices) -> None:
+def check_node_masses(node_mass: Array, fixed: Any, held: Any, heavy_strings: Indices) -> None:
     """Check that each moving node has a bar or mass.
 
-    Otherwise M would be singular. Raises ValueError.
+    `held` are the nodes of bars and bodies. Otherwise M would be singular. Raises ValueError.
     """
     heavy = (node_mass > SMALLEST) | fixed
-    heavy[bars] = True
+    heavy[held] = True
     heavy[heavy_strings] = True
     for node in np.flatnonzero(~heavy):
         cure = (

@@ -13,6 +13,7 @@ from scipy.sparse import csr_array, diags_array
 
 from tenscasadi.schema.reading import Names
 from tenscasadi.schema.value import Value
+from tenscasadi.structure.body_assembly import BodyAssembly, assemble_bodies
 from tenscasadi.structure.class_one import (
     ClassOne,
     Layout,
@@ -29,6 +30,7 @@ from tenscasadi.structure.names import find_names, read_names
 from tenscasadi.structure.pins import Normals, read_axes, read_pins, read_rollers
 from tenscasadi.structure.prestress import find_rest_lengths
 from tenscasadi.structure.properties import read_properties
+from tenscasadi.structure.rigid_body import RigidBody, move_bodies, read_bodies
 from tenscasadi.structure.subdivision import divide_strings
 from tenscasadi.util.read_only import ReadOnlyArrays, read_only
 from tenscasadi.util.renamed import rename_keywords
@@ -82,6 +84,8 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         Force of each bar per elongation [N/m], inf for rigid bars. Default: all bars are rigid.
     bar_rest_length : array_like, shape (β,), optional
         Unstressed length of each elastic bar [m]. Default: its length in `nodes`.
+    bodies : sequence of RigidBody
+        Rigid bodies that hold some of the nodes.
     node_names, string_names, bar_names : sequence of str, optional
         Names, "" for unnamed items. ``"guys[0]"`` and ``"guys[1]"`` are members of the group
         ``"guys"``.
@@ -136,6 +140,7 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
     string_mass: Array
     bar_stiffness: Array
     bar_rest_length: Array
+    bodies: tuple[RigidBody, ...]
     elastic: np.ndarray[Any, np.dtype[np.bool_]]
     fixed: np.ndarray[Any, np.dtype[np.bool_]]
     held: np.ndarray[Any, np.dtype[np.bool_]]
@@ -149,6 +154,7 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
     string_names: tuple[str, ...]
     bar_names: tuple[str, ...]
     _layout: Layout
+    _assembly: BodyAssembly | None
 
     def __init__(  # noqa: PLR0913  one keyword for each property
         self,
@@ -166,6 +172,7 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         rollers: Mapping[int, ArrayLike] = MappingProxyType({}),
         bar_stiffness: ArrayLike | None = None,
         bar_rest_length: ArrayLike | None = None,
+        bodies: Iterable[RigidBody] = (),
         node_names: Iterable[str] = (),
         string_names: Iterable[str] = (),
         bar_names: Iterable[str] = (),
@@ -189,13 +196,15 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
             "bar_rest_length": bar_rest_length,
         }
         own.update(read_properties(given, n, self.bar_lengths, self.string_lengths))
+        own["bodies"] = read_bodies(bodies, n)
         own["node_names"] = read_names("node_names", node_names, n)
         own["string_names"] = read_names("string_names", string_names, alpha)
         own["bar_names"] = read_names("bar_names", bar_names, beta)
+        own["_assembly"] = assemble_bodies(self)
         check_node_masses(
             self.node_mass,
             self.fixed.all(axis=1),
-            self.bars,
+            np.concatenate([self.bars.ravel(), *(body.nodes for body in self.bodies)]),
             self.strings[self.string_mass > SMALLEST],
         )
         layout = default_layout(n, self.bars, self.strings, np.flatnonzero(self.fixed.all(axis=1)))
@@ -301,7 +310,8 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         Returns
         -------
         csr_array, shape (n, n)
-            M [kg], without the masses of strings that `subdivide` has not assigned to nodes.
+            M [kg], without the masses of strings that `subdivide` has not assigned to nodes. Bodies
+            whose nodes lie in a plane, but not their mass, have an auxiliary row each at the end.
         """
         n = len(self.nodes)
         M = bar_mass_matrix(self.bars, self.bar_inertia, self.bar_mass, n)
@@ -309,7 +319,7 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         if self.coupled_mass.any():
             C_s = connectivity(self.strings, n)
             M = M - C_s.T @ diags_array(self.coupled_mass / 6) @ C_s
-        return csr_array(M)
+        return csr_array(M) if self._assembly is None else self._assembly.add_mass(M)
 
     def class_one(self, sparse: bool = False) -> ClassOne:
         """Compute the paper's class-one matrices.
@@ -330,6 +340,8 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
             The matrices of Eqs. 61-66, 81 and 84.
         """
         flag("sparse", sparse)
+        if self.bodies:
+            raise ValueError("bodies: the class-one matrices have no bodies: use mass_matrix()")
         found: ClassOne = read_only(
             class_one(
                 self._layout, self.nodes, self.bar_inertia, self.bar_mass, self.node_mass, sparse
@@ -340,7 +352,7 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
     def replace(self, **changes: Any) -> Structure:
         """Copy the structure with changed parameters.
 
-        Rest lengths are kept unless they are given, even if nodes move.
+        Rest lengths are kept unless they are given, even if nodes move. Bodies move with their nodes.
 
         Parameters
         ----------
@@ -357,6 +369,8 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
             raise TypeError(
                 f"replace got {unknown[0]!r}: give keywords of Structure ({', '.join(PARAMETERS)})"
             )
+        if self.bodies and np.shape(changes.get("nodes", ())) == self.nodes.shape:
+            changes.setdefault("bodies", move_bodies(self.bodies, self.nodes, changes["nodes"]))
         for part in ("node", "string", "bar"):
             own = getattr(self, f"{part}s")
             if len(changes.get(f"{part}s", own)) != len(own):  # other items, other names
@@ -463,7 +477,8 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
 
     def __repr__(self) -> str:
         parts = f"{len(self.nodes)} nodes, {len(self.bars)} bars, {len(self.strings)} strings"
-        return f"Structure({parts}, {len(self.pinned)} pinned)"
+        bodies = f", {len(self.bodies)} bod{'y' if len(self.bodies) == 1 else 'ies'}"
+        return f"Structure({parts}, {len(self.pinned)} pinned{bodies if self.bodies else ''})"
 
     def __setattr__(self, name: str, value: Any) -> None:
         raise AttributeError(f"a Structure is immutable: use structure.replace({name}=...)")

@@ -62,6 +62,16 @@ def fit_rotation(vectors: Array, others: Array) -> Array:
     return np.asarray((left * handed) @ right)
 
 
+def fit_velocities(places: Array, velocities: Array) -> tuple[Array, Array]:
+    """Find the mean velocity (3,) and angular velocity (3,) nearest to velocities (n, 3).
+
+    The angular velocity is the least-squares one about the mean of the places (n, 3).
+    """
+    arms, drift = places - places.mean(axis=0), velocities.mean(axis=0)
+    inertia = (arms**2).sum() * np.eye(3) - arms.T @ arms
+    return drift, np.linalg.pinv(inertia) @ np.cross(arms, velocities - drift).sum(axis=0)
+
+
 def null_space(A: Array, tolerance: float) -> Array:
     """Compute an orthonormal basis of a null space.
 

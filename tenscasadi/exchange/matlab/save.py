@@ -79,6 +79,8 @@ def save_mat(
     instance("data", data, (Structure, Trajectory), "a Structure or a Trajectory")
     flag("class_one", class_one)
     if isinstance(data, Structure):
+        if data.bodies:
+            raise ValueError("bodies have no counterpart in MATLAB tools: use tc.save_scene")
         return write_mat(path, _build_split(data) if class_one else _build_physical(data))
     if class_one:
         raise ValueError("class_one is True for a trajectory, which is never split: leave it out")

@@ -145,6 +145,8 @@ def _check_scene(scene: Scene) -> None:
                 f"Scene.slack of string {strings[0]} is {law}: MuJoCo's tendons are slack or not, give Clip() or Linear()"
             )
     s = scene.modelled
+    if s.bodies:
+        raise ValueError("bodies: export_mjcf writes none: leave them out")
     if s.coupled_mass.any():
         raise ValueError('Scene.ends is "consistent", which MuJoCo lacks: give "lumped"')
     for bar in np.flatnonzero(s.elastic):

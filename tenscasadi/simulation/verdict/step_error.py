@@ -133,6 +133,11 @@ def _largest_movement(model: Model, changes: Array) -> Array:
 
     `changes` (m, T, nq) are those of positions in the state.
     """
+    if model.mechanism.spread is not None:
+        entries, free = model.entries, model.entries >= 0
+        moved = np.zeros((*changes.shape[:2], *entries.shape))
+        moved[..., free] = changes[..., entries[free]]
+        return np.asarray(np.linalg.norm(model.place_dependent(moved), axis=3).max(axis=2))
     squares = np.zeros((model.nq + 1, *changes.shape[:2]))  # the last one for prescribed ones
     squares[:-1] = np.moveaxis(changes * changes, 2, 0)
     x, y, z = (squares[column] for column in model.entries.T)
