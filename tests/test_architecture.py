@@ -25,10 +25,10 @@ _MODEL = (
 TENSCASADI = (
     *_MODEL,
     {"statics", "sweeps", "drawing"},
-    {"design", "exchange", "plots", "envs"},
+    {"design", "exchange", "plots"},
     "analysis",
     "viewer",
-    "cli",
+    {"envs", "cli"},
 )
 OCP = (
     "problem",

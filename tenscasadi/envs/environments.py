@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from tenscasadi.envs.episodes import FARTHEST, Episodes
+from tenscasadi.envs.rendering import RENDERERS, Renderer, build_renderer, observe_frame
 from tenscasadi.envs.task import Task
 from tenscasadi.util.validate import finite_array, instance, real_array, whole_number
 
@@ -25,6 +26,14 @@ class TensegrityEnv(gymnasium.Env[Any, Any]):
     ----------
     task : Task
         The task.
+    render_mode : {"rgb_array", "human"}, optional
+        Display: `render` returns pictures (400, 480, 3), or each period is shown in the browser in
+        real time, which requires ``pip install 'tenscasadi[view]'``. Default: none.
+
+    Raises
+    ------
+    TypeError, ValueError
+        An argument is wrong.
 
     See Also
     --------
@@ -47,11 +56,15 @@ class TensegrityEnv(gymnasium.Env[Any, Any]):
     ((24,), False, False)
     """
 
-    metadata = {"render_modes": []}  # noqa: RUF012  as gymnasium declares it
+    metadata = {"render_modes": [*RENDERERS], "render_fps": 20}  # noqa: RUF012  as gymnasium declares it
 
-    def __init__(self, task: Task) -> None:
+    def __init__(self, task: Task, render_mode: str | None = None) -> None:
         instance("task", task, Task, "a tenscasadi.envs.Task")
-        self.task = task
+        self.task, self.render_mode = task, render_mode
+        self.metadata = {**self.metadata, "render_fps": max(1, round(1 / task.period))}
+        self._renderer: Renderer | None = (
+            None if render_mode is None else build_renderer(render_mode, task.model, task.period)
+        )
         self._episodes = Episodes(task, 1)
         self.observation_space, self.action_space = _spaces(self._episodes)
 
@@ -76,6 +89,7 @@ class TensegrityEnv(gymnasium.Env[Any, Any]):
         """
         super().reset(seed=seed)
         self._episodes.reset(np.array([0]), self.np_random)
+        self._show()
         return self._episodes.observe()[0], {"diverged": False}
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
@@ -103,7 +117,39 @@ class TensegrityEnv(gymnasium.Env[Any, Any]):
             bool(self._episodes.find_ended(now, lost)[0]),
         )
         late = bool(self._episodes.decided[0] >= self.task.decisions)
+        self._show()
         return self._episodes.observe()[0], reward, over, late, {"diverged": bool(lost[0])}
+
+    def render(self) -> Any:
+        """Draw the present state.
+
+        Returns
+        -------
+        ndarray of uint8, shape (400, 480, 3), or None
+            The picture under ``render_mode="rgb_array"``; None otherwise.
+        """
+        if self._renderer is None:
+            return None
+        episodes = self._episodes
+        frame = observe_frame(
+            self.task.model,
+            episodes.states[0],
+            episodes.control[0],
+            episodes.parameters[0],
+            float(episodes.decided[0] * self.task.period),
+        )
+        return self._renderer.draw(frame)
+
+    def close(self) -> None:
+        """End the display."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+    def _show(self) -> None:
+        """Show the present state to a person, if that is the mode."""
+        if self.render_mode == "human":
+            self.render()
 
 
 class TensegrityVectorEnv(VectorEnv[Any, Any, Any]):
