@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -9,7 +11,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.strings import rest_length
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.tables import Columns, Tabular, name_columns, name_coordinates
+from tenscasadi.util.tables import Quantity, Tabular
 from tenscasadi.util.validate import Array, flag, nonnegative, per_item
 
 
@@ -51,22 +53,25 @@ class PlannedForces(Tabular):
         """
         return len(self.force_density) == len(self.time)
 
-    def _columns(self) -> Columns:
+    def _quantities(self) -> Iterable[Quantity]:
         rows = np.minimum(np.arange(len(self.time)), len(self.force_density) - 1)
         gamma = self.force_density[rows]
         soft = self.rest_length is None and np.any(
             (gamma > 0) & (gamma >= self.structure.stiffness)
         )
-        return {
-            "time (s)": self.time,
-            **name_columns("string {} force density (N/m)", gamma),
-            **name_columns("string {} tension (N)", gamma * self.lengths()),
-            **(
-                {} if soft else name_columns("string {} rest length (m)", self.rest_lengths()[rows])
-            ),
-            **name_coordinates("node {} {} (m)", self.trajectory.nodes),
-            **name_coordinates("node {} velocity {} (m/s)", self.trajectory.velocities),
-        }
+        string, nodes = ("string",), ("node", "axis")
+        yield Quantity("time", "time (s)", self.time)
+        yield Quantity("force_density", "string {} force density (N/m)", gamma, string)
+        yield Quantity("tension", "string {} tension (N)", gamma * self.lengths(), string)
+        if not soft:
+            rest = self.rest_lengths()[rows]
+            yield Quantity("rest_length", "string {} rest length (m)", rest, string)
+        yield Quantity("position", "node {} {} (m)", self.trajectory.nodes, nodes)
+        velocities = self.trajectory.velocities
+        yield Quantity("velocity", "node {} velocity {} (m/s)", velocities, nodes)
+
+    def _labels(self) -> Mapping[str, Sequence[str]]:
+        return {"node": self.structure.node_names, "string": self.structure.string_names}
 
     def lengths(self) -> Array:
         """Compute the lengths of all strings.

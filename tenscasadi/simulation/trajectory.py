@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -14,7 +14,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.scene import Scene
 from tenscasadi.schema.stored import array_fields, check_indices
 from tenscasadi.simulation.scene_result import SceneResult, format_largest
-from tenscasadi.util.tables import Columns, Tabular, name_columns, name_coordinates
+from tenscasadi.util.tables import Quantity, Tabular
 from tenscasadi.util.validate import LARGEST, Array, Indices
 from tenscasadi.util.viewable import Viewable
 
@@ -182,26 +182,30 @@ class Trajectory(
             lines.append(f"tension       {self.tension.min():.4g} … {self.tension.max():.4g} N")
         return "\n".join(lines)
 
-    def _columns(self) -> Columns:
-        return {
-            "time (s)": self.time,
-            **name_coordinates("node {} {} (m)", self.nodes),
-            **name_coordinates("node {} velocity {} (m/s)", self.velocities),
-            **name_columns("string {} force density (N/m)", self.force_density),
-            **name_columns("string {} tension (N)", self.tension),
-            "energy (J)": self.energy,
-            **dict(
-                zip(
-                    ("kinetic energy (J)", "elastic energy (J)", "gravitational energy (J)"),
-                    self.energy_parts.T,
-                    strict=True,
-                )
-            ),
-            "energy error (J)": self.energy_error,
-            "bar length error": self.bar_length_error,
-            "joint error (m)": self.joint_error,
-            **name_columns("control {}", self.control),
-        }
+    def _quantities(self) -> Iterable[Quantity]:
+        kinetic, elastic, gravitational = self.energy_parts.T
+        string = ("string",)
+        return (
+            Quantity("time", "time (s)", self.time),
+            Quantity("position", "node {} {} (m)", self.nodes, ("node", "axis")),
+            Quantity("velocity", "node {} velocity {} (m/s)", self.velocities, ("node", "axis")),
+            Quantity("force_density", "string {} force density (N/m)", self.force_density, string),
+            Quantity("tension", "string {} tension (N)", self.tension, string),
+            Quantity("energy", "energy (J)", self.energy),
+            Quantity("kinetic_energy", "kinetic energy (J)", kinetic),
+            Quantity("elastic_energy", "elastic energy (J)", elastic),
+            Quantity("gravitational_energy", "gravitational energy (J)", gravitational),
+            Quantity("energy_error", "energy error (J)", self.energy_error),
+            Quantity("bar_length_error", "bar length error", self.bar_length_error),
+            Quantity("joint_error", "joint error (m)", self.joint_error),
+            Quantity("control", "control {}", self.control, ("input",)),
+        )
+
+    def _labels(self) -> Mapping[str, Sequence[str]]:
+        if self.scene is None:
+            return {}
+        structure = self.scene.modelled
+        return {"node": structure.node_names, "string": structure.string_names}
 
     @classmethod
     def _check_loaded(cls, given: Mapping[str, Any]) -> None:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import io
+import itertools
 import os
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,30 +18,62 @@ from tenscasadi.util.whole_file import whole_file
 Columns = Mapping[str, Array]  # each (rows,), in order; the name ends in the unit, as in "time (s)"
 
 
-def name_columns(template: str, values: Any) -> dict[str, Array]:
-    """Name the columns of `values` (rows, items).
+class Quantity(NamedTuple):
+    """Quantity over time.
 
-    The template has a place for the item, as in "string {} tension (N)".
+    Attributes
+    ----------
+    name : str
+        Name in labeled arrays, such as "tension".
+    column : str
+        Template of the names of columns, with places for the index of the item and the axis and the
+        unit at the end, as in "node {} {} (m)".
+    values : ndarray, shape (rows, ...)
+        Values, whose further dimensions are `dims`.
+    dims : tuple of str
+        Names of the dimensions after the time: "node", "string", "input" or "axis".
     """
-    return {template.format(k): column for k, column in enumerate(np.asarray(values).T)}
 
+    name: str
+    column: str
+    values: Array
+    dims: tuple[str, ...] = ()
 
-def name_coordinates(template: str, values: Any) -> dict[str, Array]:
-    """Name the columns of vectors `values` (rows, items, 3).
+    @property
+    def unit(self) -> str:
+        """Unit at the end of the column's name; "" if there is none."""
+        found = re.search(r"\(([^()]*)\)$", self.column)
+        return found[1] if found else ""
 
-    The template has places for item and axis.
-    """
-    rows, items = np.shape(values)[:2]
-    names = [template.format(k, axis) for k in range(items) for axis in "xyz"]
-    return dict(zip(names, np.reshape(values, (rows, 3 * items)).T, strict=True))
+    def columns(self) -> dict[str, Array]:
+        """Split the values into columns (rows,) with names."""
+        values = np.asarray(self.values)
+        labels = [
+            "xyz"[:size] if name == "axis" else range(size)
+            for name, size in zip(self.dims, values.shape[1:], strict=True)
+        ]
+        names = [self.column.format(*items) for items in itertools.product(*labels)]
+        return dict(zip(names, values.reshape(len(values), len(names)).T, strict=True))
 
 
 class Tabular:
     """Base of values with a table over time."""
 
+    def _quantities(self) -> Iterable[Quantity]:
+        """List the quantities of the table, time first."""
+        raise NotImplementedError
+
+    def _labels(self) -> Mapping[str, Sequence[str]]:
+        """List the names of nodes and strings by dimension, where there are names."""
+        return {}
+
     def _columns(self) -> Columns:
         """Return the columns, time first."""
-        raise NotImplementedError
+        return {
+            name: column
+            for quantity in self._quantities()
+            for name, column in quantity.columns().items()
+        }
 
     def to_csv(self, path: str | os.PathLike[str]) -> Path:
         """Write the table as comma-separated values.
@@ -95,3 +129,38 @@ class Tabular:
             ) from error
         columns = self._columns()
         return pd.DataFrame(dict(columns)).set_index(next(iter(columns)))
+
+    def to_xarray(self) -> Any:
+        """Convert the table to an ``xarray.Dataset`` with the dimension time.
+
+        Nodes and strings are labeled by their names, or by indices if they have none.
+
+        Returns
+        -------
+        xarray.Dataset
+            A copy of the numbers. The attribute ``units`` of each variable has its unit.
+
+        Raises
+        ------
+        ImportError
+            If xarray is not installed: ``pip install 'tenscasadi[exchange]'``.
+        """
+        try:
+            import xarray as xr
+        except ImportError as error:
+            raise ImportError(
+                "to_xarray requires xarray: pip install 'tenscasadi[exchange]', or call to_csv"
+            ) from error
+        time, *others = self._quantities()
+        coordinates: dict[str, Any] = {
+            time.name: (time.name, np.array(time.values), {"units": time.unit})
+        }
+        variables = {}
+        for quantity in others:
+            dims = (time.name, *quantity.dims)
+            variables[quantity.name] = (dims, np.array(quantity.values), {"units": quantity.unit})
+            for name, size in zip(quantity.dims, np.shape(quantity.values)[1:], strict=True):
+                given = self._labels().get(name, ())
+                labels = [given[k] or str(k) for k in range(size)] if given else range(size)
+                coordinates[name] = list("xyz"[:size] if name == "axis" else labels)
+        return xr.Dataset(variables, coordinates)

@@ -100,3 +100,34 @@ def test_a_plan_whose_strings_are_too_soft_has_no_rest_lengths():
     assert not [name for name in soft.to_pandas() if "rest length" in name]
     linear = replace(found, force_density=np.vstack([found.force_density, found.force_density[:1]]))
     assert linear.to_pandas()["string 3 force density (N/m)"].iloc[-1] == found.force_density[0, 3]
+
+
+def test_xarray_has_dimensions_names_and_units(run):
+    pytest.importorskip("xarray", reason="tenscasadi[exchange] is not installed")
+    data = run.to_xarray()
+    assert dict(data.sizes) == {"time": 6, "node": 6, "axis": 3, "string": 9, "input": 9}
+    assert np.array_equal(data.position.sel(axis="z"), run.nodes[:, :, 2])
+    assert np.array_equal(data.tension.sel(string="vertical[0]"), run.tension[:, 6])
+    assert data.velocity.attrs["units"] == "m/s"
+    assert data.time.attrs["units"] == "s"
+    assert data.node.values.tolist()[:2] == ["bottom[0]", "bottom[1]"]
+    assert replace(run, scene=None).to_xarray().node.values.tolist() == list(range(6))
+    data.tension[:] = 0.0  # a copy
+    assert run.tension.max() > 0
+
+
+def test_plan_converts_to_xarray():
+    pytest.importorskip("xarray", reason="tenscasadi[exchange] is not installed")
+    found = plan()
+    data = found.to_xarray()
+    assert np.array_equal(data.time, found.time)
+    assert np.array_equal(data.position, found.trajectory.nodes)
+    assert np.array_equal(data.force_density[:-1], found.force_density)
+
+
+def test_missing_xarray_is_named_with_its_install_command(run, monkeypatch):
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(
+        ImportError, match=r"to_xarray requires xarray: pip install 'tenscasadi\[exchange\]'"
+    ):
+        run.to_xarray()
