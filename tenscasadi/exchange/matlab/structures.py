@@ -216,7 +216,26 @@ def _build(source: Source, variables: Variables, options: Variables) -> ParsedSt
         return ParsedStructure(read.replace(**options), columns)
     supports = {"pinned": _read_pins(variables, count), "rollers": _read_rollers(variables, count)}
     given |= {"node_mass": mass, **supports, **options}
-    return ParsedStructure(Structure(N.T, bars, strings, **given), np.arange(count))
+    structure = Structure(N.T, bars, strings, **given)
+    return ParsedStructure(_lump_string_mass(source, structure), np.arange(count))
+
+
+def _lump_string_mass(source: Source, structure: Structure) -> Structure:
+    """Lump the mass of strings at their ends if free nodes have no other mass.
+
+    A strict import keeps it in the strings.
+    """
+    s = structure
+    has_mass = s.node_mass > 0
+    has_mass[s.bars] = True
+    massless = np.flatnonzero(~has_mass & ~s.fixed.all(axis=1))
+    if source.strict or not len(massless) or not np.any(s.string_mass):
+        return structure
+    nodes = f"node {massless[0]} has" if len(massless) == 1 else f"{len(massless)} nodes have"
+    source.note(f"{nodes} no mass: half the mass of each string is put on either end")
+    halves = np.repeat(s.string_mass / 2, 2)
+    lumped = np.bincount(s.strings.ravel(), halves, minlength=len(s.nodes))
+    return s.replace(node_mass=s.node_mass + lumped, string_mass=0.0)
 
 
 def _read_members(variables: Variables, keys: tuple[str, ...], count: int) -> Indices:

@@ -336,3 +336,25 @@ def test_a_struct_is_chosen_by_name(tmp_path):
         match="name is 'huge': the file's structs with N and C_b or C_s are small, large",
     ):
         tc.load_mat(tmp_path / "x.mat", "huge")
+
+
+def test_mass_of_strings_is_lumped_at_nodes_without_mass(tmp_path):
+    net = {
+        "N": np.array([[0.0, 1, 2], [0, 0, 0], [0, 0, 0]]),
+        "C": np.array([[-1.0, 1, 0], [0, -1, 1]]),
+        "index_s": [[1.0, 2]],
+        "E": 1e9 * np.ones((2, 1)),
+        "A": 1e-6 * np.ones((2, 1)),
+        "l0": 0.9 * np.ones((2, 1)),
+        "mass": np.array([[0.2], [0.4]]),
+        "pinned_X": [[1.0], [3.0]],
+        "pinned_Y": [[1.0], [3.0]],
+        "pinned_Z": [[1.0], [3.0]],
+    }
+    savemat(tmp_path / "net.mat", net)
+    assert tc.load_mat(tmp_path / "net.mat").string_mass.tolist() == [0.2, 0.4]
+    with pytest.warns(tc.InexactImportWarning, match="node 1 has no mass: half the mass"):
+        read = tc.load_mat(tmp_path / "net.mat", strict=False)
+    assert read.node_mass == pytest.approx([0.1, 0.3, 0.2])
+    assert not read.string_mass.any()
+    assert tc.simulate(tc.Model(tc.Scene(read)), 0.01, compiled=False).success
