@@ -136,3 +136,29 @@ def test_message_omits_terminal_codes(here, capsys):
     assert run("info", "odd.toml") == 2
     error = capsys.readouterr().err
     assert error.rstrip("\n").isprintable()
+
+
+def test_there_are_ten_templates_or_more():
+    assert len(TEMPLATES) >= 10
+
+
+@pytest.mark.parametrize("name", ["jump", "swing-up", "net", "dome", "tower", "crawling"])
+def test_template_simulates_and_plans_are_read(name):
+    source = find_source(name)
+    simulation = source.simulation()
+    run = tc.simulate(
+        simulation.model, 0.05, 1e-3, control=simulation.control, compiled=False, verify=False
+    )
+    assert run.success, run.message
+    if "[plan]" in source.path.read_text(encoding="utf-8"):
+        problem = ocp.load_problem(source.path)
+        assert problem.goals or problem.phases
+
+
+def test_swing_up_template_has_a_plan():
+    path = find_source("swing-up").path
+    plan = ocp.solve(ocp.load_problem(path))
+    assert plan.success, plan.message
+    tip = plan.replay().nodes[:, 1, 2]
+    assert tip[0] < -0.99
+    assert tip[-1] == pytest.approx(1.0, abs=1e-3)
