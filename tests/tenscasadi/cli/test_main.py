@@ -306,7 +306,7 @@ def test_failed_plan_is_reported_and_written(tmp_path, capsys):
         (["completion"], "shell"),
         (["completion", "sh"], "bash"),
         (["simulate"], "NAME|FILE"),
-        (["simulate", "cube"], "six-bar-ball, or a scene file"),
+        (["simulate", "cube"], "tower, or a scene file"),
         (["info", "cube"], "six-bar-ball"),
         (["tradeoff", "cube"], "six-bar-ball"),
         (["tradeoff", "prism", "--steps", "0"], "steps[0]"),
