@@ -25,7 +25,7 @@ from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
 from tenscasadi.scene.parameter_layout import ParameterLayout
 from tenscasadi.scene.parameters import Parameters
 from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.strings import Clip, ForceDensity, Linear, RestLength, Smooth
+from tenscasadi.scene.strings import Clip, ForceDensity, Linear, RestLength, Smooth, Tension
 from tenscasadi.scene.supports import SupportMotion
 from tenscasadi.schema.reading import SceneFileError
 from tenscasadi.simulation.declared import Simulation
@@ -165,6 +165,7 @@ __all__ = [
     "Scene",
     "ForceDensity",
     "RestLength",
+    "Tension",
     "Clip",
     "Linear",
     "Smooth",

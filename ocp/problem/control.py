@@ -9,6 +9,7 @@ import numpy as np
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.strings import ForceDensity, Linear, RestLength
+from tenscasadi.structure.cables import reject_cables
 
 
 def controls_rest_lengths(model: Model) -> bool:
@@ -60,6 +61,7 @@ def check_control(model: Model) -> None:
         raise ValueError(
             f"Problem.model has the control {control}: give a model of Scene(..., control=ForceDensity()) or RestLength()"
         )
+    reject_cables(model.scene.structure, "planning")
     limp = np.flatnonzero(model.scene.structure.stiffness == 0)
     if controls_rest_lengths(model) and limp.size:
         raise ValueError(

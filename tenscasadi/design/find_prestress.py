@@ -21,6 +21,7 @@ from tenscasadi.design.prestress_goals import (
 )
 from tenscasadi.design.tangent_stiffness import TangentStiffness
 from tenscasadi.statics.self_stress import self_stress
+from tenscasadi.structure.cables import reject_cables
 from tenscasadi.structure.equilibrium_matrix import equilibrium_matrix
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.read_only import ReadOnlyArrays
@@ -119,6 +120,7 @@ def find_prestress(
     (True, 20.659)
     """
     instance("structure", structure, Structure, "a tenscasadi.Structure")
+    reject_cables(structure, "find_prestress")
     instance("goal", goal, (Stiffest, Even, Least), "Stiffest(), Even() or Least()")
     count = len(structure.strings)
     least = nonnegative("minimum", per_item("minimum", minimum, count), "string")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import casadi as ca
@@ -16,6 +17,7 @@ import numpy as np
 
 from tenscasadi.dynamics.mechanism import Mechanism
 from tenscasadi.scene.binding import bind
+from tenscasadi.scene.cables import CableRows
 from tenscasadi.scene.ground import Surface
 from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
 from tenscasadi.scene.scene import Scene
@@ -183,35 +185,50 @@ class StringForces(ForceElement):
 
     @property
     def switch_count(self) -> int:  # type: ignore[override]
-        """Number of strings with slack events."""
-        return len(self.scene.switching_strings)
+        """Number of cables and lone strings with slack events."""
+        return len(self.scene.switching_inputs)
 
     def force_density(self, N: Any, V: Any) -> tuple[Any, Any]:
         """Compute γ (1×α) [N/m] and S (3×α) [m] (Eq. 66)."""
         S = ca.mtimes(N, sparse(self.mech.C_s.T))
-        return self.law_density(ca.sum1(S * S), self._rate(S, V)), S
+        gamma = self.law_density(ca.sum1(S * S), self._rate(S, V))
+        if self.damped and self._cables is not None and has_cable_friction(self.scene):
+            rates = ca.mtimes(V, sparse(self.mech.C_s.T))
+            ratios = self._cables.friction_ratios(S, rates, self.scene.commands_forces)
+            gamma = gamma * (
+                1 + (ratios - 1) * (gamma > 0)
+            )  # a cable in compression touches no node
+        return gamma, S
 
     def law_density(self, squared: Any, rate: Any = None) -> Any:
         """Compute γ (1×α) from the string laws (Eqs. 98, 99).
 
-        `squared` are squared lengths [m²], and `rate` is c sᵀṡ [N·m].
+        `squared` are squared lengths [m²] of strings, and `rate` is c sᵀṡ [N·m] of cables and lone
+        strings. Cables have no friction.
         """
         scene = self.scene
         if isinstance(scene.control, ForceDensity):  # tension is constant along a parent string
             return self._per_segment(1 / scene.modelled.string_fraction)
-        switching = scene.switching_strings
+        if scene.commands_forces:
+            s = scene.modelled
+            lengths = ca.sqrt(squared + (1e-9 * constant_row(s.rest_length)) ** 2)
+            return self.control[scene.input_of.tolist(), :].T / lengths
+        switching, longest = scene.switching_inputs, self.longest
+        if longest is not None and self._cables is not None:
+            longest = self._cables.sum(longest)
 
         def law_of(
             law: StringLaw, which: Indices, squared: Any, rest: Any, k: Any, unit: Any, rate: Any
         ) -> Any:
-            if self.longest is not None and not isinstance(law, Smooth):
-                rest = ca.fmin(rest, _columns(self.longest, which))
+            if longest is not None and not isinstance(law, Smooth):
+                rest = ca.fmin(rest, _columns(longest, which))
             taut = self.mode
             if taut is not None and law.switches and len(which) < len(switching):
                 taut = taut[:, np.searchsorted(switching, which).tolist()]
             return law.force_density(squared, rest, k, rate, unit, taut)
 
-        return self._by_law(law_of, squared, rate)
+        gamma = self._by_law(law_of, squared, rate)
+        return gamma if self._cables is None else self._cables.force_densities(gamma, squared)
 
     def forces(self, at: NodeMotion) -> Any:
         """Compute −S γ̂ C_s (3×n) [N] (Eq. 56)."""
@@ -224,13 +241,13 @@ class StringForces(ForceElement):
         If their energy is `stored`, it is the power of damping.
         """
         gamma, S = self.force_density(at.N, at.V)
-        if stored and not isinstance(self.scene.control, ForceDensity):
+        if stored and not self.scene.commands_forces:
             gamma = gamma - self.law_density(ca.sum1(S * S))
         return -ca.sum2(gamma * ca.sum1(S * ca.mtimes(at.V, sparse(self.mech.C_s.T))))
 
     def energy(self, N: Any) -> Any:
-        """Compute the elastic energy [J], 0 with force-density control."""
-        if isinstance(self.scene.control, ForceDensity):
+        """Compute the elastic energy [J], 0 if forces are commanded."""
+        if self.scene.commands_forces:
             return ca.DM(0)
         S = ca.mtimes(N, sparse(self.mech.C_s.T))
         energies = self._by_law(
@@ -241,14 +258,14 @@ class StringForces(ForceElement):
         return ca.sum2(energies)
 
     def switches(self, at: NodeMotion) -> Any:
-        """Compute the switching functions of strings with slack events."""
+        """Compute the switching functions of cables and strings with slack events."""
         S = ca.mtimes(at.N, sparse(self.mech.C_s.T))
         return self.excess_lengths(ca.sum1(S * S), self._rate(S, at.V))
 
     def excess_lengths(self, squared: Any, rate: Any = None) -> Any:
-        """Compute the switching functions (1×k) [m] of strings.
+        """Compute the switching functions (1×k) [m] of cables and lone strings.
 
-        `squared` are squared lengths [m²], and `rate` is c sᵀṡ [N·m].
+        `squared` are squared lengths of strings [m²], and `rate` is c sᵀṡ [N·m].
         """
 
         def gap(law: Any, _: Indices, squared: Any, rest: Any, k: Any, unit: Any, rate: Any) -> Any:
@@ -257,11 +274,24 @@ class StringForces(ForceElement):
         return self._by_law(gap, squared, rate, switching=True)
 
     def _rate(self, S: Any, V: Any) -> Any:
-        """Compute c sᵀṡ (1×α) (Eq. 98), None without damping."""
+        """Compute c sᵀṡ (1×m) of cables and lone strings (Eq. 98), None without damping."""
         if not self.damped or not is_damped(self.scene):
             return None
         rates = ca.sum1(S * ca.mtimes(V, sparse(self.mech.C_s.T)))
-        return rates * constant_row(self.scene.modelled.damping)
+        if self._cables is not None:
+            rates = self._cables.rates(ca.sum1(S * S), rates)
+        return rates * constant_row(self._inputs.damping)
+
+    @cached_property
+    def _cables(self) -> CableRows | None:
+        """Conversion between strings and cables, None without cables."""
+        s = self.scene.modelled
+        return CableRows(s) if s.cables else None
+
+    @cached_property
+    def _inputs(self) -> Any:
+        """Constants of cables and lone strings, under the names of `Structure`."""
+        return self.scene.modelled if self._cables is None else self._cables.constants()
 
     def _by_law(
         self, evaluate: Callable[..., Any], squared: Any, rate: Any, switching: bool = False
@@ -270,7 +300,9 @@ class StringForces(ForceElement):
 
         If `switching`, only laws with slack events are evaluated.
         """
-        s, laws = self.scene.modelled, self.scene.string_laws
+        s, laws = self._inputs, self.scene.input_laws
+        if self._cables is not None:
+            squared = self._cables.squared_lengths(squared)
         by_control = isinstance(self.scene.control, RestLength)
         rest = self._per_segment(s.string_fraction) if by_control else constant_row(s.rest_length)
         rows = squared, rest, constant_row(s.stiffness), constant_row(s.rest_length)
@@ -286,8 +318,8 @@ class StringForces(ForceElement):
         return ca.horzcat(*parts)[:, place.tolist()]
 
     def _per_segment(self, factor: Array) -> Any:
-        """Expand the control to modeled strings, times `factor`."""
-        parent, u = self.scene.modelled.string_parent, self.control
+        """Expand the control to cables and modeled lone strings, times `factor`."""
+        parent, u = self.scene.structure.cable_of[self._inputs.string_parent], self.control
         row = u.T if len(parent) == u.shape[0] else u[parent.tolist(), :].T
         return row if np.all(factor == 1) else row * ca.DM(factor).T
 
@@ -434,23 +466,30 @@ def _spread(mech: Mechanism, W: Any, columns: list[int]) -> Any:
 def is_damped(scene: Scene) -> bool:
     """Return whether any string has damping.
 
-    Strings have none with force-density control.
+    Strings have none if forces are commanded.
     """
-    if isinstance(scene.control, ForceDensity):
+    if scene.commands_forces:
         return False
     damping = scene.modelled.damping
     return is_expression(damping) or scene.has_parameter("damping") or bool(np.any(damping > 0))
 
 
-def has_dissipative_ground(scene: Scene) -> bool:
-    """Return whether any ground has damping or friction."""
-    return scene.has_parameter("ground_damping") or any(
-        not ground.conservative for ground in scene.grounds
+def has_friction(scene: Scene) -> bool:
+    """Return whether any ground has damping or friction, or any cable friction."""
+    return (
+        scene.has_parameter("ground_damping")
+        or any(not ground.conservative for ground in scene.grounds)
+        or has_cable_friction(scene)
     )
+
+
+def has_cable_friction(scene: Scene) -> bool:
+    """Return whether any cable has friction."""
+    return bool(scene.structure.cable_friction.any())
 
 
 def is_conservative(scene: Scene) -> bool:
     """Return whether all forces are conservative under constant control."""
-    driven = isinstance(scene.control, ForceDensity) and len(scene.modelled.strings) > 0
+    driven = scene.commands_forces and len(scene.modelled.strings) > 0
     loaded = scene.pressure is not None or scene.forces is not None or bool(scene.over_time)
-    return not (driven or is_damped(scene) or has_dissipative_ground(scene) or loaded)
+    return not (driven or is_damped(scene) or has_friction(scene) or loaded)

@@ -10,7 +10,6 @@ import casadi as ca
 from tenscasadi.dynamics import forces
 from tenscasadi.dynamics.coordinates import is_full_cheaper
 from tenscasadi.dynamics.state_space import StateSpace
-from tenscasadi.scene.strings import ForceDensity
 
 
 class TermCounts(dict[str, int]):
@@ -51,8 +50,11 @@ def count_terms(space: StateSpace, ode: ca.Function) -> TermCounts:
     for element in forces.build_elements(scene, mech, u):
         name = element.name
         if isinstance(element, forces.StringForces):
-            driven = isinstance(scene.control, ForceDensity)
-            name = "string force densities" if driven else "string elasticity"
+            name = (
+                f"string {scene.control.quantity}"
+                if scene.control and scene.commands_forces
+                else "string elasticity"
+            )
             if forces.is_damped(scene):
                 built[name], name = replace(element, damped=False).forces(at), "string damping"
         built[name] = built.get(name, 0) + element.forces(at)

@@ -16,7 +16,6 @@ from tenscasadi.dynamics.observations import Observations
 from tenscasadi.scene.binding import fix
 from tenscasadi.scene.control_function import ControlSchedule
 from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.strings import ForceDensity, RestLength
 from tenscasadi.schema.value import Value
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.compile import compile_function
@@ -27,8 +26,8 @@ class Model(Value, Observations, kind="Model"):
     """The equations of motion of a `Scene` as CasADi Functions.
 
     The state x contains positions and velocities, each node by node, and a clock if loads depend on
-    time. The control u has one entry for each parent string (`ForceDensity` [N/m] or `RestLength`
-    [m]), or none.
+    time. The control u has one entry for each cable or parent string (`ForceDensity` [N/m], `Tension`
+    [N] or `RestLength` [m]), or none.
 
     Parameters
     ----------
@@ -295,25 +294,20 @@ def _rebuild(
     return model
 
 
-# Quantities that each control replaces, and their name in messages.
-_COMMANDED: dict[type, tuple[tuple[str, ...], str]] = {
-    ForceDensity: (("stiffness", "rest_length"), "force densities"),
-    RestLength: (("rest_length",), "rest lengths"),
-}
-
-
 def _check_parameters(model: Model) -> None:
     """Check that parameters have an effect.
 
     Raises ValueError. Warns of parameters that set only the control.
     """
     unused, control = _find_unused(model), model.scene.control
-    replaced, commanded = _COMMANDED.get(type(control), ((), ""))
+    forces_given = model.scene.commands_forces
+    replaced = ("stiffness", "rest_length") if forces_given else ("rest_length",)
+    commanded = "" if control is None else control.quantity
     for name in unused:
-        if name not in replaced:
+        if control is None or name not in replaced:
             reason = ""
-            if isinstance(control, ForceDensity) and name == "damping":
-                reason = f" (under {control} force densities are commanded)"
+            if forces_given and name == "damping":
+                reason = f" (under {control} {commanded} are commanded)"
             elif name == "string_mass":
                 reason = " (strings have mass where segments= cuts them)"
             raise ValueError(

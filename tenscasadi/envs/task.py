@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import Correction, Projection, check_correction
-from tenscasadi.scene.strings import ForceDensity, RestLength
+from tenscasadi.scene.strings import RestLength
 from tenscasadi.simulation.verdict.starts import off_constraints
 from tenscasadi.util.renamed import rename_fields
 from tenscasadi.util.validate import (
@@ -72,8 +72,8 @@ class Task:
     Parameters
     ----------
     model : Model
-        The model. Under ``control=ForceDensity()`` actions are force densities, under
-        ``RestLength()`` rates of rest lengths; they run from −1 to 1 in either case.
+        The model. Under ``control=ForceDensity()`` actions are force densities, under ``Tension()``
+        tensions, under ``RestLength()`` rates of rest lengths; they run from −1 to 1 in each case.
     reward : callable
         Function of a `Transition` of n episodes that returns rewards (n,).
     lower, upper : array_like, scalar or shape (α,)
@@ -143,8 +143,8 @@ class Task:
     def __post_init__(self) -> None:
         model = self.model
         instance("Task.model", model, Model, "a tenscasadi.Model")
-        if not isinstance(model.scene.control, (ForceDensity, RestLength)) or not model.nu:
-            cure = "give Scene(..., control=ForceDensity() or RestLength())"
+        if model.scene.control is None or not model.nu:
+            cure = "give Scene(..., control=ForceDensity(), Tension() or RestLength())"
             raise ValueError(f"Task.model has the control {model.scene.control}: {cure}")
         for name in ("reward", "observation", "terminated"):
             given = getattr(self, name)

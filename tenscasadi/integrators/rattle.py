@@ -192,7 +192,7 @@ def _leap(model: Model, power: ca.Function | None, kick: Tableau, iterations: in
         return (mech.with_inverse(compute_forces(model, N, V, u, time, mech=mech)[0]),)
 
     N, V, time = drift(N, V, time)
-    rough = forces.is_damped(scene) or forces.has_dissipative_ground(scene)
+    rough = forces.is_damped(scene) or forces.has_friction(scene)
     if rough or power is not None:
         V = tangent(N, V, time)
     before = V

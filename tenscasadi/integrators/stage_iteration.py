@@ -151,15 +151,14 @@ def _lead(model: Model, u: Any) -> Any:
     lead = ca.densify(
         lead if lead.shape[0] != 1 else ca.repmat(lead, len(scene.modelled.strings), 1)
     )
-    clamped = ca.DM(np.isin(scene.switching_strings, scene.clamped_strings).astype(float))
+    first = scene.first_strings[scene.switching_inputs]
+    clamped = ca.DM(np.isin(first, scene.clamped_strings).astype(float))
     grounds = [
         ca.repmat(ca.densify(one.surface.damping / one.surface.stiffness), one.switch_count, 1)
         for one in forces.build_elements(model.scene, model.mechanism, u)
         if isinstance(one, forces.Contacts)
     ]
-    switching = ca.reshape(
-        lead[scene.switching_strings.tolist()], clamped.shape[0], 1
-    )  # a column, even if empty
+    switching = ca.reshape(lead[first.tolist()], clamped.shape[0], 1)  # a column, even if empty
     return ca.vertcat(switching * clamped, *grounds)
 
 

@@ -13,6 +13,7 @@ from tenscasadi.io.structure_types import MemberGroups, NodeTable, PerItem, Turn
 from tenscasadi.schema.containers import ListOf, MapOf, TableOf, for_items
 from tenscasadi.schema.definitions import Definition, OneOf, definition
 from tenscasadi.schema.field_types import (
+    PER_ITEM,
     POINTS,
     TIMES,
     VECTOR,
@@ -45,6 +46,8 @@ _TYPES: dict[str, FieldType] = {
     "node_mass": PerItem("node", 0.0),
     "pinned": for_items("node", Word(), Members("node")),
     "bodies": ListOf(OneOf(RigidBody)),
+    "cables": ListOf(Members("string")),
+    "cable_friction": PER_ITEM,
     "rollers": MapOf("node", Numbers(((3,), (None, 3)))),
     **dict.fromkeys(("node_names", "bar_names", "string_names"), ListOf(Word())),
 }

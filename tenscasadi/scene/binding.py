@@ -13,7 +13,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from tenscasadi.scene.parameters import ELASTIC_BARS, QUANTITIES
-from tenscasadi.scene.strings import ForceDensity, RestLength
+from tenscasadi.scene.strings import ForceDensity, RestLength, Tension
+from tenscasadi.structure.cables import add_compliances
 from tenscasadi.util.casadi_tools import is_expression
 from tenscasadi.util.validate import Array
 
@@ -87,17 +88,22 @@ def bind(scene: Any, w: Any) -> tuple[Any, Any]:
 def initial_control(scene: Any, p: Array) -> Array:
     """Compute the control (nu,) that keeps the rest lengths.
 
-    It consists of rest lengths [m], or of the corresponding force densities [N/m].
+    It consists of rest lengths [m], or of the corresponding force densities [N/m] or tensions [N].
     """
     s, layout = scene.structure, scene.layout
-    if isinstance(scene.control, RestLength):
-        return np.asarray(layout.item_values("rest_length", p, s.rest_length))
+    if scene.control is None:
+        return np.zeros(0)
+    stiffness, rest = (
+        layout.item_values(name, p, getattr(s, name)) for name in ("stiffness", "rest_length")
+    )
     if isinstance(scene.control, ForceDensity):
-        stiffness, rest = (
-            layout.item_values(name, p, getattr(s, name)) for name in ("stiffness", "rest_length")
-        )
         return np.asarray(stiffness * np.maximum(0.0, 1 - rest / s.string_lengths))  # Eq. 99
-    return np.zeros(0)
+    total = np.asarray(np.bincount(s.cable_of, weights=rest), dtype=float)
+    if isinstance(scene.control, Tension):
+        lengths = np.bincount(s.cable_of, weights=s.string_lengths)
+        stiffness = add_compliances(s.cable_of, stiffness)
+        return np.asarray(stiffness * np.maximum(0.0, lengths - total))
+    return total
 
 
 def fix(scene: Any, p: Array) -> Any:

@@ -13,12 +13,13 @@ from tenscasadi.scene.ground import Surface, read_grounds
 from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
 from tenscasadi.scene.parameter_layout import EMPTY, ParameterLayout, build_layout
 from tenscasadi.scene.parameters import Parameters
-from tenscasadi.scene.strings import Clip, Control, ForceDensity, RestLength, StringLaw, read_slack
+from tenscasadi.scene.strings import Clip, Control, ForceDensity, StringLaw, read_slack
 from tenscasadi.scene.supports import SupportMotion
 from tenscasadi.schema.containers import Either, ListOf, MapOf
 from tenscasadi.schema.definitions import OneOf
 from tenscasadi.schema.field_types import ElsewhereInFile
 from tenscasadi.schema.value import Value
+from tenscasadi.structure.cables import select_first
 from tenscasadi.structure.structure import Structure
 from tenscasadi.structure.subdivision import segment_counts, segment_shares
 from tenscasadi.util.read_only import read_only
@@ -35,7 +36,7 @@ class Scene(Value, Viewable, kind="Scene"):
     ----------
     structure : Structure
         Structure with its initial nodes.
-    control : ForceDensity or RestLength, optional
+    control : ForceDensity, Tension or RestLength, optional
         Kind of control. Default: strings keep the structure's rest lengths.
     segments : int or sequence of int, shape (α,)
         Number of segments of each string.
@@ -106,13 +107,10 @@ class Scene(Value, Viewable, kind="Scene"):
             if value is not None:
                 instance(f"Scene.{name}", value, kind, f"a tenscasadi.{kind.__name__} or None")
         if self.control is not None:
-            instance(
-                "Scene.control",
-                self.control,
-                (ForceDensity, RestLength),
-                "ForceDensity(), RestLength() or None",
-            )
+            kinds = "RestLength(), Tension(), ForceDensity() or None"
+            instance("Scene.control", self.control, Control, kinds)
         object.__setattr__(self, "slack", read_slack(self.slack, len(self.structure.strings)))
+        self._check_cables()
         if not isinstance(self.ground, Surface):
             grounds = read_grounds(self.ground)
             object.__setattr__(
@@ -133,6 +131,25 @@ class Scene(Value, Viewable, kind="Scene"):
                 'tenscasadi.Parameters("stiffness") or None',
             )
         _ = self.modelled, self.layout  # raises errors here instead of at first use
+
+    def _check_cables(self) -> None:
+        """Check that a cable has one law and one control.
+
+        Raises ValueError.
+        """
+        cables = self.structure.cables
+        if cables and isinstance(self.control, ForceDensity):
+            raise ValueError(
+                "Scene.control is ForceDensity(), but the structure has cables, whose strings "
+                "have one tension: give Tension() or RestLength()"
+            )
+        for k, cable in enumerate(cables if isinstance(self.slack, tuple) else ()):
+            laws = [cast("tuple[StringLaw, ...]", self.slack)[string] for string in cable]
+            if len(set(laws)) > 1:
+                raise ValueError(
+                    f"Scene.slack has {laws[0]} and {next(law for law in laws if law != laws[0])} "
+                    f"in cables[{k}]: give one law to strings {list(cable)}"
+                )
 
     def to_fields(self) -> dict[str, Any]:
         """Return the fields, with string laws by string.
@@ -159,13 +176,32 @@ class Scene(Value, Viewable, kind="Scene"):
         return shares
 
     @cached_property
+    def first_strings(self) -> Indices:
+        """One modeled string of each cable and lone string, in their order."""
+        return select_first(self.modelled.cable_of)
+
+    @property
+    def input_of(self) -> Indices:
+        """Input (α,) of each modeled string."""
+        return self.structure.cable_of[self.modelled.string_parent]
+
+    @property
+    def rest_shares(self) -> Array:
+        """Share (α,) of each modeled string in the rest length of its input."""
+        s = self.modelled
+        shares = s.string_fraction.copy()
+        for cable in map(list, s.cables):
+            shares[cable] = s.rest_length[cable] / s.rest_length[cable].sum()
+        return shares
+
+    @cached_property
     def string_laws(self) -> list[tuple[StringLaw, Indices]]:
         """String laws, each with indices of modeled strings.
 
-        It is empty with force-density control.
+        It is empty if forces are commanded.
         """
         count = len(self.modelled.strings)
-        if isinstance(self.control, ForceDensity):
+        if self.commands_forces:
             return []
         if isinstance(self.slack, StringLaw):
             return [(self.slack, np.arange(count))]
@@ -176,6 +212,22 @@ class Scene(Value, Viewable, kind="Scene"):
             (law, np.array([i for i, other in enumerate(laws) if other == law]))
             for law in dict.fromkeys(laws)
         ]
+
+    @property
+    def commands_forces(self) -> bool:
+        """Whether the control is the forces of strings, which then have no law."""
+        return self.control is not None and self.control.commands_forces
+
+    @property
+    def input_laws(self) -> list[tuple[StringLaw, Indices]]:
+        """String laws, each with indices of `first_strings`."""
+        of = self.modelled.cable_of
+        return [(law, np.unique(of[which])) for law, which in self.string_laws]
+
+    @property
+    def switching_inputs(self) -> Indices:
+        """Indices of `first_strings` with slack events."""
+        return np.unique(self.modelled.cable_of[self.switching_strings])
 
     @property
     def switching_strings(self) -> Indices:
@@ -217,7 +269,7 @@ class Scene(Value, Viewable, kind="Scene"):
     @property
     def nu(self) -> int:
         """Size of the control."""
-        return 0 if self.control is None else len(self.structure.strings)
+        return 0 if self.control is None else len(select_first(self.structure.cable_of))
 
     @property
     def grounds(self) -> tuple[Surface, ...]:

@@ -14,7 +14,19 @@ from tenscasadi.util.validate import Array, as_tuple, choice, instance, node_ind
 
 
 class Control(Value):
-    """Kind of control, the input of a scene's strings."""
+    """Kind of control, the input of a scene's strings.
+
+    Attributes
+    ----------
+    quantity, unit : str
+        Name of the inputs in messages, and their unit.
+    commands_forces : bool
+        Whether the inputs are forces, so that strings have no law.
+    """
+
+    quantity: ClassVar[str]
+    unit: ClassVar[str]
+    commands_forces: ClassVar[bool]
 
 
 @dataclass(frozen=True)
@@ -30,10 +42,35 @@ class ForceDensity(Control, kind="ForceDensity"):
     9
     """
 
+    quantity: ClassVar[str] = "force densities"
+    unit: ClassVar[str] = "N/m"
+    commands_forces: ClassVar[bool] = True
+
+
+@dataclass(frozen=True)
+class Tension(Control, kind="Tension"):
+    """Control by tensions T [N] of cables and of parent strings that are in no cable.
+
+    Strings then have neither stiffness nor damping nor slack. In a cable with friction, T is the
+    tension of its first string.
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> prism = tc.shapes.prism()
+    >>> cables = prism.replace(cables=[[0, 1, 2], [3, 4, 5]])
+    >>> tc.Model(tc.Scene(cables, control=tc.Tension())).nu
+    5
+    """
+
+    quantity: ClassVar[str] = "tensions"
+    unit: ClassVar[str] = "N"
+    commands_forces: ClassVar[bool] = True
+
 
 @dataclass(frozen=True)
 class RestLength(Control, kind="RestLength"):
-    """Control by rest lengths ρ [m] of parent strings.
+    """Control by rest lengths ρ [m] of cables and of parent strings that are in no cable.
 
     Rest lengths are greater than 0. The string law (`Clip`, `Smooth` or `Linear`) converts them to
     force densities.
@@ -45,6 +82,10 @@ class RestLength(Control, kind="RestLength"):
     >>> bool((model.initial_control == model.structure.rest_length).all())
     True
     """
+
+    quantity: ClassVar[str] = "rest lengths"
+    unit: ClassVar[str] = "m"
+    commands_forces: ClassVar[bool] = False
 
 
 class StringLaw(Value):

@@ -109,8 +109,7 @@ class Equilibrium(OperatingPoint, ReadOnlyArrays):
         modelled: Structure = scene.modelled
         changes: dict[str, Any] = {"nodes": self.nodes}
         if isinstance(scene.control, RestLength):
-            rest = self.control[modelled.string_parent] * modelled.string_fraction
-            changes["rest_length"] = rest
+            changes["rest_length"] = self.control[scene.input_of] * scene.rest_shares
         return modelled.replace(**changes)
 
     @cached_property

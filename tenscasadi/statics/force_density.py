@@ -6,12 +6,14 @@ N K = W with K = C_sᵀ γ̂ C_s − C_bᵀ λ̂ C_b (Eqs. 58, 60 at rest).
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from tenscasadi.statics.least_force_density import least_force_density
 from tenscasadi.statics.self_stress import TOLERANCE
+from tenscasadi.structure.cables import density_basis
 from tenscasadi.structure.equilibrium_matrix import equilibrium_matrix, free_directions
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.renamed import rename_keywords
@@ -41,7 +43,8 @@ def equilibrium_force_density(
 ) -> Array:
     """Compute the least string force densities in equilibrium with loads.
 
-    The nodes are given. Bars take any force, and pins any reaction. Of all γ that balance the loads
+    The nodes are given. Bars take any force, and pins any reaction. The strings of a cable have one
+    tension. Of all γ that balance the loads
     and are at least the minimum, the one of least Σγ² is returned.
 
     Parameters
@@ -96,7 +99,7 @@ def equilibrium_force_density(
     if balance.shape[0] * balance.shape[1] < 1e6:  # dense operations are faster
         balance = balance.toarray()
     strings, bars = balance[:, :alpha], balance[:, alpha:] * (1 / structure.bar_lengths)
-    gamma, unbalanced = least_force_density(strings, bars, w, least, ~either)
+    gamma, unbalanced = _balance(structure, strings, bars, w, least, ~either)
     residual = float(np.linalg.norm(unbalanced))
     force = max(np.abs(w).max(initial=0.0), abs(strings * least).max() if strings.size else 0.0)
     if residual > TOLERANCE * force:
@@ -114,3 +117,23 @@ def equilibrium_force_density(
             residual,
         )
     return gamma
+
+
+def _balance(
+    structure: Structure, strings: Any, bars: Any, w: Array, least: Array, bounded: Any
+) -> tuple[Array | None, Array]:
+    """Find the least force densities, with one tension in each cable.
+
+    The arguments are those of `least_force_density`.
+    """
+    if not structure.cables:
+        return least_force_density(strings, bars, w, least, bounded)
+    alpha = len(structure.strings)
+    inputs = int(structure.cable_of.max()) + 1
+    basis = density_basis(structure)[:alpha, :inputs].toarray()
+    size = basis[np.arange(alpha), structure.cable_of]
+    own, held = np.zeros(basis.shape[1]), np.zeros(basis.shape[1], dtype=bool)
+    np.maximum.at(own, structure.cable_of, least / size)
+    np.logical_or.at(held, structure.cable_of, bounded)
+    found, unbalanced = least_force_density(strings @ basis, bars, w, own, held)
+    return None if found is None else basis @ found, unbalanced

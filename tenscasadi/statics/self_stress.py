@@ -11,6 +11,7 @@ import scipy.sparse as sp
 from scipy.linalg import orth, qr
 
 from tenscasadi.statics.sparse_null_space import sparse_null_space
+from tenscasadi.structure.cables import density_basis
 from tenscasadi.structure.equilibrium_matrix import equilibrium_matrix, free_directions
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, instance
@@ -21,7 +22,8 @@ TOLERANCE = 1e-9  # relative to the largest value: smaller residuals and forces 
 def self_stress(structure: Structure) -> Array:
     """Compute a basis of the self-stresses.
 
-    A self-stress is a set of force densities in equilibrium without loads.
+    A self-stress is a set of force densities in equilibrium without loads. The strings of a cable
+    have one tension.
 
     Parameters
     ----------
@@ -50,13 +52,15 @@ def self_stress(structure: Structure) -> Array:
     (1, 12)
     """
     instance("structure", structure, Structure, "a tenscasadi.Structure")
-    return sparse_null_space(equilibrium_matrix(structure), TOLERANCE)
+    basis = density_basis(structure)
+    balance = sp.csc_array(equilibrium_matrix(structure) @ basis)
+    return np.asarray(sparse_null_space(balance, TOLERANCE) @ basis.T)
 
 
 def mechanisms(structure: Structure) -> Array:
     """Compute a basis of the infinitesimal mechanisms.
 
-    No member, rigid or elastic, lengthens to first order. Supports do not move. Rigid-body motions
+    No bar, cable or lone string lengthens to first order, rigid or elastic. Supports do not move. Rigid-body motions
     that the supports allow are left out.
 
     Parameters
@@ -69,8 +73,10 @@ def mechanisms(structure: Structure) -> Array:
     ndarray, shape (k, n, 3)
         Orthonormal displacements of the nodes.
     """
+    basis = density_basis(structure)
     lengths = np.concatenate([structure.string_lengths, structure.bar_lengths])
-    unit = sp.csc_array(equilibrium_matrix(structure) * (1.0 / lengths))
+    sizes = abs(basis.T) @ lengths / np.asarray(abs(basis).sum(axis=0))
+    unit = sp.csc_array(equilibrium_matrix(structure) @ basis * (1.0 / sizes))
     free = free_directions(structure)
     still = sparse_null_space(sp.csc_array(unit.T), TOLERANCE)
     motions = still @ (free.T @ rigid_body_motions(structure))

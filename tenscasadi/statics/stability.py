@@ -29,8 +29,9 @@ from tenscasadi.statics.solver.prestressed_state import PrestressedState
 from tenscasadi.statics.solver.static_equations import StaticPoint
 from tenscasadi.statics.solver.trust_region import allowed_residual
 from tenscasadi.statics.super_stability import is_super_stable
+from tenscasadi.structure.cables import add_compliances
 from tenscasadi.structure.equilibrium_matrix import balance_bars, force_density_matrix
-from tenscasadi.structure.prestress import read_force_densities
+from tenscasadi.structure.prestress import check_cable_tensions, read_force_densities
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.kept import keep
 from tenscasadi.util.read_only import ReadOnlyArrays
@@ -94,7 +95,7 @@ class Stability(ReadOnlyArrays):
     def mechanisms(self) -> Array:
         """Orthonormal infinitesimal mechanisms (k, n, 3).
 
-        No member, rigid or elastic, lengthens to first order.
+        No bar, cable or lone string lengthens to first order, rigid or elastic.
         """
         return mechanisms(self.structure)
 
@@ -143,7 +144,8 @@ class Stability(ReadOnlyArrays):
     def material(self) -> sp.csr_array:
         """Material stiffness (3n, 3n) [N/m], sparse.
 
-        It is due to the change of member forces: (k − γ) e eᵀ of each member.
+        It is due to the change of member forces: (k − γ) e eᵀ of each member. A cable adds one
+        stiffness, not one for each string.
         """
         return self._state.system.nodal_material(self._state.point)
 
@@ -323,17 +325,23 @@ def _impose(
     """
     equations = system.equations
     gamma, lam = read_force_densities(structure, force_density)
+    check_cable_tensions(structure, gamma)
     if lam is None:
         lam = balance_bars(structure, gamma, point.loads)
     density = np.concatenate([gamma, -lam[equations.elastic]])
-    stiffness = np.concatenate([structure.stiffness, structure.bar_stiffness[equations.elastic]])
+    strings = add_compliances(structure.cable_of, structure.stiffness)[structure.cable_of]
+    own = strings if structure.cables else structure.stiffness
+    stiffness = np.concatenate([own, structure.bar_stiffness[equations.elastic]])
     squared = np.einsum("ij,ij->i", point.springs, point.springs)
+    one, other = equations.coupled.T
+    coupling = stiffness[one] / (2 * np.sqrt(squared[one] * squared[other]))
     along = (stiffness - density) / (2 * squared)
     pull = np.zeros_like(point.nodes)
     for end, sign in ((0, 1.0), (1, -1.0)):
         np.add.at(pull, equations.spring_pairs[:, end], sign * density[:, None] * point.springs)
     tension = -(lam * structure.bar_lengths)[equations.rigid]
-    return point._replace(gamma=density, slope=along, applied=point.loads + pull), tension
+    applied = point.loads + pull
+    return point._replace(gamma=density, slope=along, coupling=coupling, applied=applied), tension
 
 
 def describe_state(

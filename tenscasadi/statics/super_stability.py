@@ -14,6 +14,7 @@ from scipy.sparse.linalg import splu
 
 from tenscasadi.statics.self_stress import TOLERANCE, idle_combinations, rigid_body_motions
 from tenscasadi.statics.solver.newton_system import FLAT
+from tenscasadi.structure.cables import density_basis
 from tenscasadi.structure.equilibrium_matrix import (
     balance_columns,
     free_directions,
@@ -47,6 +48,7 @@ def is_super_stable(structure: Structure, density: Any) -> bool:
     vectors = structure.nodes[pairs[:, 1]] - structure.nodes[pairs[:, 0]]
     units = vectors / np.linalg.norm(vectors, axis=1)[:, None]
     lengthening = balance_columns(pairs, units, len(structure.nodes)).T @ affine
+    lengthening = abs(density_basis(structure)).sign().T @ lengthening  # of cables as a whole
     if (
         idle_combinations(affine, lengthening, TOLERANCE).shape[1]
         > rigid_body_motions(structure).shape[1]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 from tenscasadi.schema.reading import Names
@@ -47,6 +48,20 @@ def name_segments(names: Sequence[str], counts: Sequence[int]) -> list[str]:
 def extend_names(names: Sequence[str], count: int) -> list[str]:
     """Append unnamed items up to a count."""
     return [*names, *[""] * (count - len(names))] if names else []
+
+
+def reset_item_fields(structure: Any, changes: dict[str, Any]) -> None:
+    """Reset the names of items, and the friction of cables, whose number changes."""
+    for part, field, default in (
+        ("nodes", "node_names", ()),
+        ("strings", "string_names", ()),
+        ("bars", "bar_names", ()),
+        *([] if structure.cable_friction.any() else [("cables", "cable_friction", 0.0)]),
+    ):
+        own = getattr(structure, part)
+        with suppress(TypeError):  # what is no list is rejected later
+            if len(changes.get(part, own)) != len(own):
+                changes.setdefault(field, default)
 
 
 def label(names: Sequence[str], index: int) -> str:

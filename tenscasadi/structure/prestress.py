@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from tenscasadi.structure.cables import wrap_angles
 from tenscasadi.structure.equilibrium_matrix import balance_bars
 from tenscasadi.util.validate import (
     Array,
@@ -17,6 +18,8 @@ from tenscasadi.util.validate import (
     per_item,
     real_array,
 )
+
+EQUAL = 1e-6  # relative difference of tensions of a cable that counts as rounding
 
 
 def find_rest_lengths(
@@ -46,6 +49,7 @@ def find_rest_lengths(
         If the force densities are wrong, or no positive rest length gives them.
     """
     gamma, lam = read_force_densities(structure, force_density)
+    check_cable_tensions(structure, gamma)
     k = structure.stiffness
     either = item_mask("compression_strings", compression_strings, len(gamma), "string")
     nonnegative("force_density", np.where(either, 0.0, gamma), "string")
@@ -70,6 +74,26 @@ def find_rest_lengths(
             f"it must be above −{k[bar]:g} N/m, where the rest length is 0"
         )
     return rest | {"bar_rest_length": structure.bar_lengths * (1.0 + lam / k)}
+
+
+def check_cable_tensions(structure: Any, gamma: Array) -> None:
+    """Check that the tensions of a cable differ by friction only.
+
+    Raises ValueError.
+    """
+    tension = gamma * structure.string_lengths
+    for k, (cable, friction) in enumerate(
+        zip(structure.cables, structure.cable_friction, strict=True)
+    ):
+        limits = np.exp(friction * wrap_angles(structure, cable)) * (1 + EQUAL)
+        for one, other, limit in zip(cable, cable[1:], limits, strict=False):
+            low, high = sorted((tension[one], tension[other]))
+            if high > limit * low and high > 0:
+                ratio = f"at most in the ratio {limit:.4g}" if friction else "equal"
+                raise ValueError(
+                    f"force_density gives strings {one} and {other} of cables[{k}] the tensions "
+                    f"{tension[one]:.6g} and {tension[other]:.6g} N: make them {ratio}"
+                )
 
 
 def read_force_densities(structure: Any, given: Any) -> tuple[Array, Array | None]:

@@ -14,6 +14,7 @@ from scipy.sparse import csr_array, diags_array
 from tenscasadi.schema.reading import Names
 from tenscasadi.schema.value import Value
 from tenscasadi.structure.body_assembly import BodyAssembly, assemble_bodies
+from tenscasadi.structure.cables import Cables, read_cables
 from tenscasadi.structure.class_one import (
     ClassOne,
     Layout,
@@ -26,12 +27,12 @@ from tenscasadi.structure.class_one import (
 )
 from tenscasadi.structure.derived import read_derived, write_derived
 from tenscasadi.structure.mass_checks import check_node_masses
-from tenscasadi.structure.names import find_names, read_names
+from tenscasadi.structure.names import find_names, read_names, reset_item_fields
 from tenscasadi.structure.pins import Normals, read_axes, read_pins, read_rollers
 from tenscasadi.structure.prestress import find_rest_lengths
 from tenscasadi.structure.properties import read_properties
 from tenscasadi.structure.rigid_body import RigidBody, move_bodies, read_bodies
-from tenscasadi.structure.subdivision import divide_strings
+from tenscasadi.structure.subdivision import average_segments, divide_strings
 from tenscasadi.util.read_only import ReadOnlyArrays, read_only
 from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import (
@@ -86,6 +87,11 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         Unstressed length of each elastic bar [m]. Default: its length in `nodes`.
     bodies : sequence of RigidBody
         Rigid bodies that hold some of the nodes.
+    cables : sequence of sequences of int
+        Strings of each cable in order, end to end. A cable has one tension and slides over the
+        nodes between its strings.
+    cable_friction : array_like, shape (cables,)
+        Coefficient of friction μ between each cable and the nodes it slides over.
     node_names, string_names, bar_names : sequence of str, optional
         Names, "" for unnamed items. ``"guys[0]"`` and ``"guys[1]"`` are members of the group
         ``"guys"``.
@@ -102,6 +108,8 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         Lengths in `nodes` [m].
     elastic : ndarray of bool, shape (β,)
         Whether a bar is elastic.
+    cable_of : ndarray of int, shape (α,)
+        Input of each string, of cables and lone strings by their first strings.
     bar_inertia : ndarray, shape (β,)
         J of each bar [kg] (Eq. 19).
     string_parent : ndarray of int, shape (α,)
@@ -141,6 +149,9 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
     bar_stiffness: Array
     bar_rest_length: Array
     bodies: tuple[RigidBody, ...]
+    cables: Cables
+    cable_friction: Array
+    cable_of: Indices
     elastic: np.ndarray[Any, np.dtype[np.bool_]]
     fixed: np.ndarray[Any, np.dtype[np.bool_]]
     held: np.ndarray[Any, np.dtype[np.bool_]]
@@ -173,6 +184,8 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         bar_stiffness: ArrayLike | None = None,
         bar_rest_length: ArrayLike | None = None,
         bodies: Iterable[RigidBody] = (),
+        cables: Iterable[Sequence[int]] = (),
+        cable_friction: ArrayLike = 0.0,
         node_names: Iterable[str] = (),
         string_names: Iterable[str] = (),
         bar_names: Iterable[str] = (),
@@ -188,18 +201,16 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         own["fixed"], own["held"] = read_axes(self.pinned, self.rollers, n)
         own["bar_lengths"] = member_lengths("bars", self.nodes, self.bars, "bar")
         own["string_lengths"] = member_lengths("strings", self.nodes, self.strings, "string")
-        beta, alpha = len(self.bars), len(self.strings)
-        given = {
-            **{"bar_mass": bar_mass, "bar_radius": bar_radius, "node_mass": node_mass},
-            **{"stiffness": stiffness, "damping": damping, "rest_length": rest_length},
-            **{"string_mass": string_mass, "bar_stiffness": bar_stiffness},
-            "bar_rest_length": bar_rest_length,
-        }
+        given: dict[str, Any] = {"bar_mass": bar_mass, "bar_radius": bar_radius}
+        given |= {"stiffness": stiffness, "damping": damping, "rest_length": rest_length}
+        given |= {"string_mass": string_mass, "bar_stiffness": bar_stiffness}
+        given |= {"bar_rest_length": bar_rest_length, "node_mass": node_mass}
         own.update(read_properties(given, n, self.bar_lengths, self.string_lengths))
         own["bodies"] = read_bodies(bodies, n)
+        own |= read_cables(cables, cable_friction, self.strings, self.damping)
         own["node_names"] = read_names("node_names", node_names, n)
-        own["string_names"] = read_names("string_names", string_names, alpha)
-        own["bar_names"] = read_names("bar_names", bar_names, beta)
+        own["string_names"] = read_names("string_names", string_names, len(self.strings))
+        own["bar_names"] = read_names("bar_names", bar_names, len(self.bars))
         own["_assembly"] = assemble_bodies(self)
         check_node_masses(
             self.node_mass,
@@ -209,9 +220,9 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         )
         layout = default_layout(n, self.bars, self.strings, np.flatnonzero(self.fixed.all(axis=1)))
         self._finish(
-            string_parent=np.arange(alpha),
-            string_fraction=np.ones(alpha),
-            coupled_mass=np.zeros(alpha),
+            string_parent=np.arange(len(self.strings)),
+            string_fraction=np.ones(len(self.strings)),
+            coupled_mass=np.zeros(len(self.strings)),
             _layout=layout,
         )
 
@@ -229,6 +240,7 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         own |= {name: dict(own[name]) for name in ("pinned", "rollers")}
         if not self.elastic.any():  # the defaults, for rigid bars
             own |= {"bar_stiffness": None, "bar_rest_length": None}
+        own["cables"] = [list(cable) for cable in self.cables]
         same = derived.keys() == plain.keys() and all(
             np.array_equal(derived[name], value) for name, value in plain.items()
         )
@@ -371,10 +383,7 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
             )
         if self.bodies and np.shape(changes.get("nodes", ())) == self.nodes.shape:
             changes.setdefault("bodies", move_bodies(self.bodies, self.nodes, changes["nodes"]))
-        for part in ("node", "string", "bar"):
-            own = getattr(self, f"{part}s")
-            if len(changes.get(f"{part}s", own)) != len(own):  # other items, other names
-                changes.setdefault(f"{part}_names", ())
+        reset_item_fields(self, changes)
         new = Structure(**{**{name: getattr(self, name) for name in PARAMETERS}, **changes})
         kept: dict[str, Any] = {}
         if np.array_equal(new.strings, self.strings):
@@ -471,14 +480,14 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
             Means, in the order of the parent strings.
         """
         array = rows_of_size("values", values, len(self.strings), "values of strings")
-        weight = np.zeros((len(self.strings), int(self.string_parent.max(initial=-1)) + 1))
-        weight[np.arange(len(self.strings)), self.string_parent] = self.string_fraction
-        return np.asarray(array @ (weight / weight.sum(axis=0)))
+        return average_segments(array, self.string_parent, self.string_fraction)
 
     def __repr__(self) -> str:
         parts = f"{len(self.nodes)} nodes, {len(self.bars)} bars, {len(self.strings)} strings"
-        bodies = f", {len(self.bodies)} bod{'y' if len(self.bodies) == 1 else 'ies'}"
-        return f"Structure({parts}, {len(self.pinned)} pinned{bodies if self.bodies else ''})"
+        cables = f", {len(self.cables)} cable{'s'[len(self.cables) == 1 :]}" if self.cables else ""
+        count = len(self.bodies)
+        bodies = f", {count} bod{'y' if count == 1 else 'ies'}" if count else ""
+        return f"Structure({parts}{cables}, {len(self.pinned)} pinned{bodies})"
 
     def __setattr__(self, name: str, value: Any) -> None:
         raise AttributeError(f"a Structure is immutable: use structure.replace({name}=...)")

@@ -64,6 +64,10 @@ def divide_strings(structure: Any, segments: Any, ends: Any, fractions: Any) -> 
     share = np.concatenate([np.zeros(0), *shares])
     if len(parent) == len(s.strings) and not s.string_mass.any():
         return None
+    for string in (string for cable in s.cables for string in cable if counts[string] > 1):
+        raise ValueError(
+            f"segments of string {string} is {counts[string]}: give 1, because a cable slides"
+        )
     for i in np.flatnonzero((np.array(counts) > 1) & (s.string_mass == 0.0)):
         raise ValueError(
             f"string_mass of string {i} is 0: give a mass, which the nodes between segments need"
@@ -79,6 +83,7 @@ def divide_strings(structure: Any, segments: Any, ends: Any, fractions: Any) -> 
         "damping": s.damping[parent] / share,
         "rest_length": s.rest_length[parent] * share,
         "string_mass": 0.0,
+        "cables": [np.searchsorted(parent, cable) for cable in s.cables],
     }
     derived = {
         "_layout": extend_layout(s._layout, len(s.nodes), strings, parent),
@@ -89,6 +94,13 @@ def divide_strings(structure: Any, segments: Any, ends: Any, fractions: Any) -> 
     if ends == "consistent":
         derived["coupled_mass"] = derived["coupled_mass"] + s.string_mass[parent] * share
     return Division(fields, derived)
+
+
+def average_segments(values: Array, parent: Indices, fraction: Array) -> Array:
+    """Average values (..., α) of segments over each parent string."""
+    weight = np.zeros((len(parent), int(parent.max(initial=-1)) + 1))
+    weight[np.arange(len(parent)), parent] = fraction
+    return np.asarray(values @ (weight / weight.sum(axis=0)))
 
 
 def cut_strings(

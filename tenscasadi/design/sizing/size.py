@@ -24,6 +24,7 @@ from tenscasadi.design.sizing.sized import Sized, report_failure, report_section
 from tenscasadi.design.sizing.stable import StableSizing
 from tenscasadi.design.tangent_stiffness import TangentStiffness
 from tenscasadi.scene.loads import Gravity
+from tenscasadi.structure.cables import reject_cables
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import (
     Array,
@@ -109,6 +110,7 @@ def size(
     (8.858, ('yield', 'buckling'))
     """
     instance("structure", structure, Structure, "a tenscasadi.Structure")
+    reject_cables(structure, "size")
     sections = _read_sections(structure, string, bar, tube, minimum_area)
     flag("stable", stable)
     cases = read_load_cases(load_cases, structure)

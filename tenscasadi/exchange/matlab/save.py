@@ -11,6 +11,7 @@ import numpy as np
 from tenscasadi.exchange.matlab.mat_file import write_mat
 from tenscasadi.schema.stored import array_fields
 from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.structure.cables import reject_cables
 from tenscasadi.structure.class_one import connectivity
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.renamed import rename_keywords
@@ -81,6 +82,7 @@ def save_mat(
     if isinstance(data, Structure):
         if data.bodies:
             raise ValueError("bodies have no counterpart in MATLAB tools: use tc.save_scene")
+        reject_cables(data, "save_mat")
         return write_mat(path, _build_split(data) if class_one else _build_physical(data))
     if class_one:
         raise ValueError("class_one is True for a trajectory, which is never split: leave it out")

@@ -17,7 +17,8 @@ from tenscasadi.exchange.mjcf.body_tree import build_tree, find_held_directions
 from tenscasadi.exchange.mjcf.writer import AXIAL, MjcfWriter
 from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.strings import Smooth
+from tenscasadi.scene.strings import Smooth, Tension
+from tenscasadi.structure.cables import reject_cables
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import (
     Array,
@@ -133,6 +134,11 @@ def _check_scene(scene: Scene) -> None:
     for name, cure in others.items():
         if getattr(scene, name) is not None:
             raise ValueError(f"Scene.{name} has no counterpart in MJCF: {cure}")
+    reject_cables(scene.structure, "export_mjcf")
+    if isinstance(scene.control, Tension):
+        raise ValueError(
+            "Scene.control is Tension(), which export_mjcf does not take: give ForceDensity()"
+        )
     if scene.gravity is not None and scene.gravity.varies:
         raise ValueError(
             "Scene.gravity changes over time, in MJCF it is constant: give one acceleration"

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.events import build_switching
 from tenscasadi.integrators.scheme import extent
-from tenscasadi.scene.strings import ForceDensity
 from tenscasadi.simulation.engine.request import FINISHED, WORST
 from tenscasadi.simulation.engine.roll import Runs
 from tenscasadi.simulation.inputs.resolution import describe_unresolved
@@ -173,9 +172,11 @@ def _measure_runs(runs: Runs) -> Measures:
     size = size + sum(
         abs(largest[name]) for name in ("elastic_high", "gravity_low", "gravity_high")
     )
-    if isinstance(inputs.model.scene.control, ForceDensity):  # its strings store no energy
+    control = inputs.model.scene.control
+    if control is not None and control.commands_forces:  # strings store no energy
         u = inputs.controls if inputs.feedback is None else inputs.feedback.controls[None]
-        size = size + np.abs(u).max(axis=1).sum(axis=1) * extent(inputs.model) ** 2
+        power = 2 if control.unit == "N/m" else 1
+        size = size + np.abs(u).max(axis=1).sum(axis=1) * extent(inputs.model) ** power
     single = isinstance(request.compiled, Single)
     rounding = _rounding_energy(inputs.model, size, inputs.grid.t_end, single)
     error = np.where(largest["energy_error"] > rounding, largest["energy_error"], 0.0)

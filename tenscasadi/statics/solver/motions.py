@@ -98,7 +98,7 @@ def neutral_motions(system: NewtonSystem, point: StaticPoint, tension: Array) ->
     equations = system.equations
     motions = equations.free.T @ rigid_body_motions(equations.structure, point.nodes)
     # members keep their lengths: only their forces and the loads contribute stiffness
-    rigid = point._replace(slope=0 * point.slope)
+    rigid = point._replace(slope=0 * point.slope, coupling=0 * point.coupling)
     K = system.tangent(rigid, tension) + system.load_tangent(point)
     return idle_combinations(motions, K @ motions, NEUTRAL * float(np.sqrt((K.data**2).sum())))
 

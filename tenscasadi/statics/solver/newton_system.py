@@ -38,11 +38,13 @@ class NewtonSystem:
         pairs = np.concatenate([equations.spring_pairs, equations.rigid_pairs])
         self.size, self.rigid = int(equations.free.shape[1]), len(equations.rigid_pairs)
         rows, columns = equations.load_pattern
-        self._first_load = 9 * len(pairs)
+        self._first_load = 9 * (len(pairs) + len(equations.coupled))
         self._first_direction = self._first_load + len(rows)
         self._sources = self._first_direction + 3 * self.rigid + 2  # then the shift and the slack
         loads = MatrixEntries(rows, columns, np.arange(len(rows)), -np.ones(len(rows)))
-        self._members = member_entries(pairs).project(equations.free)
+        coupling = coupling_entries(equations.spring_pairs, equations.coupled)
+        members = join_entries(member_entries(pairs), coupling.shift(source=9 * len(pairs)))
+        self._members = members.project(equations.free)
         self._loads = loads.shift(source=self._first_load).project(equations.free)
         lengthening = direction_entries(equations.rigid_pairs).multiply_basis(equations.free)
         self._lengthening = lengthening.shift(source=self._first_direction)
@@ -58,7 +60,9 @@ class NewtonSystem:
 
         Blocks γ I + c v vᵀ are those of springs, then of rigid bars.
         """
-        return self._only_members.fill(member_blocks(gamma, along, vectors).ravel())
+        values = np.zeros(self._first_load)
+        values[: 9 * len(gamma)] = member_blocks(gamma, along, vectors).ravel()
+        return self._only_members.fill(values)
 
     def load_tangent(self, point: StaticPoint) -> Any:
         """Build the unsymmetric part of K, due to loads."""
@@ -84,9 +88,17 @@ class NewtonSystem:
         It is due to the change of the magnitude of spring forces.
         """
         pairs = self.equations.spring_pairs
-        blocks = member_blocks(np.zeros(len(pairs)), 2 * point.slope, point.springs)
+        coupled = self.equations.coupled
+        blocks = np.concatenate(
+            [
+                member_blocks(np.zeros(len(pairs)), 2 * point.slope, point.springs),
+                coupling_blocks(point, coupled),
+            ]
+        )
         size = point.nodes.size
-        pattern = SparsePattern(member_entries(pairs), (size, size), blocks.size)
+        coupling = coupling_entries(pairs, coupled).shift(source=9 * len(pairs))
+        entries = join_entries(member_entries(pairs), coupling)
+        pattern = SparsePattern(entries, (size, size), blocks.size)
         return sp.csr_array(pattern.fill(blocks.ravel()))
 
     def nodal_loads(self, point: StaticPoint) -> sp.csr_array:
@@ -209,7 +221,11 @@ class NewtonSystem:
         along = np.concatenate([2 * point.slope, np.full(self.rigid, penalty)])
         vectors = np.concatenate([point.springs, units])
         values = np.zeros(self._sources)
-        values[: self._first_load] = member_blocks(gamma, along, vectors).ravel()
+        blocks = (
+            member_blocks(gamma, along, vectors),
+            coupling_blocks(point, self.equations.coupled),
+        )
+        values[: self._first_load] = np.concatenate(blocks).ravel()
         values[self._first_load : self._first_direction] = point.load_slopes
         values[self._first_direction : -2] = units.ravel()
         return values
@@ -368,6 +384,37 @@ def member_entries(pairs: Indices) -> MatrixEntries:
         )
     ]
     return join_entries(*parts)
+
+
+def coupling_blocks(point: StaticPoint, coupled: Indices) -> Array:
+    """Compute the stiffness blocks (pairs, 3, 3) between strings of one cable.
+
+    A block is 2 (∂γ_i/∂s_j²) s_i s_jᵀ.
+    """
+    first, second = point.springs[coupled[:, 0]], point.springs[coupled[:, 1]]
+    return np.asarray((2 * point.coupling[:, None] * first)[:, :, None] * second[:, None, :])
+
+
+def coupling_entries(pairs: Indices, coupled: Indices) -> MatrixEntries:
+    """Build the matrix entries (3n × 3n) of blocks between two members each.
+
+    The source of the values is one block (3, 3) after the other. The matrix is symmetric.
+    """
+    one, other = 3 * pairs[coupled.T]  # (coupled, ends)
+    source = np.arange(9 * len(coupled)).reshape(-1, 3, 3)
+    a, b = np.arange(3)[:, None], np.arange(3)
+    parts = [
+        MatrixEntries(
+            (one[:, i, None, None] + a + 0 * b + 0 * source).ravel(),
+            (other[:, j, None, None] + 0 * a + b + 0 * source).ravel(),
+            source.ravel(),
+            np.full(source.size, 1.0 if i == j else -1.0),
+        )
+        for i in (0, 1)
+        for j in (0, 1)
+    ]
+    half = join_entries(*parts)
+    return join_entries(half, half.transpose())
 
 
 def direction_entries(pairs: Indices) -> MatrixEntries:

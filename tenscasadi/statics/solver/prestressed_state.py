@@ -126,7 +126,10 @@ class PrestressedState:
         moved = equations.spring_vectors((equations.free @ y).reshape(-1, 3))
         squared = np.einsum("ij,ij->i", point.springs, point.springs)
         along = point.gamma + 2 * point.slope * squared  # stiffness along the member
-        pull = along * np.einsum("ij,ij->i", moved, point.springs) / squared  # Δt/l
+        stretch = np.einsum("ij,ij->i", moved, point.springs)  # l Δl
+        pull = along * stretch / squared  # Δt/l
+        for one, other in (equations.coupled.T, equations.coupled.T[::-1]):
+            np.add.at(pull, one, 2 * point.coupling * stretch[other])
         density = np.concatenate([pull, tension / equations.lengths])
         vectors = np.concatenate([point.springs, point.bars])
         squared = np.einsum("ij,ij->i", vectors, vectors)

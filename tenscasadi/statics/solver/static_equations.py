@@ -27,6 +27,7 @@ from tenscasadi.dynamics.forces import (
 from tenscasadi.dynamics.masses import node_weights
 from tenscasadi.scene.binding import bind, with_fields
 from tenscasadi.scene.scene import Scene
+from tenscasadi.structure.cables import pair_strings
 from tenscasadi.structure.class_one import connectivity
 from tenscasadi.structure.equilibrium_matrix import free_directions
 from tenscasadi.util.casadi_tools import ArrayFunction
@@ -91,6 +92,9 @@ class StaticPoint(NamedTuple):
         Vectors of strings and elastic bars, and of rigid bars [m].
     gamma, slope : ndarray (·,)
         Force densities γ of springs [N/m], and their derivatives by the squared lengths.
+    coupling : ndarray (pairs,)
+        Derivative of γ of the first string of a pair by the squared length of the second, for
+        pairs of strings in one cable.
     ground : ndarray (n, 3)
         Forces of the grounds on nodes [N].
     loads : ndarray (n, 3)
@@ -106,6 +110,7 @@ class StaticPoint(NamedTuple):
     bars: Array
     gamma: Array
     slope: Array
+    coupling: Array
     ground: Array
     loads: Array
     applied: Array
@@ -126,6 +131,8 @@ class StaticEquations:
         The structure with subdivided strings.
     rigid, elastic : ndarray of int
         Rigid and elastic bars.
+    coupled : ndarray of int (pairs, 2)
+        Pairs of strings in one cable.
     free : csr_array (3n, free coordinates)
         Displacements that pins and rollers allow.
     """
@@ -135,6 +142,7 @@ class StaticEquations:
         s = self.structure
         self.rigid, self.elastic = np.flatnonzero(~s.elastic), np.flatnonzero(s.elastic)
         count = len(s.nodes)
+        self.coupled = pair_strings(s.cables)
         self.spring_pairs = np.concatenate([s.strings, s.bars[self.elastic]])
         self.rigid_pairs: Indices = s.bars[self.rigid]
         self.lengths = s.bar_lengths[self.rigid]
@@ -192,10 +200,10 @@ class StaticEquations:
     def at(self, nodes: Array, given: Conditions) -> StaticPoint:
         """Compute forces at nodes (n, 3)."""
         springs, bars = self._across @ nodes, self._across_bars @ nodes
-        gamma, slope = np.zeros((2, len(springs)))
+        gamma, slope, coupling = np.zeros(0), np.zeros(0), np.zeros(0)
         if len(springs):
             squared = np.einsum("ij,ij->i", springs, springs)
-            gamma, slope = (part.ravel() for part in self._laws(squared, given.inputs))
+            gamma, slope, coupling = (part.ravel() for part in self._laws(squared, given.inputs))
         pressing = nodes if given.pressing is None else given.pressing
         loads, ground, *slopes = self._loads(
             nodes, pressing, given.anchor, *given.instant, given.inputs
@@ -205,7 +213,9 @@ class StaticEquations:
         loads, ground = loads.reshape(nodes.shape) + given.added, ground.reshape(nodes.shape)
         applied = loads - self._across.T @ (gamma[:, None] * springs)
         entries = np.concatenate([part.ravel() for part in slopes])
-        return StaticPoint(nodes, springs, bars, gamma, slope, ground, loads, applied, entries)
+        return StaticPoint(
+            nodes, springs, bars, gamma, slope, coupling, ground, loads, applied, entries
+        )
 
     def in_free_directions(self, forces: Array) -> Array:
         """Project nodal forces (n, 3) onto the free coordinates."""
@@ -284,7 +294,8 @@ class StaticEquations:
             row = squared[:, :count]
             strings = StringForces(scene, columns, u)
             if corner and strings.switch_count:
-                lengths = ca.sqrt(row[:, scene.switching_strings.tolist()])
+                first = scene.first_strings[scene.switching_inputs]
+                lengths = ca.sqrt(row[:, first.tolist()])
                 taut = strings.excess_lengths(row) >= -_CORNER * lengths
                 strings = replace(strings, mode=taut)
             parts.append(strings.law_density(row))
@@ -298,7 +309,7 @@ class StaticEquations:
         It has a column of N for each node.
         """
         n = len(self.structure.nodes)
-        weights = node_weights(self.scene).expression(w[self.scene.nu :])
+        weights = node_weights(self.scene).expression(w[self.scene.nu :, :])  # a column, if empty
         row = ca.repmat(weights.T, 1, n // weights.shape[0])
         every = np.arange(n)
         return NodeColumns(self.structure.nodes.T, every, every, self.structure.bars, row)
@@ -309,11 +320,21 @@ class StaticEquations:
 
     @cached_property
     def _laws(self) -> ArrayFunction:
-        """Function (squared lengths, w) → γ, dγ/d(squared length)."""
+        """Function (squared lengths, w) → γ, dγ/d(squared length), coupling of cables."""
         squared, w = self._law_symbols
         gamma, taut = (self._densities(squared, w, corner) for corner in (False, True))
-        slope = ca.jtimes(taut, squared, ca.DM.ones(*squared.shape))
-        return ArrayFunction(ca.Function("laws", [squared, w], [gamma, ca.densify(slope)]))
+        if not len(self.coupled):
+            slope = ca.jtimes(taut, squared, ca.DM.ones(*squared.shape))
+            return ArrayFunction(
+                ca.Function("laws", [squared, w], [gamma, ca.densify(slope), ca.DM(0, 1)])
+            )
+        size = squared.shape[1]
+        first, second = ([*range(size), *self.coupled[:, side].tolist()] for side in (0, 1))
+        pattern, place = ca.Sparsity.triplet(size, size, first, second, False)
+        entries = ca.project(ca.jacobian(taut, squared), pattern).nz[:]
+        slopes = entries[np.argsort(place).tolist()]
+        outputs = [gamma, *ca.vertsplit(ca.densify(slopes), [0, size, slopes.shape[0]])]
+        return ArrayFunction(ca.Function("laws", [squared, w], outputs))
 
     @cached_property
     def _law_changes(self) -> ArrayFunction:

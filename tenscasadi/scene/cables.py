@@ -1,0 +1,177 @@
+"""Cables: one tension along strings that slide over nodes.
+
+A cable is one string law of the length L = Σ |s_i|, with the rest length Σ ρ_i and the compliance
+Σ 1/k_i. Its force densities are γ_i = T/|s_i|. An *input* is a cable or a lone string, because
+each of them has one control.
+"""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from tenscasadi.structure.cables import add_compliances, find_directions, select_first
+from tenscasadi.util.casadi_tools import constant_row, is_expression, sparse
+
+# Sliding velocity [m/s] below which friction is regularized, as `slip_speed` of the grounds.
+SLIP_SPEED = 1e-3
+# Sine of the smallest angle of wrap. The angle between parallel directions has no derivative.
+SMALLEST_SINE = 1e-9
+
+
+class CableRows:
+    """Conversion between rows of strings (1×α) and of inputs (1×m).
+
+    Parameters
+    ----------
+    structure : Structure
+        Modeled structure with cables, whose constants may be expressions.
+    """
+
+    def __init__(self, structure: Any) -> None:
+        s = self.structure = structure
+        self.cabled = [string for cable in s.cables for string in cable]
+        self.lone = np.setdiff1d(np.arange(len(s.strings)), self.cabled).tolist()
+        sizes = [len(cable) for cable in s.cables]
+        incidence = np.repeat(np.eye(len(sizes)), sizes, axis=0)
+        self.incidence = sparse(incidence)  # cabled strings × cables
+        first = [*self.lone, *(cable[0] for cable in s.cables)]
+        self.order = np.argsort(s.cable_of[first]).tolist()
+        self.strings = np.argsort([*self.lone, *self.cabled]).tolist()
+
+    # --- constants of inputs ---
+
+    def constants(self) -> Any:
+        """Compute the constants (m,) or (1×m) of inputs, under the names of `Structure`."""
+        s = self.structure
+        first = select_first(s.cable_of)
+        return SimpleNamespace(
+            stiffness=self._constants(s.stiffness, series=True),
+            damping=self._constants(s.damping, series=True),
+            rest_length=self._constants(s.rest_length),
+            string_parent=s.string_parent[first],
+            string_fraction=s.string_fraction[first],
+        )
+
+    def _constants(self, values: Any, series: bool = False) -> Any:
+        """Add the values of strings, or their inverses if in `series`."""
+        if is_expression(values):
+            row = ca.repmat(values, 1, len(self.structure.strings) // values.shape[1])
+            return self._join(
+                row[:, self.lone],
+                1 / self._add(1 / row[:, self.cabled])
+                if series
+                else self._add(row[:, self.cabled]),
+            )
+        if series:
+            return add_compliances(self.structure.cable_of, values)
+        return np.bincount(self.structure.cable_of, weights=values)
+
+    # --- rows of inputs ---
+
+    def sum(self, row: Any) -> Any:
+        """Add a row of strings over each input."""
+        return self._join(row[:, self.lone], self._add(row[:, self.cabled]))
+
+    def squared_lengths(self, squared: Any) -> Any:
+        """Compute the squared lengths (1×m) [m²] from those of strings."""
+        return self._join(squared[:, self.lone], self._add(self._lengths(squared)) ** 2)
+
+    def rates(self, squared: Any, rates: Any) -> Any:
+        """Compute L dL/dt (1×m) [m²/s] from sᵀṡ of strings."""
+        lengths = self._lengths(squared)
+        speeds = rates[:, self.cabled] / lengths
+        return self._join(rates[:, self.lone], self._add(lengths) * self._add(speeds))
+
+    # --- rows of strings ---
+
+    def force_densities(self, gamma: Any, squared: Any) -> Any:
+        """Compute γ (1×α) of strings from T/L (1×m) of inputs [N/m]."""
+        inverse = np.argsort(self.order).tolist()
+        own = gamma[:, inverse]
+        lone, cables = own[:, : len(self.lone)], own[:, len(self.lone) :]
+        lengths = self._lengths(squared)
+        tension = ca.mtimes(cables * self._add(lengths), self.incidence.T)
+        return ca.horzcat(lone, tension / lengths)[:, self.strings]
+
+    def friction_ratios(self, S: Any, V: Any, driven: bool) -> Any:
+        """Compute the tension of each string over that without friction.
+
+        Parameters
+        ----------
+        S, V : casadi matrix, shape (3, α)
+            String vectors [m], and their velocities [m/s].
+        driven : bool
+            Whether the tension of the first string is given. Its ratio is 1 then.
+
+        Returns
+        -------
+        casadi row, shape (1, α)
+            Ratios r_i/Σ w_i r_i with the weights w_i = |s_i|/L, or r_i/r_1 if `driven`.
+
+        Notes
+        -----
+        Over each node, T₁ = T₂ exp(μ θ v/√(v² + v_s²)) (Euler–Eytelwein). θ is the angle between
+        the directions of travel. v is the velocity of the cable from string 2 to string 1, if the
+        strain is the same along the cable. The tension Σ w_i T_i is that without friction, so
+        elastic energy plus Σ (T₁ − T₂) v ≥ 0 is the work of the cable.
+        """
+        s = self.structure
+        ratios: list[Any] = [ca.DM(1)] * len(s.strings)
+        squared = ca.sum1(S * S)
+        lengths = ca.sqrt(squared + (1e-9 * constant_row(s.rest_length)) ** 2)
+        speeds = ca.sum1(S * V) / lengths
+        for cable, friction in zip(s.cables, s.cable_friction.tolist(), strict=True):
+            if friction and len(cable) > 1:
+                own = list(cable)
+                signs = [
+                    1.0 if int(s.strings[string, 0]) == start else -1.0
+                    for string, (start, _) in zip(own, find_directions(s.strings, own), strict=True)
+                ]
+                directions = S[:, own] * ca.repmat(ca.DM(signs).T / lengths[:, own], 3, 1)
+                found = _tension_ratios(
+                    friction, lengths[:, own], speeds[:, own], directions, driven
+                )
+                for string, ratio in zip(own, ca.horzsplit(found), strict=True):
+                    ratios[string] = ratio
+        return ca.horzcat(*ratios)
+
+    def _lengths(self, squared: Any) -> Any:
+        """Compute the lengths (1×·) of strings in cables [m].
+
+        They are regularized like those of string laws.
+        """
+        unit = constant_row(self.structure.rest_length)
+        if unit.shape[1] > 1:
+            unit = unit[:, self.cabled]
+        return ca.sqrt(squared[:, self.cabled] + (1e-9 * unit) ** 2)
+
+    def _add(self, row: Any) -> Any:
+        return ca.mtimes(row, self.incidence)
+
+    def _join(self, lone: Any, cables: Any) -> Any:
+        return ca.horzcat(lone, cables)[:, self.order]
+
+
+def _tension_ratios(
+    friction: float, lengths: Any, speeds: Any, directions: Any, driven: bool
+) -> Any:
+    """Compute the ratios (1×q) of tensions along one cable.
+
+    Lengths (1×q) [m], their rates (1×q) [m/s] and unit directions of travel (3×q) are given.
+    """
+    count = lengths.shape[1]
+    share = lengths / ca.sum2(lengths)
+    slips = ca.cumsum(speeds - share * ca.sum2(speeds), 1)
+    exponents = [ca.DM(0)]
+    for j in range(count - 2, -1, -1):
+        a, b, v = directions[:, j], directions[:, j + 1], slips[:, j]
+        across = ca.cross(a, b)
+        angle = ca.atan2(ca.sqrt(ca.dot(across, across) + SMALLEST_SINE**2), ca.dot(a, b))
+        sign = v / ca.sqrt(v * v + SLIP_SPEED**2)
+        exponents.insert(0, exponents[0] + friction * angle * sign)
+    ratios = ca.exp(ca.horzcat(*exponents))
+    return ratios / (ratios[:, 0] if driven else ca.sum2(share * ratios))

@@ -1,0 +1,174 @@
+"""Cables: strings that slide over nodes as one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from tenscasadi.util.validate import (
+    Array,
+    Indices,
+    as_tuple,
+    node_index,
+    nonnegative,
+    per_item,
+)
+
+Cables = tuple[tuple[int, ...], ...]  # strings of each cable, in order
+
+
+def read_cables(given: Any, friction: Any, strings: Indices, damping: Array) -> dict[str, Any]:
+    """Read the cables of a structure.
+
+    Parameters
+    ----------
+    given : sequence of sequences of int
+        Strings of each cable, in order.
+    friction : array_like, shape (cables,)
+        Coefficient of friction of each cable.
+    strings : ndarray of int, shape (α, 2)
+        End nodes of the strings.
+    damping : ndarray, shape (α,)
+        Damping of the strings [N·s/m].
+
+    Returns
+    -------
+    dict of str to object
+        Attributes of `Structure`: `cables`, `cable_friction` and `cable_of`.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the strings of a cable do not meet end to end, or a string is in two cables.
+    """
+    rows = as_tuple("cables", given, "[[0, 1, 2]]")
+    cables = tuple(_read_cable(f"cables[{k}]", row, len(strings)) for k, row in enumerate(rows))
+    owner: dict[int, int] = {}
+    for k, cable in enumerate(cables):
+        for string in cable:
+            if owner.setdefault(string, k) != k or cable.count(string) > 1:
+                raise ValueError(
+                    f"cables[{k}] has string {string}, which is in cables[{owner[string]}] already: "
+                    "give each string once"
+                )
+        find_directions(strings, cable, f"cables[{k}]")
+        damped = damping[list(cable)] > 0
+        if damped.any() and not damped.all():
+            raise ValueError(
+                f"damping of string {cable[int(np.argmin(damped))]} is 0: "
+                f"give damping to all strings of cables[{k}], or to none"
+            )
+    coefficients = nonnegative(
+        "cable_friction", per_item("cable_friction", friction, len(cables)), "cable"
+    )
+    return {
+        "cables": cables,
+        "cable_friction": coefficients,
+        "cable_of": _number_inputs(cables, len(strings)),
+    }
+
+
+def find_directions(
+    strings: Indices, cable: Sequence[int], field: str = "cables"
+) -> list[tuple[int, int]]:
+    """Find the nodes of each string of a cable, in the direction of travel.
+
+    Raises ValueError if the strings do not meet end to end.
+    """
+    first, *others = cable
+    a, b = strings[first].tolist()
+    for start, end in ((a, b), (b, a)):
+        path = [(start, end)]
+        for string in others:
+            ends = strings[string].tolist()
+            if path[-1][1] not in ends:
+                break
+            path.append((ends[0], ends[1]) if ends[0] == path[-1][1] else (ends[1], ends[0]))
+        if len(path) == len(cable):
+            return path
+    raise ValueError(
+        f"{field} is {list(cable)}: give strings that meet end to end, in order, "
+        f"because {_describe(strings, cable)}"
+    )
+
+
+def wrap_angles(structure: Any, cable: Sequence[int]) -> Array:
+    """Compute the angles (q − 1,) between the directions of travel of a cable [rad]."""
+    path = np.array(find_directions(structure.strings, cable))
+    vectors = structure.nodes[path[:, 1]] - structure.nodes[path[:, 0]]
+    across = np.linalg.norm(np.cross(vectors[:-1], vectors[1:]), axis=1)
+    along = np.einsum("ij,ij->i", vectors[:-1], vectors[1:])
+    return np.asarray(np.arctan2(across, along))
+
+
+def select_first(cable_of: Indices) -> Indices:
+    """Select one string for each input: lone strings, and one of each cable."""
+    return np.unique(cable_of, return_index=True)[1].astype(np.intp)
+
+
+def add_compliances(cable_of: Indices, stiffness: Array) -> Array:
+    """Compute the stiffness (m,) of springs (α,) in series, by cable [N/m]."""
+    with np.errstate(divide="ignore"):
+        return np.asarray(1 / np.bincount(cable_of, weights=1 / stiffness))
+
+
+def pair_strings(cables: Cables) -> Indices:
+    """List the pairs (k, 2) of strings in one cable, each pair once."""
+    pairs = [pair for cable in cables for pair in combinations(cable, 2)]
+    return np.array(pairs, dtype=np.intp).reshape(-1, 2)
+
+
+def density_basis(structure: Any) -> Any:
+    """Build the force densities of a tension in each input and bar.
+
+    Returns
+    -------
+    csc_array, shape (α + β, m + β)
+        Orthonormal columns, one for each cable and lone string, then for each bar. The strings of a
+        cable have one tension without friction, so that their force densities are inverse to their
+        lengths.
+    """
+    alpha, bars = len(structure.strings), len(structure.bars)
+    columns = np.append(
+        structure.cable_of, structure.cable_of.max(initial=-1) + 1 + np.arange(bars)
+    )
+    values = np.ones(alpha + bars)
+    for cable in structure.cables:
+        own = 1.0 / structure.string_lengths[list(cable)]
+        values[list(cable)] = own / np.linalg.norm(own)
+    return sp.csc_array((values, (np.arange(alpha + bars), columns)))
+
+
+def reject_cables(structure: Any, user: str) -> None:
+    """Raise ValueError if a structure has cables, which a function does not take."""
+    if structure.cables:
+        raise ValueError(
+            f"Structure.cables has {len(structure.cables)} cables, which {user} does not take: "
+            "give structure.replace(cables=())"
+        )
+
+
+def _read_cable(field: str, given: Any, count: int) -> tuple[int, ...]:
+    entries = as_tuple(field, given, "[0, 1, 2]")
+    if not entries:
+        raise ValueError(f"{field} is empty: give its strings, or remove it")
+    return tuple(
+        node_index(f"{field}[{k}]", entry, count, "string") for k, entry in enumerate(entries)
+    )
+
+
+def _number_inputs(cables: Cables, count: int) -> Indices:
+    """Assign an input to each string, in the order of first strings."""
+    first = np.arange(count)
+    for cable in cables:
+        first[list(cable)] = cable[0]
+    return np.unique(first, return_inverse=True)[1].astype(np.intp).reshape(count)
+
+
+def _describe(strings: Indices, cable: Sequence[int]) -> str:
+    parts = [f"string {k} joins nodes {strings[k, 0]} and {strings[k, 1]}" for k in cable]
+    return ", ".join(parts[:4]) + (" …" if len(parts) > 4 else "")
