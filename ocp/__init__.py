@@ -29,6 +29,7 @@ from ocp.problem.bounds.string_bounds import (
 )
 from ocp.problem.costs import Duration, Effort, Prestress, Smoothness, Work
 from ocp.problem.expressions import AtEnd, Constraint, Integral
+from ocp.problem.goals.body_goals import BodyOrientation
 from ocp.problem.goals.goal import Shape, SoftGoal, StringLengths
 from ocp.problem.goals.node_goals import AtRest, CenterOfMass, NodePositions, NodeVelocities
 from ocp.problem.goals.periodic import Periodic
@@ -63,6 +64,7 @@ __all__ = [
     "NodePositions",
     "NodeVelocities",
     "Shape",
+    "BodyOrientation",
     "CenterOfMass",
     "AtRest",
     "Periodic",

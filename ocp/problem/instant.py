@@ -10,6 +10,7 @@ import numpy as np
 
 from ocp.problem.control import controls_rest_lengths
 from ocp.problem.rows import column_norms
+from tenscasadi.dynamics.body_motion import body_frame
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array, nonnegative, per_item
 
@@ -61,6 +62,37 @@ class Instant:
     def velocities(self) -> Any:
         """Node velocities of the scene's structure, 3×n [m/s]."""
         return self.model.velocities(self.state).T[:, : len(self.model.scene.structure.nodes)]
+
+    def orientation(self, body: int) -> Any:
+        """Compute the rotation matrix (3×3) of a rigid body from the structure's nodes.
+
+        Parameters
+        ----------
+        body : int
+            Index of the body in ``Structure.bodies``.
+
+        Returns
+        -------
+        casadi.SX or casadi.MX, shape (3, 3)
+            Rotation matrix.
+        """
+        return body_frame(self.model.scene.structure, body).rotation(self.nodes)
+
+    def angular_velocity(self, body: int) -> Any:
+        """Compute the angular velocity of a rigid body.
+
+        Parameters
+        ----------
+        body : int
+            Index of the body in ``Structure.bodies``.
+
+        Returns
+        -------
+        casadi.SX or casadi.MX, shape (3,)
+            Angular velocity along x, y and z [rad/s].
+        """
+        frame = body_frame(self.model.scene.structure, body)
+        return frame.angular_velocity(self.nodes, self.velocities)
 
     @cached_property
     def lengths(self) -> Any:

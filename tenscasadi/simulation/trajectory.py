@@ -10,10 +10,12 @@ from typing import Annotated, Any
 import casadi as ca
 import numpy as np
 
+from tenscasadi.dynamics.body_motion import body_angular_velocity, body_orientation
 from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.scene import Scene
 from tenscasadi.schema.stored import array_fields, check_indices
 from tenscasadi.simulation.scene_result import SceneResult, format_largest
+from tenscasadi.structure.structure import Structure
 from tenscasadi.util.tables import Quantity, Tabular
 from tenscasadi.util.validate import LARGEST, Array, Indices
 from tenscasadi.util.viewable import Viewable
@@ -146,6 +148,52 @@ class Trajectory(
 
     def __repr__(self) -> str:
         return f"Trajectory({len(self.time)} rows, {self.nodes.shape[1]} nodes, t = {self.time[0]:g} … {self.time[-1]:g} s, success={self.success})"
+
+    def orientation(self, body: int) -> Array:
+        """Compute the orientation of a rigid body.
+
+        Parameters
+        ----------
+        body : int
+            Index of the body in ``Structure.bodies``.
+
+        Returns
+        -------
+        ndarray, shape (T, 3, 3)
+            Rotation matrices from the structure's nodes to those of each row.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If there is no such body, it is a thin rod, or the trajectory has no scene.
+        """
+        return body_orientation(self._require_structure(), body, self.nodes)
+
+    def angular_velocity(self, body: int) -> Array:
+        """Compute the angular velocity of a rigid body.
+
+        Parameters
+        ----------
+        body : int
+            Index of the body in ``Structure.bodies``.
+
+        Returns
+        -------
+        ndarray, shape (T, 3)
+            Angular velocities along x, y and z [rad/s].
+
+        Raises
+        ------
+        TypeError, ValueError
+            If there is no such body, it is a thin rod, or the trajectory has no scene.
+        """
+        structure = self._require_structure()
+        return body_angular_velocity(structure, body, self.nodes, self.velocities)
+
+    def _require_structure(self) -> Structure:
+        if self.scene is None:
+            raise ValueError("the trajectory has no scene, and so no bodies: simulate it again")
+        return self.scene.structure
 
     def summary(self) -> str:
         """Format the ending, errors and speed of the run.

@@ -56,20 +56,28 @@ def semidefinite_inverse(S: Array) -> Array:
 
 
 def fit_rotation(vectors: Array, others: Array) -> Array:
-    """Find the rotation (3, 3) that turns vectors (n, 3) nearest to others (Kabsch, 1976)."""
-    left, _, right = np.linalg.svd(others.T @ vectors)
-    handed = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right)) or 1.0])
-    return np.asarray((left * handed) @ right)
+    """Find the rotation (…, 3, 3) that turns vectors (n, 3) nearest to others (…, n, 3).
+
+    Kabsch, Acta Crystallographica A32 (1976), 922.
+    """
+    left, _, right = np.linalg.svd(np.swapaxes(others, -1, -2) @ vectors)
+    handed = np.ones(left.shape[:-1])
+    handed[..., 2] = np.where(np.linalg.det(left @ right) < 0.0, -1.0, 1.0)
+    return np.asarray((left * handed[..., None, :]) @ right)
 
 
 def fit_velocities(places: Array, velocities: Array) -> tuple[Array, Array]:
-    """Find the mean velocity (3,) and angular velocity (3,) nearest to velocities (n, 3).
+    """Find the mean and the angular velocity (…, 3) nearest to velocities (…, n, 3).
 
-    The angular velocity is the least-squares one about the mean of the places (n, 3).
+    The angular velocity is the least-squares one about the mean of the places (…, n, 3).
     """
-    arms, drift = places - places.mean(axis=0), velocities.mean(axis=0)
-    inertia = (arms**2).sum() * np.eye(3) - arms.T @ arms
-    return drift, np.linalg.pinv(inertia) @ np.cross(arms, velocities - drift).sum(axis=0)
+    arms = places - places.mean(axis=-2, keepdims=True)
+    drift = velocities.mean(axis=-2)
+    squares = np.swapaxes(arms, -1, -2) @ arms
+    inertia = np.trace(squares, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - squares
+    momentum = np.cross(arms, velocities - drift[..., None, :]).sum(axis=-2)
+    spin = np.linalg.pinv(inertia, hermitian=True) @ momentum[..., None]
+    return drift, np.asarray(spin[..., 0])
 
 
 def null_space(A: Array, tolerance: float) -> Array:

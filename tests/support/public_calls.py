@@ -108,6 +108,14 @@ STRING_VALUES = {
     "string_mass": 0.1,
 }
 
+
+@cache
+def body_run() -> tc.Trajectory:
+    """A rigid body at rest."""
+    structure = tc.Structure(NODES, bodies=[tc.RigidBody(range(4), 1.0)])
+    return tc.simulate(tc.Model(tc.Scene(structure)), 0.1, 0.05, compiled=False)
+
+
 SIMULATION = {
     **{
         "scene": tc.Scene(tc.Structure(**MEMBERS)),
@@ -146,6 +154,7 @@ def dynamics_calls() -> dict[str, Call]:
              "pressure": tc.Pressure([(0, 1, 2)], 5.0), "forces": tc.NodalForce(np.ones((4, 3))), "slack": tc.Smooth(0.01)}  # fmt: skip
     found: dict[str, Call] = {
         "Structure": (tc.Structure, MEMBERS | STRING_VALUES | {"bar_mass": 1.0, "bar_radius": np.array([0.0, 0.01]), "node_mass": np.zeros(4), "pinned": {0: "xyz"}}),
+        "RigidBody": (tc.RigidBody, {"nodes": (0, 1, 2, 3), "mass": 2.0, "center": (0.1, 0.2, 0.3), "inertia": np.diag([1.0, 1.2, 1.1])}),
         "Structure.from_matrices": (tc.Structure.from_matrices, MATRICES | {"P": np.array([[0.0], [1], [0], [0]]), "D": np.array([[1.0], [0], [0]]), "node_mass": np.zeros(4)}),
         "Structure.class_one": (SEGMENTED.class_one, {"sparse": True}),
         "Structure.replace": (SEGMENTED.replace, {"nodes": NODES, "bar_mass": 2.0, "pinned": (0,)}),
@@ -195,6 +204,8 @@ def dynamics_calls() -> dict[str, Call]:
         "save_mat": (tc.save_mat, {"data": SEGMENTED, "path": "run.mat", "class_one": False}),
         "export_gltf": (tc.export_gltf, {"data": trajectory(), "path": "run.glb", "time": 0.1}),
         "export_vtk": (tc.export_vtk, {"trajectory": trajectory(), "path": "run.pvd", "model": m, "every": 2}),
+        "Trajectory.orientation": (body_run().orientation, {"body": 0}),
+        "Trajectory.angular_velocity": (body_run().angular_velocity, {"body": 0}),
         "Trajectory.to_csv": (trajectory().to_csv, {"path": "run.csv"}),
         "Trajectory.load": (tc.Trajectory.load, {"path": "missing.npz"}),
         "Trajectory.from_arrays": (lambda **k: tc.Trajectory.from_arrays(k), arrays_of(trajectory())),
@@ -242,6 +253,7 @@ def planning_calls() -> dict[str, Call]:
         "NodePositions": (bounded(ocp.NodePositions, goal=True), {"positions": {0: (None, 0.0, 1.0)}}),
         "Shape": (bounded(ocp.Shape, goal=True), {"nodes": m.structure.nodes}),
         "NodeVelocities": (bounded(ocp.NodeVelocities, goal=True), {"velocities": {0: (None, 0.0, 1.0)}}),
+        "BodyOrientation": (ocp.BodyOrientation, {"body": 0, "rotation": (0.0, 0.0, 0.5)}),
         "CenterOfMass": (bounded(ocp.CenterOfMass, goal=True), {"position": (None, 0.0, 1.0), "masses": np.full(n, 0.5)}),
         "Periodic": (bounded(ocp.Periodic, goal=True), {"shift": (0.0, None, 0.0), "start": (m.structure.nodes, np.zeros((n, 3)))}),
         "Waypoint": (bounded(ocp.Waypoint, goal=True), {"goals": [ocp.AtRest()], "time": 0.5, "share": None}),

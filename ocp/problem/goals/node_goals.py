@@ -28,6 +28,7 @@ from tenscasadi.util.validate import (
 if TYPE_CHECKING:
     from tenscasadi.dynamics.model import Model
 
+_ROUNDING = 1e-9  # of a mass, relative to the whole
 _EACH = OfStructure("nodes", Either((dict,), MapOf("node", POINT), POINTS))
 
 
@@ -363,6 +364,11 @@ class CenterOfMass(Goal, kind="CenterOfMass", earlier="CentreOfMass"):
         count = len(model.structure.nodes)
         if self.masses is None:
             mechanism = model.mechanism
+            if abs(mechanism.node_weight[count:]).max(initial=0.0) > _ROUNDING * mechanism.M.sum():
+                raise ValueError(
+                    "CenterOfMass: a body has its center of mass off the plane of its nodes: "
+                    "add a node off this plane to the body"
+                )
             return replace(
                 self, masses=np.bincount(mechanism.physical, mechanism.node_weight, count)
             )

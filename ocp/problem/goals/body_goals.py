@@ -1,0 +1,140 @@
+"""Goals of rigid bodies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ocp.problem.goals.goal import Goal
+from ocp.problem.rows import Rows
+from tenscasadi.dynamics.body_motion import find_body
+from tenscasadi.schema.field_types import Numbers
+from tenscasadi.structure.structure import Structure
+from tenscasadi.util.linear_algebra import fit_rotation
+from tenscasadi.util.validate import Array, finite_array, format_value, nesting, whole_number
+
+_ROUNDING = 1e-6  # of rotation matrices in files, which are made orthonormal
+
+
+@dataclass(frozen=True, eq=False)
+class BodyOrientation(Goal, kind="BodyOrientation"):
+    """Orientation of a rigid body at the end.
+
+    Parameters
+    ----------
+    body : int
+        Index of the body in ``Structure.bodies``.
+    rotation : array_like, shape (3, 3) or (3,)
+        Rotation from the nodes of the structure: a matrix, or a rotation vector [rad].
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the index is not a whole number, or the matrix is not a rotation. In a `Problem`: if there
+        is no such body, or it is a thin rod.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> ocp.BodyOrientation(0, (0, 0, 0.5)).matrix.round(3).tolist()
+    [[0.878, -0.479, 0.0], [0.479, 0.878, 0.0], [0.0, 0.0, 1.0]]
+    """
+
+    body: int
+    rotation: Annotated[ArrayLike, Numbers(((3,), (3, 3)))]
+
+    def __post_init__(self) -> None:
+        whole_number("BodyOrientation.body", self.body, 0)
+        shape = (3,) if nesting(self.rotation) < 2 else (3, 3)
+        given = finite_array("BodyOrientation.rotation", self.rotation, shape)
+        object.__setattr__(self, "rotation", given)
+        R = self.matrix
+        if np.abs(R @ R.T - np.eye(3)).max() > _ROUNDING or np.linalg.det(R) < 0.0:
+            raise ValueError(
+                f"BodyOrientation.rotation is {format_value(given.tolist())}: give a rotation "
+                "matrix, which is orthonormal with determinant 1, or a rotation vector [rad]"
+            )
+
+    @property
+    def matrix(self) -> Array:
+        """Rotation matrix (3, 3)."""
+        given = np.asarray(self.rotation)
+        if given.ndim == 2:
+            return given
+        x, y, z = given
+        cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        angle = float(np.linalg.norm(given))  # sinc(a) = sin(π a)/(π a)
+        bent = np.sinc(angle / (2 * np.pi)) ** 2 / 2
+        return np.asarray(np.eye(3) + np.sinc(angle / np.pi) * cross + bent * cross @ cross)
+
+    def check(self, structure: Structure) -> None:
+        """Reject a structure that the goal does not fit.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure of the problem's model.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If there is no such body, or its nodes lie on a line.
+        """
+        find_body(structure, self.body)
+
+    def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
+        """Build the distances of the body's nodes from those of the orientation.
+
+        They are relative to the mean of the nodes.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure of the problem's model, before strings are divided into segments.
+        nodes : casadi.SX
+            Node positions, 3×n [m].
+        velocities : casadi.SX
+            Node velocities, 3×n [m/s].
+
+        Returns
+        -------
+        Rows
+            Named residuals, zero if the goal is satisfied.
+        """
+        own = list(find_body(structure, self.body).nodes)
+        start = structure.nodes[own]
+        wanted = self.matrix @ (start - start.mean(axis=0)).T
+        center = ca.sum2(nodes[:, own]) / len(own)
+        apart = nodes[:, own] - ca.repmat(center, 1, len(own)) - ca.DM(wanted)
+        names = tuple(
+            f"BodyOrientation: node {node} {axis} of body {self.body}"
+            for node in own
+            for axis in "xyz"
+        )
+        return Rows(ca.vec(apart), names, ("m",) * len(names))
+
+    def move(self, structure: Structure, nodes: Array) -> Array:
+        """Turn the nodes of the body about their mean.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure of the problem's model, before strings are divided into segments.
+        nodes : ndarray, shape (n, 3)
+            Nodes [m], with the nodes inside strings last.
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            Nodes with the body in its orientation.
+        """
+        own = list(find_body(structure, self.body).nodes)
+        start, moved = structure.nodes[own], np.array(nodes)
+        now = nodes[own] - nodes[own].mean(axis=0)
+        turn = self.matrix @ fit_rotation(start - start.mean(axis=0), now).T
+        moved[own] = now @ turn.T + nodes[own].mean(axis=0)
+        return moved
