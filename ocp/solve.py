@@ -12,13 +12,13 @@ from ocp.problem.problem import Problem
 from ocp.sampling.solver import Sampling
 from ocp.search.find_plan import find_plan
 from ocp.search.multistart import find_best_plan
-from ocp.search.task import MOST_STARTS, Method
+from ocp.search.task import Method
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.ipopt import Ipopt
 from ocp.solvers.monitor import Monitor, write_line
 from ocp.transcription.base import Transcription
 from tenscasadi.util.renamed import rename_keywords
-from tenscasadi.util.validate import flag, instance, positive_number, whole_number
+from tenscasadi.util.validate import MAX_REPETITIONS, flag, instance, positive_number, whole_number
 
 
 @rename_keywords(seconds="time_limit", starts="n_starts")
@@ -139,7 +139,7 @@ def solve(
     flag("tracked", tracked)
     if progress is not None:
         flag("progress", progress)
-    count = whole_number("n_starts", n_starts, 1, MOST_STARTS)
+    count = whole_number("n_starts", n_starts, 1, MAX_REPETITIONS)
     if executor is not None:
         instance("executor", executor, Executor, "a concurrent.futures.Executor, or None")
     for name, value in (("tolerance", tolerance), ("time_limit", time_limit)):

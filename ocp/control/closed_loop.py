@@ -20,6 +20,7 @@ from tenscasadi.simulation.verdict.starts import off_constraints
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import (
     LARGEST,
+    MAX_ENTRIES,
     Array,
     call_user_function,
     finite_array,
@@ -28,8 +29,6 @@ from tenscasadi.util.validate import (
     positive_number,
     whole_number,
 )
-
-MAX_DECISIONS = 1e7
 
 
 @runtime_checkable
@@ -162,9 +161,9 @@ def run(
             f"disturbance is {format_value(disturbance)}: give a function (time, x) -> x, or None"
         )
     ratio = positive_number("t_end", t_end) / period
-    if ratio > MAX_DECISIONS:
+    if ratio > MAX_ENTRIES:
         raise ValueError(
-            f"t_end is {t_end:g}: that takes {ratio:.1g} decisions of {period:g} s, give at most {MAX_DECISIONS:g}"
+            f"t_end is {t_end:g}: that takes {ratio:.1g} decisions of {period:g} s, give at most {MAX_ENTRIES:g}"
         )
     ends = np.append(period * np.arange(max(1, np.ceil(ratio - 1e-9))), t_end)
     chain = RungeKutta4().step(plant.ode).mapaccum(n)

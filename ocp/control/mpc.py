@@ -21,16 +21,20 @@ from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.problem.start import FreeStart
 from ocp.results.result import PlanResult
+from ocp.sampling.horizon_costs import OVERSTEP
 from ocp.solvers.interior_point_qp import solve_qp
 from ocp.targets.find_target import find_target
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.util.casadi_tools import ArrayFunction, symbol_kind
-from tenscasadi.util.validate import Array, finite_array, instance, positive_number, whole_number
-
-# cost of a scaled violation of a path constraint; a departure of `place` costs 1
-OVERSTEP = 1e5
-MOST = 1000  # intervals, steps of each, iterations of a decision
+from tenscasadi.util.validate import (
+    MAX_REPETITIONS,
+    Array,
+    finite_array,
+    instance,
+    positive_number,
+    whole_number,
+)
 
 
 class Mpc:
@@ -124,9 +128,9 @@ class Mpc:
                 )
         self.model: Model = problem.model
         self.period = positive_number("period", period)
-        self.intervals = whole_number("intervals", intervals, 1, MOST)
-        self._iterations = whole_number("iterations", iterations, 1, MOST)
-        self._substeps = whole_number("substeps", substeps, 1, MOST)
+        self.intervals = whole_number("intervals", intervals, 1, MAX_REPETITIONS)
+        self._iterations = whole_number("iterations", iterations, 1, MAX_REPETITIONS)
+        self._substeps = whole_number("substeps", substeps, 1, MAX_REPETITIONS)
         scales = Scales.of(problem)
         size = 0.01 * scales.length if place is None else positive_number("place", place)
         self._departures = build_departures(self.model, size, 10 * size / scales.time)

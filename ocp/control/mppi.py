@@ -25,6 +25,7 @@ from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.simulation.engine.build import build_kernel
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.validate import (
+    MAX_REPETITIONS,
     Array,
     finite_array,
     format_value,
@@ -35,7 +36,6 @@ from tenscasadi.util.validate import (
     whole_number,
 )
 
-MOST = 1000  # periods of a horizon, iterations of a decision, steps of a period
 Asked: TypeAlias = Cost | ca.Function | Callable[[Instant], Any]
 
 
@@ -153,15 +153,15 @@ class Mppi:
         self.model: Model = problem.model
         self.period = positive_number("period", period)
         ratio = positive_number("horizon", horizon) / self.period
-        if ratio > MOST:
+        if ratio > MAX_REPETITIONS:
             raise ValueError(
-                f"horizon is {horizon:g}: that is {ratio:.1g} periods of {self.period:g} s, give at most {MOST}"
+                f"horizon is {horizon:g}: that is {ratio:.1g} periods of {self.period:g} s, give at most {MAX_REPETITIONS}"
             )
         self.intervals = max(1, int(np.ceil(ratio - 1e-9)))
         self.samples = whole_number("samples", samples, 2, 1_000_000)
         self._temperature = positive_number("temperature", temperature)
-        self._iterations = whole_number("iterations", iterations, 1, MOST)
-        self._steps = whole_number("steps", steps, 1, MOST)
+        self._iterations = whole_number("iterations", iterations, 1, MAX_REPETITIONS)
+        self._steps = whole_number("steps", steps, 1, MAX_REPETITIONS)
         self._seed = whole_number("seed", seed, 0)
         self._lower, self._upper = problem.force_density_limits
         smooth = noise if isinstance(noise, SplineNoise) else SplineNoise(self._deviation(noise))

@@ -19,7 +19,6 @@ from ocp.problem.phase import Phase
 from ocp.problem.problem import Problem
 from ocp.problem.resolved import join_soft
 from ocp.problem.start import FreeStart
-from ocp.search.task import MOST_STARTS
 from ocp.solvers.base import NamedSolver
 from ocp.transcription.base import Transcription
 from tenscasadi.dynamics.coordinates import choose_coordinates
@@ -33,7 +32,7 @@ from tenscasadi.schema.reading import Item, NotWritten, call
 from tenscasadi.simulation.declared import Simulation
 from tenscasadi.simulation.simulation_files import SIMULATION, START
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import positive_number, whole_number
+from tenscasadi.util.validate import MAX_REPETITIONS, positive_number, whole_number
 
 _START = OfStructure(
     "nodes",
@@ -110,7 +109,7 @@ class PlanPart:
         for name in ("tolerance", "time_limit"):
             if getattr(self, name) is not None:
                 positive_number(name, getattr(self, name))
-        whole_number("n_starts", self.n_starts, 1, MOST_STARTS)
+        whole_number("n_starts", self.n_starts, 1, MAX_REPETITIONS)
 
 
 _PROBLEM_ARGUMENTS = ("duration", "start", "goals", "bounds", "costs", "phases", "parameters")

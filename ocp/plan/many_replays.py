@@ -33,10 +33,7 @@ from tenscasadi.scene.strings import RestLength, rest_length
 from tenscasadi.simulation.inputs.controls import ControlProfile
 from tenscasadi.simulation.inputs.feedback import Feedback
 from tenscasadi.simulation.rollouts import rollouts
-from tenscasadi.util.validate import Array, positive_number, whole_number
-
-MOST_SAMPLES = 1_000_000  # replays
-UPDATES = 10  # rest-length updates in each interval
+from tenscasadi.util.validate import MAX_ENTRIES, Array, positive_number, whole_number
 
 
 def measure_robustness(
@@ -54,7 +51,7 @@ def measure_robustness(
     None replays it in open loop.
     """
     spreads, place = check_spreads(parameters), check_start(start)
-    whole_number("samples", samples, 1, MOST_SAMPLES)
+    whole_number("samples", samples, 1, MAX_ENTRIES)
     rng = np.random.default_rng(whole_number("seed", seed, 0))
     limit = None if tolerance is None else positive_number("tolerance", tolerance)
     if not spreads and not any(place):
@@ -70,7 +67,7 @@ def measure_robustness(
     tracker = (
         None
         if track is None
-        else track(plan, decisions=(UPDATES if elastic else 1) * (len(plan.time) - 1))
+        else track(plan, decisions=(STEPS if elastic else 1) * (len(plan.time) - 1))
     )
     feedback, step = (
         _control_rest_lengths(plan, tracker) if elastic else _control_force_densities(plan, tracker)
@@ -141,7 +138,7 @@ def _control_rest_lengths(plan: Any, tracker: Any) -> tuple[Feedback, float]:
     """
     plan.rest_lengths()  # raises an error that names a string of too low stiffness
     k, size = plan.structure.stiffness, plan.trajectory.states.shape[1]
-    time, rest = compute_rest_lengths(plan, k, UPDATES)
+    time, rest = compute_rest_lengths(plan, k, STEPS)
     if tracker is None:
         return _open_loop(time, rest, size), float(np.diff(time).min()) / STEPS_PER_UPDATE
     model = plan.require_model("robustness")

@@ -14,7 +14,6 @@ from ocp.problem.bounds.string_bounds import ForceDensityLimits, RestLengthLimit
 from ocp.problem.control import controls_rest_lengths
 from ocp.problem.costs import Cost
 from ocp.problem.goals.goal import Goal
-from ocp.problem.goals.waypoints import INSTANT
 from ocp.problem.phase import Phase
 from ocp.problem.reading import limits_of
 from ocp.problem.resolved import fraction_of, resolve, string_limits
@@ -22,7 +21,7 @@ from ocp.problem.start import FreeStart
 from tenscasadi.dynamics.model import Model
 from tenscasadi.schema.value import Value
 from tenscasadi.util.renamed import RenamedAttribute
-from tenscasadi.util.validate import Array
+from tenscasadi.util.validate import NEGLIGIBLE, Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,7 +213,7 @@ class Problem(Value, kind="Problem"):
         """
         found: list[tuple[float, tuple[Goal, ...]]] = []
         for share, goals in sorted(self._instants, key=lambda pair: pair[0]):
-            if found and share - found[-1][0] <= INSTANT:
+            if found and share - found[-1][0] <= NEGLIGIBLE:
                 found[-1] = found[-1][0], (*found[-1][1], *goals)
             elif share < 1.0:
                 found.append((share, goals))

@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ocp.problem.goals.goal import BAR_TOLERANCE, Goal, check_bar_lengths
+from ocp.problem.goals.goal import LENGTH_TOLERANCE, Goal, check_bar_lengths
 from ocp.problem.reading import read_items
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import build_projection
@@ -96,7 +96,7 @@ def _read_state(model: Model, field: str, given: ArrayLike | None) -> Array:
     check_bar_lengths(f"{field} makes", nodes, s)
     bars, rates = (Z[s.bars[:, 1]] - Z[s.bars[:, 0]] for Z in (nodes, velocities))
     stretch = abs(np.sum(bars * rates, axis=1)) / s.bar_lengths
-    bad = np.flatnonzero(stretch > BAR_TOLERANCE * np.linalg.norm(velocities, axis=1).max())
+    bad = np.flatnonzero(stretch > LENGTH_TOLERANCE * np.linalg.norm(velocities, axis=1).max())
     if bad.size:
         i = int(bad[0])
         raise ValueError(

@@ -15,9 +15,15 @@ from tenscasadi.simulation.inputs.controls import ControlProfile
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.renamed import rename_keywords
-from tenscasadi.util.validate import Array, instance, nonnegative, per_item, whole_number
+from tenscasadi.util.validate import (
+    MAX_REPETITIONS,
+    Array,
+    instance,
+    nonnegative,
+    per_item,
+    whole_number,
+)
 
-MOST_UPDATES = 1000  # maximum number of rest-length updates in an interval
 STEPS_PER_UPDATE = 5  # integration steps between two rest-length updates
 
 
@@ -120,7 +126,7 @@ def replay_rest_lengths(
     """
     instance("plan", plan, PlanResult, "an ocp.Plan")
     _reject_rest_lengths(plan)
-    whole_number("updates", updates, 1, MOST_UPDATES)
+    whole_number("updates", updates, 1, MAX_REPETITIONS)
     plan.rest_lengths(stiffness)  # raises an error that names a string of too low stiffness
     planned = plan.require_model("replay_rest_lengths")
     k = per_item(

@@ -9,6 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ocp.results.replay import STEPS
 from ocp.results.result import PlanResult
 from ocp.sampling.solver import Sampling
 from ocp.solvers.condensed_newton import CondensedNewton
@@ -17,15 +18,13 @@ from ocp.transcription.mesh import profile_at
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.stabilization import build_projection
-from tenscasadi.util.validate import Array
+from tenscasadi.util.validate import ROUNDING, Array
 
-DEFECT_STEPS = 10  # integration steps for the defect of an interval
 LOST = 1e6  # error of a diverging replay, in units of the tolerance
 MOST_PARTS = 4  # maximum number of parts of an interval in one refinement
 FAR = float(
     MOST_PARTS**4
 )  # × tolerance: the largest error that one refinement removes, with a method of order 4
-ROUNDING = 1e-12  # × largest coordinate: smaller errors of a replay are rounding errors
 CAUTION = 0.3  # safety factor: error that refinement aims at, in units of the tolerance
 
 Again = Callable[..., PlanResult]  # (plan, new options of its transcription) → plan
@@ -180,9 +179,9 @@ def defects(model: Model, time: Array, states: Array, force_density: Array) -> A
     count, lengths = len(time) - 1, np.diff(time)
     advance = RungeKutta4().step(model.ode).map(count)
     now = ca.DM(states[:-1].T)
-    for k in range(DEFECT_STEPS):
-        gamma = profile_at(force_density, time, time[:-1] + (k + 0.5) / DEFECT_STEPS * lengths)
-        now = advance(now, gamma.T, lengths[None] / DEFECT_STEPS)
+    for k in range(STEPS):
+        gamma = profile_at(force_density, time, time[:-1] + (k + 0.5) / STEPS * lengths)
+        now = advance(now, gamma.T, lengths[None] / STEPS)
     if model.mechanism.constrained:
         now = build_projection(model, 3).map(count)(now)
     gap = np.asarray(now.full()).T - states[1:]

@@ -13,7 +13,7 @@ from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import positive_number
 
-STEPS = 10  # integration steps for each interval of a plan
+STEPS = 10  # integration steps and rest-length updates in each interval of a plan
 
 
 def replay_open(plan: PlanResult, model: Model, scheme: Scheme, step: float | None) -> Trajectory:

@@ -18,8 +18,7 @@ from ocp.problem.scaling import Scales
 from ocp.problem.start import FreeStart
 from tenscasadi.simulation.engine.kernel import BROKEN_BARS
 
-# cost of a scaled violation of a limit along a whole horizon; a goal that is off by its tolerance
-# costs 1
+# cost of a scaled violation of a limit; a goal that is off by its tolerance costs 1
 OVERSTEP = 1e5
 
 

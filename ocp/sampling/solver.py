@@ -10,9 +10,7 @@ from ocp.sampling.spline_noise import SplineNoise
 from ocp.solvers.base import NamedSolver
 from tenscasadi.schema.containers import ListOf
 from tenscasadi.schema.field_types import InPython, Members
-from tenscasadi.util.validate import flag, format_value, whole_number
-
-MOST = 1_000_000
+from tenscasadi.util.validate import MAX_ENTRIES, flag, format_value, whole_number
 
 
 @dataclass(frozen=True)
@@ -101,7 +99,9 @@ class Sampling(NamedSolver, kind="Sampling"):
             "attempts": 1,
         }.items():
             object.__setattr__(
-                self, name, whole_number(f"Sampling.{name}", getattr(self, name), least, MOST)
+                self,
+                name,
+                whole_number(f"Sampling.{name}", getattr(self, name), least, MAX_ENTRIES),
             )
         for name, most in {"knots": 1000, "threads": 1024}.items():
             if getattr(self, name) is not None:

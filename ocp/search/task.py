@@ -20,7 +20,6 @@ from ocp.targets.infeasible_goal import Certificate, InfeasibleGoalError
 from ocp.targets.target import StateAt, Target
 from ocp.transcription.mesh import Profile, group_matrix
 
-MOST_STARTS = 1000  # maximum number of starts of a multistart
 Method = Solver | CondensedNewton | Sampling
 
 

@@ -38,7 +38,7 @@ MANY_INTERVALS = 800
 BENT = 3  # consecutive iterations with negative curvature at a saddle
 SADDLE = "Saddle"
 NOWHERE = "Infeasible_Problem_Detected", "Restoration_Failed"  # no progress to the constraints
-SMALL_VIOLATION = 1e-6  # scaled violation below which iterates are compared by their objective
+SMALL_VIOLATION = 1e-6  # scaled violation that counts as none
 
 Watcher = Callable[[Progress], Any]
 

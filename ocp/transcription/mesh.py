@@ -17,6 +17,7 @@ from tenscasadi.schema.value import Value
 from tenscasadi.util.casadi_tools import hermite_cubic
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import (
+    MAX_COUNT,
     Array,
     Indices,
     finite_array,
@@ -26,13 +27,12 @@ from tenscasadi.util.validate import (
 )
 
 Intervals = int | Sequence[float]
-MOST_INTERVALS = 100_000  # protects against files whose mesh exceeds the memory
 
 
 def check_intervals(field: str, value: Any) -> int | tuple[float, ...]:
     """Check a number of intervals, or normalize their lengths."""
     if isinstance(value, (bool, np.bool_, int, np.integer, float, str)):
-        return whole_number(field, value, 1, MOST_INTERVALS)
+        return whole_number(field, value, 1, MAX_COUNT)
     shares = finite_array(field, value, (None,))
     if not shares.size:
         raise ValueError(

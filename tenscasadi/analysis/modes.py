@@ -14,16 +14,14 @@ import scipy.sparse as sp
 from tenscasadi.dynamics.linearization import EquationDerivatives, displacements
 from tenscasadi.dynamics.model import Model
 from tenscasadi.dynamics.operating_point import OperatingPoint, split_point
+from tenscasadi.statics.solver.motions import DENSE
 from tenscasadi.util.constrained_eigenproblem import (
     SaddlePoint,
     fastest_rate,
     lowest_eigenpairs,
 )
 from tenscasadi.util.read_only import ReadOnlyArrays
-from tenscasadi.util.validate import Array, finite_array, instance, whole_number
-
-DENSE = 600  # coordinates up to which all modes are computed, by dense matrices
-NEUTRAL = 1e-9  # relative stiffness below which a rigid-body motion is free
+from tenscasadi.util.validate import NEGLIGIBLE, Array, finite_array, instance, whole_number
 
 
 @dataclass(frozen=True, eq=False)
@@ -322,7 +320,8 @@ def _lowest_modes(
         )  # the acceleration that each motion meets
         values, vectors = np.linalg.eigh(restored.T @ (M @ restored))
         motions = (
-            motions @ vectors[:, np.sqrt(np.maximum(values, 0.0)) <= NEUTRAL * fastest_rate(K, M)]
+            motions
+            @ vectors[:, np.sqrt(np.maximum(values, 0.0)) <= NEGLIGIBLE * fastest_rate(K, M)]
         )
     values, shapes = lowest_eigenpairs(K, M, J, motions, count)
     return values, shapes, motions.shape[1], float(np.abs(acceleration).max(initial=0.0))
@@ -351,7 +350,7 @@ def _neutral(K: Array, motions: Array) -> Array:
     basis = scipy.linalg.orth(motions) if motions.size else motions
     _, size, right = np.linalg.svd(K @ basis)
     free = np.ones(basis.shape[1], dtype=bool)
-    free[: len(size)] = size <= NEUTRAL * float(np.linalg.norm(K))
+    free[: len(size)] = size <= NEGLIGIBLE * float(np.linalg.norm(K))
     return np.asarray(basis @ right.T[:, free])
 
 

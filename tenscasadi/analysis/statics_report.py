@@ -14,10 +14,9 @@ from tenscasadi.statics.equilibrium import Equilibrium, find_equilibrium
 from tenscasadi.statics.self_stress import mechanisms, self_stress
 from tenscasadi.statics.stability import Stability, stability
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array
+from tenscasadi.util.validate import NEGLIGIBLE, Array
 
 SOFTEST = 6  # motions in the report
-_ROUNDING = 1e-9  # of the largest reaction: sums below it are shown as 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +151,7 @@ def _describe_forces(eq: Equilibrium) -> list[str]:
     if len(eq.bar_force):
         lines.append(f"bar forces    {_range(eq.bar_force)} N, compression below 0")
     total = eq.reactions.sum(axis=0)
-    total[np.abs(total) <= _ROUNDING * np.abs(eq.reactions).max(initial=0.0)] = 0.0
+    total[np.abs(total) <= NEGLIGIBLE * np.abs(eq.reactions).max(initial=0.0)] = 0.0
     if eq.reactions.any():
         lines.append(f"reactions     sum ({', '.join(f'{value + 0.0:.6g}' for value in total)}) N")
     return lines

@@ -33,6 +33,7 @@ from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.compile import Compiled, CompileError, Single, find_compiler
 from tenscasadi.util.validate import (
+    MAX_REPETITIONS,
     Array,
     call_user_function,
     finite_array,
@@ -43,7 +44,6 @@ from tenscasadi.util.validate import (
     whole_number,
 )
 
-_MOST_REPEATS = 1000
 LONGEST = 1 / 20  # × duration: largest grid step of a scheme with error control
 
 State = Array | Callable[[Model], Array] | None
@@ -127,7 +127,7 @@ def tradeoff(
     _check_models(named, schemes, corrections)
     t_end, repeats = (
         positive_number("t_end", t_end),
-        whole_number("repeats", repeats, 1, _MOST_REPEATS),
+        whole_number("repeats", repeats, 1, MAX_REPETITIONS),
     )
     flag("progress", progress)
     ways = _check_sequence("compiled", compiled)

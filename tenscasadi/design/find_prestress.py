@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from tenscasadi.design.conic import LinearRows
+from tenscasadi.design.conic import ACCURACY, LinearRows
 from tenscasadi.design.force_densities import Groups, read_force_densities, set_prestress
 from tenscasadi.design.prestress_goals import (
     Even,
@@ -25,11 +25,16 @@ from tenscasadi.structure.cables import reject_cables
 from tenscasadi.structure.equilibrium_matrix import equilibrium_matrix
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.read_only import ReadOnlyArrays
-from tenscasadi.util.validate import Array, as_tuple, finite_array, instance, nonnegative, per_item
-
-_ROUNDS = 30  # iterations between the prestress and the response to loads
-_SMALLEST = 1e-6  # relative to the limits: smaller tensions are rounding errors of a solver
-_SETTLED = 1e-9  # change of the response between iterations, relative to the largest tension
+from tenscasadi.util.validate import (
+    MAX_ITERATIONS,
+    NEGLIGIBLE,
+    Array,
+    as_tuple,
+    finite_array,
+    instance,
+    nonnegative,
+    per_item,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,14 +186,14 @@ class _PrestressSearch:
             self.tangent.rigid_body.T
             @ (self.tangent.free.T @ self.cases.reshape(len(self.cases), -1).T)
         ).max(axis=0, initial=0.0)
-        for case in np.flatnonzero(moved > _SETTLED * np.abs(self.cases).max(initial=0.0)):
+        for case in np.flatnonzero(moved > NEGLIGIBLE * np.abs(self.cases).max(initial=0.0)):
             return self.fail(f"load case {case} moves the structure as a whole: pin some nodes")
         first = Even().solve(self.program(none, np.maximum(self.least, self.scale)))
         q = np.zeros(len(self.tangent.lengths))
         if first.status == "solved":
             q = self.basis @ first.x
         last = np.full((strings, len(self.cases)), np.inf)
-        for _ in range(_ROUNDS):
+        for _ in range(MAX_ITERATIONS):
             try:
                 response = self.tangent.tension_change(q, self.cases)[:strings]
             except np.linalg.LinAlgError:
@@ -197,7 +202,7 @@ class _PrestressSearch:
                 )
             # equal responses have equal programs, whose solutions are equal within solver tolerance
             tension = q[:strings] * self.tangent.lengths[:strings]
-            allowed = _SETTLED * max(
+            allowed = NEGLIGIBLE * max(
                 np.abs(value).max(initial=0.0) for value in (tension, response)
             )
             if np.abs(response - last).max(initial=0.0) <= allowed:
@@ -246,7 +251,7 @@ class _PrestressSearch:
         forces = q * self.tangent.lengths
         if (
             np.abs(forces[:strings]).max(initial=0.0)
-            <= _SMALLEST * self.scale * self.tangent.lengths.mean()
+            <= ACCURACY * self.scale * self.tangent.lengths.mean()
         ):
             if not len(self_stress(structure)):
                 return self.fail(

@@ -31,10 +31,8 @@ from tenscasadi.structure.equilibrium_matrix import (
     member_pairs,
 )
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array
+from tenscasadi.util.validate import MAX_ITERATIONS, NEGLIGIBLE, Array
 
-_ITERATIONS = 100
-_CONVERGED = 1e-9  # step relative to the force densities; the error is its square
 _SMALLEST = 0.05  # lower limit of string force densities in the estimate, relative to their mean
 _PULL = 1e-3  # weight of equal force densities in the estimate, relative to that of equilibrium
 
@@ -109,7 +107,7 @@ def adapt_force_densities(
     upper = np.triu_indices(count)
     total = np.asarray(densities.basis.T @ (np.arange(members) < strings))
     p = start
-    for _ in range(_ITERATIONS):
+    for _ in range(MAX_ITERATIONS):
         values, vectors = np.linalg.eigh(force_density_matrix(structure, densities.of(p)).toarray())
         chosen = np.arange(count)
         if near:
@@ -121,7 +119,7 @@ def adapt_force_densities(
             rows, right = np.vstack([rows, total]), np.append(right, strings - total @ p)
         change = np.linalg.lstsq(rows, right, rcond=1e-9)[0]
         p = p + change
-        if np.linalg.norm(change) <= _CONVERGED * (1.0 + np.linalg.norm(p)):
+        if np.linalg.norm(change) <= NEGLIGIBLE * (1.0 + np.linalg.norm(p)):
             break
     else:
         return None

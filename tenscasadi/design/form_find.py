@@ -23,7 +23,7 @@ from tenscasadi.design.force_density_method import (
     estimate_force_densities,
     solve_form,
 )
-from tenscasadi.design.form_program import FormProgram, Goals
+from tenscasadi.design.form_program import FEASIBLE, FormProgram, Goals
 from tenscasadi.structure.cables import reject_cables
 from tenscasadi.structure.equilibrium_matrix import balance_columns, free_directions, member_pairs
 from tenscasadi.structure.structure import Structure
@@ -41,8 +41,6 @@ from tenscasadi.util.validate import (
     positive_number,
 )
 
-_BALANCED = 1e-8  # unbalanced forces of a form, relative to its largest force
-_MET = 1e-8  # residuals of goals, relative to the mean length or force
 _FLAT = 1e-6  # relative to the size of a form: smaller extents and lengths count as zero
 
 
@@ -269,11 +267,11 @@ def _find_fault(
     largest = float(np.abs(forces).max(initial=0.0))
     if largest == 0.0:
         return "no member carries a force: give force densities above 0, or leave them free (NaN)"
-    pushing = np.flatnonzero(forces[:strings] < -_BALANCED * largest)
+    pushing = np.flatnonzero(forces[:strings] < -FEASIBLE * largest)
     missed = max(misses.items(), key=lambda item: item[1], default=("", 0.0))
-    if unbalanced > _BALANCED * largest:
+    if unbalanced > FEASIBLE * largest:
         return f"no form in equilibrium was found, {unbalanced:.3g} N are unbalanced: leave force densities free (NaN) or change the supports"
-    if missed[1] > _MET:
+    if missed[1] > FEASIBLE:
         return f"the {missed[0]} cannot be as prescribed: leave it or force densities free"
     if not structure.held.any() and _dimension(nodes) < _dimension(structure.nodes):
         return f"forms of these force densities have {_dimension(nodes)} dimensions: leave some force densities free (NaN)"

@@ -11,11 +11,9 @@ import scipy.sparse as sp
 from tenscasadi.design.conic import ConicSolution, LinearRows, scaled_triangle, solve_conic
 from tenscasadi.design.tangent_stiffness import TangentStiffness, extend_basis
 from tenscasadi.schema.value import Value
-from tenscasadi.util.validate import Array
+from tenscasadi.util.validate import MAX_ITERATIONS, NEGLIGIBLE, Array
 
 _MODES = 12  # softest motions computed for the next semidefinite program
-_ROUNDS = 50  # semidefinite programs on a growing set of motions
-_EXACT = 1e-9  # relative difference between the bounds of the least stiffness
 
 
 class PrestressProgram(NamedTuple):
@@ -126,11 +124,13 @@ class Stiffest(Value, kind="Stiffest"):
         tangent = program.stiffness
         found = program.minimize(np.zeros(program.basis.shape[1]))
         seen, bound = np.zeros((tangent.J.shape[1], 0)), np.inf
-        for _ in range(_ROUNDS):
+        for _ in range(MAX_ITERATIONS):
             if found.status != "solved":
                 return found
             values, motions = tangent.softest(program.basis @ found.x, _MODES)
-            enough = bound - _EXACT * max(abs(bound), program.scale) if seen.shape[1] else np.inf
+            enough = (
+                bound - NEGLIGIBLE * max(abs(bound), program.scale) if seen.shape[1] else np.inf
+            )
             if not len(values) or values[0] >= enough:
                 return found._replace(x=program.fit(found.x, up=False))
             seen = extend_basis(seen, np.asarray(motions[:, values < bound]))

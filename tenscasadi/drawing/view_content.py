@@ -13,6 +13,8 @@ from tenscasadi.drawing.style import STYLE
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, Indices
 
+MOST_FRAMES = 3000  # of a page or a film
+
 
 class Frame(NamedTuple):
     """Motion at one time.
@@ -274,18 +276,15 @@ def _finite(points: Array) -> Array:
     return points[np.isfinite(points).all(axis=1)]
 
 
-def choose_frame_times(
-    content: ViewContent, speed: float, frames_per_second: int, most: int
-) -> Array:
+def choose_frame_times(content: ViewContent, speed: float, frames_per_second: int) -> Array:
     """Choose the times of the frames of a film [s], including both ends.
 
-    `speed` is in simulated seconds per second. Raises ValueError if there would be more than `most`
-    frames.
+    `speed` is in simulated seconds per second. Raises ValueError for more than `MOST_FRAMES`.
     """
     duration = content.end - content.start
     steps = max(round(duration / speed * frames_per_second), int(duration > 0))
-    if steps >= most:
+    if steps >= MOST_FRAMES:
         raise ValueError(
-            f"speed is {speed:g}: {duration:g} s would take {steps + 1} frames, give a speed of at least {speed * (steps + 1) / most:.2g}"
+            f"speed is {speed:g}: {duration:g} s would take {steps + 1} frames, give a speed of at least {speed * (steps + 1) / MOST_FRAMES:.2g}"
         )
     return np.linspace(content.start, content.end, steps + 1)

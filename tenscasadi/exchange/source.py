@@ -9,7 +9,6 @@ from pathlib import Path
 from tenscasadi.schema.reading import SceneFileError
 from tenscasadi.util.validate import file_path, flag
 
-MOST_PARTS = 100_000  # elements, entries, nodes and members of a file
 DEEPEST = 200  # nesting of elements
 
 

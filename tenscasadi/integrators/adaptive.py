@@ -18,9 +18,9 @@ from tenscasadi.integrators.runge_kutta import EmbeddedRungeKutta, build_trial
 from tenscasadi.integrators.scheme import equations
 from tenscasadi.integrators.stabilization import Correction, correct
 from tenscasadi.integrators.tableaux import Tableau
+from tenscasadi.util.validate import NEGLIGIBLE
 
 EVENT_SHARE = 0.1  # × tolerance: error of a step by ending after an event instead of at it
-SHORTEST_EVENT = 1e-9  # × largest step: shorter events are ignored
 MAX_INTERPOLATIONS = 6  # trials in a bracket before bisection
 
 
@@ -219,7 +219,7 @@ def _decide(
     crossing = ca.logic_and(events.changed > 0, ca.logic_not(events.located))
     early = ca.logic_and(bracketed, ca.logic_and(events.changed == 0, trial < m.high))
     unseen = ca.logic_and(
-        events.hidden > 0, ca.logic_and(events.changed == 0, trial > SHORTEST_EVENT * longest)
+        events.hidden > 0, ca.logic_and(events.changed == 0, trial > NEGLIGIBLE * longest)
     )
     suspect = ca.logic_and(unseen, ca.logic_not(bracketed))
 

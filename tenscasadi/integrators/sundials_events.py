@@ -14,12 +14,12 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.adaptive import EVENT_SHARE, MAX_INTERPOLATIONS, SHORTEST_EVENT
+from tenscasadi.integrators.adaptive import EVENT_SHARE, MAX_INTERPOLATIONS
 from tenscasadi.integrators.events import build_hidden, build_mode_ode, build_potential, build_root
 from tenscasadi.integrators.scheme import extent
 from tenscasadi.integrators.sundials import Sundials
 from tenscasadi.util.casadi_tools import hermite_cubic
-from tenscasadi.util.validate import Array
+from tenscasadi.util.validate import NEGLIGIBLE, Array
 
 _PARTS = 4  # parts of an interval, each sampled at its ends and its middle
 
@@ -172,11 +172,11 @@ class EventSteps:
         for _ in range(self._scheme.max_steps):
             piece = self._piece(z, u, mode, min(h, rest))
             shares, seen = self._look(z, piece.rows, u, mode, piece.h)
-            if not seen.all() and piece.h > SHORTEST_EVENT * step:
+            if not seen.all() and piece.h > NEGLIGIBLE * step:
                 h = piece.h / 2
                 continue
             for share in (((np.arange(_PARTS) + shares) / _PARTS).T[shares.T > 0]).tolist():
-                if share * piece.h > SHORTEST_EVENT * step:
+                if share * piece.h > NEGLIGIBLE * step:
                     part = piece if share == 1 else self._piece(z, u, mode, share * piece.h)
                     if (self._mode(part.after, u) != mode).any():
                         piece = self._locate(part, step)

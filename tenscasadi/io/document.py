@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, TypeVar
 from tenscasadi.schema.formulas import RESERVED
 from tenscasadi.schema.reading import Document, Item, SceneFileError, nearest
 from tenscasadi.schema.text import TextError, parse, to_json, to_toml
-from tenscasadi.util.validate import file_path, format_value
+from tenscasadi.util.validate import MAX_ENTRIES, file_path, format_value
 from tenscasadi.util.whole_file import whole_file
 
 T = TypeVar("T")
@@ -27,7 +27,6 @@ SECTIONS = {
     "plan": "Optimal control problem: goals, bounds, costs, and how to solve it.",
 }
 LARGEST_FILE = 16_000_000  # bytes of a file with its includes
-MOST_VALUES = 1_000_000  # keys and entries of lists
 
 
 class Change(NamedTuple):
@@ -102,7 +101,7 @@ def _format_change(change: Change) -> str:
         raise ValueError(f"set is {format_value(change.key)}: {cure}")
     text = f"{change.key} = {change.value}"
     try:
-        parse(text, "toml", MOST_VALUES)
+        parse(text, "toml", MAX_ENTRIES)
     except TextError:
         return to_toml({"x": change.value}).replace("x", change.key, 1)
     return text
@@ -144,7 +143,7 @@ class _Reader:
         Raises SceneFileError.
         """
         try:
-            data = parse(text, "json" if language == "json" else "toml", MOST_VALUES - self._values)
+            data = parse(text, "json" if language == "json" else "toml", MAX_ENTRIES - self._values)
         except TextError as error:
             raise SceneFileError(str(error), name, error.line) from None
         self._values += sum(map(text.count, ",=:["))

@@ -26,7 +26,6 @@ from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import file_path, flag, positive_number, text, whole_number
 from tenscasadi.util.whole_file import whole_path
 
-_MOST_FRAMES = 2000
 _COMPATIBLE = ["-pix_fmt", "yuv420p", "-movflags", "+faststart"]  # for browsers and slides
 
 
@@ -94,7 +93,7 @@ def animate(
         raise ValueError(f"path is {os.fspath(path)!r}: give a file name that ends in .gif or .mp4")
     rate = whole_number("frames_per_second", frames_per_second, 1)
     content = describe_content(data, "data", ground)
-    times = choose_frame_times(content, positive_number("speed", speed), rate, _MOST_FRAMES)
+    times = choose_frame_times(content, positive_number("speed", speed), rate)
     motion, shapes = content.motions[0], MotionShapes(content)
     values = np.zeros((1, 0)) if motion.tension is None else motion.tension
     scale = ColorScale.of("tension", values)

@@ -12,6 +12,7 @@ import numpy as np
 from tenscasadi.scene.breakpoints import find_breakpoints, probe_times
 from tenscasadi.scene.time_functions import as_numbers, express, is_same, values_at
 from tenscasadi.util.validate import (
+    NEGLIGIBLE,
     SMALLEST,
     Array,
     call_user_function,
@@ -20,8 +21,6 @@ from tenscasadi.util.validate import (
     positive_number,
 )
 
-_ACCURACY = 1e-9  # × largest value: error of the interpolation
-_MIN_PIECE = 1e-9  # × duration of the run: shortest piece without a given resolution
 _MAX_PIECES = 20_000
 
 
@@ -151,7 +150,7 @@ def build_schedule(
     inside = control.breakpoints[(control.breakpoints > 0) & (control.breakpoints < t_end)]
     edges = inside
     if traced is None:
-        shortest = _MIN_PIECE * t_end if control.resolution is None else control.resolution
+        shortest = NEGLIGIBLE * t_end if control.resolution is None else control.resolution
         traced, steep = _interpolate(sample, nu, t_end, inside, shortest)
         edges = np.union1d(inside, steep)
     times = np.union1d(probe_times(0.0, t_end), find_breakpoints(traced, 0.0, t_end))
@@ -237,7 +236,7 @@ def _interpolate(
         nodes, between = (low + (high - low) * k / 6 for k in (_NODES, _BETWEEN))
         bezier = _TO_BEZIER @ at(np.append(nodes[:-1], high))
         largest = max(abs(values).max(initial=0.0) for values in known.values())
-        wrong = abs(_AT_BETWEEN @ bezier - at(between)).max(initial=0.0) > _ACCURACY * largest
+        wrong = abs(_AT_BETWEEN @ bezier - at(between)).max(initial=0.0) > NEGLIGIBLE * largest
         if wrong and high - low > max(shortest, 4 * around):
             middle = (low + high) / 2
             waiting += [(middle, high), (low, middle)]

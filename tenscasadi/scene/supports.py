@@ -18,11 +18,9 @@ from tenscasadi.schema.time_formula import TimeFormula
 from tenscasadi.schema.value import Value
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.renamed import rename_fields
-from tenscasadi.util.validate import Array, finite_array, format_value, node_index
+from tenscasadi.util.validate import NEGLIGIBLE, Array, finite_array, format_value, node_index
 
 _MOTION = Either((dict, Samples), OneOf(Samples), MOVING_POINT)
-_OFFSET = 1e-9  # × latest time: distance before and after a switch at which values are compared
-_JUMP = 1e-9  # × largest value: smaller differences are rounding
 _STEEP = 100.0  # × largest rate × offset: smaller differences are continuous
 _JUMPS = {
     "the position (m)": "give a continuous motion",
@@ -138,7 +136,7 @@ class SupportMotion(Value, kind="SupportMotion"):
             If a position or its derivatives are not finite, if position or velocity jump, or if
             numbers and symbols give different values.
         """
-        offset = _OFFSET * max(abs(first), abs(last))
+        offset = NEGLIGIBLE * max(abs(first), abs(last))
         for node, function in self.positions.items():
             name, rates = (
                 f"SupportMotion.positions[{node}]",
@@ -153,7 +151,7 @@ class SupportMotion(Value, kind="SupportMotion"):
                     jump = abs((after[k] - before[k]).full()).max()
                     near = [abs(side[k + 1].full()).max() for side in (before, after)]
                     smooth = _STEEP * offset * max(sizes[k + 1], *near)
-                    if jump > max(_JUMP * sizes[k], smooth):
+                    if jump > max(NEGLIGIBLE * sizes[k], smooth):
                         raise ValueError(
                             f"{name}: {quantity} jumps by {jump:.3g} at t = {time:g} s, "
                             f"which bars and joints cannot follow: {cure}"

@@ -20,10 +20,7 @@ from tenscasadi.statics.equilibrium import Equilibrium, find_equilibrium, read_l
 from tenscasadi.statics.solver.motions import DENSE, motion_basis
 from tenscasadi.statics.solver.prestressed_state import PrestressedState
 from tenscasadi.statics.stability import describe_state, read_state
-from tenscasadi.util.validate import Array, instance
-
-_TIPPING = 1e-9  # stiffness of a neutral motion under the load, and its resultant: relative
-_NONE = 1e-12  # ratio μ of load stiffness to tangent stiffness below which no buckling occurs
+from tenscasadi.util.validate import NEGLIGIBLE, ROUNDING, Array, instance
 
 
 class BucklingFactor(NamedTuple):
@@ -134,7 +131,7 @@ def buckling_factor(
         reason = "every factor of the load tips the structure over: support it"
         return BucklingFactor(0.0, mode, False, reason)
     ratio, mode = _largest_ratio(state, change)
-    if ratio <= _NONE:
+    if ratio <= ROUNDING:
         return BucklingFactor(np.inf, none, True, "the load never buckles the structure")
     nodal = _unit_displacement(state, mode)
     return BucklingFactor(1.0 / ratio, nodal, True, f"buckles at {1.0 / ratio:.6g} times the load")
@@ -175,7 +172,7 @@ def _tipping_motion(state: PrestressedState, change: Any) -> Array | None:
     if not flat.shape[1]:
         return None
     values, vectors = np.linalg.eigh(flat.T @ (change @ flat))
-    if values[0] >= -_TIPPING * float(np.sqrt((change.data**2).sum())):
+    if values[0] >= -NEGLIGIBLE * float(np.sqrt((change.data**2).sum())):
         return None
     return np.asarray(flat @ vectors[:, 0])
 
@@ -185,7 +182,7 @@ def _is_balanced(forces: Array, nodes: Array) -> bool:
     arms = nodes - nodes.mean(axis=0)
     size = float(np.abs(arms).max(initial=0.0)) or 1.0
     net = np.concatenate([forces.sum(axis=0), np.cross(arms, forces).sum(axis=0) / size])
-    return bool(np.abs(net).max() <= _TIPPING * np.abs(forces).max())
+    return bool(np.abs(net).max() <= NEGLIGIBLE * np.abs(forces).max())
 
 
 def _unit_displacement(state: PrestressedState, motion: Array) -> Array:

@@ -15,7 +15,7 @@ from tenscasadi.scene.binding import fix, initial_control
 from tenscasadi.scene.loads import NodalForce
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import RestLength
-from tenscasadi.statics.self_stress import TOLERANCE, rigid_body_motions
+from tenscasadi.statics.self_stress import rigid_body_motions
 from tenscasadi.statics.solver.newton_system import NewtonSystem
 from tenscasadi.statics.solver.relaxation import relax
 from tenscasadi.statics.solver.settling import settle
@@ -24,7 +24,7 @@ from tenscasadi.statics.solver.trust_region import SearchResult
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.kept import keep
 from tenscasadi.util.read_only import ReadOnlyArrays
-from tenscasadi.util.validate import Array, finite_array, instance, nesting
+from tenscasadi.util.validate import NEGLIGIBLE, Array, finite_array, instance, nesting
 
 
 @dataclass(frozen=True, eq=False)
@@ -361,7 +361,7 @@ def _message(system: NewtonSystem, rest: SearchResult, unbalanced: Array, residu
     cure = "give another start, or change supports, loads or rest lengths"
     if is_unheld(system, rest):
         total = unbalanced.sum(axis=0)
-        total[np.abs(total) <= TOLERANCE * np.abs(total).max()] = 0.0
+        total[np.abs(total) <= NEGLIGIBLE * np.abs(total).max()] = 0.0
         force = ", ".join(f"{value:.3g}" for value in total)
         cure = f"support the structure, or balance the net load of ({force}) N"
     return f"no equilibrium: {rest.reason}, {residual:.3g} N stay unbalanced: {cure}"

@@ -12,12 +12,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tenscasadi.statics.least_force_density import least_force_density
-from tenscasadi.statics.self_stress import TOLERANCE
 from tenscasadi.structure.cables import density_basis
 from tenscasadi.structure.equilibrium_matrix import equilibrium_matrix, free_directions
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.renamed import rename_keywords
-from tenscasadi.util.validate import Array, finite_array, instance, item_mask, nonnegative, per_item
+from tenscasadi.util.validate import (
+    NEGLIGIBLE,
+    Array,
+    finite_array,
+    instance,
+    item_mask,
+    nonnegative,
+    per_item,
+)
 
 
 class EquilibriumError(ValueError):
@@ -102,7 +109,7 @@ def equilibrium_force_density(
     gamma, unbalanced = _balance(structure, strings, bars, w, least, ~either)
     residual = float(np.linalg.norm(unbalanced))
     force = max(np.abs(w).max(initial=0.0), abs(strings * least).max() if strings.size else 0.0)
-    if residual > TOLERANCE * force:
+    if residual > NEGLIGIBLE * force:
         size = np.linalg.norm((directions @ unbalanced).reshape(-1, 3), axis=1)
         worst, bounds = int(np.argmax(size)), least[~either]
         bound = f"of at least {bounds.min():g} N/m " if bounds.size else ""

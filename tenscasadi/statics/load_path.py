@@ -26,6 +26,7 @@ from tenscasadi.statics.solver.settling import prepare_friction, settle
 from tenscasadi.statics.solver.static_equations import Conditions
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import (
+    MAX_REPETITIONS,
     Array,
     Indices,
     finite_array,
@@ -34,8 +35,6 @@ from tenscasadi.util.validate import (
     nesting,
     nonnegative,
 )
-
-MAX_STEPS = 1000  # of a path; those through 20 limit points take about 300
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +184,7 @@ def load_path(
     change = change._replace(given=prepare_friction(system, nodes, change.given))
     tracer = Tracer(system, change, (low, high))
     begin = tracer.start(rest.point, rest.tension, first)
-    rows, fault = tracer.follow(begin, MAX_STEPS)
+    rows, fault = tracer.follow(begin, MAX_REPETITIONS)
     return _collect(system, rows, fault)
 
 

@@ -14,9 +14,7 @@ from tenscasadi.statics.sparse_null_space import sparse_null_space
 from tenscasadi.structure.cables import density_basis
 from tenscasadi.structure.equilibrium_matrix import equilibrium_matrix, free_directions
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, instance
-
-TOLERANCE = 1e-9  # relative to the largest value: smaller residuals and forces count as zero
+from tenscasadi.util.validate import NEGLIGIBLE, Array, instance
 
 
 def self_stress(structure: Structure) -> Array:
@@ -54,7 +52,7 @@ def self_stress(structure: Structure) -> Array:
     instance("structure", structure, Structure, "a tenscasadi.Structure")
     basis = density_basis(structure)
     balance = sp.csc_array(equilibrium_matrix(structure) @ basis)
-    return np.asarray(sparse_null_space(balance, TOLERANCE) @ basis.T)
+    return np.asarray(sparse_null_space(balance, NEGLIGIBLE) @ basis.T)
 
 
 def mechanisms(structure: Structure) -> Array:
@@ -78,7 +76,7 @@ def mechanisms(structure: Structure) -> Array:
     sizes = abs(basis.T) @ lengths / np.asarray(abs(basis).sum(axis=0))
     unit = sp.csc_array(equilibrium_matrix(structure) @ basis * (1.0 / sizes))
     free = free_directions(structure)
-    still = sparse_null_space(sp.csc_array(unit.T), TOLERANCE)
+    still = sparse_null_space(sp.csc_array(unit.T), NEGLIGIBLE)
     motions = still @ (free.T @ rigid_body_motions(structure))
     others = qr(motions)[0][:, motions.shape[1] :].T @ still
     return np.asarray((free @ others.T).T.reshape(-1, *structure.nodes.shape))
@@ -106,9 +104,9 @@ def rigid_body_motions(structure: Structure, nodes: Array | None = None) -> Arra
     arms = arms / (np.abs(arms).max(initial=0.0) or 1.0)
     fields = [np.broadcast_to(axis, arms.shape) for axis in np.eye(3)]
     fields += [np.cross(axis, arms) for axis in np.eye(3)]
-    motions = orth(np.stack([field.ravel() for field in fields], axis=1), rcond=TOLERANCE)
+    motions = orth(np.stack([field.ravel() for field in fields], axis=1), rcond=NEGLIGIBLE)
     free = free_directions(structure)
-    return idle_combinations(motions, motions - free @ (free.T @ motions), TOLERANCE)
+    return idle_combinations(motions, motions - free @ (free.T @ motions), NEGLIGIBLE)
 
 
 def idle_combinations(motions: Array, effects: Array, allowed: float) -> Array:

@@ -24,7 +24,7 @@ from tenscasadi.statics.equilibrium import (
     read_problem,
 )
 from tenscasadi.statics.self_stress import mechanisms, self_stress
-from tenscasadi.statics.solver.newton_system import FLAT, NewtonSystem
+from tenscasadi.statics.solver.newton_system import NewtonSystem
 from tenscasadi.statics.solver.prestressed_state import PrestressedState
 from tenscasadi.statics.solver.static_equations import StaticPoint
 from tenscasadi.statics.solver.trust_region import allowed_residual
@@ -35,11 +35,9 @@ from tenscasadi.structure.prestress import check_cable_tensions, read_force_dens
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.kept import keep
 from tenscasadi.util.read_only import ReadOnlyArrays
-from tenscasadi.util.validate import Array, instance, whole_number
+from tenscasadi.util.validate import NEGLIGIBLE, ROUNDING, Array, instance, whole_number
 
 BALANCED = 1e-6  # unbalanced force in equilibrium, relative to the largest force
-_HELD = 1e-9  # relative to the least compliance: below it supports and rigid bars carry the load
-_FREE = 1e-9  # fraction of a load on motions without stiffness that moves the structure freely
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +114,7 @@ class Stability(ReadOnlyArrays):
         flat = self.mechanisms.reshape(len(self.mechanisms), self.structure.nodes.size)
         stiffness = np.linalg.eigvalsh(flat @ (self.geometric @ flat.T))
         largest = float(np.abs(self.force_density).max(initial=0.0))
-        return bool(np.all(stiffness > FLAT * largest))
+        return bool(np.all(stiffness > ROUNDING * largest))
 
     @cached_property
     def super_stable(self) -> bool:
@@ -208,10 +206,10 @@ class Stability(ReadOnlyArrays):
             raise ValueError("load is zero: give forces on the nodes")
         unit = forces / size
         f = state.system.equations.in_free_directions(unit)
-        if np.linalg.norm(state.flat.T @ f) > _FREE:
+        if np.linalg.norm(state.flat.T @ f) > NEGLIGIBLE:
             return 0.0
         compliance = float(f @ state.displace(unit)[0])
-        return np.inf if abs(compliance) <= _HELD / state.scale else 1.0 / compliance
+        return np.inf if abs(compliance) <= NEGLIGIBLE / state.scale else 1.0 / compliance
 
 
 def stability(

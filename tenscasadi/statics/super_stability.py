@@ -12,8 +12,7 @@ import scipy.sparse as sp
 from scipy.linalg import orth
 from scipy.sparse.linalg import splu
 
-from tenscasadi.statics.self_stress import TOLERANCE, idle_combinations, rigid_body_motions
-from tenscasadi.statics.solver.newton_system import FLAT
+from tenscasadi.statics.self_stress import idle_combinations, rigid_body_motions
 from tenscasadi.structure.cables import density_basis
 from tenscasadi.structure.equilibrium_matrix import (
     balance_columns,
@@ -21,7 +20,7 @@ from tenscasadi.structure.equilibrium_matrix import (
     member_pairs,
 )
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array
+from tenscasadi.util.validate import NEGLIGIBLE, ROUNDING, Array
 
 
 def is_super_stable(structure: Structure, density: Any) -> bool:
@@ -50,11 +49,11 @@ def is_super_stable(structure: Structure, density: Any) -> bool:
     lengthening = balance_columns(pairs, units, len(structure.nodes)).T @ affine
     lengthening = abs(density_basis(structure)).sign().T @ lengthening  # of cables as a whole
     if (
-        idle_combinations(affine, lengthening, TOLERANCE).shape[1]
+        idle_combinations(affine, lengthening, NEGLIGIBLE).shape[1]
         > rigid_body_motions(structure).shape[1]
     ):
         return False
-    flat = FLAT * (float(np.abs(density.data).max(initial=0.0)) or 1.0)
+    flat = ROUNDING * (float(np.abs(density.data).max(initial=0.0)) or 1.0)
     return count_below(K, -flat) == 0 and count_below(K, flat) == affine.shape[1]
 
 
@@ -65,9 +64,9 @@ def affine_motions(structure: Structure) -> Array:
     """
     arms = structure.nodes - structure.nodes.mean(axis=0)
     arms = np.column_stack([np.ones(len(arms)), arms / (np.abs(arms).max(initial=0.0) or 1.0)])
-    fields = orth(np.kron(arms, np.eye(3)), rcond=TOLERANCE)
+    fields = orth(np.kron(arms, np.eye(3)), rcond=NEGLIGIBLE)
     free = free_directions(structure)
-    return idle_combinations(fields, fields - free @ (free.T @ fields), TOLERANCE)
+    return idle_combinations(fields, fields - free @ (free.T @ fields), NEGLIGIBLE)
 
 
 def count_below(matrix: Any, value: float) -> int:

@@ -11,9 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import csr_array, diags_array, issparse
 
-from tenscasadi.util.validate import SMALLEST, Array, Indices, finite_array, per_item
-
-MIN_LENGTH = 1e-12  # × largest coordinate; directions of shorter members are rounding errors
+from tenscasadi.util.validate import ROUNDING, SMALLEST, Array, Indices, finite_array, per_item
 
 Matrix = Any  # ndarray, or csr_array on request
 
@@ -117,7 +115,7 @@ def member_lengths(field: str, nodes: Array, pairs: Indices, item: str) -> Array
     Raises ValueError if one is zero.
     """
     lengths = np.linalg.norm(nodes[pairs[:, 1]] - nodes[pairs[:, 0]], axis=1)
-    for i in np.flatnonzero(lengths < max(MIN_LENGTH * np.abs(nodes).max(), SMALLEST)):
+    for i in np.flatnonzero(lengths < max(ROUNDING * np.abs(nodes).max(), SMALLEST)):
         a, b = pairs[i]
         raise ValueError(
             f"{field}: {item} {i} joins nodes {a} and {b}, which lie {lengths[i]:g} m apart: "

@@ -12,6 +12,7 @@ from scipy.sparse import csr_array
 from tenscasadi.structure.class_one import extend_layout
 from tenscasadi.structure.names import extend_names, name_segments
 from tenscasadi.util.validate import (
+    MAX_COUNT,
     Array,
     Indices,
     as_tuple,
@@ -22,7 +23,6 @@ from tenscasadi.util.validate import (
 )
 
 ENDS = ("interior", "lumped", "consistent")
-LARGEST_COUNT = 200_000  # segments of all strings; more would exhaust the memory
 
 
 class Division(NamedTuple):
@@ -152,7 +152,7 @@ def segment_counts(segments: int | Sequence[int] | Indices, strings: int) -> lis
     Raises TypeError or ValueError.
     """
     if not isinstance(segments, (Sequence, np.ndarray)):
-        most = max(LARGEST_COUNT // max(strings, 1), 1)
+        most = max(MAX_COUNT // max(strings, 1), 1)
         return [whole_number("segments", segments, 1, most)] * strings
     counts = as_tuple("segments", segments, "[2, 2, 1]")
     if len(counts) != strings:
@@ -160,11 +160,9 @@ def segment_counts(segments: int | Sequence[int] | Indices, strings: int) -> lis
             f"segments has {len(counts)} entries: give one number, or one for each of "
             f"{strings} strings"
         )
-    found = [
-        whole_number(f"segments[{i}]", count, 1, LARGEST_COUNT) for i, count in enumerate(counts)
-    ]
-    if sum(found) > max(LARGEST_COUNT, strings):
-        raise ValueError(f"segments sum to {sum(found)}: give at most {LARGEST_COUNT} in all")
+    found = [whole_number(f"segments[{i}]", count, 1, MAX_COUNT) for i, count in enumerate(counts)]
+    if sum(found) > max(MAX_COUNT, strings):
+        raise ValueError(f"segments sum to {sum(found)}: give at most {MAX_COUNT} in all")
     return found
 
 

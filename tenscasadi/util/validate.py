@@ -1,4 +1,4 @@
-"""Input checks that return a clean value or raise.
+"""Input checks that return a clean value or raise, and limits of numbers.
 
 All functions raise TypeError or ValueError. The message has the field, the value and the cure.
 """
@@ -22,6 +22,12 @@ Indices = NDArray[np.intp]
 
 LARGEST = 1e100  # largest input in size: its square does not overflow
 SMALLEST = 1 / LARGEST  # smallest positive input: a division by it does not overflow
+MAX_REPETITIONS = 1000  # of a part of a computation, such as starts, updates or hoops
+MAX_ITERATIONS = 200  # of a method that settles in far fewer
+MAX_COUNT = 100_000  # nodes, members, intervals or elements of a file; more would need hours
+MAX_ENTRIES = 1_000_000  # samples, runs or values of a file; more would exhaust the memory
+ROUNDING = 1e-12  # relative rounding error of a few operations
+NEGLIGIBLE = 1e-9  # relative: smaller values and differences of computed results count as zero
 
 
 def finite_array(field: str, value: Any, shape: tuple[int | None, ...]) -> Array:

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     import viser
 
 FRAME_RATE = 30  # pictures per second
-MOST_FRAMES = 3000  # of a page or a film
 SPEEDS = ("0.01", "0.02", "0.05", "0.1", "0.2", "0.5", "1", "2", "5", "10")
 
 

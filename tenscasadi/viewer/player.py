@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from tenscasadi.drawing.view_content import choose_frame_times
 from tenscasadi.viewer.canvas import Canvas
 from tenscasadi.viewer.charts import build_charts, mark_time
-from tenscasadi.viewer.controls import FRAME_RATE, MOST_FRAMES, ViewControls, add_speed
+from tenscasadi.viewer.controls import FRAME_RATE, ViewControls, add_speed
 from tenscasadi.viewer.pictures import send_film
 from tenscasadi.viewer.runner import Runner
 
@@ -84,7 +84,7 @@ class Player:
         """
         self.play(False)
         try:
-            times = choose_frame_times(self.canvas.content, self.speed, FRAME_RATE, MOST_FRAMES)
+            times = choose_frame_times(self.canvas.content, self.speed, FRAME_RATE)
             send_film(client, name, times, self.show, FRAME_RATE)
         except (ImportError, ValueError, TimeoutError) as error:
             client.add_notification("No film", str(error))

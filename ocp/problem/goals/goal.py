@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from ocp.problem.instant import Instant
     from tenscasadi.dynamics.model import Model
 
-# relative: smaller errors of bar lengths are rounding and are projected away, larger ones rejected
-BAR_TOLERANCE = 1e-3
+# relative: smaller differences of lengths are rounding; projections remove them from bars
+LENGTH_TOLERANCE = 1e-3
 
 
 class Goal(Value):
@@ -453,7 +453,7 @@ def check_bar_lengths(subject: str, nodes: Array, structure: Structure) -> None:
     Nodes are (n, 3) [m]; the tolerance is 0.1 %. Raises ValueError.
     """
     lengths = np.linalg.norm(nodes[structure.bars[:, 1]] - nodes[structure.bars[:, 0]], axis=1)
-    bad = np.flatnonzero(abs(lengths / structure.bar_lengths - 1) > BAR_TOLERANCE)
+    bad = np.flatnonzero(abs(lengths / structure.bar_lengths - 1) > LENGTH_TOLERANCE)
     if bad.size:
         k = int(bad[0])
         raise ValueError(

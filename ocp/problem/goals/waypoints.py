@@ -8,12 +8,17 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from ocp.problem.goals.goal import Goal
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, finite_array, format_value, nesting, positive_number
+from tenscasadi.util.validate import (
+    NEGLIGIBLE,
+    Array,
+    finite_array,
+    format_value,
+    nesting,
+    positive_number,
+)
 
 if TYPE_CHECKING:
     from tenscasadi.dynamics.model import Model
-
-INSTANT = 1e-9  # relative to the duration; closer times count as the same instant
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +77,7 @@ class Waypoint(Goal, kind="Waypoint"):
             object.__setattr__(self, "time", positive_number("Waypoint.time", self.time))
         if (
             self.share is not None
-            and not INSTANT < positive_number("Waypoint.share", self.share) <= 1
+            and not NEGLIGIBLE < positive_number("Waypoint.share", self.share) <= 1
         ):
             raise ValueError(
                 f"Waypoint.share is {self.share:g}: give a fraction of the duration between 0 and 1"
@@ -158,21 +163,21 @@ class Waypoint(Goal, kind="Waypoint"):
             If the time is outside the plan, or if a time is given and the duration is free.
         """
         if self.share is not None:
-            return 1.0 if self.share > 1 - INSTANT else float(self.share)
+            return 1.0 if self.share > 1 - NEGLIGIBLE else float(self.share)
         time = float(self.time or 0.0) if not isinstance(self.time, tuple) else self.time[1]
         if shortest < longest:
             raise ValueError(
                 f"Waypoint.time is {time:g}, and Problem.duration is free: give Waypoint(share=...)"
             )
-        if time > (1 + INSTANT) * longest:
+        if time > (1 + NEGLIGIBLE) * longest:
             raise ValueError(
                 f"Waypoint.time is {time:g}, and the plan takes {longest:g} s: give an earlier time, or a goal of the end"
             )
-        if time <= INSTANT * longest:
+        if time <= NEGLIGIBLE * longest:
             raise ValueError(
                 f"Waypoint.time is {time:g}, where a plan of {longest:g} s has hardly begun: give a later time"
             )
-        return 1.0 if time > (1 - INSTANT) * longest else time / longest
+        return 1.0 if time > (1 - NEGLIGIBLE) * longest else time / longest
 
 
 def _read_range(value: Any) -> tuple[float, float]:

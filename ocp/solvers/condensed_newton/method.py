@@ -18,8 +18,8 @@ from ocp.solvers.condensed_newton.interior_point import InteriorPoint
 from ocp.solvers.condensed_newton.iterate import evaluate, polish
 from ocp.solvers.monitor import Monitor, Progress
 from ocp.transcription.sparse_nlp import Program
+from tenscasadi.util.validate import NEGLIGIBLE
 
-MET = 1e-9  # scaled rows: all are met
 MAX_GROWTH = 1e8  # of unknowns with defects of one; more multiplies rounding errors as much
 NOT_SETTLED = "unsettled"
 SOLVED = ("optimal", "settled", "nearly settled", NOT_SETTLED)
@@ -161,8 +161,8 @@ class CondensedNewton(NamedSolver, kind="CondensedNewton"):
             u, s = moved.first[of.u], moved.first[of.s]
             with np.errstate(all="ignore"):
                 slack = of.path_bounds.inside(of.values(u, s)[3], 1e-12, 0.2)
-                point = polish(of, evaluate(of, u, s, slack), MET)
-            met = point.worst <= MET
+                point = polish(of, evaluate(of, u, s, slack), NEGLIGIBLE)
+            met = point.worst <= NEGLIGIBLE
             return Solution(of.join(point.u, point.s), met, "corrected", 1, moved.multipliers)
 
         return correct
@@ -176,6 +176,6 @@ def _polished(of: CondensedProgram, search: InteriorPoint, status: str) -> Solut
     expansion.weigh(goal_duals, path_duals, np.zeros(len(path_duals)))
     limits = np.zeros(len(of.u) + len(of.s))
     limits[of.u] = bound_duals
-    success = point.worst <= MET and status in SOLVED
+    success = point.worst <= NEGLIGIBLE and status in SOLVED
     w = of.join(point.u, point.s)
     return Solution(w, success, status, search.iterations, (expansion.duals, limits))

@@ -8,14 +8,10 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from tenscasadi.design.conic import LinearRows, solve_conic
+from tenscasadi.design.conic import ACCURACY, LinearRows, solve_conic
 from tenscasadi.design.sizing.program import SizingProgram
-from tenscasadi.util.validate import Array
-
-ROUNDING = 1e-6  # relative solver tolerance of areas and forces
-FLOOR = 1e-9  # area assigned to members of zero area, relative to the largest area
-_REGULARIZATION = 1e-10  # relative to the largest stiffness: for mechanisms, which carry no load
-_ITERATIONS = 200
+from tenscasadi.util.linear_algebra import REGULARIZATION
+from tenscasadi.util.validate import MAX_ITERATIONS, NEGLIGIBLE, Array
 
 
 def elastic_response(program: SizingProgram, area: Array) -> Array:
@@ -54,9 +50,9 @@ def _stiffness(program: SizingProgram, area: Array) -> tuple[Array, Callable[[Ar
     """
     sections, B = program.sections, program.balance
     size = float(area.max(initial=0.0)) or 1.0
-    k = sections.modulus * np.maximum(area, FLOOR * size) / sections.lengths
+    k = sections.modulus * np.maximum(area, NEGLIGIBLE * size) / sections.lengths
     K = sp.csc_array(B @ sp.diags_array(k) @ B.T)
-    shift = _REGULARIZATION * float(K.diagonal().max(initial=0.0))
+    shift = REGULARIZATION * float(K.diagonal().max(initial=0.0))
     factors = splu(sp.csc_array(K + shift * sp.eye_array(K.shape[0], format="csc")))
 
     def solve(f: Array) -> Array:
@@ -86,7 +82,7 @@ def fit_prestress(program: SizingProgram, area: Array, forces: Array) -> Array:
     equal = LinearRows(program.balance, np.zeros(program.balance.shape[0]))
     found = solve_conic(-forces.mean(axis=0) / scale, equal, below, eye)
     fitted = found.x * scale
-    if found.status != "solved" or np.abs(fitted).max() <= ROUNDING * scale:
+    if found.status != "solved" or np.abs(fitted).max() <= ACCURACY * scale:
         return np.zeros(members)
     return fitted
 
@@ -106,7 +102,7 @@ def superpose_prestress(
     """
     sections = program.sections
     forces = np.zeros((len(program.loads), program.members))
-    for _ in range(_ITERATIONS):
+    for _ in range(MAX_ITERATIONS):
         forces = prestress + elastic_response(program, area)
         needed = sections.needed(np.vstack([forces, prestress]))
         if np.all(np.abs(needed - area) <= 1e-12 * needed.max(initial=0.0)):

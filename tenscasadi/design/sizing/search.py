@@ -18,12 +18,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tenscasadi.design.conic import ACCURACY
 from tenscasadi.design.sizing.program import BucklingRows, SizedForces, SizingProgram
-from tenscasadi.util.validate import Array
+from tenscasadi.util.validate import MAX_ITERATIONS, NEGLIGIBLE, Array
 
-_GAP = 1e-6  # relative difference of the bounds that ends the search
-_DESCENT = 1e-9  # relative improvement that ends the convex-concave procedure
-_ITERATIONS = 100
 _GROWTHS = 12  # doublings of areas until they carry their own weight
 _WORK = 20_000  # unknowns of all programs of branch and bound: 0.2 s; 200 programs of 100 unknowns
 
@@ -50,7 +48,7 @@ def find_least_mass(program: SizingProgram) -> Design:
     if not np.isfinite(root.mass):
         return Design(none, np.inf)
     needed = program.sections.needed(root.force)
-    if np.all(needed <= root.area + _GAP * root.area.max(initial=0.0)):
+    if np.all(needed <= root.area + ACCURACY * root.area.max(initial=0.0)):
         return Design(root, root.mass)  # yield governs: the program is convex
     best = _descend(program, root.force) or none
     return _branch(program, best)
@@ -71,9 +69,9 @@ def _descend(program: SizingProgram, forces: Array) -> SizedForces | None:
         area = 2.0 * area
     else:
         return None
-    for _ in range(_ITERATIONS):
+    for _ in range(MAX_ITERATIONS):
         better = program.solve(_tangents(program, found.area))
-        if not better.mass < found.mass * (1.0 - _DESCENT):
+        if not better.mass < found.mass * (1.0 - NEGLIGIBLE):
             break
         found = better
     return found
@@ -118,13 +116,13 @@ def _branch(program: SizingProgram, best: SizedForces) -> Design:
     queue: list[tuple[float, int, Array, Array]] = [(0.0, 0, np.zeros(program.members), largest())]
     unknowns = program.members * (1 + 2 * len(program.loads))
     for count in range(1 + _WORK // max(unknowns, 1)):
-        if not queue or queue[0][0] >= best.mass * (1.0 - _GAP):
+        if not queue or queue[0][0] >= best.mass * (1.0 - ACCURACY):
             return Design(best, best.mass)
         _, _, low, high = heapq.heappop(queue)
         relaxed = program.solve(chords(low, high), high)
-        if relaxed.mass >= best.mass * (1.0 - _GAP):
+        if relaxed.mass >= best.mass * (1.0 - ACCURACY):
             continue
-        if sections.mass_per_area @ sections.needed(relaxed.force) < best.mass * (1.0 - _GAP):
+        if sections.mass_per_area @ sections.needed(relaxed.force) < best.mass * (1.0 - ACCURACY):
             candidate = _descend(program, relaxed.force) or best
             best = min(best, candidate, key=lambda each: each.mass)
         push = np.maximum(-relaxed.force, 0.0).max(axis=0)

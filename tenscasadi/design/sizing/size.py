@@ -9,10 +9,9 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from tenscasadi.design.conic import LinearRows, solve_conic
+from tenscasadi.design.conic import ACCURACY, LinearRows, solve_conic
 from tenscasadi.design.find_prestress import read_load_cases
 from tenscasadi.design.sizing.elastic_forces import (
-    ROUNDING,
     elastic_response,
     fit_prestress,
     superpose_prestress,
@@ -27,6 +26,7 @@ from tenscasadi.scene.loads import Gravity
 from tenscasadi.structure.cables import reject_cables
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import (
+    NEGLIGIBLE,
     Array,
     finite_array,
     flag,
@@ -35,8 +35,6 @@ from tenscasadi.util.validate import (
     number,
     per_item,
 )
-
-_BALANCED = 1e-9  # unbalanced forces of a given prestress, relative to its largest force
 
 
 def size(
@@ -141,7 +139,7 @@ def size(
     message = f"stable, {more:.1e} above the least mass without that"
     sized = report_sections(structure, program, cases, found[:3], message)
     least = float(sized.buckling.min(initial=np.inf))
-    if least < 1.0 - ROUNDING:
+    if least < 1.0 - ACCURACY:
         reason = f"a load case buckles at {least:.6g} times its load: give a minimum area"
         return replace(sized, success=False, message=reason)
     return sized
@@ -188,7 +186,7 @@ def _read_prestress(program: SizingProgram, prestress: ArrayLike | None) -> Arra
         return np.zeros(program.members)
     forces = finite_array("prestress", prestress, (program.members,))
     left = float(np.abs(program.balance @ forces).max(initial=0.0))
-    if left > _BALANCED * np.abs(forces).max(initial=0.0):
+    if left > NEGLIGIBLE * np.abs(forces).max(initial=0.0):
         raise ValueError(
             f"prestress leaves {left:.3g} N unbalanced: give forces in equilibrium, such as those of find_prestress"
         )
@@ -201,7 +199,7 @@ def _superpose(structure: Structure, program: SizingProgram, cases: Array, given
     sections = program.sections
     area, forces = superpose_prestress(program, given, sections.needed(given[None]))
     needed = sections.needed(np.vstack([forces, given]))
-    if not np.all(needed <= area + ROUNDING * area.max(initial=0.0)):
+    if not np.all(needed <= area + ACCURACY * area.max(initial=0.0)):
         reason = "areas and response to the loads do not settle: give a minimum area"
         return report_failure(structure, cases, reason)
     message = "each member is as thin as the given prestress allows"
@@ -224,10 +222,10 @@ def _choose_forces(
     own = none if given is not None else fit_prestress(program, area, best.force - response)
     elastic = own + response
     largest = float(np.abs(elastic).max(initial=0.0))
-    taut = elastic[:, : program.strings].min(initial=0.0) >= -ROUNDING * largest
+    taut = elastic[:, : program.strings].min(initial=0.0) >= -ACCURACY * largest
     needed = sections.needed(np.vstack([elastic, own]))
-    if taut and np.all(needed <= area + ROUNDING * area.max()):
-        same = np.abs(elastic - best.force) <= ROUNDING * largest
+    if taut and np.all(needed <= area + ACCURACY * area.max()):
+        same = np.abs(elastic - best.force) <= ACCURACY * largest
         return area, np.where(same, best.force, elastic), own
     return area, best.force, none
 
@@ -237,7 +235,7 @@ def _explain(program: SizingProgram) -> str:
     for case in np.flatnonzero(program.loads.any(axis=1)):
         load = program.loads[case]
         left = unbalanced_load(program, load)
-        if left > ROUNDING * float(np.abs(load).max()):
+        if left > ACCURACY * float(np.abs(load).max()):
             return f"no forces with strings in tension balance load case {case}, {left:.3g} N stay unbalanced: change supports, members or the load"
     if program.weight.nnz:
         return "no sections carry their own weight: use a stronger material or shorter members"

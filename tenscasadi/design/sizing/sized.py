@@ -7,8 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
+from tenscasadi.design.conic import ACCURACY
 from tenscasadi.design.force_densities import set_prestress
-from tenscasadi.design.sizing.elastic_forces import FLOOR, ROUNDING
 from tenscasadi.design.sizing.material import Sections
 from tenscasadi.design.sizing.program import SizingProgram
 from tenscasadi.scene.loads import NodalForce
@@ -16,7 +16,7 @@ from tenscasadi.scene.scene import Scene
 from tenscasadi.statics.buckling import buckling_factor
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.read_only import ReadOnlyArrays
-from tenscasadi.util.validate import Array
+from tenscasadi.util.validate import NEGLIGIBLE, Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +111,7 @@ def report_sections(
     sections, strings = program.sections, program.strings
     masses = sections.mass_per_area * area
     largest = float(np.abs(force).max(initial=0.0))
-    slack = np.flatnonzero(force[:, :strings].min(axis=0, initial=0.0) < -ROUNDING * largest)
+    slack = np.flatnonzero(force[:, :strings].min(axis=0, initial=0.0) < -ACCURACY * largest)
     if len(slack):
         message = f"string {slack[0]} would be compressed under a load: raise the prestress"
     return Sized(
@@ -141,7 +141,7 @@ def _find_reasons(sections: Sections, area: Array, states: Array) -> tuple[str, 
         sections.minimum,
     ]
     reasons = np.array(["yield", "buckling", "minimum"])[np.argmax(needs, axis=0)]
-    unused = area <= ROUNDING * area.max(initial=0.0)
+    unused = area <= ACCURACY * area.max(initial=0.0)
     return tuple(np.where(unused, "none", reasons).tolist())
 
 
@@ -153,7 +153,7 @@ def _build_structure(
     Bars without force get a billionth of the largest area, because each bar must have a mass.
     """
     sections, strings = program.sections, program.strings
-    kept = np.maximum(area, FLOOR * (area.max(initial=0.0) or 1.0))
+    kept = np.maximum(area, NEGLIGIBLE * (area.max(initial=0.0) or 1.0))
     stiffness = sections.modulus / sections.lengths
     sized = structure.replace(
         stiffness=(stiffness * area)[:strings],

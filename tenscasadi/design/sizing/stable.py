@@ -12,21 +12,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from tenscasadi.design.conic import LinearRows, scaled_triangle, solve_conic
-from tenscasadi.design.sizing.elastic_forces import (
-    ROUNDING,
-    elastic_response,
-    response_slopes,
-)
+from tenscasadi.design.conic import ACCURACY, LinearRows, scaled_triangle, solve_conic
+from tenscasadi.design.sizing.elastic_forces import elastic_response, response_slopes
 from tenscasadi.design.sizing.program import SizingProgram
 from tenscasadi.design.tangent_stiffness import TangentStiffness, extend_basis
-from tenscasadi.util.validate import Array
+from tenscasadi.util.validate import MAX_ITERATIONS, NEGLIGIBLE, Array
 
-_ROUNDS = 60
-_SETTLED = 1e-8  # relative change of the mass between iterations at convergence
 _FACTOR = 10.0  # largest factor of an area per iteration, before the areas oscillate
 _LARGEST_FACTOR = 1e6
-_FLOOR = 1e-9  # area that counts as zero, relative to the largest area
 _START = 1e-3  # least initial area, relative to the largest: no area grows from zero
 _ROUNDING = 1e-8  # tolerance of negative eigenvalues, relative to the largest member stiffness
 _MODES = 6  # softest motions of a state that are checked for stability
@@ -97,7 +90,7 @@ class StableSizing:
         own, last = np.zeros_like(area), np.zeros_like(area)
         weight = self.program.sections.mass_per_area
         self._factor = _FACTOR
-        for _ in range(_ROUNDS):
+        for _ in range(MAX_ITERATIONS):
             found = self._stabilize(area, self._linearize(area))
             if found is None and self._factor < _LARGEST_FACTOR:
                 self._factor *= _FACTOR
@@ -106,8 +99,8 @@ class StableSizing:
                 reason = "no areas and prestress keep all load cases stable: add members or supports, or let the prestress be chosen"
                 return self._design(area, own, reason)
             step, own = found[0] - area, found[1]
-            area = np.maximum(found[0], _FLOOR * found[0].max(initial=0.0))
-            if abs(weight @ step) <= _SETTLED * (weight @ area):
+            area = np.maximum(found[0], NEGLIGIBLE * found[0].max(initial=0.0))
+            if abs(weight @ step) <= NEGLIGIBLE * (weight @ area):
                 return self._design(area, own, "")
             if step @ last < 0.0:  # the areas oscillate
                 self._factor = self._factor**0.5
@@ -118,7 +111,7 @@ class StableSizing:
 
     def _design(self, area: Array, own: Array, message: str) -> StableDesign:
         response = elastic_response(self.program, area)
-        if np.abs(own).max(initial=0.0) <= ROUNDING * np.abs(response).max(initial=0.0):
+        if np.abs(own).max(initial=0.0) <= ACCURACY * np.abs(response).max(initial=0.0):
             own = np.zeros_like(own)
         return StableDesign(area, own + response, own, message)
 
@@ -140,7 +133,7 @@ class StableSizing:
         Unstable motions of a solution become constraints of the next program.
         """
         sections = self.program.sections
-        for _ in range(_ROUNDS):
+        for _ in range(MAX_ITERATIONS):
             found = self._minimize(area, states)
             if found is None:
                 return None

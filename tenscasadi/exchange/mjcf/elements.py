@@ -13,9 +13,9 @@ from xml.parsers import expat
 
 import numpy as np
 
-from tenscasadi.exchange.source import DEEPEST, MOST_PARTS, Source
+from tenscasadi.exchange.source import DEEPEST, Source
 from tenscasadi.schema.reading import SceneFileError
-from tenscasadi.util.validate import LARGEST, Array, format_value
+from tenscasadi.util.validate import LARGEST, MAX_COUNT, Array, format_value
 
 
 @dataclass(frozen=True)
@@ -160,8 +160,8 @@ class _XmlReader:
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
         self._count[0] += 1
         line = self._parser.CurrentLineNumber
-        if self._count[0] > MOST_PARTS:
-            message = f"it has more than {MOST_PARTS} elements: give a smaller file"
+        if self._count[0] > MAX_COUNT:
+            message = f"it has more than {MAX_COUNT} elements: give a smaller file"
             raise SceneFileError(message, self._name, line)
         if len(self._open) > DEEPEST:
             message = f"its elements are nested more than {DEEPEST} deep: write it flatter"

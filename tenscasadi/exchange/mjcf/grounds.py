@@ -12,12 +12,10 @@ from tenscasadi.exchange.mjcf.contact import ContactWeights, ground_numbers
 from tenscasadi.exchange.mjcf.elements import Element
 from tenscasadi.exchange.mjcf.geoms import Geom
 from tenscasadi.exchange.mjcf.words import Defaults, check, children
-from tenscasadi.exchange.source import MOST_PARTS
 from tenscasadi.scene.ground import Ground
-from tenscasadi.util.validate import Array
+from tenscasadi.util.validate import MAX_COUNT, Array
 
-_SOFT = (0.02, 1.0)  # MuJoCo's default solref
-_FRICTION = (1.0, 0.005, 0.0001)
+_DEFAULTS = {"solref": (0.02, 1.0), "friction": (1.0, 0.005, 0.0001)}  # of MuJoCo
 
 
 class Touch(NamedTuple):
@@ -53,7 +51,7 @@ def read_grounds(
     moving = [(k, geom) for k, piece in bodies.moving() for geom in piece.geoms]
     found: list[Ground] = []
     fixed = bodies.pieces[0].geoms
-    if len(fixed) * len(moving) > 100 * MOST_PARTS:
+    if len(fixed) * len(moving) > 100 * MAX_COUNT:
         raise root.error(
             f"has {len(fixed)} geoms in the world and {len(moving)} in bodies, too many to find which touch: give fewer"
         )
@@ -113,9 +111,10 @@ def _mix(one: Element, other: Element) -> Element:
     if priorities[0] != priorities[1]:
         return one if priorities[0] > priorities[1] else other
     friction = max(
-        float(geom.numbers("friction", (1, 2, 3), _FRICTION)[0]) for geom in (one, other)
+        float(geom.numbers("friction", (1, 2, 3), _DEFAULTS["friction"])[0])
+        for geom in (one, other)
     )
-    laws = np.array([geom.numbers("solref", (1, 2), _SOFT) for geom in (one, other)])
+    laws = np.array([geom.numbers("solref", (1, 2), _DEFAULTS["solref"]) for geom in (one, other)])
     law = laws.mean(axis=0) if (laws[:, 0] > 0).all() else laws.min(axis=0)
     mixed = {
         "friction": repr(friction),
@@ -145,13 +144,13 @@ def _build_grounds(plane: Geom, touches: list[Touch], weights: ContactWeights) -
     mean = float(np.mean([weights.inverse[touch.node] for touch in touches]))
     laws: list[tuple[dict[str, Any], list[int]]] = []
     for touch in touches:
-        solref = touch.law.numbers("solref", 2, _SOFT)
+        solref = touch.law.numbers("solref", 2, _DEFAULTS["solref"])
         if solref[0] > 0 >= solref[1]:
             raise touch.law.error(
                 "has one number above 0 and one below: give a time constant and a damping ratio, or both negated",
                 "solref",
             )
-        friction = touch.law.numbers("friction", (1, 2, 3, 4, 5), _FRICTION)[0]
+        friction = touch.law.numbers("friction", (1, 2, 3, 4, 5), _DEFAULTS["friction"])[0]
         slides = touch.law.whole("condim", 3) == 1 or friction == 0
         inverse = (
             float(weights.inverse[touch.node]) if solref[0] <= 0 else mean

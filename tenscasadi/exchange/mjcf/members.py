@@ -10,10 +10,9 @@ import numpy as np
 
 from tenscasadi.exchange.mjcf.bodies import Bodies, Piece, Site
 from tenscasadi.exchange.mjcf.elements import Element
-from tenscasadi.util.validate import Array
+from tenscasadi.util.validate import ROUNDING, Array
 
 CLOSE = 1e-5  # relative to the structure's size: closer points coincide
-_ROUND = 1e-12  # of a bar's squared length: a smaller squared radius counts as zero
 _WORLD = 0
 
 
@@ -245,11 +244,11 @@ class PieceEnds:
             piece.element.leave_out(
                 f"has an inertia of {mean:.4g} kg m², less than a thin rod between its ends: {mass * length**2 / 12:.4g} kg m²"
             )
-        radius = float(np.sqrt(max(squared, 0.0))) if abs(squared) > _ROUND * length**2 else 0.0
+        radius = float(np.sqrt(max(squared, 0.0))) if abs(squared) > ROUNDING * length**2 else 0.0
         drawn = [
             geom.rod.radius for geom in piece.geoms if geom.rod and geom.rod.kind == "cylinder"
         ]
-        exact = [size for size in drawn if abs(size**2 - squared) < _ROUND * length**2]
+        exact = [size for size in drawn if abs(size**2 - squared) < ROUNDING * length**2]
         return exact[0] if exact else radius  # without the rounding error of the square root
 
     def read_point(self, k: int, piece: Piece) -> float:

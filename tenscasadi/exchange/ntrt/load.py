@@ -21,9 +21,9 @@ from tenscasadi.exchange.ntrt.members import (
     read_builder,
 )
 from tenscasadi.exchange.ntrt.yaml_tree import YamlEntry, read_tree
-from tenscasadi.exchange.source import MOST_PARTS, Source
+from tenscasadi.exchange.source import Source
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import file_path, flag, positive_number
+from tenscasadi.util.validate import MAX_COUNT, file_path, flag, positive_number
 
 
 def load_ntrt(
@@ -140,8 +140,8 @@ class _NtrtReader:
 
     def _add_count(self, more: int, entry: YamlEntry) -> None:
         self.count += more
-        if self.count > MOST_PARTS:
-            raise entry.error(f"makes more than {MOST_PARTS} nodes, pairs and substructures")
+        if self.count > MAX_COUNT:
+            raise entry.error(f"makes more than {MAX_COUNT} nodes, pairs and substructures")
 
     def _read_substructures(
         self, whole: Assembly, entry: YamlEntry, above: tuple[Path, ...]

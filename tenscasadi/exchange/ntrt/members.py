@@ -13,7 +13,7 @@ from tenscasadi.exchange.ntrt.yaml_tree import YamlEntry
 from tenscasadi.exchange.source import Source
 from tenscasadi.schema.reading import SceneFileError
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, Indices
+from tenscasadi.util.validate import NEGLIGIBLE, Array, Indices
 
 _ROD = {"radius": 0.5, "density": 1.0}  # NTRT's defaults, in its units
 _STRING = {"stiffness": 1000.0, "damping": 10.0, "pretension": 0.0}
@@ -30,7 +30,6 @@ _STRING_IGNORED = dict.fromkeys(
     "moveCablePointAToEdge moveCablePointBToEdge motor_friction motor_inertia back_drivable",
 )
 _IGNORED = {**_ROD_IGNORED, **_STRING_IGNORED}
-_SAME = 1e-9  # relative to the largest extent: closer nodes are merged, as in NTRT
 
 
 @dataclass(frozen=True)
@@ -205,7 +204,7 @@ def _merge_nodes(nodes: list[NtrtNode]) -> tuple[Array, dict[int, int]]:
 
     places = np.array([node.at for node in nodes])
     near = cKDTree(places).query_pairs(
-        _SAME * float(np.ptp(places, axis=0).max()), output_type="ndarray"
+        NEGLIGIBLE * float(np.ptp(places, axis=0).max()), output_type="ndarray"
     )
     links = coo_array(
         (np.ones(len(near)), (near[:, 0], near[:, 1])), shape=(len(nodes), len(nodes))

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from tenscasadi.exchange.source import MOST_PARTS, Source
+from tenscasadi.exchange.source import Source
 from tenscasadi.schema.reading import SceneFileError
-from tenscasadi.util.validate import Array, format_value
+from tenscasadi.util.validate import MAX_COUNT, Array, format_value
 
 _LARGEST = 1e30  # a mass is a product of four numbers and must stay finite
 
@@ -119,8 +119,8 @@ def read_tree(source: Source, path: Path) -> YamlEntry:
         root = yaml.compose("\n".join(lines), Loader=yaml.SafeLoader)
         if root is None:
             raise SceneFileError("it is empty: give nodes and pair_groups", name)
-        if _count(root, {}) > MOST_PARTS:
-            message = f"it has more than {MOST_PARTS} entries with expanded aliases"
+        if _count(root, {}) > MAX_COUNT:
+            message = f"it has more than {MAX_COUNT} entries with expanded aliases"
             raise SceneFileError(f"{message}: give a smaller file", name)
         return _build_entry(source, path, "the file", root)
     except SceneFileError:

@@ -22,10 +22,10 @@ from scipy.optimize import brentq
 from scipy.sparse.linalg import splu
 
 from tenscasadi.statics.solver.motions import neutral_motions, softest_motions
-from tenscasadi.statics.solver.newton_system import FLAT, NewtonSystem
+from tenscasadi.statics.solver.newton_system import NewtonSystem
 from tenscasadi.statics.solver.static_equations import Conditions, StaticPoint
 from tenscasadi.statics.solver.trust_region import allowed_residual
-from tenscasadi.util.validate import Array
+from tenscasadi.util.validate import ROUNDING, Array
 
 LONGEST = 0.1  # longest step, in units of arc length
 SHORTEST = 1e-7
@@ -35,8 +35,9 @@ _EASY = 4  # corrector iterations that leave the step length unchanged
 _FLAT = 10  # rows with equal factors after which a path ends
 _SAME = 1e-5  # fraction of a step within which critical points count as one
 _JUMP = 100.0  # largest distance between two points of a path, relative to their arc length
-_ACROSS = 1e-6  # fraction of the load along a critical motion below which it is a bifurcation
-_CRITICAL = 1e-6  # stiffness of a critical motion, relative to the largest stiffness
+# stiffness of a critical motion relative to the largest, and fraction of the load along it below
+# which it is a bifurcation
+_CRITICAL = 1e-6
 
 
 class LoadChange(NamedTuple):
@@ -296,7 +297,7 @@ class Tracer:
         system, size, rigid = self.system, self.system.size, self.system.rigid
         scale = system.stiffness_scale(point, tension)
         K = system.tangent(point, tension) + system.load_tangent(point)
-        K = K + sp.diags_array(np.full(size, FLAT * scale))
+        K = K + sp.diags_array(np.full(size, ROUNDING * scale))
         J = system.lengthening(point)
         push = self._push(point, factor)
         weight = np.linalg.norm(push) or 1.0  # of the factor's column
@@ -356,7 +357,7 @@ class Tracer:
         direction = direction / np.linalg.norm(direction)
         scale = system.stiffness_scale(pressed, tension)
         try:
-            factors = system.factor(pressed, tension, scale, -FLAT * scale)
+            factors = system.factor(pressed, tension, scale, -ROUNDING * scale)
             unstable = factors.count_negative(neutral)
         except np.linalg.LinAlgError:
             unstable = 1
@@ -376,7 +377,7 @@ class Tracer:
         # along motions orthogonal to the load the system is singular at a bifurcation
         _, motions = self._softest(place, high)
         push = self._push(place.point, place.factor)
-        sideways = np.abs(motions.T @ push) <= _ACROSS * float(np.linalg.norm(push))
+        sideways = np.abs(motions.T @ push) <= _CRITICAL * float(np.linalg.norm(push))
         across = np.hstack(
             [place.neutral, motions[:, sideways & (np.arange(motions.shape[1]) >= low)]]
         )
@@ -412,7 +413,7 @@ class Tracer:
         values, motions = self._softest(place, k + 1)
         push = self._push(place.point, place.factor)
         scale = self.system.stiffness_scale(place.point, place.tension)
-        across = abs(float(motions[:, k] @ push)) <= _ACROSS * float(np.linalg.norm(push))
+        across = abs(float(motions[:, k] @ push)) <= _CRITICAL * float(np.linalg.norm(push))
         return across and abs(float(values[k])) <= _CRITICAL * scale
 
     def _check_continuity(

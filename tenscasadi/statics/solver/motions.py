@@ -13,15 +13,13 @@ import numpy as np
 import scipy.sparse as sp
 
 from tenscasadi.statics.self_stress import idle_combinations, rigid_body_motions
-from tenscasadi.statics.solver.newton_system import FLAT, NewtonFactors, NewtonSystem
+from tenscasadi.statics.solver.newton_system import NewtonFactors, NewtonSystem
 from tenscasadi.statics.solver.static_equations import StaticPoint
 from tenscasadi.util.constrained_eigenproblem import lowest_eigenpairs
 from tenscasadi.util.linear_algebra import null_space
-from tenscasadi.util.validate import Array
+from tenscasadi.util.validate import NEGLIGIBLE, ROUNDING, Array
 
 DENSE = 600  # free coordinates up to which all motions are computed, by dense matrices
-NEUTRAL = 1e-9  # stiffness of a free rigid-body motion, relative to the stiffness due to forces
-REDUNDANT = 1e-9  # singular values of redundant bars, relative to the norm of J
 
 
 def softest_motions(
@@ -75,7 +73,7 @@ def motion_basis(J: Any, left_out: Array) -> Array:
         The basis, dense.
     """
     rows = np.concatenate([J.toarray(), left_out.T])
-    return null_space(rows, REDUNDANT * float(np.linalg.norm(rows)))
+    return null_space(rows, NEGLIGIBLE * float(np.linalg.norm(rows)))
 
 
 def neutral_motions(system: NewtonSystem, point: StaticPoint, tension: Array) -> Array:
@@ -100,11 +98,11 @@ def neutral_motions(system: NewtonSystem, point: StaticPoint, tension: Array) ->
     # members keep their lengths: only their forces and the loads contribute stiffness
     rigid = point._replace(slope=0 * point.slope, coupling=0 * point.coupling)
     K = system.tangent(rigid, tension) + system.load_tangent(point)
-    return idle_combinations(motions, K @ motions, NEUTRAL * float(np.sqrt((K.data**2).sum())))
+    return idle_combinations(motions, K @ motions, NEGLIGIBLE * float(np.sqrt((K.data**2).sum())))
 
 
 def find_stable_factors(
-    system: NewtonSystem, point: StaticPoint, tension: Array, shift: float = -FLAT
+    system: NewtonSystem, point: StaticPoint, tension: Array, shift: float = -ROUNDING
 ) -> NewtonFactors | None:
     """Factorize the Newton system of a stable equilibrium.
 

@@ -17,9 +17,8 @@ from scipy.sparse.linalg import splu
 
 from tenscasadi.statics.solver.static_equations import StaticEquations, StaticPoint
 from tenscasadi.util.sparse_pattern import MatrixEntries, SparsePattern, join_entries
-from tenscasadi.util.validate import Array, Indices
+from tenscasadi.util.validate import ROUNDING, Array, Indices
 
-FLAT = 1e-12  # threshold of zero stiffness, relative to the largest stiffness
 COMPLIANCE = 1e-8  # of rigid bars, relative to 1/stiffness: keeps pivots of redundant bars nonzero
 REFINEMENTS = 2  # iterative refinements of a solution, which remove the effect of the compliance
 
@@ -183,7 +182,7 @@ class NewtonSystem:
         K = self.tangent(point, tension) + self.load_tangent(point)
         J, scale = self.lengthening(point), self.stiffness_scale(point, tension)
         slack = sp.diags_array(np.full(self.rigid, -COMPLIANCE / scale))
-        shift = sp.diags_array(np.full(self.size, FLAT * scale))
+        shift = sp.diags_array(np.full(self.size, ROUNDING * scale))
         try:
             factors = splu(sp.csc_array(sp.block_array([[K + shift, J.T], [J, slack]])))
         except RuntimeError as error:

@@ -13,9 +13,9 @@ from tenscasadi.statics.solver.motions import (
     neutral_motions,
     softest_motions,
 )
-from tenscasadi.statics.solver.newton_system import FLAT, NewtonSystem
+from tenscasadi.statics.solver.newton_system import NewtonSystem
 from tenscasadi.statics.solver.static_equations import StaticPoint
-from tenscasadi.util.validate import Array
+from tenscasadi.util.validate import ROUNDING, Array
 
 LOWEST = 20  # motions of large structures that are computed by default
 
@@ -74,7 +74,7 @@ class PrestressedState:
     @cached_property
     def flat(self) -> Array:
         """Orthonormal motions (free, ·) without stiffness, neutral ones among them."""
-        zero = FLAT * self.scale
+        zero = ROUNDING * self.scale
         values, motions = self.lowest
         if len(values) and values[-1] <= zero:  # there may be more of them
             values, motions = self.softest(None)
@@ -100,7 +100,7 @@ class PrestressedState:
         system, flat = self.system, self.flat
         f = system.equations.in_free_directions(forces)
         f = f - flat @ (flat.T @ f)
-        factors = system.factor(self.point, self.tension, self.scale, FLAT * self.scale)
+        factors = system.factor(self.point, self.tension, self.scale, ROUNDING * self.scale)
         y, multipliers = factors.solve(f)
         for _ in range(3):  # removes the shift
             rest = f - self.tangent @ y - self.lengthening.T @ multipliers

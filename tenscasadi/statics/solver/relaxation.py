@@ -22,11 +22,8 @@ from tenscasadi.integrators.stability import contact_step, stable_step
 from tenscasadi.scene.binding import fix
 from tenscasadi.scene.scene import Scene
 from tenscasadi.simulation.simulate import simulate
-from tenscasadi.util.validate import Array
+from tenscasadi.util.validate import MAX_COUNT, MAX_ITERATIONS, ROUNDING, Array
 
-ROUNDS = 100  # restarts
-MOST_STEPS = 10**5  # of all rounds together
-RESTED = 1e-12  # kinetic energy at rest, relative to the largest maximum
 _ROWS = 200  # steps of a round, among which the maximum is sought
 _LONGEST = 1e-2  # s, longest step of a structure without stiff members
 
@@ -59,9 +56,9 @@ def relax(scene: Scene, nodes: Array, control: Array, parameters: Array, time: f
         limits = (stable_step(model, state, control, safety=0.5), 0.5 * contact_step(model))
     step = min(_LONGEST, *(limit for limit in limits if limit > 0.0))
     duration, highest, taken = _ROWS * step, 0.0, 0.0
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ITERATIONS):
         taken += duration / step
-        if taken > MOST_STEPS:
+        if taken > MAX_COUNT:
             break
         run = simulate(
             model, duration, step, state=state, control=control, verify=False, energy_balance=False
@@ -72,7 +69,7 @@ def relax(scene: Scene, nodes: Array, control: Array, parameters: Array, time: f
         peak = int(np.argmax(kinetic))
         highest = max(highest, float(kinetic[peak]))
         state = model.state(run.nodes[peak])
-        if kinetic[peak] <= RESTED * highest:
+        if kinetic[peak] <= ROUNDING * highest:
             break
         inside = 0 < peak < len(kinetic) - 1
         duration = max(_ROWS * step, 2.0 * run.time[peak]) if inside else 2.0 * duration

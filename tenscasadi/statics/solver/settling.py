@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tenscasadi.statics.solver.motions import find_stable_factors
-from tenscasadi.statics.solver.newton_system import FLAT, NewtonSystem
+from tenscasadi.statics.solver.newton_system import NewtonSystem
 from tenscasadi.statics.solver.static_equations import Conditions
 from tenscasadi.statics.solver.trust_region import (
     ACCURACY,
@@ -14,11 +14,10 @@ from tenscasadi.statics.solver.trust_region import (
     find_rest,
     pull_to_bars,
 )
-from tenscasadi.util.validate import Array
+from tenscasadi.util.validate import MAX_ITERATIONS, ROUNDING, Array
 
 SLIP = 1e-6  # displacement of a sticking contact, relative to the size of the structure
 ROUGH = 1e-4  # accuracy before the final Newton iterations, relative to the largest force
-NEWTON = 30  # iterations with the unsymmetric tangent
 
 
 def settle(system: NewtonSystem, nodes: Array, given: Conditions) -> SearchResult:
@@ -89,14 +88,14 @@ def finish(system: NewtonSystem, rest: SearchResult, given: Conditions) -> Searc
     """
     equations = system.equations
     point, tension = equations.at(rest.point.nodes, given), rest.tension
-    for step in range(NEWTON):
+    for step in range(MAX_ITERATIONS):
         bars = equations.bar_forces(point, tension)
         residual = equations.in_free_directions(point.applied + bars)
         if np.abs(residual).max(initial=0.0) <= allowed_residual(system, point, tension):
             # its stiffness is that with constant normal forces, which is symmetric
             point = equations.at(point.nodes, given._replace(pressing=point.nodes))
             stable = find_stable_factors(system, point, tension) is not None
-            found = stable or find_stable_factors(system, point, tension, FLAT) is not None
+            found = stable or find_stable_factors(system, point, tension, ROUNDING) is not None
             reason = "" if found else "the equilibrium found is unstable"
             steps = rest.iterations + step
             return SearchResult(point, tension, residual, found, stable, not found, reason, steps)

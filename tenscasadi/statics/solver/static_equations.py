@@ -31,9 +31,7 @@ from tenscasadi.structure.cables import pair_strings
 from tenscasadi.structure.class_one import connectivity
 from tenscasadi.structure.equilibrium_matrix import free_directions
 from tenscasadi.util.casadi_tools import ArrayFunction
-from tenscasadi.util.validate import Array, Indices
-
-_CORNER = 1e-9  # relative shortening up to which a string counts as at its rest length
+from tenscasadi.util.validate import NEGLIGIBLE, Array, Indices
 
 
 class Conditions(NamedTuple):
@@ -296,7 +294,7 @@ class StaticEquations:
             if corner and strings.switch_count:
                 first = scene.first_strings[scene.switching_inputs]
                 lengths = ca.sqrt(row[:, first.tolist()])
-                taut = strings.excess_lengths(row) >= -_CORNER * lengths
+                taut = strings.excess_lengths(row) >= -NEGLIGIBLE * lengths
                 strings = replace(strings, mode=taut)
             parts.append(strings.law_density(row))
         if len(self.elastic):

@@ -22,17 +22,15 @@ from tenscasadi.statics.solver.motions import (
     neutral_motions,
     softest_motions,
 )
-from tenscasadi.statics.solver.newton_system import FLAT, NewtonFactors, NewtonSystem
+from tenscasadi.statics.solver.newton_system import NewtonFactors, NewtonSystem
 from tenscasadi.statics.solver.static_equations import Conditions, StaticPoint
-from tenscasadi.util.validate import Array
+from tenscasadi.util.validate import MAX_ITERATIONS, ROUNDING, Array
 
 ACCURACY = 1e-11  # unbalanced force in equilibrium, relative to the largest force
-ITERATIONS = 200
 ESCAPES = 20  # from saddles
 FARTHEST = 1e3  # displacement of an unsupported structure, relative to its size
 _ROUNDING = 16 * float(np.finfo(float).eps)
 _SHORTEST = 1e-14  # shortest step, relative to the size of the structure
-_BARS = 1e-13  # relative error of the lengths of rigid bars
 
 
 class SearchResult(NamedTuple):
@@ -133,19 +131,19 @@ class _SearchState:
         """Iterate until the forces balance at an energy minimum."""
         self._take(restore_bars(self.system, self.start))
         self._fit_tension()
-        for self.steps in range(ITERATIONS):
+        for self.steps in range(MAX_ITERATIONS):
             if self._is_balanced():
                 if not self.system.is_symmetric(self.point):
                     return  # `settle` judges the equilibrium after its last Newton iterations
                 factors = self._stable_factors()
                 if factors is not None:
                     self._polish(factors)
-                    self.stable = self._stable_factors(-FLAT) is not None
+                    self.stable = self._stable_factors(-ROUNDING) is not None
                     return
                 self._leave_saddle()
             else:
                 self._step()
-        raise StalledError(f"the forces did not balance within {ITERATIONS} iterations")
+        raise StalledError(f"the forces did not balance within {MAX_ITERATIONS} iterations")
 
     def result(self, reason: str, stalled: bool = False) -> SearchResult:
         """Return the last iterate."""
@@ -160,7 +158,7 @@ class _SearchState:
 
         It keeps motions without stiffness at rest.
         """
-        return FLAT * self.scale
+        return ROUNDING * self.scale
 
     def _take(self, nodes: Array) -> None:
         if np.abs(nodes - self.start).max(initial=0.0) > FARTHEST * self.size:
@@ -312,7 +310,7 @@ class _SearchState:
 
     # --- factors ---
 
-    def _stable_factors(self, shift: float = FLAT) -> NewtonFactors | None:
+    def _stable_factors(self, shift: float = ROUNDING) -> NewtonFactors | None:
         """Factorize with a relative shift, or return None at a saddle."""
         return find_stable_factors(self.system, self.point, self.tension, shift)
 
@@ -370,14 +368,14 @@ def pull_to_bars(system: NewtonSystem, nodes: Array, factors: NewtonFactors) -> 
     for _ in range(30 if system.rigid else 0):
         errors = equations.bar_errors(nodes)
         worst = float(np.abs(errors / equations.lengths).max(initial=0.0))
-        if worst <= _BARS:
+        if worst <= ROUNDING:
             break
         if not worst < 0.9 * last:
-            return None if worst > 10 * _BARS else nodes
+            return None if worst > 10 * ROUNDING else nodes
         last = worst
         nodes = equations.displace(nodes, factors.solve(np.zeros(system.size), -errors)[0])
     return nodes
 
 
 def _bars_fit(errors: Array, lengths: Array) -> bool:
-    return bool(np.abs(errors / lengths).max(initial=0.0) <= _BARS)
+    return bool(np.abs(errors / lengths).max(initial=0.0) <= ROUNDING)

@@ -6,17 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from tenscasadi.structure.shapes.family import (
-    LARGEST_COUNT,
-    build_structure,
-    place_ring,
-    polygon,
-    shape,
-)
+from tenscasadi.structure.shapes.family import build_structure, place_ring, polygon, shape
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, Indices, positive_number, whole_number
-
-_MOST_NODES = 10**5
+from tenscasadi.util.validate import MAX_COUNT, Array, Indices, positive_number, whole_number
 
 
 @shape
@@ -76,7 +68,7 @@ def michell_cantilever(
     >>> tc.shapes.michell_cantilever(order=3)
     Structure(10 nodes, 6 bars, 6 strings, 10 pinned)
     """
-    count = whole_number("order", order, 1, int((2 * _MOST_NODES) ** 0.5))
+    count = whole_number("order", order, 1, int((2 * MAX_COUNT) ** 0.5))
     outer, inner = (
         positive_number("radius", radius),
         positive_number("inner_radius", inner_radius),
@@ -154,8 +146,8 @@ def arm(
     >>> tc.shapes.arm(cells=2, sides=4)
     Structure(15 nodes, 16 bars, 18 strings, 5 pinned)
     """
-    p = whole_number("sides", sides, 3, LARGEST_COUNT)
-    count = whole_number("cells", cells, 1, LARGEST_COUNT // p)
+    p = whole_number("sides", sides, 3, MAX_COUNT)
+    count = whole_number("cells", cells, 1, MAX_COUNT // p)
     length, radius = positive_number("length", length), positive_number("radius", radius)
     circle = place_ring(p, radius, 0.0, 0.0)[:, [2, 0, 1]]
     cell = np.concatenate([np.zeros((1, 3)), circle + [0.5 * length, 0, 0]])

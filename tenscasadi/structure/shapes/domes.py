@@ -6,17 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from tenscasadi.structure.shapes.family import (
-    LARGEST_COUNT,
-    build_structure,
-    place_ring,
-    polygon,
-    shape,
-)
+from tenscasadi.structure.shapes.family import build_structure, place_ring, polygon, shape
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, Indices, positive_number, whole_number
-
-_MOST_HOOPS = 1000
+from tenscasadi.util.validate import (
+    MAX_COUNT,
+    MAX_REPETITIONS,
+    Array,
+    Indices,
+    positive_number,
+    whole_number,
+)
 
 
 @shape
@@ -66,7 +65,7 @@ def bicycle_wheel(
     >>> tc.shapes.bicycle_wheel(spokes=8)
     Structure(10 nodes, 9 bars, 16 strings, 0 pinned)
     """
-    p = whole_number("spokes", spokes, 3, LARGEST_COUNT)
+    p = whole_number("spokes", spokes, 3, MAX_COUNT)
     radius, half = positive_number("radius", radius), 0.5 * positive_number("axle", axle)
     i = np.arange(p)
     nodes = np.concatenate([place_ring(p, radius, 0.0, 0.0), [(0, 0, -half), (0, 0, half)]])
@@ -195,8 +194,8 @@ def _dome(
 
     Strings lead from node i to the nodes i + shift of the next ring, for all `shifts`.
     """
-    count = whole_number("hoops", hoops, 1, _MOST_HOOPS)
-    p = whole_number("segments", segments, 3, LARGEST_COUNT // count)
+    count = whole_number("hoops", hoops, 1, MAX_REPETITIONS)
+    p = whole_number("segments", segments, 3, MAX_COUNT // count)
     size, rise = positive_number("radius", radius), positive_number("rise", rise)
     nodes = _dome_nodes(p, count, size, rise, positive_number("post", post), len(shifts) > 1)
     i = np.arange(p)

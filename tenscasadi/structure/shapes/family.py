@@ -13,10 +13,7 @@ from tenscasadi.schema.value import Value
 from tenscasadi.structure.equilibrium_matrix import equilibrium_matrix
 from tenscasadi.structure.names import name_members
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, Indices, positive_number
-
-LARGEST_COUNT = 10**5  # bars, rings or units; larger structures would need hours
-_ROUNDING = 1e-9  # relative singular value below which a symmetric self-stress exists
+from tenscasadi.util.validate import NEGLIGIBLE, Array, Indices, positive_number
 
 Groups = Mapping[str, Indices]  # pairs of nodes (members, 2) by the name of their group
 
@@ -80,7 +77,7 @@ def symmetric_self_stress(
         (np.ones(count), (np.arange(count), np.repeat(np.arange(len(sizes)), sizes)))
     )
     _, values, right = np.linalg.svd((equilibrium_matrix(structure) @ members).toarray())
-    rank = int(np.sum(values > _ROUNDING * values.max(initial=0.0)))
+    rank = int(np.sum(values > NEGLIGIBLE * values.max(initial=0.0)))
     of_groups = right[-1][: len(strings)] * np.sign(right[-1][: len(strings)].sum())
     if rank != len(sizes) - 1 or of_groups.min(initial=np.inf) <= 0.0:
         raise ValueError(

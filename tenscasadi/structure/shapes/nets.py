@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tenscasadi.schema.field_types import ElsewhereInFile
-from tenscasadi.structure.shapes.family import LARGEST_COUNT, build_structure, place_ring, shape
+from tenscasadi.structure.shapes.family import build_structure, place_ring, shape
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Indices, number, positive_number, whole_number
+from tenscasadi.util.validate import MAX_COUNT, Indices, number, positive_number, whole_number
 
 
 @shape
@@ -62,9 +62,9 @@ def membrane(
     >>> len(net.nodes), len(net.strings)
     (12, 28)
     """
-    p, q = whole_number("p", p, 3, LARGEST_COUNT), whole_number("q", q, 2, LARGEST_COUNT)
-    if p * q > LARGEST_COUNT:
-        raise ValueError(f"p is {p} and q is {q}: they must give at most {LARGEST_COUNT} nodes")
+    p, q = whole_number("p", p, 3, MAX_COUNT), whole_number("q", q, 2, MAX_COUNT)
+    if p * q > MAX_COUNT:
+        raise ValueError(f"p is {p} and q is {q}: they must give at most {MAX_COUNT} nodes")
     radius, length = positive_number("radius", radius), positive_number("length", length)
     nodes = np.concatenate(
         [place_ring(p, radius, j * np.pi / p, length * (j / (q - 1) - 0.5)) for j in range(q)]
@@ -108,7 +108,7 @@ def membrane_faces(p: int = 8, q: int = 5) -> Indices:
     >>> tc.shapes.membrane_faces(p=3, q=2).tolist()
     [[0, 1, 3], [1, 2, 4], [2, 0, 5], [0, 3, 5], [1, 4, 3], [2, 5, 4]]
     """
-    p, q = whole_number("p", p, 3, LARGEST_COUNT), whole_number("q", q, 2, LARGEST_COUNT)
+    p, q = whole_number("p", p, 3, MAX_COUNT), whole_number("q", q, 2, MAX_COUNT)
     ring, before, after = _membrane_neighbors(p, q)
     lower, upper = slice(0, p * (q - 1)), slice(p, p * q)
     upright = np.c_[ring[lower], after[lower], ring[lower] + p]
@@ -175,7 +175,7 @@ def hyperbolic_paraboloid(
     >>> net.nodes[4].tolist(), len(net.strings), len(net.pinned)
     ([0.0, 0.0, 0.0], 4, 8)
     """
-    count = whole_number("cells", cells, 2, int(LARGEST_COUNT**0.5)) + 1
+    count = whole_number("cells", cells, 2, int(MAX_COUNT**0.5)) + 1
     half, rise = 0.5 * positive_number("side", side), number("rise", rise)
     x, y = np.meshgrid(*2 * [np.linspace(-1.0, 1.0, count)], indexing="ij")
     nodes = np.column_stack([half * x.ravel(), half * y.ravel(), rise * (x * y).ravel()])

@@ -6,15 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from tenscasadi.structure.shapes.family import (
-    LARGEST_COUNT,
-    build_structure,
-    place_ring,
-    polygon,
-    shape,
-)
+from tenscasadi.structure.shapes.family import build_structure, place_ring, polygon, shape
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import flag, number, positive_number, whole_number
+from tenscasadi.util.validate import MAX_COUNT, flag, number, positive_number, whole_number
 
 
 @shape
@@ -83,7 +77,7 @@ def prism(
     >>> gamma.round(3).tolist()
     [10.0, 10.0, 10.0, 10.0, 10.0, 10.0, 17.321, 17.321, 17.321]
     """
-    p = whole_number("bars", bars, 3, LARGEST_COUNT)
+    p = whole_number("bars", bars, 3, MAX_COUNT)
     radius, height = positive_number("radius", radius), positive_number("height", height)
     upper = radius if top_radius is None else positive_number("top_radius", top_radius)
     flag("diagonals", diagonals)

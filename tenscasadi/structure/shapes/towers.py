@@ -5,20 +5,21 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.optimize import bisect
 
-from tenscasadi.structure.shapes.family import (
-    LARGEST_COUNT,
-    build_structure,
-    place_ring,
-    polygon,
-    shape,
-)
+from tenscasadi.structure.shapes.family import build_structure, place_ring, polygon, shape
 from tenscasadi.structure.shapes.prisms import check_twist, equilibrium_twist
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, Indices, number, positive_number, whole_number
+from tenscasadi.util.validate import (
+    MAX_COUNT,
+    Array,
+    Indices,
+    number,
+    positive_number,
+    whole_number,
+)
 
 _MOST_STAGES = 100  # the overlap of class-1 towers needs determinants of 6 times as many rows
-_HALVINGS = 50  # bisections of the interval of the overlap, to rounding error
 _TRIALS = 100  # overlaps at which the sign of the determinant is evaluated
 
 
@@ -104,7 +105,7 @@ def prism_tower(
     0.1633
     """
     count = whole_number("stages", stages, 1, _MOST_STAGES)
-    p = whole_number("bars", bars, 3, LARGEST_COUNT // count)
+    p = whole_number("bars", bars, 3, MAX_COUNT // count)
     whole_number("joint_class", joint_class, 1, 2)
     radius, height = positive_number("radius", radius), positive_number("height", height)
     default = equilibrium_twist(p) + np.pi / (6 * p) * (joint_class == 1 and count > 1)
@@ -153,11 +154,7 @@ def _overlap(stages: int, p: int, radius: float, height: float, turn: float) -> 
     trials = np.linspace(0.0, height, _TRIALS + 1)[1:-1]
     signs = np.array([orientation(trial) for trial in trials])
     for k in np.flatnonzero(signs[:-1] * signs[1:] < 0.0):
-        low, high = trials[k], trials[k + 1]
-        for _ in range(_HALVINGS):
-            middle = 0.5 * (low + high)
-            low, high = (middle, high) if orientation(middle) == signs[k] else (low, middle)
-        tower = build(low)
+        tower = build(bisect(orientation, trials[k], trials[k + 1]))
         stress = np.linalg.svd(_ring_balance(tower, p))[2][-1]
         if np.ptp(np.sign(stress * np.r_[-np.ones(stages), np.ones(len(tower.strings))])) == 0:
             return tower
@@ -281,7 +278,7 @@ def spine(
     >>> tc.shapes.spine(vertebrae=4)
     Structure(16 nodes, 24 bars, 24 strings, 0 pinned)
     """
-    count = whole_number("vertebrae", vertebrae, 1, LARGEST_COUNT)
+    count = whole_number("vertebrae", vertebrae, 1, MAX_COUNT)
     half, height = 0.5 * positive_number("width", width), positive_number("height", height)
     rise = 2 / 3 * height if pitch is None else positive_number("pitch", pitch)
     if rise >= height:

@@ -11,7 +11,7 @@ import numpy as np
 from tenscasadi.drawing.view_content import choose_frame_times
 from tenscasadi.viewer.canvas import Canvas
 from tenscasadi.viewer.charts import build_charts
-from tenscasadi.viewer.controls import FRAME_RATE, MOST_FRAMES
+from tenscasadi.viewer.controls import FRAME_RATE
 from tenscasadi.viewer.legend import build_legend
 from tenscasadi.viewer.web.frames import add_frame_rate
 
@@ -48,7 +48,7 @@ _CLOSE = 'if (innerWidth < 600) document.getElementById("shown").open = false;'
 
 def record_page(server: viser.ViserServer, canvas: Canvas, speed: float) -> str:
     """Record a page of all frames of a canvas."""
-    times = choose_frame_times(canvas.content, speed, FRAME_RATE, MOST_FRAMES)
+    times = choose_frame_times(canvas.content, speed, FRAME_RATE)
     for layer in canvas.layers:
         layer.grain = 3e-5 * canvas.content.size  # a small part of a pixel
     canvas.show(float(times[0]))

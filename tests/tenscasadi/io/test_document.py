@@ -117,7 +117,7 @@ def test_circular_and_too_many_includes_are_rejected(write, monkeypatch):
 
 
 def test_too_many_entries_are_rejected_also_over_includes(write, monkeypatch):
-    monkeypatch.setattr(document, "MOST_VALUES", 100)
+    monkeypatch.setattr(document, "MAX_ENTRIES", 100)
     write("x = [" + "1," * 60 + "]", "half.toml")
     assert "more than" in str(fault(write("x = [" + "1," * 100 + "]")))
     assert fault(write('include = ["half.toml"]\nx = [' + "1," * 60 + "]")).file == "half.toml"
