@@ -20,6 +20,7 @@ from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.sampling.horizon_costs import build_horizon_costs
 from ocp.sampling.spline_noise import SplineNoise
+from tenscasadi.dynamics.base_model import check_model
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.simulation.engine.build import build_kernel
@@ -29,7 +30,6 @@ from tenscasadi.util.validate import (
     Array,
     finite_array,
     format_value,
-    instance,
     nonnegative,
     per_item,
     positive_number,
@@ -340,7 +340,7 @@ def _read_problem(asked: Any, model: Any) -> Problem:
         raise TypeError(
             f"problem is {format_value(asked)}, model is {format_value(model)}: give {example}"
         )
-    instance("model", model, Model, "a tenscasadi.Model")
+    check_model(model)
     return Problem(
         model,
         costs=[

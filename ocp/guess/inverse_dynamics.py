@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import casadi as ca
 import numpy as np
 import scipy.optimize
 
 from ocp.problem.control import build_force_density_model, controls_rest_lengths
 from ocp.problem.instant import symbolic
-from ocp.problem.problem import Problem
 from tenscasadi.dynamics.linearization import EquationDerivatives
 from tenscasadi.scene.loads import Gravity
 from tenscasadi.statics.force_density import EquilibriumError, equilibrium_force_density
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array
+
+if TYPE_CHECKING:
+    from ocp.problem.problem import Problem
 
 # weight of the regularization toward reference force densities, relative to scaled accelerations
 REFERENCE_WEIGHT = 1e-3

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
@@ -10,8 +11,10 @@ import numpy as np
 from ocp.problem.control import controls_rest_lengths
 from ocp.problem.costs import cost_terms
 from ocp.problem.instant import symbolic
-from ocp.problem.problem import Problem
 from tenscasadi.util.validate import Array
+
+if TYPE_CHECKING:
+    from ocp.problem.problem import Problem
 
 
 @dataclass(frozen=True, eq=False)

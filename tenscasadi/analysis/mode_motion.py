@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from tenscasadi.analysis.modes import Modes
+from tenscasadi.dynamics.base_model import check_model
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import extent
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
@@ -63,7 +64,7 @@ def mode_motion(
     >>> motion.nodes.shape
     (41, 6, 3)
     """
-    instance("model", model, Model, "a tenscasadi.Model")
+    check_model(model)
     instance("modes", modes, Modes, "the result of tenscasadi.modes(model)")
     if whole_number("index", index, 0) >= len(modes.frequency):
         raise ValueError(

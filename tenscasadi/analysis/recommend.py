@@ -16,7 +16,7 @@ import numpy as np
 from tenscasadi.analysis.reference_solution import distance, end_nodes, reference_solution
 from tenscasadi.analysis.tradeoff import LONGEST, Case, check_ways
 from tenscasadi.analysis.tradeoff_table import abbreviate
-from tenscasadi.dynamics.instruction_count import compare_coordinates
+from tenscasadi.dynamics.coordinates import compare_coordinates
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.events import build_switching
@@ -212,7 +212,7 @@ def recommend(
         told.append(
             f"the step is above the stability limit {limit:.2g} s: positions serve, fast vibrations of strings are not resolved"
         )
-    told += [advice] if (advice := compare_coordinates(model)) else []
+    told += [advice] if (advice := compare_coordinates(model.structure, model.coordinates)) else []
     outcome = f"{best.steps} steps of {abbreviate(scheme)}: {expected:.2g} m, {duration:.2g} s"
     message = "; ".join(
         dict.fromkeys([outcome, f"compared with {names}", f"reference: {reference.message}", *told])

@@ -13,6 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from tenscasadi.dynamics.base_model import check_model
 from tenscasadi.dynamics.instruction_count import count_instructions
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.events import build_switching
@@ -25,7 +26,7 @@ from tenscasadi.simulation.inputs.run_inputs import read_inputs
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.renamed import rename_keywords
-from tenscasadi.util.validate import Array, finite_array, instance, positive_number
+from tenscasadi.util.validate import Array, finite_array, positive_number
 
 _FINER = 4  # refinement factor between pairs of solutions
 _COARSEST = 64  # smallest number of steps of the first pair
@@ -152,7 +153,7 @@ def reference_solution(
     >>> reference.error < 1e-8
     True
     """
-    instance("model", model, Model, "a tenscasadi.Model")
+    check_model(model)
     t_end = positive_number("t_end", t_end)
     state = None if state is None else finite_array("state", state, (model.nx,))
     size = extent(model)

@@ -16,13 +16,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
-from tenscasadi.dynamics.mechanism import Mechanism
 from tenscasadi.util.casadi_tools import (
     call_as_sx,
     diagonal_row,
@@ -35,6 +34,9 @@ from tenscasadi.util.casadi_tools import (
     sparse,
 )
 from tenscasadi.util.linear_algebra import solve_semidefinite
+
+if TYPE_CHECKING:
+    from tenscasadi.dynamics.mechanism import Mechanism
 
 
 class RedundantConstraints(UserWarning):

@@ -77,6 +77,13 @@ def is_full_cheaper(structure: Structure) -> bool:
     return _count_operations(build_mechanism(structure, "reduced")) > full
 
 
+def compare_coordinates(structure: Structure, coordinates: Coordinates) -> str:
+    """Recommend full coordinates if they are cheaper, else return ""."""
+    if coordinates == "full" or not is_full_cheaper(structure):
+        return ""
+    return 'many bars are connected: Model(scene, coordinates="full") is faster'
+
+
 def build_mechanism(
     structure: Structure, coordinates: Coordinates, bar_length: BarLength = "current"
 ) -> Mechanism:

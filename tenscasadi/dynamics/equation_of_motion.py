@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
@@ -15,11 +15,12 @@ from tenscasadi.dynamics.constraint_forces import (
     nodal_forces,
     recover_multipliers,
 )
-from tenscasadi.dynamics.coordinates import scene_mechanism
-from tenscasadi.dynamics.mechanism import Mechanism
-from tenscasadi.dynamics.state_space import StateSpace
 from tenscasadi.util.casadi_tools import block_inverse, sparse
 from tenscasadi.util.linear_algebra import solve_semidefinite
+
+if TYPE_CHECKING:
+    from tenscasadi.dynamics.mechanism import Mechanism
+    from tenscasadi.dynamics.state_space import StateSpace
 
 
 def forward_dynamics(
@@ -112,15 +113,14 @@ def compute_forces(
     return total - ca.mtimes(moved, sparse(mech.M)), moved
 
 
-def joint_forces(space: StateSpace, N: Any, V: Any, A: Any, lam: Any, u: Any, time: Any) -> Any:
+def joint_forces(
+    space: StateSpace, full: Mechanism, N: Any, V: Any, A: Any, lam: Any, u: Any, time: Any
+) -> Any:
     """Compute Ω (3×c) in reduced coordinates.
 
-    These are the joint forces of Eq. 85 for the given accelerations A of the class-one nodes. With
-    bodies there are no such nodes, and no joint forces.
+    These are the joint forces of Eq. 85 for the given accelerations A of the class-one nodes.
+    `full` is the mechanism in full coordinates.
     """
-    if space.structure.bodies:
-        return ca.DM.zeros(3, 0)
-    full = scene_mechanism(space.scene, "full")
     if not full.joints:
         return ca.DM.zeros(3, 0)
     if full.masses is not None:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 
 from tenscasadi.dynamics import forces
-from tenscasadi.dynamics.coordinates import is_full_cheaper
-from tenscasadi.dynamics.state_space import StateSpace
+
+if TYPE_CHECKING:
+    from tenscasadi.dynamics.state_space import StateSpace
 
 
 class TermCounts(dict[str, int]):
@@ -18,7 +19,7 @@ class TermCounts(dict[str, int]):
     Attributes
     ----------
     advice : str
-        Cheaper coordinates, see `compare_coordinates`, or "".
+        Recommendation of cheaper coordinates, or "".
     """
 
     advice: str = ""
@@ -40,7 +41,7 @@ def count_instructions(function: ca.Function) -> int:
     return count
 
 
-def count_terms(space: StateSpace, ode: ca.Function) -> TermCounts:
+def count_terms(space: StateSpace, ode: ca.Function, advice: str) -> TermCounts:
     """Count the instructions of each term of the right-hand side."""
     scene = space.scene
     x, u = space.symbols(not space.mechanism.large)
@@ -75,12 +76,5 @@ def count_terms(space: StateSpace, ode: ca.Function) -> TermCounts:
         rest = "bars (λ)" + (" and joints (Ω)" if mech.joints else "") + " and inverse mass"
     counts[rest] = max(total - before, 0)
     counts["total"] = total
-    counts.advice = compare_coordinates(space)
+    counts.advice = advice
     return counts
-
-
-def compare_coordinates(space: StateSpace) -> str:
-    """Recommend full coordinates if they are cheaper, else return ""."""
-    if space.coordinates == "full" or not is_full_cheaper(space.structure):
-        return ""
-    return 'many bars are connected: Model(scene, coordinates="full") is faster'

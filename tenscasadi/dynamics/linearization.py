@@ -6,14 +6,13 @@ The equation is M q̈ = F + Jᵀ μ, J q̈ + c = 0.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
 from tenscasadi.dynamics.equation_of_motion import compute_forces
-from tenscasadi.dynamics.model import Model
 from tenscasadi.util.casadi_tools import (
     ArrayFunction,
     block_inverse,
@@ -22,6 +21,9 @@ from tenscasadi.util.casadi_tools import (
 )
 from tenscasadi.util.linear_algebra import null_space, semidefinite_inverse
 from tenscasadi.util.validate import Array
+
+if TYPE_CHECKING:
+    from tenscasadi.dynamics.model import Model
 
 
 @dataclass(frozen=True, eq=False)

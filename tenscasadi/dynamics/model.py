@@ -9,6 +9,7 @@ from typing import Any
 import casadi as ca
 
 from tenscasadi.dynamics import forces
+from tenscasadi.dynamics.coordinates import choose_coordinates, compare_coordinates, scene_mechanism
 from tenscasadi.dynamics.equation_of_motion import forward_dynamics, joint_forces
 from tenscasadi.dynamics.instruction_count import TermCounts, count_terms
 from tenscasadi.dynamics.mechanism import BarLength, Coordinates, Multipliers
@@ -20,6 +21,7 @@ from tenscasadi.schema.value import Value
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.compile import compile_function
 from tenscasadi.util.renamed import RenamedAttribute
+from tenscasadi.util.validate import choice, instance
 
 
 class Model(Value, Observations, kind="Model"):
@@ -95,7 +97,12 @@ class Model(Value, Observations, kind="Model"):
         coordinates: Coordinates | None = None,
         bar_length: BarLength = "current",
     ) -> None:
-        super().__init__(scene, coordinates, bar_length)
+        instance("Model.scene", scene, Scene, "a tenscasadi.Scene")
+        choice("Model.bar_length", bar_length, "current", "constant")
+        if coordinates is None:
+            coordinates = choose_coordinates(scene, bar_length)
+        choice("Model.coordinates", coordinates, "reduced", "full")
+        super().__init__(scene, coordinates, scene_mechanism(scene, coordinates, bar_length))
         self.driven: tuple[Any, Model] | None = None  # by the control function of the last run
         if self.np and self.nq:
             _check_parameters(self)
@@ -213,8 +220,11 @@ class Model(Value, Observations, kind="Model"):
         x, u = self.symbols(self.mechanism.unrolled)
         N, V, time = self.unpack(x)
         A, lam, omega = forward_dynamics(self, N, V, u, time)
-        if self.coordinates == "reduced":
-            omega = joint_forces(self, N, V, A, lam, u, time)
+        if self.structure.bodies:  # there are no class-one nodes, and no joint forces
+            omega = ca.DM.zeros(3, 0)
+        elif self.coordinates == "reduced":
+            full = scene_mechanism(self.scene, "full")
+            omega = joint_forces(self, full, N, V, A, lam, u, time)
         lam = forces.bar_force_density(self.scene, self.mechanism, N, u, lam)
         return self._function(
             "multipliers",
@@ -275,7 +285,8 @@ class Model(Value, Observations, kind="Model"):
             as a table. Its `advice` states whether full coordinates are cheaper, as for long chains
             of bars.
         """
-        return count_terms(self, self.ode)
+        advice = compare_coordinates(self.structure, self.coordinates)
+        return count_terms(self, self.ode, advice)
 
 
 def _rebuild(

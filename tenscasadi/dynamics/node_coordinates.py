@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 
-from tenscasadi.dynamics.mechanism import Coordinates, Mechanism
+from tenscasadi.dynamics.base_model import BaseModel
 from tenscasadi.scene.control_function import ControlSchedule
-from tenscasadi.scene.scene import Scene
 from tenscasadi.util.read_only import read_only
 from tenscasadi.util.validate import Array, Indices, finite_array, rows_of_size
 
+if TYPE_CHECKING:
+    from tenscasadi.dynamics.mechanism import Coordinates, Mechanism
+    from tenscasadi.scene.scene import Scene
 
-class NodeCoordinates:
+
+class NodeCoordinates(BaseModel):
     """Positions, velocities and clock in a state; support motion.
 
     Attributes

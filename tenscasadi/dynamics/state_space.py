@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable, Hashable
 from dataclasses import replace
 from functools import cached_property
-from typing import Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -18,16 +18,17 @@ from tenscasadi.dynamics.constraint_forces import (
     residual_rates,
     residuals,
 )
-from tenscasadi.dynamics.coordinates import choose_coordinates, scene_mechanism
-from tenscasadi.dynamics.mechanism import BarLength, Coordinates, Mechanism
 from tenscasadi.dynamics.node_coordinates import NodeCoordinates, check_column
 from tenscasadi.scene.binding import initial_control
-from tenscasadi.scene.scene import Scene
 from tenscasadi.structure.mass_checks import check_mass_ratio
 from tenscasadi.util.casadi_tools import symbol_kind
 from tenscasadi.util.read_only import read_only
 from tenscasadi.util.renamed import RenamedAttribute
-from tenscasadi.util.validate import Array, choice, finite_array, instance
+from tenscasadi.util.validate import Array, finite_array
+
+if TYPE_CHECKING:
+    from tenscasadi.dynamics.mechanism import Coordinates, Mechanism
+    from tenscasadi.scene.scene import Scene
 
 Kept = TypeVar("Kept")
 
@@ -67,18 +68,13 @@ class StateSpace(NodeCoordinates):
     def __init__(
         self,
         scene: Scene,
-        coordinates: Coordinates | None = None,
-        bar_length: BarLength = "current",
+        coordinates: Coordinates,
+        mechanism: Mechanism,
     ) -> None:
-        instance("Model.scene", scene, Scene, "a tenscasadi.Scene")
-        choice("Model.bar_length", bar_length, "current", "constant")
-        if coordinates is None:
-            coordinates = choose_coordinates(scene, bar_length)
-        choice("Model.coordinates", coordinates, "reduced", "full")
-        super().__init__(scene, coordinates, scene_mechanism(scene, coordinates, bar_length))
+        super().__init__(scene, coordinates, mechanism)
         s = self.structure
         check_mass_ratio("Structure.bar_mass", s, s.bar_mass, s.node_mass)
-        if bar_length == "constant" and self.mechanism.system_size and not self.mechanism.joints:
+        if mechanism.constant_length and mechanism.system_size and not mechanism.joints:
             raise ValueError(
                 'Model.bar_length is "constant": give coordinates="full", '
                 "because bars share nodes or are pinned"

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import casadi as ca
 
-from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.events import (
     build_hidden,
     build_mode_ode,
@@ -19,6 +18,9 @@ from tenscasadi.integrators.scheme import equations
 from tenscasadi.integrators.stabilization import Correction, correct
 from tenscasadi.integrators.tableaux import Tableau
 from tenscasadi.util.validate import NEGLIGIBLE
+
+if TYPE_CHECKING:
+    from tenscasadi.dynamics.model import Model
 
 EVENT_SHARE = 0.1  # × tolerance: error of a step by ending after an event instead of at it
 MAX_INTERPOLATIONS = 6  # trials in a bracket before bisection

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import casadi as ca
 import numpy as np
 
-from tenscasadi.dynamics.model import Model
+from tenscasadi.dynamics.base_model import check_model
 from tenscasadi.integrators.events import count_switches
 from tenscasadi.integrators.scheme import Complex, NamedScheme, equations
 from tenscasadi.integrators.stage_iteration import solve_stages, stage_states
-from tenscasadi.util.validate import Array, choice, instance, positive_number, whole_number
+from tenscasadi.util.validate import Array, choice, positive_number, whole_number
+
+if TYPE_CHECKING:
+    from tenscasadi.dynamics.model import Model
 
 _TOLERANCE = 1e-10  # m and m/s
 
@@ -193,7 +196,7 @@ class Collocation(NamedScheme, kind="Collocation"):
         TypeError
             If `model` is no Model.
         """
-        instance("model", model, Model, "a tenscasadi.Model")
+        check_model(model)
         if self.degree > 4 or model.nq == 0:  # sweeps converge slowly
             step = self._newton(equations(model, power))
         else:

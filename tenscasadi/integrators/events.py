@@ -7,14 +7,16 @@ of its switching functions.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 
 from tenscasadi.dynamics import forces
 from tenscasadi.dynamics.equation_of_motion import forward_dynamics
-from tenscasadi.dynamics.model import Model
 from tenscasadi.util.casadi_tools import hermite_cubic, sparse
+
+if TYPE_CHECKING:
+    from tenscasadi.dynamics.model import Model
 
 
 def build_switching(model: Model) -> ca.Function | None:

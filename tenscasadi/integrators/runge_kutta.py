@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import reduce
 from operator import add
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import casadi as ca
 import numpy as np
 
-from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import (
     Complex,
     NamedScheme,
@@ -26,6 +25,9 @@ from tenscasadi.integrators.tableaux import (
     Tableau,
 )
 from tenscasadi.util.validate import Array, format_value, positive_number, whole_number
+
+if TYPE_CHECKING:
+    from tenscasadi.dynamics.model import Model
 
 SEVERAL = 3  # weights: more are faster as one product of matrices, in building and in running
 

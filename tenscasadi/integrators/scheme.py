@@ -5,15 +5,18 @@ A scheme turns a model, or x' = ode(x, u), into one step x⁺ = step(x, u, h), a
 
 from __future__ import annotations
 
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from tenscasadi.dynamics.model import Model
+from tenscasadi.dynamics.base_model import check_model
 from tenscasadi.schema.value import Value
 from tenscasadi.util.validate import Array, format_value, instance, positive_number
+
+if TYPE_CHECKING:
+    from tenscasadi.dynamics.model import Model
 
 Complex = NDArray[np.complex128]
 
@@ -68,7 +71,7 @@ class NamedScheme(Value):
         TypeError
             If `model` is no Model.
         """
-        instance("model", model, Model, "a tenscasadi.Model")
+        check_model(model)
         return self._build_advance(model, power)
 
     def _build_step(self, ode: ca.Function) -> ca.Function:
@@ -149,7 +152,7 @@ def extent(model: Model) -> float:
     It is the largest distance between two nodes along an axis, 1 for a single node. Raises
     TypeError.
     """
-    instance("model", model, Model, "a tenscasadi.Model")
+    check_model(model)
     return float(np.ptp(model.structure.nodes, axis=0).max()) or 1.0
 
 

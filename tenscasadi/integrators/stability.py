@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import warnings
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 
+from tenscasadi.dynamics.base_model import check_model
 from tenscasadi.dynamics.linearization import EquationDerivatives
-from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Complex, Scheme, check_scheme, stability_limit
 from tenscasadi.scene.binding import fix
 from tenscasadi.util.renamed import lazy_module
-from tenscasadi.util.validate import Array, finite_array, instance, positive_number
+from tenscasadi.util.validate import Array, finite_array, positive_number
+
+if TYPE_CHECKING:
+    from tenscasadi.dynamics.model import Model
 
 linalg = lazy_module("scipy.sparse.linalg")
 
@@ -222,7 +225,7 @@ def _rates(model: Model, x: Any, u: Any, parameters: Any) -> Complex:
 
     Small models have all of them, others the largest.
     """
-    instance("model", model, Model, "a tenscasadi.Model")
+    check_model(model)
     state = model.initial_state if x is None else finite_array("x", x, (model.nx,))
     inputs = model.stack_inputs(u, parameters)
     if model.nx == 0:

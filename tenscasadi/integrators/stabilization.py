@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
+from tenscasadi.dynamics.base_model import check_model
 from tenscasadi.dynamics.constraint_forces import (
     project_velocities,
     remove_residuals,
@@ -16,10 +17,12 @@ from tenscasadi.dynamics.constraint_forces import (
     stretch_bars,
 )
 from tenscasadi.dynamics.mechanism import Mechanism
-from tenscasadi.dynamics.model import Model
 from tenscasadi.schema.value import Value
 from tenscasadi.util.casadi_tools import sparse, symbol_kind
 from tenscasadi.util.validate import instance, positive_number, whole_number
+
+if TYPE_CHECKING:
+    from tenscasadi.dynamics.model import Model
 
 
 class Correction(Value):
@@ -49,7 +52,7 @@ class Correction(Value):
             If a `BarLengthCorrection` has bars that share nodes or are pinned in reduced
             coordinates.
         """
-        instance("model", model, Model, "a tenscasadi.Model")
+        check_model(model)
         return self._build(model) if model.mechanism.constrained else None
 
     def _build(self, model: Model) -> ca.Function:
@@ -202,7 +205,7 @@ def build_projection(model: Model, iterations: int = 3) -> ca.Function:
     >>> model.bar_length_error(start.full().ravel()) < 1e-14
     True
     """
-    instance("model", model, Model, "a tenscasadi.Model")
+    check_model(model)
     key = "projection", iterations if model.mechanism.system_size else 1
     return model.keep(key, lambda: _projection(model, key[1]))
 

@@ -7,13 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 
 from tenscasadi.dynamics import forces
-from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.events import (
     build_mode_ode,
     build_switching,
@@ -25,6 +24,9 @@ from tenscasadi.scene.ground import Contact, Surface, along, compute_slip
 from tenscasadi.scene.strings import Smooth
 from tenscasadi.util.casadi_tools import call_as_sx, constant_row, sparse
 from tenscasadi.util.validate import Array
+
+if TYPE_CHECKING:
+    from tenscasadi.dynamics.model import Model
 
 _BLOCK = 8  # sweeps that one branch skips after convergence
 

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import casadi as ca
 import numpy as np
 
 from tenscasadi.dynamics.constraint_forces import nodal_forces
 from tenscasadi.dynamics.equation_of_motion import compute_forces, forward_dynamics
-from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.events import build_mode_ode, count_switches, split_mode
 from tenscasadi.integrators.scheme import (
     Complex,
@@ -25,6 +24,9 @@ from tenscasadi.integrators.scheme import (
 )
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.validate import flag, positive_number, whole_number
+
+if TYPE_CHECKING:
+    from tenscasadi.dynamics.model import Model
 
 
 @dataclass(frozen=True)

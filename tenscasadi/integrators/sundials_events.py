@@ -8,18 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import count
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.adaptive import EVENT_SHARE, MAX_INTERPOLATIONS
 from tenscasadi.integrators.events import build_hidden, build_mode_ode, build_potential, build_root
 from tenscasadi.integrators.scheme import extent
 from tenscasadi.integrators.sundials import Sundials
 from tenscasadi.util.casadi_tools import hermite_cubic
 from tenscasadi.util.validate import NEGLIGIBLE, Array
+
+if TYPE_CHECKING:
+    from tenscasadi.dynamics.model import Model
 
 _PARTS = 4  # parts of an interval, each sampled at its ends and its middle
 

@@ -12,6 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from tenscasadi.dynamics.base_model import check_model
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme, check_scheme
@@ -85,7 +86,7 @@ def export_c(
     >>> [file.name for file in tc.export_c(model, "prism_in_c")]
     ['tensegrity.c', 'tensegrity.h', 'start.h', 'main.c']
     """
-    instance("model", model, Model, "a tenscasadi.Model")
+    check_model(model)
     instance("precision", precision, (Single, type(None)), "Single() for float, or None for double")
     check_scheme(scheme)
     if scheme.adaptive:

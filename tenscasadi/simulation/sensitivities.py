@@ -13,6 +13,7 @@ from typing import Any, Literal, NamedTuple
 import casadi as ca
 import numpy as np
 
+from tenscasadi.dynamics.base_model import check_model
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme
@@ -281,7 +282,7 @@ class _RunArguments(NamedTuple):
 def _read(
     model: Any, start: Any, t_end: Any, step: Any, control: Any, parameters: Any
 ) -> _RunArguments:
-    instance("model", model, Model, "a tenscasadi.Model")
+    check_model(model)
     if not isinstance(start, Trajectory):
         if t_end is None:
             raise ValueError("t_end is None: give the end of the run, s, or a trajectory as start")

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from tenscasadi.dynamics.base_model import check_model
 from tenscasadi.dynamics.model import Model
 from tenscasadi.dynamics.operating_point import split_point
 from tenscasadi.integrators.runge_kutta import RungeKutta4
@@ -188,7 +189,7 @@ def check_options(model: Any, scheme: Any, correction: Any, compiled: Any, **fla
 
     Raises TypeError.
     """
-    instance("model", model, Model, "a tenscasadi.Model")
+    check_model(model)
     check_scheme(scheme)
     check_correction(correction)
     if compiled is not None:

@@ -7,11 +7,10 @@ from __future__ import annotations
 
 import re
 from importlib import resources
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import casadi as ca
 
-from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.adaptive import build_control
 from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.runge_kutta import (
@@ -26,6 +25,9 @@ from tenscasadi.integrators.scheme import Scheme, equations
 from tenscasadi.integrators.stabilization import Correction, build_correction, build_effect
 from tenscasadi.integrators.tableaux import Tableau
 from tenscasadi.util.casadi_tools import symbol_kind
+
+if TYPE_CHECKING:
+    from tenscasadi.dynamics.model import Model
 
 Measured = Literal["nothing", "errors", "all"]
 # Functions of `struct Model`, in order

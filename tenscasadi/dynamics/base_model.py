@@ -1,0 +1,16 @@
+"""Base class of models, for modules that use models but make none."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tenscasadi.util.validate import instance
+
+
+class BaseModel:
+    """Base class of `Model`."""
+
+
+def check_model(model: Any, field: str = "model") -> None:
+    """Raise TypeError unless a value is a `Model`."""
+    instance(field, model, BaseModel, "a tenscasadi.Model")
