@@ -14,6 +14,7 @@ import pytest
 
 import tenscasadi as tc
 from ocp.problem.goals.goal import Goal
+from tenscasadi.cli.main import COMMANDS
 from tenscasadi.cli.parser import parse
 from tenscasadi.integrators.scheme import NamedScheme
 from tenscasadi.structure.shapes import Shape
@@ -156,7 +157,7 @@ IN_DOCUMENTS = re.findall(r"^tenscasadi [^\n>|]+", SHELL, re.MULTILINE)
 
 @pytest.mark.parametrize("command", COMMAND.findall(README) + IN_DOCUMENTS)
 def test_commands_are_understood(command):
-    assert callable(parse(shlex.split(command, comments=True)[1:]))
+    assert callable(parse(shlex.split(command, comments=True)[1:], COMMANDS))
 
 
 def test_folders_named_exist_and_all_are_named():

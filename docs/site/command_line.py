@@ -5,13 +5,14 @@ from __future__ import annotations
 import argparse
 import os
 
+from tenscasadi.cli.main import COMMANDS
 from tenscasadi.cli.parser import command_parser
 
 
 def command_line_page() -> str:
     """The page's Markdown: the help of the program and of each of its commands."""
     os.environ["COLUMNS"] = "80"  # which argparse reads
-    parser = command_parser()
+    parser = command_parser(COMMANDS)
     (commands,) = (
         action.choices
         for action in parser._actions

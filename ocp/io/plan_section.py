@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Annotated, Any, ClassVar, Literal
@@ -22,18 +22,21 @@ from ocp.problem.start import FreeStart
 from ocp.solvers.base import NamedSolver
 from ocp.transcription.base import Transcription
 from tenscasadi.dynamics.coordinates import choose_coordinates
+from tenscasadi.dynamics.model import Model
 from tenscasadi.io.json_schema import scene_schema
 from tenscasadi.io.structure_section import OfStructure
+from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Control, ForceDensity
 from tenscasadi.schema.containers import Either, TableOf
 from tenscasadi.schema.definitions import OneOf, definition
 from tenscasadi.schema.field_types import PER_ITEM, STATE, Word
-from tenscasadi.schema.reading import Item, NotWritten, call
+from tenscasadi.schema.reading import Item, NotWritten, SceneFileError, call
 from tenscasadi.simulation.declared import Simulation
 from tenscasadi.simulation.simulation_files import SIMULATION, START
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import MAX_REPETITIONS, positive_number, whole_number
 
+METHOD = "transcription", "solver"
 _START = OfStructure(
     "nodes",
     Either(
@@ -174,6 +177,34 @@ def _check_each(table: Mapping[str, Item], part: PlanPart, structure: Structure)
             table[name].entries() if name in table else (), getattr(part, name), strict=True
         ):
             call(value.check, entry, {}, {"structure": structure})
+
+
+def read_solution(scene: Scene, item: Item, left_out: Mapping[str, str]) -> dict[str, Any]:
+    """Read model, problem, transcription and solver from [plan].
+
+    Parts that cannot be read are None, and `not_restored` gives the reason. Raises SceneFileError.
+    """
+    item = item._replace(names=scene.structure.names)
+    found: dict[str, Any] = dict.fromkeys(("problem", *METHOD))
+    reasons, table = list(left_out.values()), item.table()
+
+    def attempt(read: Callable[[], dict[str, Any]]) -> None:
+        try:
+            found.update(read())
+        except SceneFileError as error:
+            reasons.append(str(error))
+
+    for name in table.keys() & {*METHOD}:
+        attempt(partial(PLAN.read_fields, {name: table[name]}))
+    problem = {name: value for name, value in item.value.items() if name not in METHOD}
+    if "problem" not in left_out:
+        attempt(partial(read_plan, item._replace(value=problem), Simulation(scene, 1.0)))
+    options = {name: own for name, own in table.items() if name in ("coordinates", "bar_length")}
+    model = (
+        found["problem"].model if found["problem"] else Model(scene, **PLAN.read_fields(options))
+    )
+    reason = {"not_restored": reasons[0]} if reasons else {}
+    return {**found, "structure": scene.structure, "model": model, **reason}
 
 
 def write_plan(problem: Problem, arguments: Mapping[str, Any]) -> dict[str, Any]:

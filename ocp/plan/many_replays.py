@@ -23,11 +23,10 @@ from ocp.plan.robustness import (
 from ocp.problem.control import reject_rest_length_control
 from ocp.problem.phase import reject_phases
 from ocp.problem.scaling import Scales
-from ocp.results.acceptance import interpolate_replays, measure_errors
+from ocp.results.acceptance import RELIABLE, interpolate_replays, measure_errors
 from ocp.results.actuation import STEPS_PER_UPDATE
 from ocp.results.replay import STEPS
 from ocp.results.rest_length_schedule import compute_rest_lengths
-from ocp.search.find_plan import RELIABLE
 from ocp.targets.find_target import find_target
 from tenscasadi.scene.strings import RestLength, rest_length
 from tenscasadi.simulation.inputs.controls import ControlProfile

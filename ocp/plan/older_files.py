@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ocp.plan.plan_files import read_solution
+from ocp.io.plan_section import read_solution
 from tenscasadi.scene.ground import Ground, Surface, Terrain
 from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
 from tenscasadi.scene.parameters import Parameters

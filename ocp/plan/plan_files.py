@@ -9,20 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from ocp.io.plan_section import PLAN, read_plan, write_plan
+from ocp.io.plan_section import METHOD, PLAN, read_solution, write_plan
 from ocp.results.result import PlanResult
-from tenscasadi.dynamics.model import Model
 from tenscasadi.io.document import format_tables
 from tenscasadi.io.scene_files import read_scene, write_scene
 from tenscasadi.io.structure_section import StructureSection
-from tenscasadi.scene.scene import Scene
 from tenscasadi.schema.definitions import definition
 from tenscasadi.schema.field_types import InPython
-from tenscasadi.schema.reading import Document, Item, NotWritten, SceneFileError
+from tenscasadi.schema.reading import Document, NotWritten
 from tenscasadi.schema.value import Value
-from tenscasadi.simulation.declared import Simulation
-
-_METHOD = ("transcription", "solver")
 
 
 def write_parts(plan: PlanResult) -> str:
@@ -44,7 +39,7 @@ def write_parts(plan: PlanResult) -> str:
     scene = attempt("model", partial(write_scene, model.scene)) if model else {}
     if model and scene:
         own = PLAN.write(model.to_fields())
-        for name in _METHOD:
+        for name in METHOD:
             value = _drop_functions(getattr(plan, name))
             own |= attempt(name, partial(PLAN.write, {name: value}))
         if problem:
@@ -74,36 +69,8 @@ def read_parts(document: Document) -> dict[str, Any]:
     if item is None:
         structure = StructureSection().read(document.root.child("structure"))
         reason = {"not_restored": left_out["model"]} if "model" in left_out else {}
-        return {**dict.fromkeys(("model", "problem", *_METHOD)), "structure": structure, **reason}
+        return {**dict.fromkeys(("model", "problem", *METHOD)), "structure": structure, **reason}
     return read_solution(read_scene(document), item, left_out)
-
-
-def read_solution(scene: Scene, item: Item, left_out: Mapping[str, str]) -> dict[str, Any]:
-    """Read model, problem, transcription and solver from [plan].
-
-    Parts that cannot be read are None, and `not_restored` gives the reason. Raises SceneFileError.
-    """
-    item = item._replace(names=scene.structure.names)
-    found: dict[str, Any] = dict.fromkeys(("problem", *_METHOD))
-    reasons, table = list(left_out.values()), item.table()
-
-    def attempt(read: Callable[[], dict[str, Any]]) -> None:
-        try:
-            found.update(read())
-        except SceneFileError as error:
-            reasons.append(str(error))
-
-    for name in table.keys() & {*_METHOD}:
-        attempt(partial(PLAN.read_fields, {name: table[name]}))
-    problem = {name: value for name, value in item.value.items() if name not in _METHOD}
-    if "problem" not in left_out:
-        attempt(partial(read_plan, item._replace(value=problem), Simulation(scene, 1.0)))
-    options = {name: own for name, own in table.items() if name in ("coordinates", "bar_length")}
-    model = (
-        found["problem"].model if found["problem"] else Model(scene, **PLAN.read_fields(options))
-    )
-    reason = {"not_restored": reasons[0]} if reasons else {}
-    return {**found, "structure": scene.structure, "model": model, **reason}
 
 
 def find_differences(one: Any, other: Any, name: str) -> Iterator[str]:

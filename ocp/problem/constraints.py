@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ocp.problem.bounds.bound import Bound, PathBound, PathConstraint, RateBound
 from ocp.problem.instant import symbolic
-from tenscasadi.dynamics.model import Model
+
+if TYPE_CHECKING:
+    from tenscasadi.dynamics.model import Model
 
 
 def build_constraint(bound: Bound, model: Model) -> PathConstraint:

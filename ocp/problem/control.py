@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.strings import ForceDensity, Linear, RestLength
 from tenscasadi.structure.cables import reject_cables
+
+if TYPE_CHECKING:
+    from tenscasadi.dynamics.model import Model
 
 
 def controls_rest_lengths(model: Model) -> bool:
@@ -45,11 +47,8 @@ def _change(model: Model, **changes: Any) -> Model:
     kept: dict[Any, Any] = model.functions
     key = "changed", tuple(changes)
     if key not in kept:
-        kept[key] = Model(
-            replace(model.scene, **changes),
-            model.coordinates,
-            "constant" if model.mechanism.constant_length else "current",
-        )
+        scene = replace(model.scene, **changes)
+        kept[key] = type(model)(**{**model.to_fields(), "scene": scene})
     changed: Model = kept[key]
     return changed
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
@@ -15,7 +15,6 @@ from ocp.problem.bounds.bound import Bound, Limit, PathBound, PathConstraint
 from ocp.problem.constraints import build_constraint
 from ocp.problem.costs import Cost, RunningCost, TerminalCost
 from ocp.problem.instant import Instant, symbolic
-from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import (
     Array,
     call_user_function,
@@ -24,6 +23,9 @@ from tenscasadi.util.validate import (
     number_or_vector,
     positive_number,
 )
+
+if TYPE_CHECKING:
+    from tenscasadi.dynamics.model import Model
 
 Expression = Callable[[Instant], Any]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
@@ -11,8 +11,10 @@ import numpy as np
 from ocp.problem.control import controls_rest_lengths
 from ocp.problem.rows import column_norms
 from tenscasadi.dynamics.body_motion import body_frame
-from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array, nonnegative, per_item
+
+if TYPE_CHECKING:
+    from tenscasadi.dynamics.model import Model
 
 
 class Instant:

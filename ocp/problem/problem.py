@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,10 +18,12 @@ from ocp.problem.phase import Phase
 from ocp.problem.reading import limits_of
 from ocp.problem.resolved import fraction_of, resolve, string_limits
 from ocp.problem.start import FreeStart
-from tenscasadi.dynamics.model import Model
 from tenscasadi.schema.value import Value
 from tenscasadi.util.renamed import RenamedAttribute
 from tenscasadi.util.validate import NEGLIGIBLE, Array
+
+if TYPE_CHECKING:
+    from tenscasadi.dynamics.model import Model
 
 
 @dataclass(frozen=True, eq=False)

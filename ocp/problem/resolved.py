@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,9 +24,12 @@ from ocp.problem.goals.waypoints import Waypoint
 from ocp.problem.phase import Phase, check_phases, phases_between
 from ocp.problem.reading import Duration, limits_of, read_duration, read_items
 from ocp.problem.start import FreeStart, read_start
-from tenscasadi.dynamics.model import Model
+from tenscasadi.dynamics.base_model import check_model
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, format_value, instance
+from tenscasadi.util.validate import Array, format_value
+
+if TYPE_CHECKING:
+    from tenscasadi.dynamics.model import Model
 
 
 class Resolved(NamedTuple):
@@ -68,7 +71,7 @@ def resolve(
 
     Raises TypeError, ValueError.
     """
-    instance("Problem.model", model, Model, "a tenscasadi.Model")
+    check_model(model, "Problem.model")
     model = model.with_parameters(parameters)
     check_control(model)
     if model.nq == 0:

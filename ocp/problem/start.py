@@ -4,20 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ocp.problem.goals.goal import LENGTH_TOLERANCE, Goal, check_bar_lengths
 from ocp.problem.reading import read_items
-from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import build_projection
 from tenscasadi.io.structure_section import OfStructure
 from tenscasadi.schema.field_types import STATE
 from tenscasadi.schema.value import Value
 from tenscasadi.util.read_only import read_only
 from tenscasadi.util.validate import Array, finite_array, nesting
+
+if TYPE_CHECKING:
+    from tenscasadi.dynamics.model import Model
 
 
 @dataclass(frozen=True, eq=False)

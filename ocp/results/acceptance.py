@@ -25,6 +25,8 @@ from tenscasadi.util.validate import Array
 
 Replay = Callable[[PlanResult, bool], Trajectory]  # of a plan, in open loop or under `track`
 
+RELIABLE = 1e-2  # × the structure's size: default tolerance of replays
+
 
 class ReplayMeasures(NamedTuple):
     """Distances of the ends of several replays from the goals.

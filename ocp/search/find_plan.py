@@ -18,7 +18,7 @@ from ocp.problem.control import controls_rest_lengths
 from ocp.problem.instant import forces_of
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
-from ocp.results.acceptance import assess_plan
+from ocp.results.acceptance import RELIABLE, assess_plan
 from ocp.results.diagnosis import interpolate_plan
 from ocp.results.replay import replay_open
 from ocp.results.result import PlanResult
@@ -39,8 +39,6 @@ from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
 from tenscasadi.util.processes import one_blas_thread
 from tenscasadi.util.validate import Array
-
-RELIABLE = 1e-2  # × the structure's size: default tolerance of replays
 
 
 class _PlanSearch(NamedTuple):

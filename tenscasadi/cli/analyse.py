@@ -10,13 +10,13 @@ from typing import Annotated, Any
 import numpy as np
 
 from tenscasadi.analysis.statics_report import SOFTEST, StaticsReport, report_statics
-from tenscasadi.cli.exchange import FILE, FOREIGN
 from tenscasadi.cli.loading import load_plots
 from tenscasadi.cli.report import FAILED, CommandReport
-from tenscasadi.cli.source import find_source
+from tenscasadi.cli.source import FILE, find_source
 from tenscasadi.design.find_prestress import find_prestress
 from tenscasadi.design.prestress_goals import Even
 from tenscasadi.design.sizing.material import Material
+from tenscasadi.exchange.readers import READERS
 from tenscasadi.io.document import Change
 from tenscasadi.scene.loads import Gravity
 from tenscasadi.scene.scene import Scene
@@ -100,7 +100,7 @@ def _load_scene(source: str, changes: Sequence[Change]) -> tuple[Scene, str]:
 
     The source is a template, a scene file, or a file of another program.
     """
-    read = FOREIGN.get(Path(source).suffix.lower())
+    read = READERS.get(Path(source).suffix.lower())
     if read is None:
         found = find_source(source, changes)
         return found.scene(), found.stem

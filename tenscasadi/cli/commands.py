@@ -12,7 +12,7 @@ import numpy as np
 from tenscasadi.analysis.tradeoff import tradeoff
 from tenscasadi.cli.loading import load_ocp, load_plots
 from tenscasadi.cli.report import FAILED, INTERRUPTED, CommandReport, find_scalars
-from tenscasadi.cli.source import find_source
+from tenscasadi.cli.source import SCENE, find_source
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.rattle import Rattle
 from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853, RungeKutta4
@@ -26,11 +26,6 @@ from tenscasadi.structure.names import label
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.compile import Single, find_compiler
 from tenscasadi.util.validate import positive_number
-
-SCENE: dict[str, Any] = {
-    "metavar": "NAME|FILE",
-    "complete": {"bash": "_tenscasadi_scenes", "zsh": "_tenscasadi_scenes"},
-}
 
 
 def find_fields() -> Any:

@@ -9,23 +9,17 @@ from typing import Annotated, Any
 
 from tenscasadi.cli.report import check_file
 from tenscasadi.cli.results import load_result
-from tenscasadi.cli.source import find_source
+from tenscasadi.cli.source import FILE, find_source
 from tenscasadi.exchange.gltf import export_gltf
 from tenscasadi.exchange.matlab.save import save_mat
-from tenscasadi.exchange.matlab.structures import load_mat
-from tenscasadi.exchange.mjcf import export_mjcf, import_mjcf
-from tenscasadi.exchange.ntrt.load import load_ntrt
+from tenscasadi.exchange.mjcf import export_mjcf
+from tenscasadi.exchange.readers import READERS
 from tenscasadi.exchange.vtk import export_vtk
 from tenscasadi.io.document import ENDINGS
 from tenscasadi.io.scene_files import save_scene
-from tenscasadi.scene.scene import Scene
 from tenscasadi.simulation.motions import Rollouts
 from tenscasadi.simulation.trajectory import Trajectory
 
-FILE: dict[str, Any] = {
-    "metavar": "FILE",
-    "complete": {"bash": "_tenscasadi_files", "zsh": "_tenscasadi_files"},
-}
 _OWN = dict.fromkeys(ENDINGS, save_scene)
 _SCENES: dict[str, Callable[..., object]] = {
     ".glb": export_gltf,
@@ -40,20 +34,6 @@ _MOTIONS: dict[str, Callable[..., object]] = {
     ".pvd": lambda motion, path: export_vtk(
         _find_trajectory(motion), path, model=getattr(motion, "model", None)
     ),  # a plan's, for forces of bars
-}
-
-
-def _import_mat(path: str, strict: bool, **_: Any) -> Scene:
-    structure = load_mat(path, strict=strict)
-    # in MATLAB's programs, nodes carry the mass of strings
-    return Scene(structure, ends="lumped" if structure.string_mass.any() else "interior")
-
-
-# readers of other programs' files by their endings
-FOREIGN: dict[str, Callable[..., Scene]] = {
-    ".xml": lambda path, strict, **_: import_mjcf(path, strict=strict),
-    ".mat": _import_mat,
-    **dict.fromkeys((".yaml", ".yml"), lambda path, **own: Scene(load_ntrt(path, **own))),
 }
 
 
@@ -117,7 +97,7 @@ def import_file(
     lenient : bool
         Leave out parts that a scene cannot have, and list them.
     """
-    read = _find_by_ending(FOREIGN, Path(source), "scenes")
+    read = _find_by_ending(READERS, Path(source), "scenes")
     _find_by_ending(_OWN, out, "scene files")
     check_file("OUT", out)
     options = {"length_unit": length_unit, "ball_joints": ball_joints, "strict": not lenient}

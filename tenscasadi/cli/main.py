@@ -1,4 +1,4 @@
-"""Entry point of the command line, and its error handling."""
+"""Commands of the command line, their entry point, and its error handling."""
 
 from __future__ import annotations
 
@@ -9,9 +9,24 @@ import warnings
 from collections.abc import Sequence
 from typing import TextIO
 
-from tenscasadi.cli.parser import parse
+from tenscasadi.cli import analyse, commands, exchange, plan, texts, view
+from tenscasadi.cli.parser import Command, parse
 from tenscasadi.cli.report import BAD_INPUT, FAILED, INTERRUPTED
 from tenscasadi.util.compile import CompileError
+
+COMMANDS = {
+    "new": Command(texts.print_template),
+    "info": Command(commands.describe),
+    "analyse": Command(analyse.analyze_scene),
+    "simulate": Command(commands.simulate_scene, "simulation", commands.find_fields),
+    "plan": Command(plan.plan_motion, "plan", plan.find_fields),
+    "view": Command(view.show),
+    "tradeoff": Command(commands.compare_schemes),
+    "export": Command(exchange.export_file),
+    "import": Command(exchange.import_file),
+    "schema": Command(texts.print_schema),
+    "completion": Command(texts.print_completion),
+}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -47,7 +62,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         with warnings.catch_warnings():
             warnings.showwarning = _warn
-            return parse(words)()
+            return parse(words, COMMANDS)()
     except BrokenPipeError:  # the reader of the output has left, as `head` does
         # or Python complains once more when it ends
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -7,13 +7,12 @@ from __future__ import annotations
 
 import argparse
 import inspect
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache, partial
 from pathlib import Path
 from types import NoneType
 from typing import Any, Literal, NamedTuple, NoReturn, get_args, get_origin, get_type_hints
 
-from tenscasadi.cli import analyse, commands, exchange, plan, texts, view
 from tenscasadi.cli.report import BAD_INPUT, CommandReport
 from tenscasadi.cli.source import TEMPLATES, read_title
 from tenscasadi.io.document import Change
@@ -30,19 +29,8 @@ class Command(NamedTuple):
     find_fields: Callable[[], Any] = dict
 
 
-COMMANDS = {
-    "new": Command(texts.print_template),
-    "info": Command(commands.describe),
-    "analyse": Command(analyse.analyze_scene),
-    "simulate": Command(commands.simulate_scene, "simulation", commands.find_fields),
-    "plan": Command(plan.plan_motion, "plan", plan.find_fields),
-    "view": Command(view.show),
-    "tradeoff": Command(commands.compare_schemes),
-    "export": Command(exchange.export_file),
-    "import": Command(exchange.import_file),
-    "schema": Command(texts.print_schema),
-    "completion": Command(texts.print_completion),
-}
+Commands = Mapping[str, Command]
+
 _DESCRIPTION = "Tensegrity dynamics and the planning of string force densities. Units are SI."
 _EPILOG = """\
 Files are named after the template or scene file: `tenscasadi plan reach.toml` writes reach-plan.npz. The tab key completes commands and files
@@ -64,15 +52,15 @@ class CommandOption(NamedTuple):
     text: str
 
 
-def parse(argv: Sequence[str]) -> Callable[[], int]:
+def parse(argv: Sequence[str], commands: Commands) -> Callable[[], int]:
     """Return the command that arguments ask for, ready to run.
 
     Raises SystemExit.
     """
-    parser = command_parser(argv[0] if argv else "")
+    parser = command_parser(commands, argv[0] if argv else "")
     namespace, rest = parser.parse_known_args(argv)
     given = vars(namespace)
-    command, fields = COMMANDS[given.pop("command")], given.pop("fields")
+    command, fields = commands[given.pop("command")], given.pop("fields")
     parameters = inspect.signature(command.run).parameters
     if rest and ("changes" not in parameters or not rest[0].startswith("--")):
         parser.error(f"unrecognized arguments: {' '.join(rest)}")
@@ -89,7 +77,7 @@ def parse(argv: Sequence[str]) -> Callable[[], int]:
             **{name: own for name, own in given.items() if name in _REPORT}
         )
     if "parser" in parameters:
-        own["parser"] = command_parser()
+        own["parser"] = command_parser(commands)
     return partial(command.run, **own)
 
 
@@ -100,7 +88,7 @@ def _build_changes(section: str, options: Any) -> Iterator[Change]:
             yield Change(f"{flag} {value}", f"{section}.{key}", str(value))
 
 
-def command_parser(only: str | None = None) -> argparse.ArgumentParser:
+def command_parser(commands: Commands, only: str | None = None) -> argparse.ArgumentParser:
     """Build the parser.
 
     Only the command `only` gets the fields of its section; by default all do.
@@ -111,7 +99,7 @@ def command_parser(only: str | None = None) -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"tenscasadi {__version__}")
     subparsers = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
     titles = "\n".join(f"  {name:<16} {read_title(name)}" for name in TEMPLATES)
-    for name, command in COMMANDS.items():
+    for name, command in commands.items():
         summary, _, more = (inspect.getdoc(command.run) or "").partition("\n\n")
         text = more.partition("Parameters\n---")[0].rstrip()
         options = _find_options(command.run)

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Annotated, Any
 
-from tenscasadi.cli.commands import SCENE
 from tenscasadi.cli.loading import load_ocp, load_plots
 from tenscasadi.cli.report import FAILED, CommandReport, find_scalars
-from tenscasadi.cli.source import find_source
+from tenscasadi.cli.source import SCENE, find_source
 from tenscasadi.io.document import Change
 from tenscasadi.util.compile import find_compiler
 

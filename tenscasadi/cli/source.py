@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from tenscasadi.io.document import ENDINGS, Change, read_document
 from tenscasadi.io.scene_files import read_scene
@@ -16,6 +17,16 @@ from tenscasadi.simulation.simulation_files import read_simulation
 
 FOLDER = Path(__file__).with_name("templates")
 TEMPLATES = {path.stem: path for path in sorted(FOLDER.glob("*.toml"))}
+
+# arguments of commands: files, and scenes
+FILE: dict[str, Any] = {
+    "metavar": "FILE",
+    "complete": {"bash": "_tenscasadi_files", "zsh": "_tenscasadi_files"},
+}
+SCENE: dict[str, Any] = {
+    "metavar": "NAME|FILE",
+    "complete": {"bash": "_tenscasadi_scenes", "zsh": "_tenscasadi_scenes"},
+}
 
 
 @dataclass(frozen=True)

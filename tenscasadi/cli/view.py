@@ -7,11 +7,10 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from tenscasadi.cli.exchange import FILE
 from tenscasadi.cli.loading import load_viewer
 from tenscasadi.cli.report import check_file
 from tenscasadi.cli.results import load_result
-from tenscasadi.cli.source import SceneSource, find_source
+from tenscasadi.cli.source import FILE, SceneSource, find_source
 from tenscasadi.integrators.stabilization import Projection
 
 _PAGE = {**FILE, "metavar": "OUT"}

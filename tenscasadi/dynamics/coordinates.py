@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from tenscasadi.dynamics.constraint_forces import assemble_system
 from tenscasadi.dynamics.masses import read_masses
 from tenscasadi.dynamics.mechanism import BarLength, Coordinates, Mechanism, free_mass_matrix
-from tenscasadi.scene.parameters import MASSES
+from tenscasadi.scene.quantities import MASSES
 from tenscasadi.scene.scene import Scene
 from tenscasadi.structure.body_assembly import BodyAssembly
 from tenscasadi.structure.class_one import connectivity

@@ -17,14 +17,14 @@ import numpy as np
 
 from tenscasadi.scene.binding import bind
 from tenscasadi.scene.cables import CableRows
-from tenscasadi.scene.ground import Surface
-from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
 from tenscasadi.scene.strings import ForceDensity, Linear, RestLength, Smooth, StringLaw
 from tenscasadi.util.casadi_tools import constant_row, is_expression, scale_and_multiply, sparse
 from tenscasadi.util.validate import Array, Indices
 
 if TYPE_CHECKING:
     from tenscasadi.dynamics.mechanism import Mechanism
+    from tenscasadi.scene.ground import Surface
+    from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
     from tenscasadi.scene.scene import Scene
 
 

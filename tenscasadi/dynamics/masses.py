@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from tenscasadi.scene.parameter_layout import Affine
-from tenscasadi.scene.parameters import MASSES
+from tenscasadi.scene.quantities import MASSES
 from tenscasadi.structure.class_one import Layout
 from tenscasadi.structure.subdivision import cut_strings
 from tenscasadi.util.casadi_tools import matrix_with_pattern

@@ -16,12 +16,12 @@ from tenscasadi.dynamics.constraint_forces import (
     residuals,
     stretch_bars,
 )
-from tenscasadi.dynamics.mechanism import Mechanism
 from tenscasadi.schema.value import Value
 from tenscasadi.util.casadi_tools import sparse, symbol_kind
 from tenscasadi.util.validate import instance, positive_number, whole_number
 
 if TYPE_CHECKING:
+    from tenscasadi.dynamics.mechanism import Mechanism
     from tenscasadi.dynamics.model import Model
 
 

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
-from tenscasadi.scene.parameters import ELASTIC_BARS, QUANTITIES
+from tenscasadi.scene.quantities import ELASTIC_BARS, QUANTITIES
 from tenscasadi.scene.strings import ForceDensity, RestLength, Tension
 from tenscasadi.structure.cables import add_compliances
 from tenscasadi.util.casadi_tools import is_expression

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
-from tenscasadi.scene.parameters import ELASTIC_BARS, GROUPED, QUANTITIES, Parameters
+from tenscasadi.scene.quantities import ELASTIC_BARS, GROUPED, QUANTITIES
 from tenscasadi.structure.mass_checks import check_mass_ratio
-from tenscasadi.structure.structure import Structure
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import SMALLEST, Array, Indices, finite_array, format_value, nesting
+
+if TYPE_CHECKING:
+    from tenscasadi.scene.parameters import Parameters
+    from tenscasadi.structure.structure import Structure
 
 
 class Affine(NamedTuple):

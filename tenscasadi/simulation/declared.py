@@ -17,7 +17,7 @@ from tenscasadi.integrators.stabilization import (
     build_projection,
     check_correction,
 )
-from tenscasadi.scene.parameters import QUANTITIES
+from tenscasadi.scene.quantities import QUANTITIES
 from tenscasadi.scene.scene import Scene
 from tenscasadi.schema.containers import TableOf
 from tenscasadi.schema.definitions import OneOf

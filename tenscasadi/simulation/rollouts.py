@@ -21,6 +21,7 @@ from tenscasadi.simulation.inputs.run_inputs import read_inputs
 from tenscasadi.simulation.motions import Rollouts
 from tenscasadi.simulation.simulate import check_options
 from tenscasadi.simulation.verdict.judge import judge
+from tenscasadi.simulation.verdict.step_error import estimate_errors
 from tenscasadi.util.compile import Compiled
 from tenscasadi.util.processes import count_processors
 from tenscasadi.util.validate import Array, positive_number, whole_number
@@ -180,7 +181,7 @@ def _record(model: Model, runs: Runs, verify: bool) -> Rollouts:
     request, rolled = runs.request, runs.rolled
     grid, steps = request.inputs.grid, request.inputs.grid.steps
     saved = np.append(np.arange(0, steps, request.every), steps)
-    times, verdict = grid.times(saved), judge(runs, verify)
+    times, verdict = grid.times(saved), judge(runs, estimate_errors(runs) if verify else None)
     worst = dict(
         zip(
             WORST,

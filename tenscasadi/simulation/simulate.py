@@ -26,6 +26,7 @@ from tenscasadi.simulation.trajectory import (
 )
 from tenscasadi.simulation.verdict.endings import describe_steps
 from tenscasadi.simulation.verdict.judge import Verdict, judge
+from tenscasadi.simulation.verdict.step_error import estimate_errors
 from tenscasadi.util.compile import Compiled, Single
 from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import instance, positive_number, whole_number
@@ -167,11 +168,11 @@ def simulate(  # noqa: PLR0913  the options of a run
         deadline=time.monotonic() + limit,
     )
     runs = roll(request, progress)
-    verdict = judge(runs, verify)
+    verdict = judge(runs, estimate_errors(runs) if verify else None)
     if step is None and not scheme.adaptive and verdict.finer[0] > 1:
         parts = min(int(np.ceil(verdict.finer[0])), MAX_REFINEMENT)
         runs = roll(_divide_steps(request, parts), progress)
-        verdict = judge(runs, verify)
+        verdict = judge(runs, estimate_errors(runs) if verify else None)
     return record_run(model, runs, verdict)
 
 

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import casadi as ca
 
 from tenscasadi.integrators.adaptive import build_control
-from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.runge_kutta import (
     SEVERAL,
     EmbeddedRungeKutta,
@@ -159,10 +158,8 @@ def _build_steps(
     functions = {}
     if tableau is not None:
         functions["ode"] = _merge_power(equations(model, power), model, power)
-    elif isinstance(scheme, Collocation):  # the tolerance is an input of the loop
-        functions["step"] = scheme.advance_within(model, power)
-    else:
-        functions["step"] = scheme.advance(model, power)
+    else:  # the loop passes the tolerance, if the scheme takes one
+        functions["step"] = getattr(scheme, "advance_within", scheme.advance)(model, power)
     project = None if correction is None else build_correction(model, correction)
     if project is not None:
         functions |= {"project": project, "effect": build_effect(model)}

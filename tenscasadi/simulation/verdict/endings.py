@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -20,11 +20,13 @@ from tenscasadi.simulation.engine.request import (
     STUCK,
     TIRED,
 )
-from tenscasadi.simulation.engine.roll import Runs
 from tenscasadi.simulation.engine.sundials_runs import SundialsRuns
 from tenscasadi.simulation.verdict.starts import constraint_violation, describe_violation
 from tenscasadi.simulation.verdict.thresholds import THRESHOLDS
 from tenscasadi.util.validate import Array
+
+if TYPE_CHECKING:
+    from tenscasadi.simulation.engine.roll import Runs
 
 FAULTS = {
     NOT_FINITE: "the state is not finite",

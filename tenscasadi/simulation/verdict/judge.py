@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,10 +26,12 @@ from tenscasadi.simulation.verdict.starts import (
     describe_violation,
     start_violations,
 )
-from tenscasadi.simulation.verdict.step_error import StepErrors, estimate_errors
 from tenscasadi.simulation.verdict.thresholds import EPSILON, THRESHOLDS
 from tenscasadi.util.compile import Single
 from tenscasadi.util.validate import Array
+
+if TYPE_CHECKING:
+    from tenscasadi.simulation.verdict.step_error import StepErrors
 
 
 class Verdict(NamedTuple):
@@ -53,10 +55,10 @@ class Verdict(NamedTuple):
     finer: Array
 
 
-def judge(runs: Runs, verify: bool) -> Verdict:
+def judge(runs: Runs, found: StepErrors | None) -> Verdict:
     """Assess whether runs are trustworthy, with reasons.
 
-    With `verify`, a repetition estimates the step-size error.
+    `found` are their step-size errors, if they have been estimated.
     """
     status, scheme = runs.rolled.status, runs.request.scheme
     success, finished = status == FINISHED, np.flatnonzero(status == FINISHED)
@@ -71,8 +73,7 @@ def judge(runs: Runs, verify: bool) -> Verdict:
     error, finer = np.full(len(status), np.nan), np.ones(len(status))
     if not len(finished):  # stopped runs return at once, however many steps remain
         return Verdict(success, message, error, finer)
-    if verify:
-        found = estimate_errors(runs, finished, THRESHOLDS["position"].reported)
+    if found is not None:
         error = found.error
         doubts, finer = _check_errors(runs, found)
         success &= ~doubts.failed

@@ -15,6 +15,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import extent
 from tenscasadi.simulation.engine.request import FINISHED
 from tenscasadi.simulation.engine.roll import Request, Runs, roll
+from tenscasadi.simulation.verdict.thresholds import THRESHOLDS
 from tenscasadi.util.compile import Single
 from tenscasadi.util.validate import Array, Indices
 
@@ -49,16 +50,18 @@ class StepErrors(NamedTuple):
         return np.asarray(np.clip(excess, 1.0, 1e3) ** (1 / np.log2(self.factor)))
 
 
-def estimate_errors(runs: Runs, which: Indices, reported: float) -> StepErrors:
+def estimate_errors(runs: Runs) -> StepErrors:
     """Estimate the step-size errors of finished runs.
 
-    An error is reported if it exceeds the fraction `reported` of the motion. The repetitions differ
-    only in their steps.
+    The repetitions differ only in their steps.
     """
-    again = _Repetition(runs, which)
-    least = np.maximum(reported * again.motion, again.rounding)
-    estimate = _from_tolerances if runs.request.scheme.adaptive else _from_steps
     found = np.full((3, len(runs.rolled.status)), np.nan)
+    which = np.flatnonzero(runs.rolled.status == FINISHED)
+    if not len(which):
+        return StepErrors(*found)
+    again = _Repetition(runs, which)
+    least = np.maximum(THRESHOLDS["position"].reported * again.motion, again.rounding)
+    estimate = _from_tolerances if runs.request.scheme.adaptive else _from_steps
     found[:, which] = *estimate(again, least), again.motion
     return StepErrors(found[0], found[2], found[1])
 

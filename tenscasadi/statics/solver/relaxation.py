@@ -18,10 +18,16 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.stability import contact_step, stable_step
 from tenscasadi.scene.binding import fix
 from tenscasadi.scene.scene import Scene
-from tenscasadi.simulation.simulate import simulate
+from tenscasadi.simulation.engine.request import FINISHED, MEASURED
+from tenscasadi.simulation.engine.roll import Request, Runs, roll
+from tenscasadi.simulation.engine.step_code import Account
+from tenscasadi.simulation.inputs.run_inputs import read_inputs
+from tenscasadi.simulation.verdict.starts import constraint_violation
+from tenscasadi.simulation.verdict.thresholds import THRESHOLDS
 from tenscasadi.util.validate import MAX_COUNT, MAX_ITERATIONS, ROUNDING, Array
 
 _ROWS = 200  # steps of a round, among which the maximum is sought
@@ -54,26 +60,35 @@ def relax(scene: Scene, nodes: Array, control: Array, parameters: Array, time: f
         model = Model(freeze_loads(scene, nodes, parameters, time))
         state = model.state(nodes)
         limits = (stable_step(model, state, control, safety=0.5), 0.5 * contact_step(model))
+    if constraint_violation(model, state) > THRESHOLDS["start"].failed:
+        return nodes
     step = min(_LONGEST, *(limit for limit in limits if limit > 0.0))
     duration, highest, taken = _ROWS * step, 0.0, 0.0
     for _ in range(MAX_ITERATIONS):
         taken += duration / step
         if taken > MAX_COUNT:
             break
-        run = simulate(
-            model, duration, step, state=state, control=control, verify=False, energy_balance=False
-        )
-        kinetic = run.energy_parts[:, 0]
-        if not run.success or not np.isfinite(kinetic).all():
+        run = _move(model, state, control, duration, step)
+        kinetic = run.measured[0, :, MEASURED.index("kinetic")]
+        if run.rolled.status[0] != FINISHED or not np.isfinite(kinetic).all():
             break
         peak = int(np.argmax(kinetic))
         highest = max(highest, float(kinetic[peak]))
-        state = model.state(run.nodes[peak])
+        state = model.state(model.nodes(run.saved[0, peak]))
         if kinetic[peak] <= ROUNDING * highest:
             break
         inside = 0 < peak < len(kinetic) - 1
-        duration = max(_ROWS * step, 2.0 * run.time[peak]) if inside else 2.0 * duration
+        reached = run.times(run.saved_steps(0))[peak]
+        duration = max(_ROWS * step, 2.0 * reached) if inside else 2.0 * duration
     return np.asarray(model.nodes(state))
+
+
+def _move(model: Model, state: Array, control: Array, duration: float, step: float) -> Runs:
+    """Simulate a motion, and save up to about 1000 rows."""
+    scheme = RungeKutta4()
+    inputs = read_inputs(model, duration, step, scheme, state, control, None, many=False)
+    every = max(1, -(-inputs.grid.steps // 1000))
+    return roll(Request(inputs, scheme, None, every, Account(False, False), "errors", lanes=1))
 
 
 def freeze_loads(scene: Scene, nodes: Array, parameters: Array, time: float) -> Scene:

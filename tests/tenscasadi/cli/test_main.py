@@ -18,8 +18,7 @@ from PIL import Image
 
 import ocp
 import tenscasadi as tc
-from tenscasadi.cli.main import main
-from tenscasadi.cli.parser import COMMANDS
+from tenscasadi.cli.main import COMMANDS, main
 from tenscasadi.cli.source import TEMPLATES, find_source, read_title
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -521,7 +520,11 @@ def test_warnings_are_one_line_each(capsys, monkeypatch):
 
 
 def test_help_does_not_import_matplotlib():
-    code = "import sys; from tenscasadi.cli.parser import command_parser; command_parser().format_help(); sys.exit('matplotlib' in sys.modules)"
+    code = (
+        "import sys; from tenscasadi.cli.main import COMMANDS; "
+        "from tenscasadi.cli.parser import command_parser; "
+        "command_parser(COMMANDS).format_help(); sys.exit('matplotlib' in sys.modules)"
+    )
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False).returncode == 0
 
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import tenscasadi as tc
-from tenscasadi.scene.parameters import QUANTITIES
+from tenscasadi.scene.quantities import QUANTITIES
 
 
 @pytest.mark.parametrize(
