@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.optimize import bisect
 
 from tenscasadi.structure.shapes.family import build_structure, place_ring, polygon, shape
 from tenscasadi.structure.shapes.prisms import check_twist, equilibrium_twist
 from tenscasadi.structure.structure import Structure
+from tenscasadi.util.renamed import lazy_module
 from tenscasadi.util.validate import (
     MAX_COUNT,
     Array,
@@ -18,6 +18,8 @@ from tenscasadi.util.validate import (
     positive_number,
     whole_number,
 )
+
+optimize = lazy_module("scipy.optimize")
 
 _MOST_STAGES = 100  # the overlap of class-1 towers needs determinants of 6 times as many rows
 _TRIALS = 100  # overlaps at which the sign of the determinant is evaluated
@@ -154,7 +156,7 @@ def _overlap(stages: int, p: int, radius: float, height: float, turn: float) -> 
     trials = np.linspace(0.0, height, _TRIALS + 1)[1:-1]
     signs = np.array([orientation(trial) for trial in trials])
     for k in np.flatnonzero(signs[:-1] * signs[1:] < 0.0):
-        tower = build(bisect(orientation, trials[k], trials[k + 1]))
+        tower = build(optimize.bisect(orientation, trials[k], trials[k + 1]))
         stress = np.linalg.svd(_ring_balance(tower, p))[2][-1]
         if np.ptp(np.sign(stress * np.r_[-np.ones(stages), np.ones(len(tower.strings))])) == 0:
             return tower
