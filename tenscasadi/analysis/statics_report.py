@@ -13,6 +13,7 @@ from tenscasadi.scene.scene import Scene
 from tenscasadi.statics.equilibrium import Equilibrium, find_equilibrium
 from tenscasadi.statics.self_stress import mechanisms, self_stress
 from tenscasadi.statics.stability import Stability, stability
+from tenscasadi.structure.mass_checks import total_mass
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import NEGLIGIBLE, Array
 
@@ -136,8 +137,8 @@ def _describe_members(s: Structure) -> list[str]:
     lines.append(f"strings       {len(s.strings)}")
     if len(s.strings):
         lines[2] += f", lengths {_range(s.string_lengths)} m"
-    mass = s.bar_mass.sum() + s.node_mass.sum() + s.string_mass.sum()
-    return [*lines, f"mass          {mass:.6g} kg"]
+    lines += [f"bodies        {len(s.bodies)}"] if s.bodies else []
+    return [*lines, f"mass          {total_mass(s):.6g} kg"]
 
 
 def _describe_forces(eq: Equilibrium) -> list[str]:

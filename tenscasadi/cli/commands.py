@@ -250,7 +250,8 @@ def _describe_members(structure: Structure) -> list[str]:
     lines.append(f"bars          {len(bars)}{own}")
     lengths = _format_range(strings)
     own = f", lengths {lengths} m, stiffness {stiffness} N/m" if len(strings) else ""
-    return [*lines, f"strings       {len(strings)}{own}"]
+    bodies = [f"bodies        {len(structure.bodies)}"] if structure.bodies else []
+    return [*lines, f"strings       {len(strings)}{own}", *bodies]
 
 
 def _find_equilibrium(structure: Structure) -> tuple[Any, str]:

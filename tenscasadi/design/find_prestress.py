@@ -23,6 +23,7 @@ from tenscasadi.design.tangent_stiffness import TangentStiffness
 from tenscasadi.statics.self_stress import self_stress
 from tenscasadi.structure.cables import reject_cables
 from tenscasadi.structure.equilibrium_matrix import equilibrium_matrix
+from tenscasadi.structure.rigid_body import reject_bodies
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import (
@@ -126,6 +127,7 @@ def find_prestress(
     """
     instance("structure", structure, Structure, "a tenscasadi.Structure")
     reject_cables(structure, "find_prestress")
+    reject_bodies(structure, "find_prestress")
     instance("goal", goal, (Stiffest, Even, Least), "Stiffest(), Even() or Least()")
     count = len(structure.strings)
     least = nonnegative("minimum", per_item("minimum", minimum, count), "string")

@@ -26,6 +26,7 @@ from tenscasadi.design.force_density_method import (
 from tenscasadi.design.form_program import FEASIBLE, FormProgram, Goals
 from tenscasadi.structure.cables import reject_cables
 from tenscasadi.structure.equilibrium_matrix import balance_columns, free_directions, member_pairs
+from tenscasadi.structure.rigid_body import reject_bodies
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import (
@@ -148,6 +149,7 @@ def form_find(
     """
     instance("structure", structure, Structure, "a tenscasadi.Structure")
     reject_cables(structure, "form_find")
+    reject_bodies(structure, "form_find")
     if not len(structure.strings):
         raise ValueError("structure has no strings: add some, or keep its nodes")
     densities = read_force_densities(structure, force_density, groups)

@@ -189,7 +189,10 @@ def node_weights(scene: Any) -> Affine:
     ends = bars.ravel(), np.repeat(np.arange(len(bars)), 2)
     halves = sp.csr_array((np.full(bars.size, 0.5), ends), shape=(count, len(bars)))
     own, nodes = _affine(scene, "bar_mass").then(halves), _node_masses(scene)
-    return Affine(own.constant + nodes.constant, sp.csr_array(own.matrix + nodes.matrix))
+    constant = own.constant + nodes.constant
+    if scene.modelled.bodies:
+        constant = constant + np.asarray(scene.modelled._assembly.mass.sum(axis=1)).ravel()[:count]
+    return Affine(constant, sp.csr_array(own.matrix + nodes.matrix))
 
 
 def _node_masses(scene: Any) -> Affine:

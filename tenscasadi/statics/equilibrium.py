@@ -297,7 +297,7 @@ def describe_rest(
     lengths = np.linalg.norm(point.springs, axis=1)
     strings = len(structure.strings)
     bar_force = np.zeros(len(structure.bars))
-    bar_force[equations.rigid] = rest.tension
+    bar_force[equations.rigid] = rest.tension[: len(equations.rigid)]
     bar_force[equations.elastic] = (point.gamma * lengths)[strings:]
     total = point.applied + equations.bar_forces(point, rest.tension)
     unbalanced = (equations.free @ rest.residual).reshape(total.shape)
@@ -311,7 +311,7 @@ def describe_rest(
         force_density=point.gamma[:strings],
         tension=(point.gamma * lengths)[:strings],
         bar_force=bar_force,
-        reactions=unbalanced - total + point.ground,
+        reactions=equations.support_forces(total) + point.ground,
         stable=rest.stable,
         control=given.inputs[: scene.nu],
         parameters=given.inputs[scene.nu :],

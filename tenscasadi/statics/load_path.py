@@ -254,7 +254,7 @@ def _collect(system: NewtonSystem, rows: list[PathRow], fault: str) -> LoadPath:
         point = row.place.point
         pulls = point.gamma * np.linalg.norm(point.springs, axis=1)
         tension[k], force[k, equations.elastic] = pulls[:strings], pulls[strings:]
-        force[k, equations.rigid] = row.place.tension
+        force[k, equations.rigid] = row.place.tension[: len(equations.rigid)]
     nodes = [row.place.point.nodes for row in rows]
     kinds = np.array([row.kind for row in rows], dtype="U11")
     factor = np.array([row.place.factor for row in rows])

@@ -105,7 +105,7 @@ def rigid_body_motions(structure: Structure, nodes: Array | None = None) -> Arra
     fields = [np.broadcast_to(axis, arms.shape) for axis in np.eye(3)]
     fields += [np.cross(axis, arms) for axis in np.eye(3)]
     motions = orth(np.stack([field.ravel() for field in fields], axis=1), rcond=NEGLIGIBLE)
-    free = free_directions(structure)
+    free = free_directions(structure, rigid=False)  # rigid motions keep bodies in all nodes
     return idle_combinations(motions, motions - free @ (free.T @ motions), NEGLIGIBLE)
 
 

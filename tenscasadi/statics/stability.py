@@ -337,8 +337,13 @@ def _impose(
     pull = np.zeros_like(point.nodes)
     for end, sign in ((0, 1.0), (1, -1.0)):
         np.add.at(pull, equations.spring_pairs[:, end], sign * density[:, None] * point.springs)
-    tension = -(lam * structure.bar_lengths)[equations.rigid]
     applied = point.loads + pull
+    tension = np.zeros(system.rigid)
+    tension[: len(equations.rigid)] = -(lam * structure.bar_lengths)[equations.rigid]
+    if structure.bodies:  # the bars of bodies balance the rest
+        rest = equations.in_free_directions(applied + equations.bar_forces(point, tension))
+        pulls = system.lengthening(point)[len(equations.rigid) :].T.toarray()
+        tension[len(equations.rigid) :] = np.linalg.lstsq(pulls, rest, rcond=None)[0]
     return point._replace(gamma=density, slope=along, coupling=coupling, applied=applied), tension
 
 
@@ -353,7 +358,8 @@ def describe_state(
     density = np.zeros(strings + len(structure.bars))
     density[:strings] = point.gamma[:strings]
     density[strings + equations.elastic] = -point.gamma[strings:]
-    density[strings + equations.rigid] = -state.tension / equations.lengths
+    own = len(equations.rigid)
+    density[strings + equations.rigid] = -(state.tension / equations.lengths)[:own]
     bars = equations.bar_forces(point, state.tension)
     unbalanced = equations.in_free_directions(point.applied + bars)
     residual = float(

@@ -36,10 +36,12 @@ def is_super_stable(structure: Structure, density: Any) -> bool:
     Returns
     -------
     bool
-        Whether three conditions hold. The matrix is positive semidefinite on the motions that
+        Whether three conditions hold, and there are no bodies. The matrix is positive semidefinite on the motions that
         supports allow. Its null space contains affine motions only. Among these, only rigid-body
         motions keep all lengths.
     """
+    if structure.bodies:
+        return False
     free = free_directions(structure)
     K = sp.csc_array(free.T @ sp.kron(density, sp.eye_array(3)) @ free)
     affine = affine_motions(structure)

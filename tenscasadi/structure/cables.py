@@ -140,7 +140,8 @@ def density_basis(structure: Any) -> Any:
     for cable in structure.cables:
         own = 1.0 / structure.string_lengths[list(cable)]
         values[list(cable)] = own / np.linalg.norm(own)
-    return sp.csc_array((values, (np.arange(alpha + bars), columns)))
+    shape = (alpha + bars, int(columns.max(initial=-1)) + 1)
+    return sp.csc_array((values, (np.arange(alpha + bars), columns)), shape=shape)
 
 
 def reject_cables(structure: Any, user: str) -> None:

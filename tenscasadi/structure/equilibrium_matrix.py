@@ -105,26 +105,56 @@ def balance_columns(pairs: Indices, vectors: Array, count: int) -> sp.csc_array:
     return sp.csc_array((values.ravel(), (rows.ravel(), columns)), shape=(3 * count, len(pairs)))
 
 
-def free_directions(structure: Any) -> sp.csr_array:
+def free_directions(structure: Any, rigid: bool = True) -> sp.csr_array:
     """Build an orthonormal basis of the admissible displacements.
 
     Parameters
     ----------
     structure : Structure
         The structure.
+    rigid : bool
+        Whether bodies are rigid to first order in the structure's nodes. Otherwise only their
+        dependent nodes follow the others.
 
     Returns
     -------
     csr_array, shape (3n, free coordinates)
         The basis, node by node.
-
-    Raises
-    ------
-    ValueError
-        If the structure has bodies.
     """
-    if structure.bodies:
-        raise ValueError("bodies: statics and design have no rigid bodies: use tc.simulate")
+    base = support_directions(structure)
+    bodies = structure._assembly
+    if bodies is None:
+        return base
+    count = len(structure.nodes)
+    moves = sp.csc_array(sp.kron(bodies.spread[:count, :count], sp.eye_array(3)) @ base)
+    moves = moves[
+        :, np.flatnonzero(np.diff(moves.indptr))
+    ]  # dependent nodes have none of their own
+    own = np.unique(np.concatenate([body.nodes for body in structure.bodies]))
+    rows = (3 * own[:, None] + np.arange(3)).ravel()
+    inside = moves[rows]
+    touched = np.flatnonzero(np.diff(inside.indptr))
+    block = inside[:, touched].toarray()
+    if rigid:
+        bars = bodies.bars[(bodies.bars < count).all(axis=1)]
+        units = structure.nodes[bars[:, 1]] - structure.nodes[bars[:, 0]]
+        units = units / np.linalg.norm(units, axis=1)[:, None]
+        lengthening = balance_columns(bars, units, count).T[:, rows] @ block
+        _, sizes, right = np.linalg.svd(lengthening)
+        block = block @ right[int(np.sum(sizes > 1e-9 * sizes.max(initial=0.0))) :].T
+    basis = np.linalg.qr(block)[0]
+    select = sp.csr_array(
+        (np.ones(len(rows)), (rows, np.arange(len(rows)))), shape=(3 * count, len(rows))
+    )
+    others = np.setdiff1d(np.arange(moves.shape[1]), touched)
+    return sp.csr_array(sp.hstack([moves[:, others], select @ sp.csr_array(basis)]))
+
+
+def support_directions(structure: Any) -> sp.csr_array:
+    """Build an orthonormal basis of the displacements that supports allow.
+
+    It has shape (3n, free coordinates), node by node. Bodies are ignored.
+    """
     if not structure.rollers:
         return sp.eye_array(structure.fixed.size, format="csr")[:, np.flatnonzero(~structure.fixed)]
     blocks = [np.eye(3)[:, ~fixed] for fixed in structure.fixed]

@@ -11,6 +11,13 @@ from tenscasadi.util.validate import SMALLEST, Array, Indices
 MAX_MASS_RATIO = 1e12  # between bars; above, rounding errors exceed the forces on the lighter bar
 
 
+def total_mass(structure: Any) -> float:
+    """Sum the masses of bars, nodes, strings and bodies [kg]."""
+    s = structure
+    bodies = sum(body.mass for body in s.bodies)
+    return float(s.bar_mass.sum() + s.node_mass.sum() + s.string_mass.sum() + bodies)
+
+
 def check_node_masses(node_mass: Array, fixed: Any, held: Any, heavy_strings: Indices) -> None:
     """Check that each moving node has a bar or mass.
 

@@ -172,6 +172,15 @@ def read_bodies(given: Any, count: int) -> tuple[RigidBody, ...]:
     return bodies
 
 
+def reject_bodies(structure: Any, user: str) -> None:
+    """Raise ValueError if a structure has bodies, which a function does not take."""
+    if structure.bodies:
+        raise ValueError(
+            f"Structure.bodies has {len(structure.bodies)} bodies, which {user} does not take: "
+            "give structure.replace(bodies=()) with bars in their place"
+        )
+
+
 def move_bodies(bodies: Iterable[RigidBody], before: Array, after: Any) -> tuple[RigidBody, ...]:
     """Move bodies with the nodes (n, 3) of a structure.
 

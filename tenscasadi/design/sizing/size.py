@@ -24,6 +24,7 @@ from tenscasadi.design.sizing.stable import StableSizing
 from tenscasadi.design.tangent_stiffness import TangentStiffness
 from tenscasadi.scene.loads import Gravity
 from tenscasadi.structure.cables import reject_cables
+from tenscasadi.structure.rigid_body import reject_bodies
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import (
     NEGLIGIBLE,
@@ -109,6 +110,7 @@ def size(
     """
     instance("structure", structure, Structure, "a tenscasadi.Structure")
     reject_cables(structure, "size")
+    reject_bodies(structure, "size")
     sections = _read_sections(structure, string, bar, tube, minimum_area)
     flag("stable", stable)
     cases = read_load_cases(load_cases, structure)

@@ -13,6 +13,7 @@ from tenscasadi.schema.stored import array_fields
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.cables import reject_cables
 from tenscasadi.structure.class_one import connectivity
+from tenscasadi.structure.rigid_body import reject_bodies
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import Array, Indices, flag, instance
@@ -80,8 +81,7 @@ def save_mat(
     instance("data", data, (Structure, Trajectory), "a Structure or a Trajectory")
     flag("class_one", class_one)
     if isinstance(data, Structure):
-        if data.bodies:
-            raise ValueError("bodies have no counterpart in MATLAB tools: use tc.save_scene")
+        reject_bodies(data, "save_mat")
         reject_cables(data, "save_mat")
         return write_mat(path, _build_split(data) if class_one else _build_physical(data))
     if class_one:

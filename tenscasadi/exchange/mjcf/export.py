@@ -19,6 +19,7 @@ from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Smooth, Tension
 from tenscasadi.structure.cables import reject_cables
+from tenscasadi.structure.rigid_body import reject_bodies
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import (
     Array,
@@ -151,8 +152,7 @@ def _check_scene(scene: Scene) -> None:
                 f"Scene.slack of string {strings[0]} is {law}: MuJoCo's tendons are slack or not, give Clip() or Linear()"
             )
     s = scene.modelled
-    if s.bodies:
-        raise ValueError("bodies: export_mjcf writes none: leave them out")
+    reject_bodies(s, "export_mjcf")
     if s.coupled_mass.any():
         raise ValueError('Scene.ends is "consistent", which MuJoCo lacks: give "lumped"')
     for bar in np.flatnonzero(s.elastic):

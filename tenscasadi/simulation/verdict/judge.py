@@ -27,6 +27,7 @@ from tenscasadi.simulation.verdict.starts import (
     start_violations,
 )
 from tenscasadi.simulation.verdict.thresholds import EPSILON, THRESHOLDS
+from tenscasadi.structure.mass_checks import total_mass
 from tenscasadi.util.compile import Single
 from tenscasadi.util.validate import Array
 
@@ -196,8 +197,7 @@ def _rounding_energy(model: Model, size: Any, t_end: float, single: bool = False
     motion that covers the extent of the structure during the run.
     """
     s = model.structure
-    mass = float(s.bar_mass.sum() + s.node_mass.sum() + s.string_mass.sum())
-    crossing = mass * (extent(model) / (t_end or np.inf)) ** 2
+    crossing = total_mass(s) * (extent(model) / (t_end or np.inf)) ** 2
     return (1e-5 if single else 1e-9) * size + EPSILON * crossing
 
 

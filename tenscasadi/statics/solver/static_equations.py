@@ -27,9 +27,10 @@ from tenscasadi.dynamics.forces import (
 from tenscasadi.dynamics.masses import node_weights
 from tenscasadi.scene.binding import bind, with_fields
 from tenscasadi.scene.scene import Scene
+from tenscasadi.structure.body_assembly import FLAT
 from tenscasadi.structure.cables import pair_strings
 from tenscasadi.structure.class_one import connectivity
-from tenscasadi.structure.equilibrium_matrix import free_directions
+from tenscasadi.structure.equilibrium_matrix import free_directions, support_directions
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.validate import NEGLIGIBLE, Array, Indices
 
@@ -129,6 +130,8 @@ class StaticEquations:
         The structure with subdivided strings.
     rigid, elastic : ndarray of int
         Rigid and elastic bars.
+    rigid_pairs : ndarray of int (β_r, 2)
+        Ends of rigid bars, then of the massless bars of bodies.
     coupled : ndarray of int (pairs, 2)
         Pairs of strings in one cable.
     free : csr_array (3n, free coordinates)
@@ -142,11 +145,12 @@ class StaticEquations:
         count = len(s.nodes)
         self.coupled = pair_strings(s.cables)
         self.spring_pairs = np.concatenate([s.strings, s.bars[self.elastic]])
-        self.rigid_pairs: Indices = s.bars[self.rigid]
-        self.lengths = s.bar_lengths[self.rigid]
+        pairs, lengths = _find_body_bars(scene)
+        self.rigid_pairs: Indices = np.concatenate([s.bars[self.rigid], pairs])
+        self.lengths = np.concatenate([s.bar_lengths[self.rigid], lengths])
         self._across = connectivity(self.spring_pairs, count)
         self._across_bars = connectivity(self.rigid_pairs, count)
-        self.free = free_directions(s)
+        self.free = free_directions(s, rigid=False)
         self._onto_free = self.free.T.tocsr()
 
     @property
@@ -226,6 +230,21 @@ class StaticEquations:
         """
         pull = (tension / self.lengths)[:, None] * point.bars
         return np.asarray(-(self._across_bars.T @ pull))
+
+    def support_forces(self, total: Array) -> Array:
+        """Compute the forces (n, 3) of supports from those of all else [N].
+
+        Unbalanced forces remain unbalanced.
+        """
+        bodies, s = self.structure._assembly, self.structure
+        if bodies is None:
+            return np.asarray(
+                (self.free @ (self._onto_free @ total.ravel())) - total.ravel()
+            ).reshape(total.shape)
+        count = len(s.nodes)
+        gathered = (bodies.spread[:count, :count].T @ total).ravel()
+        allowed = support_directions(s)
+        return np.asarray(allowed @ (allowed.T @ gathered) - gathered).reshape(total.shape)
 
     def spring_vectors(self, nodes: Array) -> Array:
         """Compute the member vectors (·, 3) of springs [m].
@@ -396,6 +415,24 @@ class StaticEquations:
         return ArrayFunction(
             ca.Function("load_changes", [*self._load_symbols, dw], [ca.densify(change)])
         )
+
+
+def _find_body_bars(scene: Scene) -> tuple[Indices, Array]:
+    """Find the massless bars of bodies (b, 2) and their lengths.
+
+    Auxiliary nodes are not needed at rest. Raises ValueError if a weight acts on one.
+    """
+    s, bodies = scene.modelled, scene.modelled._assembly
+    if bodies is None:
+        return np.zeros((0, 2), dtype=np.intp), np.zeros(0)
+    weights = np.asarray(bodies.mass.sum(axis=1)).ravel()
+    if scene.gravity is not None and np.any(abs(weights[len(s.nodes) :]) > FLAT * weights.sum()):
+        raise ValueError(
+            "bodies: a center of mass lies off the plane of its body's nodes: add a node off this "
+            "plane to the body"
+        )
+    real = (bodies.bars < len(s.nodes)).all(axis=1)
+    return bodies.bars[real], bodies.lengths[real]
 
 
 def _ground_forces(element: Contacts, at: NodeMotion, C: Any, slipped: Any) -> Any:

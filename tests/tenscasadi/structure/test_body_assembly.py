@@ -146,10 +146,11 @@ def test_unsupported_uses_say_so(tmp_path):
         lambda: s.class_one(),
         lambda: tc.Model(tc.Scene(s), "full"),
         lambda: tc.Model(tc.Scene(s, parameters=masses)),
-        lambda: tc.find_equilibrium(tc.Scene(s)),
-        lambda: tc.stability(s),
-        lambda: tc.self_stress(s),
         lambda: tc.form_find(s),
+        lambda: tc.find_prestress(s),
+        lambda: tc.size(
+            s, string=tc.Material(2e11, 7800.0, 3e8), bar=tc.Material(2e11, 7800.0, 3e8)
+        ),
         lambda: tc.save_mat(s, folder),
         lambda: tc.export_mjcf(tc.Scene(s), folder),
     ):
