@@ -34,6 +34,15 @@ def plan_prism(plan: Any) -> None:
     assert plan.replay_error < 1e-3
 
 
+def plate_on_strings(plan: Any) -> None:
+    assert plan.success, plan.message
+    replay = plan.replay()
+    R, spin = replay.orientation(0)[-1], replay.angular_velocity(0)[:, 2]
+    assert abs(np.degrees(np.arctan2(R[1, 0], R[0, 0])) - 40) < 0.05
+    assert abs(np.degrees(np.arccos(R[2, 2])) - 8) < 0.05
+    assert spin.max() < 1.25
+
+
 def plan_landing(plan: Any) -> None:
     assert plan.success, plan.message
     replay = plan.replay()
@@ -157,6 +166,7 @@ CLAIMS = (
     simulate_ball,
     double_pendulum,
     plan_prism,
+    plate_on_strings,
     plan_landing,
     ball_rolls,
     ball_on_terrain,

@@ -27,6 +27,7 @@ PICTURES = {
     "sweep_stiffness": ("sweep_stiffness",),
     "tradeoff_prism": ("tradeoff_prism_schemes",),
     "plan_prism": ("plan_prism", "plan_prism_forces"),
+    "plate_on_strings": ("plate_on_strings",),
     "dbar_folds": ("dbar_folds",),
     "arm_reaches": ("arm_reaches",),
     "ball_rolls": ("ball_rolls",),

@@ -8,6 +8,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from tenscasadi.drawing.color_scale import ColorScale
+from tenscasadi.drawing.hulls import find_hulls
 from tenscasadi.drawing.style import STYLE, Bytes, Rgb
 from tenscasadi.drawing.view_content import Frame, NodeForces, ViewContent
 from tenscasadi.util.validate import Array, Indices
@@ -22,17 +23,17 @@ class DrawnShape(NamedTuple):
 
     Attributes
     ----------
-    form : {"member", "ball", "cone", "arrow"}
+    form : {"member", "ball", "cone", "arrow", "face"}
         Form of each copy.
-    points : ndarray, shape (m, 2, 3) or (m, 3)
-        Ends of members and arrows, centers of balls, tips of cones [m].
+    points : ndarray, shape (m, 3, 3), (m, 2, 3) or (m, 3)
+        Corners of faces, ends of members and arrows, centers of balls, tips of cones [m].
     radius : ndarray, shape (m,)
         Radii [m].
     colors : ndarray of uint8, shape (m, 3)
         Colors, sRGB.
     """
 
-    form: Literal["member", "ball", "cone", "arrow"]
+    form: Literal["member", "ball", "cone", "arrow", "face"]
     points: Array
     radius: Array
     colors: Bytes
@@ -62,6 +63,9 @@ class MotionShapes:
         extent = float(np.ptp(self.motion.nodes[0], axis=0).max(initial=0.0))
         self.reach = STYLE.arrow_length * (extent if 0 < extent < np.inf else content.size)
         self._scales: dict[str, float] = {}
+        offsets = self.motion.count("nodes") * np.arange(self.motion.copies)
+        hulls = [hull + offset for offset in offsets for hull in find_hulls(self.motion.structure)]
+        self.hulls: list[Indices] = [hull for hull in hulls if len(hull)]
         count = self.motion.nodes.shape[1]
         ends, meeting = np.unique(self.motion.bars, return_counts=True)
         self.joints: Indices = ends[meeting > 1]
@@ -78,7 +82,7 @@ class MotionShapes:
         scale: ColorScale | None = None,
         kinds: Iterable[str] = ("load", "contact"),
     ) -> list[DrawnShape]:
-        """Build bars, strings, nodes and supports, and arrows of kinds of forces.
+        """Build bars, strings, nodes and supports, arrows of kinds of forces, and faces of bodies.
 
         Strings are colored by the quantity of the scale; slack strings are thin.
         """
@@ -101,6 +105,15 @@ class MotionShapes:
             DrawnShape("ball", nodes, self._node_radius, self._node_colors),
             DrawnShape("cone", nodes[motion.pinned], pins, supports),
             *self._build_arrows(frame, kinds),
+            *self._build_faces(nodes),
+        ]
+
+    def _build_faces(self, nodes: Array) -> list[DrawnShape]:
+        """Build the faces of rigid bodies, one shape for each body."""
+        color = STYLE.body if self.tint is None else self.tint
+        return [
+            DrawnShape("face", nodes[hull], np.zeros(len(hull)), _fill(color, len(hull)))
+            for hull in self.hulls
         ]
 
     def _build_arrows(self, frame: Frame, kinds: Iterable[str]) -> list[DrawnShape]:

@@ -25,6 +25,8 @@ class Style:
     ----------
     curves : tuple of Rgb
         Colors of curves and of compared motions, in this order.
+    body_opacity : float
+        Opacity of the faces of rigid bodies.
     bar_radius : float
         Radius of a bar, relative to the median bar length.
     string_radius : float
@@ -45,6 +47,7 @@ class Style:
     support: Rgb = (0, 114, 178)
     slack: Rgb = (185, 190, 197)
     compression: Rgb = (0, 158, 115)
+    body: Rgb = (86, 180, 233)
     ground: Rgb = (219, 212, 194)
     grid: Rgb = (180, 174, 159)
     obstacle: Rgb = (213, 94, 0)
@@ -64,6 +67,7 @@ class Style:
         *((0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 121, 167), (230, 159, 0)),
         *((86, 180, 233), (57, 66, 78), (146, 94, 20)),
     )
+    body_opacity: float = 0.35
     bar_radius: float = 0.014
     string_radius: float = 0.4
     min_radius: float = 0.0008

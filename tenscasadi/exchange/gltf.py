@@ -97,6 +97,11 @@ def export_gltf(data: Any, path: str | os.PathLike[str], *, time: float | None =
             place(shape.points, shape.radius),
         )
         _add_copies(scene, _MESHES[shape.form], names, poses, shape.colors)
+    faces = [shape for shape in shapes if shape.form == "face"]
+    for k, shape in enumerate(faces):
+        indices = np.arange(3 * len(shape.points)).reshape(-1, 3)
+        mesh = _color(trimesh, Mesh(shape.points.reshape(-1, 3), indices), STYLE.body)
+        scene.add_geometry(mesh, node_name=f"body {k}", transform=_UPWARD)
     for k, ground in enumerate(content.grounds):
         patch = cut_ground(ground, *find_view(content, _MARGIN))
         if patch is not None:

@@ -74,6 +74,11 @@ class Canvas3D:
                 options = {"marker": "^", "depthshade": False, "clip_on": False, "zorder": 4}
                 marks = self.axes.scatter(*shape.points.T, s=sizes, c=shape.colors / 255, **options)
                 self._drawn.append(marks)
+            elif shape.form == "face":
+                shade = np.ones(len(shape.points))
+                color = (shape.colors[0, 0], shape.colors[0, 1], shape.colors[0, 2])
+                opacity = STYLE.body_opacity
+                self._drawn.append(self._add_faces(shape.points, color, shade, opacity, zorder=2))
             elif shape.form == "arrow":
                 tails, tips = shape.points.swapaxes(0, 1)
                 color = shape.colors[0] / 255
@@ -184,12 +189,12 @@ class Canvas3D:
 
     def _add_faces(
         self, corners: Array, color: Rgb, shade: Array, opacity: float, zorder: int
-    ) -> None:
+    ) -> Any:
         colors = np.column_stack([np.outer(shade, color) / 255, np.full(len(corners), opacity)])
         faces = Poly3DCollection(
             corners, facecolors=colors, edgecolors="none", zorder=zorder, clip_on=False
         )
-        self.axes.add_collection3d(faces)
+        return self.axes.add_collection3d(faces)
 
     def _add_lines(self, lines: Array, color: Rgb, width: float) -> None:
         if len(lines):

@@ -164,10 +164,11 @@ def time_lapse(
     shapes = []
     for k, color in enumerate(colors):
         drawn = MotionShapes(content, tint=(color[0], color[1], color[2]))
-        bars, strings, balls, supports, *_ = drawn.build(motion.frame_at(motion.time[k]))
+        bars, strings, balls, supports, *others = drawn.build(motion.frame_at(motion.time[k]))
         # opaque: nothing shines through
         pale = (0.55 * strings.colors + 0.45 * 255).astype(np.uint8)
-        drawn_now = [bars, strings._replace(colors=pale), balls]
+        faces = [shape for shape in others if shape.form == "face"]
+        drawn_now = [bars, strings._replace(colors=pale), balls, *faces]
         shapes += [shape._replace(radius=0.6 * shape.radius) for shape in drawn_now]
     shapes.append(supports)
     canvas.draw(shapes)

@@ -6,6 +6,7 @@ from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from tenscasadi.drawing.color_scale import ColorScale
 from tenscasadi.drawing.meshes import (
@@ -28,6 +29,7 @@ from tenscasadi.drawing.scenery import (
 from tenscasadi.drawing.shapes import PARTS, DrawnShape, MotionShapes, choose_tint
 from tenscasadi.drawing.style import STYLE, Bytes, Rgb, linearize_colors
 from tenscasadi.drawing.view_content import Frame, ViewContent
+from tenscasadi.util.linear_algebra import fit_rotation
 from tenscasadi.util.validate import Array
 
 if TYPE_CHECKING:
@@ -79,8 +81,9 @@ class Layer:
         self.shapes = MotionShapes(self._content, self._index, tint)
         copies = self.shapes.motion.copies
         self._opacity = None if tint is None else 0.4 if copies == 1 else 0.25
-        for batch in self.batches.values():
-            batch.opacity, batch.cast_shadow = self._opacity, tint is None
+        for name, batch in self.batches.items():
+            if not name.startswith("body "):
+                batch.opacity, batch.cast_shadow = self._opacity, tint is None
 
     def draw(self, frame: Frame, scale: ColorScale | None, kinds: Collection[str] = ()) -> None:
         """Draw a frame, with arrows of kinds of forces."""
@@ -89,8 +92,10 @@ class Layer:
         for part, shape in zip(PARTS, shapes, strict=False):
             if len(shape.points):
                 self._draw_part(part, shape)
-        for forces, shape in zip(self.shapes.motion.forces, shapes[len(PARTS) :], strict=True):
+        arrows = [shape for shape in shapes if shape.form == "arrow"]
+        for forces, shape in zip(self.shapes.motion.forces, arrows, strict=True):
             self._draw_arrows(forces.name, shape)
+        self._draw_hulls(frame.nodes)
 
     def _draw_part(self, part: str, shape: DrawnShape) -> None:
         place = stretch_cylinders if shape.form == "member" else place_balls
@@ -109,6 +114,29 @@ class Layer:
             batch.batched_scales = poses.scales
         if not np.array_equal(batch.batched_colors, colors):
             batch.batched_colors = colors
+
+    def _draw_hulls(self, nodes: Array) -> None:
+        """Move the hulls of rigid bodies with their nodes."""
+        start = self.shapes.motion.nodes[0]
+        for k, hull in enumerate(self.shapes.hulls):
+            own = np.unique(hull)
+            mean, center = start[own].mean(axis=0), nodes[own].mean(axis=0)
+            name = f"body {k}"
+            if name not in self.batches:
+                self.batches[name] = self._scene.add_mesh_simple(
+                    f"{self.root.name}/{name}",
+                    start[own] - mean,
+                    np.searchsorted(own, hull),
+                    color=STYLE.body if self.tint is None else self.tint,
+                    opacity=STYLE.body_opacity,
+                    side="double",
+                    material="toon5",
+                    cast_shadow=False,
+                    receive_shadow=False,
+                )
+            turn = fit_rotation(start[own] - mean, nodes[own] - center)
+            x, y, z, w = Rotation.from_matrix(turn).as_quat()
+            self.batches[name].position, self.batches[name].wxyz = tuple(center), (w, x, y, z)
 
     def _draw_arrows(self, kind: str, shape: DrawnShape) -> None:
         """Draw arrows as a batch of shafts and one of heads.

@@ -50,6 +50,8 @@ def _list_colors(canvas: Canvas) -> list[tuple[Rgb, str]]:
     if scale is not None and scale.lowest < 0:
         text = f"strings in compression, up to {-scale.lowest:.3g} {scale.unit}"
         rows.append((STYLE.compression, text))
+    if canvas.layers[0].shapes.hulls and single:
+        rows.append((STYLE.body, "rigid bodies"))
     if canvas.has_joints:
         rows.append((STYLE.joint, "joints of bars"))
     if single and len(first.pinned):

@@ -51,3 +51,13 @@ def test_a_wrong_ground_is_named():
     message = r"^ground is 'floor': give a tenscasadi\.Ground or Terrain"
     with pytest.raises(TypeError, match=message):
         plots.structure(tc.shapes.prism(), ground="floor")
+
+
+def test_bodies_are_translucent_faces(tmp_path):
+    nodes = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)])
+    plate = tc.Structure(nodes, bodies=[tc.RigidBody(range(4), 1.0)])
+    (corners,), _ = draw_surfaces(plots.structure(plate))
+    np.testing.assert_allclose(corners, np.unique(nodes, axis=0))
+    run = tc.simulate(tc.Model(tc.Scene(plate, gravity=tc.Gravity())), 0.2, 0.02)
+    assert len(draw_surfaces(plots.time_lapse(run, instants=3))[0]) == 3
+    assert animate(run, tmp_path / "plate.gif", frames_per_second=5).exists()

@@ -202,3 +202,19 @@ def test_structures_of_all_sizes_are_visible(size):
         assert 1 < distance / size < 10
         assert 1e-3 < found.content.bar_radius / size < 0.1
         assert camera.near < 0.1 * distance < distance < camera.far
+
+
+def test_hulls_of_bodies_follow_their_nodes():
+    nodes = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], dtype=float)
+    plate = tc.Structure(nodes, bodies=[tc.RigidBody(range(4), 1.0)])
+    model = tc.Model(tc.Scene(plate))
+    spin = np.array([0.0, 0.0, 2.0])
+    state = model.state(nodes, np.cross(spin, nodes - nodes.mean(axis=0)) + [0, 0, 1.0])
+    run = tc.simulate(model, 0.5, 0.05, state=state)
+    with view(run, browser=False, wait=False) as found:
+        found.player.play(False)
+        found.player.show(0.5)
+        hull = batch(found, "body 0")
+        np.testing.assert_allclose(hull.position, (0.5, 0.5, 0.5), atol=1e-6)
+        np.testing.assert_allclose(hull.wxyz, (np.cos(0.5), 0, 0, np.sin(0.5)), atol=1e-5)
+        assert "rigid bodies" in found.player.controls._legend.content
