@@ -19,7 +19,6 @@ from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Smooth, Tension
 from tenscasadi.structure.cables import reject_cables
-from tenscasadi.structure.rigid_body import reject_bodies
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import (
     Array,
@@ -86,6 +85,10 @@ def export_mjcf(
     - A damped string also damps while it is slack in MuJoCo, and may then push. Strings without
       damping follow `Clip` exactly, and strings with the law `Linear` are always exact. `Smooth` is
       rejected.
+    - Rigid bodies become bodies ``body0``, ``body1`` … that are free, or have a ball joint at a
+      pinned node or a hinge at two of them. `connect` joins nodes that they share with each other or
+      with bars. Their principal moments of inertia are at least 0.01 of the largest. Contact of
+      bodies is rejected.
     - `connect` is soft: two ends separate by about 1e-4 of their free separation in two steps.
     - In contact, nodes are spheres with a radius of 0.001 of the mean member length. The plane is
       lower by this radius. The normal force is that of `Ground`, except for 1e-4 of the other
@@ -152,7 +155,14 @@ def _check_scene(scene: Scene) -> None:
                 f"Scene.slack of string {strings[0]} is {law}: MuJoCo's tendons are slack or not, give Clip() or Linear()"
             )
     s = scene.modelled
-    reject_bodies(s, "export_mjcf")
+    for corner in (corner for body in s.bodies for corner in body.nodes):
+        if corner in s.rollers or s.pinned.get(corner, "xyz") != "xyz":
+            raise ValueError(
+                f"pinned or rollers of node {corner} of a body: export_mjcf takes nodes of bodies "
+                "that are free or pinned along all axes"
+            )
+    if s.bodies and scene.grounds:
+        raise ValueError("Scene.ground: export_mjcf takes no contact of bodies: leave it out")
     if s.coupled_mass.any():
         raise ValueError('Scene.ends is "consistent", which MuJoCo lacks: give "lumped"')
     for bar in np.flatnonzero(s.elastic):

@@ -21,6 +21,7 @@ from tenscasadi.scene.loads import Gravity
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Clip, Control, ForceDensity, Linear
 from tenscasadi.schema.reading import SceneFileError
+from tenscasadi.structure.rigid_body import RigidBody
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array
 
@@ -30,7 +31,8 @@ Side = tuple[int, Array]  # a piece, and a position in it
 def import_mjcf(path: str | os.PathLike[str], *, strict: bool = True) -> Scene:
     """Read a tensegrity from MuJoCo's XML, MJCF.
 
-    Bodies with two ends become bars, bodies with one end become point masses, spatial tendons
+    Bodies with two ends become bars, bodies with one end become point masses, bodies with three or
+    more attached points that are not on a line become rigid bodies, spatial tendons
     between two sites become strings. Ball joints, ``connect`` and ``weld`` become nodes that bars
     share. Features without a counterpart in a scene are rejected by name, or left out.
 
@@ -196,7 +198,11 @@ class _SceneBuilder:
         bars = [k for k in pieces if len(ends.points[k]) == 2]
         order = order_by_number([[pieces[k].element.text("name")] for k in bars], "bar")
         self.bars = bars if order is None else [bars[k] for k in order]
-        points = [Endpoint(k, 0) for k in pieces if k not in set(bars)]
+        bodies_found = [k for k in pieces if len(ends.points[k]) > 2]
+        order = order_by_number([[pieces[k].element.text("name")] for k in bodies_found], "body")
+        self.rigid = bodies_found if order is None else [bodies_found[k] for k in order]
+        points = [Endpoint(k, 0) for k in pieces if len(ends.points[k]) == 1]
+        points += [Endpoint(k, end) for k in self.rigid for end in range(len(ends.points[k]))]
         held = [Endpoint(0, k) for k in range(len(ends.points[0]))]
         all_ends = [*(Endpoint(k, end) for k in self.bars for end in (0, 1)), *points, *held]
         self.nodes = self._number(drop_duplicates([ends.node(end) for end in all_ends]))
@@ -247,6 +253,12 @@ class _SceneBuilder:
         for k, piece in self.bodies.moving():
             if len(ends.points[k]) == 1:
                 mass[self._node(k, 0)] += ends.read_point(k, piece)
+        rigid = []
+        for k in self.rigid:
+            own, on_nodes = ends.read_body(k, pieces[k])
+            numbers = [self._node(k, end) for end in range(len(ends.points[k]))]
+            mass[numbers] += on_nodes
+            rigid.append(RigidBody(sorted(numbers), own.mass, own.center, own.inertia))
         for still in pieces[0].masses:
             at = ends.node(ends.place(0, still.center))
             if at in self.nodes and not still.inertia.any():
@@ -270,6 +282,7 @@ class _SceneBuilder:
             node_mass=mass,
             pinned=pinned,
             rollers=rollers,
+            bodies=rigid,
             stiffness=[string.stiffness for string in self.strings],
             damping=[string.damping for string in self.strings],
             rest_length=rest_length if given else None,

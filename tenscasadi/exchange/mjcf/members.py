@@ -10,6 +10,7 @@ import numpy as np
 
 from tenscasadi.exchange.mjcf.bodies import Bodies, Piece, Site
 from tenscasadi.exchange.mjcf.elements import Element
+from tenscasadi.exchange.mjcf.geoms import Mass
 from tenscasadi.util.validate import ROUNDING, Array
 
 CLOSE = 1e-5  # relative to the structure's size: closer points coincide
@@ -39,7 +40,7 @@ class PieceEnds:
     close : float
         Distance of coinciding points [m].
     points : list of list of ndarray
-        Endpoints of each piece [m]: two of a bar, one of a point mass.
+        Endpoints of each piece [m]: two of a bar, one of a point mass, more of a rigid body.
     pinned : set of Endpoint
         Nodes that are pinned.
     slides : dict of Endpoint to list of ndarray
@@ -124,6 +125,15 @@ class PieceEnds:
         move to them. Raises SceneFileError.
         """
         ends = self.points[k]
+        sites = [
+            site.place
+            for name, site in self.bodies.sites.items()
+            if site.piece == k and re.fullmatch("n[0-9]{1,9}", name)
+        ]
+        places = ends + [place for place in sites if self.find(k, place) is None]
+        if self._span_plane(places) and any(mass.inertia.any() for mass in piece.masses):
+            self.points[k] = places  # of a rigid body
+            return
         rods = [geom.rod for geom in piece.geoms if geom.rod and geom.rod.kind != "sphere"]
         longest = max(rods, key=lambda rod: rod.length, default=None)
         if len(ends) > 2:
@@ -159,6 +169,14 @@ class PieceEnds:
                 raise piece.element.error("has no mass: give an <inertial> or a geom")
             ends.append(np.mean([mass.center for mass in piece.masses], axis=0))
 
+    def _span_plane(self, points: list[Array]) -> bool:
+        """Return whether points do not lie on a line."""
+        if len(points) < 3:
+            return False
+        arms = np.array(points) - np.mean(points, axis=0)
+        sizes = np.linalg.svd(arms, compute_uv=False)
+        return bool(sizes[1] > 1e-3 * sizes[0] > self.close)
+
     def _snap(self, k: int, piece: Piece, ends: Array) -> None:
         """Move the attached points of a piece to two ends."""
         away = np.linalg.norm(np.array(self.points[k])[:, None] - ends, axis=2).min(axis=1)
@@ -178,9 +196,10 @@ class PieceEnds:
         if piece.free or (piece.anchor is None and piece.parent):
             return
         if piece.anchor is None:
-            if len(self.points[k]) == 2:
+            if len(self.points[k]) >= 2:
+                kind = "bar" if len(self.points[k]) == 2 else "body"
                 piece.element.leave_out(
-                    "is a bar that slides without turning: give it a ball, too, or a free joint"
+                    f"is a {kind} that slides without turning: give it a ball, too, or a free joint"
                 )
             own = Endpoint(k, 0)
         else:
@@ -250,6 +269,29 @@ class PieceEnds:
         ]
         exact = [size for size in drawn if abs(size**2 - squared) < ROUNDING * length**2]
         return exact[0] if exact else radius  # without the rounding error of the square root
+
+    def read_body(self, k: int, piece: Piece) -> tuple[Mass, Array]:
+        """Compute the mass properties of a rigid body, and point masses on its nodes.
+
+        Raises SceneFileError.
+        """
+        points = np.array(self.points[k])
+        on_nodes, inner = np.zeros(len(points)), []
+        for mass in piece.masses:
+            at = np.linalg.norm(mass.center - points, axis=1) <= self.close
+            if at.any() and not mass.inertia.any():
+                on_nodes[int(np.argmax(at))] += mass.mass
+            else:
+                inner.append(mass)
+        total = sum(mass.mass for mass in inner)
+        if total <= 0:
+            raise piece.element.error("has no mass: give an <inertial> or a geom")
+        center = np.sum([mass.mass * mass.center for mass in inner], axis=0) / total
+        inertia = np.zeros((3, 3))
+        for mass in inner:
+            off = mass.center - center
+            inertia += mass.inertia + mass.mass * (off @ off * np.eye(3) - np.outer(off, off))
+        return Mass(total, center, inertia), on_nodes
 
     def read_point(self, k: int, piece: Piece) -> float:
         """Compute the mass of a point. Raises SceneFileError."""

@@ -25,6 +25,7 @@ from tenscasadi.exchange.mjcf.frames import rotate_z_to
 from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity, RestLength
+from tenscasadi.util.linear_algebra import fit_velocities
 from tenscasadi.util.validate import Array
 
 # inertia of a bar about its axis, at least so much of its transverse one: MuJoCo rejects 0
@@ -65,6 +66,11 @@ class MjcfWriter:
             tuple[int | None, int], Array
         ] = {}  # position of a node in the body frame of its bar
         self.rates: dict[ET.Element, list[float]] = {}  # joint velocities of each body
+        self.owners = {node: f"bar{bar}" for node, bar in tree.owner.items()}  # bodies of nodes
+        self.joined: list[tuple[str, str, Array]] = []  # two bodies, and their node in the first
+        pinned = [node for node, axes in s.pinned.items() if axes == "xyz"]
+        held = [node for body in s.bodies for node in body.nodes if node not in pinned]
+        self.has_ties = bool(tree.ties or len(set(held) - set(self.owners)) < len(held))
         self.root = ET.Element("mujoco", model="tenscasadi")
 
     def write(self, step: float, velocities: Array | None) -> ET.Element:
@@ -86,6 +92,7 @@ class MjcfWriter:
                 conaffinity=0,
             )
         self._bars(world, V)
+        self._rigid_bodies(world, V)
         self._points(world, V)
         self._contacts()
         self._strings()
@@ -98,7 +105,7 @@ class MjcfWriter:
         option = _add(
             self.root, "option", timestep=step, integrator="RK4", gravity=gravity, cone="elliptic"
         )
-        if not self.grounds and not self.tree.ties:
+        if not self.grounds and not self.has_ties:
             _add(option, "flag", contact="disable", constraint="disable")
 
     def _bars(self, world: ET.Element, V: Array) -> None:
@@ -148,6 +155,48 @@ class MjcfWriter:
             _add(body, "joint", type="slide", axis=direction @ turn)
         self.rates[body] = [*(directions @ velocity)]
 
+    def _rigid_bodies(self, world: ET.Element, V: Array) -> None:
+        """Add rigid bodies in the axes of the world.
+
+        A body turns about a pinned node, or about the line through two of them.
+        """
+        s = self.s
+        for k, body in enumerate(s.bodies):
+            own = list(body.nodes)
+            given = body.mass_properties(s.nodes[own])
+            pins = s.nodes[[node for node in own if s.pinned.get(node) == "xyz"]]
+            place = pins[0] if len(pins) else given.center
+            name = f"body{k}"
+            element = _add(world, "body", name=name, pos=place)
+            drift, spin = fit_velocities(s.nodes[own], V[own])
+            _, sizes, right = np.linalg.svd(pins - place if len(pins) else np.zeros((1, 3)))
+            fixed = int(np.sum(sizes > 1e-9 * np.ptp(s.nodes[own], axis=0).max()))
+            if not len(pins):
+                _add(element, "freejoint")
+                moves = drift + np.cross(spin, place - s.nodes[own].mean(axis=0))
+                self.rates[element] = [*moves, *spin]
+            elif fixed == 0:
+                _add(element, "joint", type="ball")
+                self.rates[element] = [*spin]
+            elif fixed == 1:
+                _add(element, "joint", type="hinge", axis=right[0])
+                self.rates[element] = [float(spin @ right[0])]
+            _add(
+                element,
+                "inertial",
+                pos=given.center - place,
+                mass=given.mass,
+                fullinertia=_list_inertia(given.moments),
+            )
+            for node in own:
+                if s.pinned.get(node) == "xyz":
+                    continue
+                if node in self.owners:
+                    self.joined.append((name, self.owners[node], s.nodes[node] - place))
+                else:
+                    self.owners[node] = name
+                    self._node(element, node, s.nodes[node] - place)
+
     def _rod(self, body: ET.Element, bar: int, ends: list[float]) -> None:
         """Add the mass of a bar and a visible cylinder."""
         s = self.s
@@ -195,7 +244,7 @@ class MjcfWriter:
     def _points(self, world: ET.Element, V: Array) -> None:
         """Add pinned nodes and nodes without bars."""
         s, held, here = self.s, find_held_directions(self.s), np.zeros(3)
-        for node in (node for node in range(len(s.nodes)) if node not in self.tree.owner):
+        for node in (node for node in range(len(s.nodes)) if node not in self.owners):
             slides = find_free_directions(held.get(node, NO_DIRECTION))
             if not len(slides):
                 self._node(world, node, s.nodes[node])
@@ -246,20 +295,16 @@ class MjcfWriter:
                 _add(spatial, "site", site=f"n{node}")
 
     def _ties(self, step: float) -> None:
-        if not self.tree.ties:
+        if not self.tree.ties and not self.joined:
             return
         equality = ET.SubElement(self.root, "equality")
+        hard = {"solref": [2 * step, 1.0], "solimp": [0.9999, 0.9999, 0.001, 0.5, 2.0]}
         for tie in self.tree.ties:
             other = {} if tie.other is None else {"body2": f"bar{tie.other}"}
-            hard = {"solref": [2 * step, 1.0], "solimp": [0.9999, 0.9999, 0.001, 0.5, 2.0]}
-            _add(
-                equality,
-                "connect",
-                body1=f"bar{tie.bar}",
-                **other,
-                anchor=self.along[tie.bar, tie.node],
-                **hard,
-            )
+            place = self.along[tie.bar, tie.node]
+            _add(equality, "connect", body1=f"bar{tie.bar}", **other, anchor=place, **hard)
+        for one, another, place in self.joined:
+            _add(equality, "connect", body1=one, body2=another, anchor=place, **hard)
 
     def _control(self, moving: bool) -> None:
         scene, s = self.scene, self.s
@@ -297,6 +342,19 @@ class MjcfWriter:
             start["ctrl"] = s.rest_length if isinstance(scene.control, RestLength) else taut
         if start:
             _add(ET.SubElement(self.root, "keyframe"), "key", name="start", **start)
+
+
+def _list_inertia(moments: Array) -> list[float]:
+    """List the entries xx, yy, zz, xy, xz, yz of an inertia matrix from second moments.
+
+    Principal moments are at least 0.01 of the largest, and within rounding of the triangle
+    inequality, as MuJoCo demands.
+    """
+    inertia = np.trace(moments) * np.eye(3) - moments
+    values, vectors = np.linalg.eigh(inertia)
+    values = np.maximum(values, AXIAL * values[-1]) + 1e-10 * values[-1]
+    full = vectors * values @ vectors.T
+    return [full[a, b] for a, b in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
 
 
 def _add(parent: ET.Element, tag: str, **attributes: Any) -> ET.Element:

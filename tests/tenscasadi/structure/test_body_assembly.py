@@ -152,7 +152,7 @@ def test_unsupported_uses_say_so(tmp_path):
             s, string=tc.Material(2e11, 7800.0, 3e8), bar=tc.Material(2e11, 7800.0, 3e8)
         ),
         lambda: tc.save_mat(s, folder),
-        lambda: tc.export_mjcf(tc.Scene(s), folder),
+        lambda: tc.export_mjcf(tc.Scene(s, ground=tc.Ground()), folder),
     ):
         with pytest.raises(ValueError, match="bodies"):
             use()
