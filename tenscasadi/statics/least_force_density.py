@@ -1,9 +1,7 @@
 """Least force densities by a primal-dual interior-point method.
 
-Solvers in libraries fail more often where the admissible force densities have no interior. Of 200
-random structures in equilibrium (`test_force_density.random_structure`), Clarabel, HiGHS and OSQP
-fail at 12 each, and DAQP, qrqp and IPQP at more than 140. PROXQP solves all, but needs minutes for
-100 connected prisms. This method solves all to rounding, and 2001 bars in 0.2 s.
+Solvers in libraries fail where the admissible force densities have no interior, as for some of the
+random structures in equilibrium of `test_force_density`. This method solves all to rounding.
 """
 
 from __future__ import annotations

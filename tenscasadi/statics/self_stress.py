@@ -41,7 +41,7 @@ def self_stress(structure: Structure) -> Array:
     Notes
     -----
     N K = 0 at all free coordinates, with K = C_sᵀ γ̂ C_s − C_bᵀ λ̂ C_b (Eqs. 58 and 60 at rest).
-    Equations with a residual below 1e-9 of the largest count as dependent. 2000 bars take a second.
+    Equations with a residual below 1e-9 of the largest count as dependent.
 
     Examples
     --------
