@@ -66,7 +66,8 @@ class Recommendation:
     error : float
         Largest position error to expect at the end, m, that of the reference included.
     seconds : float
-        Wall time to expect of the time loop, s, without set-up.
+        Wall time to expect of the time loop, s, without set-up. If the time limit has expired, it
+        is that of the search, which may be without machine code.
     work : float
         Instructions of the run without those of error control; NaN for implicit schemes.
     message : str
@@ -206,7 +207,9 @@ def recommend(
     if best is None:
         failed = f"tolerance is {tolerance:g} m: none of {names} meets it up to t_end = {t_end:g} s; give a larger tolerance or other schemes"
         raise NoSchemeError("; ".join(dict.fromkeys([failed, *told])))
-    scheme, duration, expected = best.case.scheme, best.time_loop(), best.error + reference.error
+    scheme, expected = best.case.scheme, best.error + reference.error
+    late = time.perf_counter() > deadline  # machine code would take seconds
+    duration = best.seconds if late else best.time_loop()
     limit = find_limit(model, scheme, start, parameters=p)
     if best.step > limit and not scheme.adaptive:
         told.append(
@@ -262,27 +265,30 @@ def _find_cheapest(ways: Sequence[Case], goal: _AccuracyTarget) -> tuple[_Choice
     best: _Choice | None = None
     told, late = [], []
     events = build_switching(ways[0].model) is not None
-    speed = 1.0  # instructions of the best explicit scheme per second
+    coarsest, speed = 0, 0.0  # steps at the stability limit and instructions per second of `best`
     for case in sorted(
         ways, key=lambda case: (case.scheme.implicit, events and not case.scheme.adaptive)
     ):
         name = abbreviate(case.scheme)
+        if time.perf_counter() > goal.deadline:
+            late.append(name)
+            continue
         if case.scheme.implicit and best is not None and not best.case.scheme.implicit:
+            coarsest = coarsest or _count_coarsest(best.case, best.end)
             # More than twice the fewest stable steps are due to accuracy.
-            if best.steps > 2.0 * _count_coarsest(best.case, best.end):
+            if best.steps > 2.0 * coarsest:
                 told.append(
                     f"{name} left out: stability does not bound the steps of {abbreviate(best.case.scheme)}"
                 )
                 continue
-            speed = best.cost / best.time_loop()
+            speed = speed or best.cost / best.time_loop()
         most = np.inf if best is None else best.cost
         try:
             if case.correction is not None and (
                 case.scheme.adaptive or case.correction.step(case.model) is None
             ):
                 continue  # nothing to correct
-            goal.check_time(0.0, None)
-            found = _find_option(case, speed, goal, most)
+            found = _find_option(case, speed or 1.0, goal, most)
         except _OutOfTime as stop:
             found = stop.best
             late.append(name)
