@@ -29,13 +29,10 @@ from tenscasadi.scene.strings import Clip, ForceDensity, Linear, RestLength, Smo
 from tenscasadi.scene.supports import SupportMotion
 from tenscasadi.schema.reading import SceneFileError
 from tenscasadi.simulation.declared import Simulation
-from tenscasadi.simulation.export import export_c
 from tenscasadi.simulation.inputs.feedback import Feedback
 from tenscasadi.simulation.motions import Rollouts
 from tenscasadi.simulation.rollouts import rollouts
-from tenscasadi.simulation.sensitivities import Sensitivities, sensitivities
 from tenscasadi.simulation.simulate import simulate
-from tenscasadi.simulation.simulation_files import load_simulation
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure import shapes
 from tenscasadi.structure.class_one import ClassOne
@@ -71,6 +68,9 @@ if TYPE_CHECKING:
     from tenscasadi.exchange.source import InexactImportWarning
     from tenscasadi.exchange.vtk import export_vtk
     from tenscasadi.integrators.stability import stable_step
+    from tenscasadi.simulation.export import export_c
+    from tenscasadi.simulation.sensitivities import Sensitivities, sensitivities
+    from tenscasadi.simulation.simulation_files import load_simulation
     from tenscasadi.statics.buckling import BucklingFactor, buckling_factor
     from tenscasadi.statics.equilibrium import Equilibrium, find_equilibrium
     from tenscasadi.statics.force_density import EquilibriumError, equilibrium_force_density
@@ -109,6 +109,9 @@ __getattr__ = find_attribute(
         "tenscasadi.exchange.source": ("InexactImportWarning",),
         "tenscasadi.exchange.vtk": ("export_vtk",),
         "tenscasadi.integrators.stability": ("stable_step",),
+        "tenscasadi.simulation.export": ("export_c",),
+        "tenscasadi.simulation.sensitivities": ("Sensitivities", "sensitivities"),
+        "tenscasadi.simulation.simulation_files": ("load_simulation",),
         "tenscasadi.statics.buckling": ("BucklingFactor", "buckling_factor"),
         "tenscasadi.statics.equilibrium": ("Equilibrium", "find_equilibrium"),
         "tenscasadi.statics.force_density": ("EquilibriumError", "equilibrium_force_density"),
