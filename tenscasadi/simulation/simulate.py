@@ -166,6 +166,7 @@ def simulate(  # noqa: PLR0913  the options of a run
         lanes=1,
         time_limit=limit,
         deadline=time.monotonic() + limit,
+        compare=verify,
     )
     runs = roll(request, progress)
     verdict = judge(runs, estimate_errors(runs) if verify else None)

@@ -34,6 +34,7 @@ class _Options(NamedTuple):
     lanes: int | None
     compiled: Compiled
     lazily: bool
+    companions: bool
 
 
 def build_kernel(
@@ -48,6 +49,7 @@ def build_kernel(
     lanes: int | None = None,
     compiled: Compiled = None,
     lazily: bool = False,
+    companions: bool = False,
 ) -> Kernel:
     """Build the kernel of a model.
 
@@ -77,6 +79,8 @@ def build_kernel(
     lazily : bool
         Whether to begin without machine code and compile once this saves wall time, if `compiled`
         is None.
+    companions : bool
+        Whether lanes hold companions of one run with longer steps, if the scheme allows it.
 
     Returns
     -------
@@ -108,6 +112,10 @@ def build_kernel(
         width,
         compiled,
         lazily and compiled is None,
+        companions
+        and width == 1
+        and not branches
+        and (correction is None or correction.every == 1),
     )
     if not isinstance(scheme, Hashable):  # user-defined scheme
         return _build(model, options)
@@ -144,6 +152,8 @@ def _build(model: Model, options: _Options) -> Kernel:
         return Kernel(program, numbers, Interpreted(program))
     single = isinstance(compiled, Single)
     codes = [NativeCode(program, width, single) for width in dict.fromkeys((options.lanes, 1))]
+    if options.companions and program.tableau and program.functions["ode"].is_a("SXFunction"):
+        codes.insert(0, NativeCode(program, 1, companions=True))  # lanes of loops compile slowly
     if options.lazily:
         native, note = compile_first(codes[:1], build=False)
         if native is None and find_compiler() is not None:

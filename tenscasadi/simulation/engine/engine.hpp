@@ -61,6 +61,10 @@ struct Request {
   double *last, *saved, *measured, *corrected, *worst, *cost, *carry;
   int64_t *status, *fault, *good;
   const int64_t *stop;  // not 0: stop trial steps
+  // companions of one run, which take steps of 2 h and 4 h in lanes 1 and 2: steps between compared rows, a multiple of 4, 0: none;
+  // states of the run and both companions in these rows; z of both between requests
+  int64_t compare_every;
+  double *compared, *companions;
 };
 
 struct Room {  // workspace of one thread
@@ -200,11 +204,19 @@ static bool checked(const Request &q, int64_t step) {
   return q.look_every && (turns - (double)(int64_t)turns) * q.look_every < 1.0;
 }
 
+// Save the states of a run and its companions at a time that all have reached.
+static void compare(const Request &q, const Room &room, int64_t step) {
+  double *row = q.compared + (step + q.compare_every - 1) / q.compare_every * 3 * MODEL.nx;
+  for (int k = 0; k < 3; ++k)
+    for (int64_t i = 0; i < MODEL.nx; ++i) row[k * MODEL.nx + i] = get(room.z[i], k);
+}
+
 // Measure and save the states before a step, or the last ones.
 static void observe(const Request &q, Group &g, Room &room, int64_t step, bool end) {
   bool save = q.save_every && (end || step % q.save_every == 0);
   if (save || end || !step || checked(q, step)) look(q, g, room, step);
   if (save) keep(q, g, room, (step + q.save_every - 1) / q.save_every, false);
+  if (LANES > 2 && q.compare_every && step % 4 == 0 && (end || step % q.compare_every == 0)) compare(q, room, step);
 }
 
 static void measure_correction(const Request &q, Group &g, Room &room, const lanes *before, const lanes *after) {
@@ -215,8 +227,26 @@ static void measure_correction(const Request &q, Group &g, Room &room, const lan
   g.pending = -1;
 }
 
+// Take a step of a run, and steps of 2 h and 4 h of its companions once these end.
+static int advance_together(const Request &q, Group &g, Room &room, double length, int64_t step, bool correct) {
+  const int64_t size = MODEL.nx + MODEL.work;
+  lanes h = length, due = 1.0;
+  for (int k = 1; k < 3; ++k) set(h, k, (1 << k) * length), set(due, k, step % (1 << k) == 0);
+  if (take_step(room, h)) return UNSOLVED;
+  lanes *next = room.after;
+  if (correct) {
+    next = room.entry;
+    if (evaluate(room, MODEL.project, {room.after, room.w}, {next})) return UNSOLVED;
+    for (int64_t i = MODEL.nx; i < size; ++i) next[i] = room.after[i];
+    if (q.corrected && g.pending >= 0) measure_correction(q, g, room, room.after, next);
+  }
+  for (int64_t i = 0; i < size; ++i) room.z[i] = pick(due, next[i], room.z[i]);
+  return FINISHED;
+}
+
 // Take a step of fixed length.
-static int advance(const Request &q, Group &g, Room &room, double length, bool correct) {
+static int advance(const Request &q, Group &g, Room &room, double length, int64_t step, bool correct) {
+  if (LANES > 2 && q.compare_every) return advance_together(q, g, room, length, step, correct);
   if (take_step(room, length)) return UNSOLVED;
   if (correct) {
     lanes *x = room.z;
@@ -302,12 +332,16 @@ static void enter(const Request &q, Group &g, Room &room) {
       for (int64_t i = 0; i < MODEL.nu; ++i) room.u[i] = room.w[i];
     }
     for (int64_t i = 0; i < q.counted; ++i) set(room.numbers[i], k, q.numbers[i]);
+    if (q.compare_every && q.begin && (k == 1 || k == 2))
+      for (int64_t i = 0; i < MODEL.nx + MODEL.work; ++i) set(room.z[i], k, q.companions[(k - 1) * (MODEL.nx + MODEL.work) + i]);
     g.status[k] = q.begin ? q.status[n] : FINISHED, g.fault[k] = q.begin ? q.fault[n] : -1, g.good[k] = q.begin ? q.good[n] : 0;
   }
 }
 
 static void leave(const Request &q, const Group &g, const Room &room, const lanes &cost) {
-  const int64_t entries = CARRIED + MEMORY + MODEL.nw;
+  const int64_t entries = CARRIED + MEMORY + MODEL.nw, size = MODEL.nx + MODEL.work;
+  for (int k = 1; LANES > 2 && q.compare_every && k < 3; ++k)
+    for (int64_t i = 0; i < size; ++i) q.companions[(k - 1) * size + i] = get(room.z[i], k);
   for (int k = 0; k < g.live; ++k) {
     int64_t n = g.start + k;
     bool lost = g.status[k] && g.status[k] < STOPPED;
@@ -337,7 +371,7 @@ static void roll_group(const Request &q, Group &g, Room &room) {
       observe(q, g, room, step, false);
       if (g.all_lost()) break;
       bool correct = q.correct_every && (step + 1) % q.correct_every == 0;
-      int code = MODEL.decide ? control_error(q, g, room, q.length[interval]) : advance(q, g, room, q.length[interval], correct);
+      int code = MODEL.decide ? control_error(q, g, room, q.length[interval]) : advance(q, g, room, q.length[interval], step, correct);
       if (code) {
         g.end(code, step);
         break;

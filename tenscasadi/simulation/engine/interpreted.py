@@ -57,6 +57,7 @@ class Interpreted:
     """
 
     lanes = 0
+    companions = False
 
     def __init__(self, program: KernelFunctions) -> None:
         functions, self.sizes = dict(program.functions), program.sizes

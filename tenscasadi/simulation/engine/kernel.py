@@ -33,11 +33,12 @@ class Backend(Protocol):
     """Interface of objects that take the steps.
 
     `lanes` is the number of runs per instruction, 0 without machine code. Time slices are multiples
-    of `chunk` steps.
+    of `chunk` steps. `companions` tells whether a run can have companions with longer steps.
     """
 
     lanes: int
     chunk: int
+    companions: bool
 
     def __call__(self, values: Mapping[str, Any], first: int, last: int) -> None:
         """Compute the runs `first` to `last` − 1.
@@ -167,6 +168,7 @@ class Kernel:
         feedback: Mapping[str, Any] | None = None,
         threads: int = 1,
         watch: Watch = NOBODY,
+        compare_every: int = 0,
     ) -> Rolled:
         """Integrate n runs over time intervals.
 
@@ -193,6 +195,10 @@ class Kernel:
         watch : Watch, optional
             Progress and deadline. After Ctrl-C or the deadline, unfinished runs have the status
             STOPPED.
+        compare_every : int
+            Steps between rows that compare a single run with companions in steps of 2 h and 4 h, a
+            multiple of 4, as are the steps of all intervals; 0: none. It needs a backend with
+            `companions`.
 
         Returns
         -------
@@ -212,6 +218,15 @@ class Kernel:
         total = int(intervals.steps.sum())
         result = self._reserve(n, total, save_every, longest)
         values = {**self._values(result, states, inputs, p), **(feedback or {})}
+        if compare_every and n == 1 and self.backend.companions:
+            compared = np.full((1 + -(-total // compare_every), 3, sizes["nx"]), np.nan)
+            result = result._replace(compared=compared)
+            companions = np.empty((2, sizes["nx"] + sizes["work"]))
+            values |= {
+                "compare_every": compare_every,
+                "compared": compared,
+                "companions": companions,
+            }
         scheme = numbers.values.copy()
         scheme[0] = longest if numbers.trials else scheme[0]
         values |= {"numbers": scheme, "counted": len(scheme), "save_every": save_every}
@@ -275,6 +290,7 @@ class Kernel:
             "largest": LARGEST,
             "last": result.states,
             **{name: value for name, value in result._asdict().items() if name != "states"},
+            "compare_every": 0,
             "stop": np.zeros(1, dtype=np.int64),
         }
 

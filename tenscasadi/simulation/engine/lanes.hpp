@@ -14,6 +14,7 @@ typedef double lanes;
 #endif
 static inline double get(const lanes &a, int) { return a; }
 static inline void set(lanes &a, int, double x) { a = x; }
+static inline lanes pick(lanes c, lanes a, lanes b) { return c ? a : b; }
 #else
 typedef double lanes_v __attribute__((vector_size(8 * LANES)));
 typedef int64_t lanes_m __attribute__((vector_size(8 * LANES)));
@@ -45,6 +46,7 @@ static inline lanes operator||(lanes a, lanes b) { return (lanes_m)((a.v != 0.0)
 // a if c is true, else b; the other value may be anything
 static inline lanes choose(lanes_m c, lanes_v a, lanes_v b) { return (lanes_v)(((lanes_m)a & c) | ((lanes_m)b & ~c)); }
 static inline lanes select(lanes c, lanes a) { return (lanes_v)((lanes_m)a.v & (c.v != 0.0)); }
+static inline lanes pick(lanes c, lanes a, lanes b) { return choose(c.v != 0.0, a.v, b.v); }
 static inline lanes fmax(lanes a, lanes b) { return choose((a.v > b.v) | (b.v != b.v), a.v, b.v); }
 static inline lanes fmin(lanes a, lanes b) { return choose((a.v < b.v) | (b.v != b.v), a.v, b.v); }
 static inline lanes fabs(lanes a) { return (lanes_v)((lanes_m)a.v & ~(lanes_m)(-(lanes_v){})); }

@@ -1,7 +1,7 @@
 """Integration loop of `engine.hpp` as machine code.
 
-With one lane, a library is the loop of all models, another one the Functions of the model. With
-more lanes, both are one library.
+For one run, a library is the loop of all models, another one the Functions of the model. With
+several runs in lanes, both are one library.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from tenscasadi.simulation.engine.step_code import (
     KernelFunctions,
     room_sizes,
     write_engine,
+    write_lane_model,
     write_lanes,
     write_model,
 )
@@ -35,19 +36,33 @@ class ModelStruct(ctypes.Structure):
     ]
 
 
+COMPANION_LANES = 4  # a run, its companions in steps of 2 h and 4 h, and one to spare
+
+
 class NativeCode:
     """Source code of a backend, before compilation.
 
-    `lanes` None fills the registers of the processor. `single` selects single precision.
+    `lanes` None fills the registers of the processor. `single` selects single precision. With
+    `companions`, lanes hold one run and its companions.
     """
 
-    def __init__(self, program: KernelFunctions, lanes: int | None, single: bool) -> None:
-        self._program = program
-        self._sources = (
-            [("model", write_model(program, single), ".c"), ("engine", write_engine(program, single), ".cpp")]
-            if lanes == 1
-            else [("motion", write_lanes(program, lanes), ".cpp")]
-        )  # fmt: skip
+    def __init__(
+        self,
+        program: KernelFunctions,
+        lanes: int | None,
+        single: bool = False,
+        companions: bool = False,
+    ) -> None:
+        self._program, self.companions = program, companions
+        if companions:
+            model = "model", write_lane_model(program, COMPANION_LANES), ".cpp"
+            engine = "engine", write_engine(program, lanes=COMPANION_LANES), ".cpp"
+            self._sources = [model, engine]
+        elif lanes == 1:
+            model = "model", write_model(program, single), ".c"
+            self._sources = [model, ("engine", write_engine(program, single), ".cpp")]
+        else:
+            self._sources = [("motion", write_lanes(program, lanes), ".cpp")]
 
     def load(self, build: bool = True) -> Native:
         """Compile and load the code.
@@ -55,7 +70,7 @@ class NativeCode:
         Without `build`, only a library in the cache is loaded. Raises CompileError.
         """
         libraries = [compile_library(*source, build=build) for source in self._sources]
-        return Native(self._program, libraries)
+        return Native(self._program, libraries, self.companions)
 
 
 class Native:
@@ -63,7 +78,10 @@ class Native:
 
     chunk = 1
 
-    def __init__(self, program: KernelFunctions, libraries: list[ctypes.CDLL]) -> None:
+    def __init__(
+        self, program: KernelFunctions, libraries: list[ctypes.CDLL], companions: bool = False
+    ) -> None:
+        self.companions = companions
         self._library = libraries[-1]
         self._model: ModelStruct | None = None
         if len(libraries) == 2:
@@ -72,7 +90,7 @@ class Native:
             self._model = ModelStruct(**program.sizes, **room_sizes(program), **calls)
         self._at = None if self._model is None else ctypes.byref(self._model)
         self._library.motion_room.restype = ctypes.c_int64
-        self.lanes = int(self._library.motion_lanes())
+        self.lanes = 1 if companions else int(self._library.motion_lanes())
 
     def __call__(self, values: Mapping[str, Any], first: int, last: int) -> None:
         """Compute the runs `first` to `last` − 1.
@@ -128,6 +146,8 @@ def compile_first(codes: list[NativeCode], build: bool = True) -> tuple[Native |
         try:
             return code.load(build), note
         except CompileError as error:
+            if code.companions and code is not codes[-1]:
+                continue  # the next code computes the same, without companions
             how = "not compiled in lanes" if code is not codes[-1] else "not compiled"
             note = f"{how}: {_reason(error)}"
     return None, note

@@ -45,6 +45,8 @@ _FIELDS = (
     ("d", "broken", "beyond", "largest"),
     ("P", "last", "saved", "measured", "corrected", "worst", "cost", "carry"),
     ("P", "status", "fault", "good", "stop"),
+    ("q", "compare_every"),
+    ("P", "compared", "companions"),
 )
 _NAMES = [name for _, *names in _FIELDS for name in names]
 _STRUCT = struct.Struct("".join(kind * len(names) for kind, *names in _FIELDS))
@@ -110,6 +112,8 @@ class Rolled(NamedTuple):
         Measures of the saved rows and the external work [J]; columns as in `WORST` and `CARRIED`.
     corrected : ndarray, shape (n, T, 2) or None
         Movement of a node [m] and energy [J] by the first correction after each saved row.
+    compared : ndarray, shape (T, 3, nx) or None
+        States of one run and its companions in steps of 2 h and 4 h, every `compare_every`-th step.
     """
 
     states: Array
@@ -122,6 +126,7 @@ class Rolled(NamedTuple):
     worst: Array | None
     corrected: Array | None
     carry: Array
+    compared: Array | None = None
 
     @property
     def supplied(self) -> Array:

@@ -7,7 +7,6 @@ import time
 from typing import Any, NamedTuple
 
 import numpy as np
-from tqdm import tqdm
 
 from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stabilization import Correction
@@ -19,13 +18,15 @@ from tenscasadi.simulation.inputs.run_inputs import RunInputs
 from tenscasadi.util.compile import Compiled
 from tenscasadi.util.validate import Array, Indices
 
+COMPARED = 64  # least number of compared rows
+
 
 class Request(NamedTuple):
     """Runs and their options.
 
     Every `every`-th step is saved. `measured` selects the measures of saved rows, and `account` the
     energies to integrate. The `deadline` is a time of `time.monotonic`, `time_limit` seconds after
-    the call.
+    the call. With `compare`, companions take longer steps in spare lanes where the code has them.
     """
 
     inputs: RunInputs
@@ -39,6 +40,15 @@ class Request(NamedTuple):
     threads: int = 1
     time_limit: float = np.inf
     deadline: float = np.inf
+    compare: bool = False
+
+    @property
+    def compare_every(self) -> int:
+        """Steps between comparisons with companions of longer steps, 0 for none."""
+        grid = self.inputs.grid
+        if not self.compare or (grid.counts % 4).any() or self.inputs.feedback is not None:
+            return 0
+        return 4 * max(1, grid.steps // (4 * COMPARED))
 
     @property
     def balanced(self) -> bool:
@@ -118,6 +128,8 @@ def roll(request: Request, progress: bool = False) -> Runs:
     with contextlib.ExitStack() as stack:
         watch = Watch(deadline=request.deadline)
         if progress:
+            from tqdm import tqdm  # its import takes 6 ms
+
             bar = stack.enter_context(tqdm(total=total, unit=" steps", unit_scale=True))
             watch = watch._replace(seen=lambda done: bar.update(done - bar.n))
         began = time.perf_counter()
@@ -133,6 +145,7 @@ def roll(request: Request, progress: bool = False) -> Runs:
                 feedback=feedback,
                 threads=request.threads,
                 watch=watch,
+                compare_every=request.compare_every,
             )
         except MemoryError:
             rows = f"save_every is {request.every}: {inputs.grid.steps / request.every:.2g} rows"
@@ -157,6 +170,7 @@ def make_kernel(request: Request) -> Kernel:
         lanes=request.lanes,
         compiled=request.compiled,
         lazily=True,
+        companions=request.compare,
     )
 
 

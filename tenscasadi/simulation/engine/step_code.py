@@ -255,13 +255,19 @@ def write_model(program: KernelFunctions, single: bool = False) -> str:
     return str(generator.dump())
 
 
-def write_engine(program: KernelFunctions, single: bool = False) -> str:
-    """Generate the C++ loop with one lane.
+def write_lane_model(program: KernelFunctions, lanes: int) -> str:
+    """Generate the C++ code of the Functions in lanes."""
+    code = _replace_branches(write_model(program))
+    return "\n".join([f"#define LANES {lanes}", _text("lanes.hpp"), 'extern "C" {', code, "}"])
+
+
+def write_engine(program: KernelFunctions, single: bool = False, lanes: int = 1) -> str:
+    """Generate the C++ loop for Functions in another library.
 
     It serves all models with this tableau.
     """
     head = ["#define SINGLE"] if single else []
-    return "\n".join([*head, "#define LANES 1", _text("lanes.hpp"), *_engine(program)])
+    return "\n".join([*head, f"#define LANES {lanes}", _text("lanes.hpp"), *_engine(program)])
 
 
 def write_lanes(program: KernelFunctions, lanes: int | None) -> str:

@@ -1,7 +1,7 @@
 """Step-size error of runs, estimated by repeating them.
 
-Runs with fixed steps h are repeated with 2 h and 4 h. If those differ too much, they are repeated
-with h/2. Schemes with error control repeat with another tolerance if it sets their steps.
+Runs with fixed steps h are repeated with 2 h and 4 h, where the engine has not done it in spare
+lanes. If those differ too much, they are repeated with h/2. Schemes with error control repeat with another tolerance if it sets their steps.
 """
 
 from __future__ import annotations
@@ -14,13 +14,12 @@ import numpy as np
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import extent
 from tenscasadi.simulation.engine.request import FINISHED
-from tenscasadi.simulation.engine.roll import Request, Runs, roll
+from tenscasadi.simulation.engine.roll import COMPARED, Request, Runs, roll
 from tenscasadi.simulation.verdict.thresholds import THRESHOLDS
 from tenscasadi.util.compile import Single
 from tenscasadi.util.validate import Array, Indices
 
 CLEAR = 0.3  # × reported error: larger differences need finer steps for an estimate
-COMPARED = 64  # least number of compared rows; all 1001 rows of a prism take 0.4 of 3.3 ms
 
 
 class StepErrors(NamedTuple):
@@ -153,12 +152,17 @@ class _Repetition:
         request, model = runs.request, runs.request.inputs.model
         self.order, self._every = request.scheme.order, request.every
         grid = request.inputs.grid
-        if not (grid.counts % 4).any():  # steps of 4 h end at every fourth one
+        self._compared = runs.rolled.compared
+        if self._compared is not None:
+            self._every = request.compare_every
+        elif not (grid.counts % 4).any():  # steps of 4 h end at every fourth one
             self._every *= 4 * (grid.steps // (4 * COMPARED * request.every)) or 1
         steps = np.append(np.arange(0, grid.steps, self._every), grid.steps)
-        rows = -(-steps // request.every)
         self._times = runs.times(steps)
-        self._places = runs.saved[which[:, None], rows, : model.nq]
+        if self._compared is None:
+            self._places = runs.saved[which[:, None], -(-steps // request.every), : model.nq]
+        else:
+            self._places = self._compared[None, :, 0, : model.nq]
         self.motion = np.ptp(self._places, axis=1).max(axis=1, initial=0.0)
         digits = 1e-5 if isinstance(request.compiled, Single) else 1e-9
         self.rounding = digits * extent(model)
@@ -174,7 +178,11 @@ class _Repetition:
 
         They are NaN at rows without a common time, and inf if a run has diverged.
         """
-        request = self._runs.request
+        request, nq = self._runs.request, self._places.shape[2]
+        if self._compared is not None and factor > 1:
+            places = self._compared[:, int(factor) // 2, :nq]
+            distances = _largest_movement(request.inputs.model, places[None] - self._places)
+            return np.where(np.isfinite(distances), distances, np.inf)
         grid, every = request.inputs.grid, self._every
         other = grid.scale_steps(factor)
         if factor > 1 and other.step < 0.75 * factor * grid.step:

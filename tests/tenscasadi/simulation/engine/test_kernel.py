@@ -156,6 +156,8 @@ def test_without_cpp_the_same_numbers(monkeypatch):
     for one, other, name in zip(
         kernel(x, u, STEP, 5, save_every=3), code, code._fields, strict=True
     ):
+        if name == "compared":  # only with companions
+            continue
         np.testing.assert_allclose(
             one[[0, 1, 2, 4]], other[[0, 1, 2, 4]], rtol=1e-12, atol=1e-14, err_msg=name
         )
