@@ -29,7 +29,7 @@ _STRINGS: dict[str, tuple[str, tuple[str, ...], Callable[..., Array]]] = {
     "k": ("stiffness", ("E", "A", "l0"), lambda E, A, l0: E * A / l0),
     "string_mass": ("string_mass", ("mass",), lambda mass: mass),
 }
-VARIABLES = ("C", "S", "index_b", "index_s", "E", "A", "l0", "l0_t", "mass", "D")
+VARIABLES = ("C", "S", "index_b", "index_s", "E", "A", "l0", "l0_t", "t", "q", "mass", "D")
 
 
 def is_tsgfem(variables: Variables) -> bool:
@@ -51,7 +51,7 @@ def convert_tsgfem(source: Source, variables: Variables, options: Variables) -> 
     cable = _read_cables(source, variables, len(pairs))
     lengths = np.linalg.norm(N[:, pairs[:, 1]] - N[:, pairs[:, 0]], axis=0)
     converted = {"node_mass": np.zeros(1), **variables}
-    known = 0
+    known, variables = 0, _add_rest_lengths(variables, lengths)
     for index, key, table in (("index_b", "C_b", _BARS), ("index_s", "C_s", _STRINGS)):
         rows = read_indices(index, variables.get(index, np.zeros(0)), max(cable, default=-1) + 1)
         members = np.flatnonzero(np.isin(cable, rows))
@@ -93,6 +93,26 @@ def _read_cables(source: Source, variables: Variables, count: int) -> Indices:
     return np.asarray(np.argmax(S, axis=0))
 
 
+def _add_rest_lengths(variables: Variables, lengths: Array) -> Variables:
+    """Add the rest lengths l0 of members (m,), if the file has none.
+
+    They are the first ones of l0_t, or E A l/(E A + t) for the forces t, or t = q l.
+    """
+    if "l0" in variables:
+        return variables
+    if isinstance(variables.get("l0_t"), np.ndarray):
+        return {**variables, "l0": variables["l0_t"].reshape(len(variables["l0_t"]), -1)[:, 0]}
+    given = {key: np.ravel(variables[key]) for key in ("E", "A", "t", "q") if key in variables}
+    if any(values.shape != lengths.shape for values in given.values()):
+        return variables
+    force = given.get("t", given["q"] * lengths if "q" in given else None)
+    if force is None or not {"E", "A"} <= given.keys():
+        return variables
+    rigidity = given["E"] * given["A"]
+    with np.errstate(all="ignore"):  # readers check the values
+        return {**variables, "l0": rigidity * lengths / (rigidity + force)}
+
+
 def _read_members(
     source: Source, variables: Variables, key: str, keyword: str, cable: Indices, lengths: Array
 ) -> Array:
@@ -100,8 +120,6 @@ def _read_members(
 
     Rest length and mass of a cable are distributed by length. Raises TypeError, ValueError.
     """
-    if key == "l0" and key not in variables and isinstance(variables.get("l0_t"), np.ndarray):
-        variables = {**variables, key: variables["l0_t"].reshape(len(variables["l0_t"]), -1)[:, 0]}
     if key not in variables:
         cure = f"give {keyword}=..., or save {key} too"
         raise ValueError(f"{key} is missing, from which {keyword} follows: {cure}")

@@ -169,6 +169,24 @@ def test_a_workspace_of_tsgfem(tmp_path):
     assert read.mass_matrix().toarray() == pytest.approx((both + np.diag(np.diag(both))) / 6)
 
 
+@pytest.mark.parametrize("name", ["t", "q"])
+def test_rest_lengths_of_tsgfem_follow_from_forces(tmp_path, name):
+    workspace = tsgfem()
+    data = workspace["data"]
+    length = np.linalg.norm(N @ data["C"].T, axis=0)[:, None]
+    rest = data.pop("l0")
+    force = data["E"] * data["A"] * (length / rest - 1.0)
+    data[name] = force if name == "t" else force / length
+    savemat(tmp_path / "x.mat", workspace)
+    read = tc.load_mat(tmp_path / "x.mat")
+    assert read.rest_length == pytest.approx(rest[2:, 0], rel=1e-12)
+    assert read.stiffness == pytest.approx((data["E"] * data["A"] / rest)[2:, 0], rel=1e-12)
+    data[name] = force[:3]
+    savemat(tmp_path / "x.mat", workspace)
+    with pytest.raises(ValueError, match="l0 is missing"):
+        tc.load_mat(tmp_path / "x.mat")
+
+
 def test_pins_of_tsgfem_as_columns_of_the_identity(tmp_path):
     workspace = {key: value for key, value in tsgfem().items() if "pinned" not in key}
     savemat(tmp_path / "x.mat", {**workspace, "Ib": csc_array(np.eye(12)[:, [0, 1, 2, 5]])})
