@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 from tenscasadi.drawing.color_scale import QUANTITIES
 from tenscasadi.drawing.shapes import FORCES, PARTS
 from tenscasadi.viewer.canvas import Canvas
-from tenscasadi.viewer.labels import KINDS, Labels
+from tenscasadi.viewer.labels import KINDS, Item, Labels
 from tenscasadi.viewer.legend import build_legend
 from tenscasadi.viewer.pictures import send_screenshot
+from tenscasadi.viewer.web.hover import MODIFIER
 
 if TYPE_CHECKING:
     import viser
@@ -43,6 +44,8 @@ class ViewControls:
         self.labels = Labels(server, canvas)
         server.gui.configure_theme(show_logo=False, show_share_button=False)
         self._legend: Any = None
+        self._under_pointer: Item | None = None
+        self._add_hover(server.scene)
 
     def add_follow(self) -> None:
         """Add the box that keeps the structure in view."""
@@ -128,6 +131,29 @@ class ViewControls:
         """Toggle the label of a clicked item."""
         if isinstance(index, int):
             self._change(lambda: self.labels.toggle((motion, kind, index)))
+
+    def _add_hover(self, scene: viser.SceneApi) -> None:
+        """Show the name of the item on which the pointer rests.
+
+        The click on an item comes before that on the scene, which comes without an item, too.
+        """
+        for k, layer in enumerate(self.canvas.layers):
+            for kind in KINDS:
+                if kind in layer.batches:
+
+                    async def touch(event: Any, k: int = k, kind: str = kind) -> None:
+                        if isinstance(event.instance_index, int):
+                            self._under_pointer = k, kind, event.instance_index
+
+                    layer.batches[kind].on_click(modifier=MODIFIER)(touch)
+
+        async def rest(_: Any) -> None:
+            item, self._under_pointer = self._under_pointer, None
+            if item != self.labels.hovered:
+                self._change(lambda: self.labels.hover(item))
+
+        register: Any = scene.on_click(modifier=MODIFIER)  # viser's type lacks coroutines
+        register(rest)
 
     def _add_box(
         self, name: str, value: bool, apply: Callable[[bool], Any], hint: str | None = None

@@ -25,6 +25,27 @@ class Labels:
         self._scene, self._canvas = server.scene, canvas
         self.clicked: dict[Item, Any] = {}
         self.numbers: dict[str, list[Any]] = {kind: [] for kind in KINDS}
+        self.hovered: Item | None = None
+        self._hover: Any = None
+
+    def has(self, item: Item) -> bool:
+        """Return whether an item exists; a page can name any."""
+        k, kind, index = item
+        motions = self._canvas.content.motions
+        if not (0 <= k < len(motions) and kind in KINDS):
+            return False
+        return 0 <= index < motions[k].count(kind) * motions[k].copies
+
+    def hover(self, item: Item | None) -> None:
+        """Show the name of the item under the pointer; None for none."""
+        self.hovered = item if item is not None and self.has(item) else None
+        if self._hover is not None:
+            self._hover.remove()
+            self._hover = None
+        if self.hovered is not None:
+            self._hover = self._scene.add_label(
+                "/shown/hovered", "", anchor="bottom-left", font_screen_scale=0.9
+            )
 
     def toggle(self, item: Item) -> None:
         """Add or remove the label of a clicked item.
@@ -33,10 +54,7 @@ class Labels:
         oldest is removed.
         """
         k, kind, index = item
-        motions = self._canvas.content.motions
-        if not (0 <= k < len(motions) and kind in KINDS):
-            return
-        if not 0 <= index < motions[k].count(kind) * motions[k].copies:
+        if not self.has(item):
             return
         if item in self.clicked:
             self.clicked.pop(item).remove()
@@ -72,11 +90,20 @@ class Labels:
                 places = find_places(layers[0].shapes.motion, kind, layers[0].frame.nodes)
                 for label, place in zip(labels, places, strict=False):
                     label.position = tuple(place)
-        for (k, kind, index), label in self.clicked.items():
-            motion = layers[k].shapes.motion
-            label.text = describe_item(motion, self._canvas.frames[k], kind, index)
-            place = find_places(motion, kind, layers[k].frame.nodes)[index]
-            label.position = tuple(place + np.asarray(layers[k].root.position))
+        for item, label in self.clicked.items():
+            self._place(label, item, whole=True)
+        if self.hovered is not None:
+            self._place(self._hover, self.hovered, whole=False)
+
+    def _place(self, label: Any, item: Item, whole: bool) -> None:
+        """Move a label to its item, and write the name or the whole description."""
+        k, kind, index = item
+        layer = self._canvas.layers[k]
+        motion = layer.shapes.motion
+        told = describe_item(motion, self._canvas.frames[k], kind, index)
+        label.text = told if whole else told.splitlines()[0]
+        place = find_places(motion, kind, layer.frame.nodes)[index]
+        label.position = tuple(place + np.asarray(layer.root.position))
 
 
 def find_places(motion: Motion, kind: str, nodes: Array) -> Array:

@@ -17,7 +17,13 @@ from tenscasadi.viewer.canvas import Canvas
 from tenscasadi.viewer.controls import ViewControls, add_speed
 from tenscasadi.viewer.live_mode.pace import Pace
 from tenscasadi.viewer.live_mode.simulation import LiveSimulation
-from tenscasadi.viewer.live_mode.sliders import MOST, Slider, build_slider
+from tenscasadi.viewer.live_mode.sliders import (
+    MOST,
+    ParameterSlider,
+    Slider,
+    build_slider,
+    choose_parameter_sliders,
+)
 
 if TYPE_CHECKING:
     import viser
@@ -62,7 +68,7 @@ class LivePanel:
         self.canvas.scale = None
         self.controls = ViewControls(server, self.canvas, do)
         self.running, self._said = False, _HINT
-        self._inputs: list[tuple[Slider, Any]] = []
+        self._inputs: list[tuple[Slider | ParameterSlider, Any]] = []
         radius = 0.6 * self.canvas.content.bar_radius
         self._arrow = server.scene.add_arrows(
             "/shown/pull",
@@ -77,7 +83,7 @@ class LivePanel:
         self._status = gui.add_html("")
         self._play = gui.add_button("Start")
         self._play.on_click(lambda _: do(lambda: self.run(not self.running)))
-        hint = "back to the initial state and control"
+        hint = "back to the initial state, control and parameters"
         gui.add_button("Reset", hint=hint).on_click(lambda _: do(self.reset))
         add_speed(gui, pace.speed, lambda speed: do(lambda: setattr(pace, "speed", speed)))
         self.controls.add_follow()
@@ -85,6 +91,7 @@ class LivePanel:
             self.controls.add_color()
         self._add_pull(gui)
         self._add_sliders(gui, sliders)
+        self._add_parameters(gui)
         self.show()
         self.controls.add_legend()
 
@@ -111,7 +118,7 @@ class LivePanel:
         self.pace.rest()
 
     def reset(self) -> None:
-        """Return to the initial state and control."""
+        """Return to the initial state, control and parameters."""
         self.simulation.reset()
         self.canvas.scale = None
         self.refresh()
@@ -146,6 +153,7 @@ class LivePanel:
         if scale != self.canvas.scale:
             self.controls.update_legend()
         self.canvas.draw([frame])
+        self.controls.labels.update()
         pull = self.simulation.pull
         self._arrow.visible = pull is not None
         if pull is not None:
@@ -234,7 +242,14 @@ class LivePanel:
             if self.simulation.model.nu > MOST:
                 self._add_choice(gui)
 
-    def _add_slider(self, gui: viser.GuiApi, slider: Slider) -> Any:
+    def _add_parameters(self, gui: viser.GuiApi) -> None:
+        sliders = choose_parameter_sliders(self.simulation)
+        if sliders:
+            with gui.add_folder("Parameters"):
+                for slider in sliders:
+                    self._add_slider(gui, slider)
+
+    def _add_slider(self, gui: viser.GuiApi, slider: Slider | ParameterSlider) -> Any:
         step = (slider.high - slider.low) / _POSITIONS
         value = slider.read(self.simulation)
         entry = gui.add_slider(slider.name, slider.low, slider.high, step, value)
@@ -269,4 +284,5 @@ class LivePanel:
 def _is_supported(scene: Scene) -> bool:
     """Return whether a scene keeps the structure from falling without end."""
     held = bool(scene.structure.fixed.any()) or bool(scene.structure.rollers)
-    return held or bool(scene.grounds) or scene.gravity is None
+    falls = scene.gravity is not None and np.any(scene.gravity.acceleration)
+    return held or bool(scene.grounds) or not falls

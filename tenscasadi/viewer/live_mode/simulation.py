@@ -94,8 +94,8 @@ class LiveSimulation:
         parameters: Any = None,
     ) -> None:
         instance("model", model, (Model, Scene), "a tenscasadi.Model or Scene")
-        given = (Model(model) if isinstance(model, Scene) else model).with_parameters(parameters)
-        self.model = model = add_inputs(given)
+        given = Model(model) if isinstance(model, Scene) else model
+        self.model = model = add_inputs(given, parameters)
         self.start_state = np.array(
             model.initial_state if state is None else finite_array("state", state, (model.nx,))
         )
@@ -136,19 +136,20 @@ class LiveSimulation:
         Pinned ones cannot, nor any if nodal forces vary with time.
         """
         s = self.model.scene.structure
-        return np.asarray(~s.fixed.all(axis=1) & bool(self.model.np))
+        return np.asarray(~s.fixed.all(axis=1) & ("forces" in self.model.parameters.places))
 
     # --- actions of a person ---
 
     def reset(self) -> None:
-        """Return to the initial state and control, with an empty recording."""
+        """Return to the initial state, control and parameters, with an empty recording."""
         self._z = np.append(self.start_state, np.zeros(int(self.model.power is not None)))
         self.control = self.start_control.copy()
+        self.parameters = self.model.parameters.nominal.copy()
         self.ticks, self.seconds, self.fault = 0, 0.0, ""
         self.pull: Pull | None = None
-        self._last_control = self.control.copy()
-        self._recording = Recording(self.model.nx + 1 + self.model.nu)
-        self._jumps = 0.0  # energy that changes of the control have given, J
+        self._last_inputs = self._constant_inputs()
+        self._recording = Recording(self.model.nx + 1 + self.model.nw)
+        self._jumps = 0.0  # energy that changes of control and parameters have given, J
         self._observed: dict[str, Array] | None = None
 
     def set_control(self, strings: Any, value: float) -> None:
@@ -170,6 +171,25 @@ class LiveSimulation:
         control[list(strings)] = finite_array("value", value, ())
         self._check_lengths(control)
         self.control = control
+
+    def set_parameters(self, name: str, values: Any) -> None:
+        """Set a quantity of the model's parameters from the next tick on.
+
+        Parameters
+        ----------
+        name : str
+            Quantity, such as ``"gravity"`` or one of the scene's own.
+        values : array_like
+            Value of each item, or one number for all.
+
+        Raises
+        ------
+        TypeError, ValueError
+            There is no such quantity, or a value is wrong.
+        """
+        changed = self.model.parameters.values({name: values})
+        place = self.model.parameters.places[name]
+        self.parameters[place] = changed[place]
 
     def grab(self, node: int, target: Any) -> None:
         """Pull a node to a target from the next tick on.
@@ -244,15 +264,19 @@ class LiveSimulation:
     def _explain(self, rolled: Rolled) -> str:
         found = FAULTS.get(int(rolled.status[0]), "a step could not be computed")
         states = np.stack([self.start_state, self.state])
-        held = np.tile(np.concatenate([self.control, self.model.parameters.nominal]), (2, 1))
+        held = np.tile(self._constant_inputs(), (2, 1))
         samples = RunSamples(np.array([0.0, self.time]), states, held)
         return f"{found}; {explain_loss(self.model, self.options.scheme, self.step, samples)}"
 
+    def _constant_inputs(self) -> Array:
+        """Return control and parameters (nw,) without the pull."""
+        return np.concatenate([self.control, self.parameters])
+
     def _inputs(self) -> Array:
-        p = self.model.parameters.nominal
+        p = self.parameters.copy()
         if self.pull is not None:
-            p = p.copy()
-            p[3 * self.pull.node : 3 * self.pull.node + 3] += self.pull_force
+            first = self.model.parameters.places["forces"].start + 3 * self.pull.node
+            p[first : first + 3] += self.pull_force
         return np.concatenate([self.control, p])
 
     # --- present state ---
@@ -300,20 +324,19 @@ class LiveSimulation:
     # --- recording ---
 
     def _keep(self) -> None:
-        """Record the state at the start of a tick, and its control.
+        """Record the state at the start of a tick, and its inputs without the pull.
 
-        A change of the control changes the energy instantly.
+        A change of control or parameters changes the energy instantly.
         """
-        if np.any(self.control != self._last_control):
-            p, x = self.model.parameters.nominal, self.state
+        inputs = self._constant_inputs()
+        if np.any(inputs != self._last_inputs):
             before, after = (
-                float(self._energy(x, np.concatenate([u, p])))
-                for u in (self._last_control, self.control)
+                float(self._energy(self.state, w)) for w in (self._last_inputs, inputs)
             )
             self._jumps += after - before
-            self._last_control, self._observed = self.control.copy(), None
+            self._last_inputs, self._observed = inputs, None
         supplied = self._jumps + (float(self._z[-1]) if self.model.power is not None else 0.0)
-        self._recording.keep(self.ticks, np.concatenate([self.state, [supplied], self.control]))
+        self._recording.keep(self.ticks, np.concatenate([self.state, [supplied], inputs]))
 
     def trajectory(self) -> Trajectory:
         """Return the recording with its errors, up to the present state.
@@ -331,9 +354,7 @@ class LiveSimulation:
         ticks, rows = self._recording.rows()
         model, options = self.model, self.options
         nx = model.nx
-        held = np.hstack(
-            [rows[:, nx + 1 :], np.broadcast_to(model.parameters.nominal, (len(rows), model.np))]
-        )
+        held = rows[:, nx + 1 :]
         kept = record_trajectory(
             model,
             np.asarray(ticks * self.tick, dtype=float),

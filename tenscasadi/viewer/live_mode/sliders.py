@@ -16,6 +16,10 @@ from tenscasadi.viewer.live_mode.simulation import LiveSimulation
 MOST = 12  # sliders; more do not fit the panel
 _LENGTH_RANGE = (0.5, 1.5)  # relative to the initial rest length
 _FORCE_RANGE = (0.0, 3.0)  # relative to the largest initial force density
+# relative to the nominal values: twice the stiffness and half the mass halve the stable step, and
+# the step is at most half of it
+_PARAMETER_RANGE = (0.5, 2.0)
+_STANDARD_GRAVITY = 9.81  # m/s²
 
 Groups = Mapping[str, Sequence[int]] | None
 
@@ -53,6 +57,50 @@ class Slider:
         if self.factor:
             now = now[start != 0] / start[start != 0] if np.any(start) else np.ones(1)
         return float(np.clip(now.mean(), self.low, self.high))
+
+
+@dataclass(frozen=True)
+class ParameterSlider:
+    """Slider of a quantity of the model's parameters, from `low` to `high`.
+
+    It multiplies the values of all items by a number. `unit_values` are those at 1.
+    """
+
+    name: str
+    quantity: str
+    unit_values: tuple[float, ...]
+    low: float
+    high: float
+
+    def apply(self, simulation: LiveSimulation, value: float) -> None:
+        """Set the quantity of a simulation, with the number limited to the slider's range."""
+        if np.isfinite(value):
+            number = float(np.clip(value, self.low, self.high))
+            simulation.set_parameters(self.quantity, number * np.array(self.unit_values))
+
+    def read(self, simulation: LiveSimulation) -> float:
+        """Compute the position of the slider."""
+        now = simulation.parameters[simulation.model.parameters.places[self.quantity]]
+        unit = np.array(self.unit_values)
+        return float(np.clip(now @ unit / (unit @ unit), self.low, self.high))
+
+
+def choose_parameter_sliders(simulation: LiveSimulation) -> list[ParameterSlider]:
+    """Choose a slider of constant gravity, and one of each parameter of the scene."""
+    layout, found = simulation.model.parameters, []
+    for quantity, place in layout.places.items():
+        nominal = layout.nominal[place]
+        size = float(np.linalg.norm(nominal))
+        if quantity == "gravity":
+            direction = nominal / size if size else np.array([0.0, 0.0, -1.0])
+            most = _round(2 * (size or _STANDARD_GRAVITY), np.ceil)
+            unit = tuple(direction.tolist())
+            found.append(ParameterSlider("gravity (m/s²)", quantity, unit, 0.0, most))
+        elif quantity != "forces" and size:
+            name = f"{quantity.replace('_', ' ')} (factor)"
+            unit = tuple(nominal.tolist())
+            found.append(ParameterSlider(name, quantity, unit, *_PARAMETER_RANGE))
+    return found
 
 
 def build_slider(simulation: LiveSimulation, string: int) -> Slider:

@@ -18,6 +18,7 @@ from urllib.parse import urlsplit
 
 from tenscasadi.util.validate import format_value, instance, whole_number
 from tenscasadi.viewer.web.frames import add_frame_rate
+from tenscasadi.viewer.web.hover import add_hover
 
 LOOPBACK = "127.0.0.1"
 _PORTS = range(8080, 9080)
@@ -219,10 +220,10 @@ def _guard_server(local: bool) -> Iterator[list[bool]]:
 
 
 def _extend_page(response: Any) -> Any:
-    """Add the display of the frame rate to a response."""
+    """Add the display of the frame rate and the names on hover to a response."""
     packed = response.headers.get("Content-Encoding") == "gzip"
     page = gzip.decompress(response.body) if packed else response.body
-    body = add_frame_rate(page.decode()).encode()
+    body = add_hover(add_frame_rate(page.decode())).encode()
     response.body = gzip.compress(body, 1) if packed else body
     del response.headers["Content-Length"]
     response.headers["Content-Length"] = str(len(response.body))

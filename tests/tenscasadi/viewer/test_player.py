@@ -130,6 +130,25 @@ def on_page(found, page, point):
     )
 
 
+def test_name_appears_where_the_pointer_rests(shown, motion):
+    found, page = shown
+    pause(page, found)
+    go_to(page, found, 0.0)
+    labels = found.player.controls.labels
+    bar = motion.nodes[0][motion.bars[0]]
+    x, y = on_page(found, page, 0.7 * bar[0] + 0.3 * bar[1])
+    page.mouse.move(x - 40, y - 40)
+    page.mouse.move(x, y)
+    wait_until(page, lambda: labels.hovered == (0, "bars", 0), "the bar is under the pointer")
+    wait_until(page, lambda: labels._hover.text, "the label is written")
+    assert labels._hover.text == "bar 0, bottom[0] – top[1]"
+    assert not labels.clicked
+    page.mouse.move(20, 590)
+    wait_until(page, lambda: labels.hovered is None, "the name goes")
+    assert labels._hover is None
+    assert page.faults == []
+
+
 def test_a_click_labels_a_string_with_its_numbers(shown, motion):
     found, page = shown
     pause(page, found)

@@ -250,7 +250,7 @@ def test_messages_that_no_page_of_ours_sends_do_nothing(tmp_path):
                     updates={"value": slider.low},
                 )
             wait_for(
-                lambda: motion.simulation.control[-1] == motion.panel._inputs[-1][0].low,
+                lambda: motion.simulation.control[-1] == motion.panel._inputs[9][0].low,
                 "all has been heard",
             )
             assert motion._runner.is_alive

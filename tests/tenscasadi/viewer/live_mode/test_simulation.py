@@ -222,7 +222,42 @@ def test_parameters_have_the_values_that_are_given(stiffness):
     ]
     for one in (plain, *runs):
         one.advance(10)
-        assert (plain.nodes == one.nodes).all()
+        np.testing.assert_allclose(one.nodes, plain.nodes, rtol=0, atol=1e-12)
+
+
+def test_gravity_that_changes_has_its_work_in_the_balance_of_energy():
+    run = LiveSimulation(mass_on_a_string(gravity=tc.Gravity()), options=VIRTUAL)
+    for k in range(12):
+        run.set_parameters("gravity", [0, 0, -9.81 + k])
+        assert run.advance() == 1
+    scene = mass_on_a_string(
+        control=tc.RestLength(), gravity=tc.Gravity(), parameters=tc.Parameters("gravity")
+    )
+    kept, nodes = run.trajectory(), run.start_state
+    for k in range(12):
+        piece = tc.simulate(
+            tc.Model(scene),
+            run.tick,
+            run.step,
+            state=nodes,
+            parameters={"gravity": [0, 0, -9.81 + k]},
+        )
+        nodes = tc.Model(scene).state(piece.nodes[-1], piece.velocities[-1])
+    np.testing.assert_allclose(kept.nodes[-1], piece.nodes[-1], rtol=0, atol=1e-9)
+    assert abs(kept.energy_error).max() < 1e-6
+    assert np.ptp(kept.energy) > 0.1
+    assert kept.success, kept.message
+    run.reset()
+    assert run.parameters.tolist() == run.model.parameters.nominal.tolist()
+
+
+def test_parameters_that_do_not_exist_are_refused():
+    run = LiveSimulation(mass_on_a_string(), options=VIRTUAL)
+    with pytest.raises(ValueError, match="stiffness"):
+        run.set_parameters("stiffness", 3.0)
+    with pytest.raises(ValueError, match="finite"):
+        run.set_parameters("gravity", np.nan)
+    assert not run.parameters.any()
 
 
 def test_odd_input_is_refused_by_name():

@@ -7,7 +7,12 @@ import pytest
 
 import tenscasadi as tc
 from tenscasadi.viewer.live_mode.simulation import LiveOptions, LiveSimulation
-from tenscasadi.viewer.live_mode.sliders import MOST, build_slider, choose_sliders
+from tenscasadi.viewer.live_mode.sliders import (
+    MOST,
+    build_slider,
+    choose_parameter_sliders,
+    choose_sliders,
+)
 
 VIRTUAL = LiveOptions(compiled=False)
 PRISM = tc.shapes.prism(prestress=50.0, stiffness=1000.0)
@@ -89,3 +94,26 @@ def test_what_a_page_sends_beyond_the_ends_is_cut_and_no_number_is_nothing():
 
 def test_no_strings_no_sliders():
     assert choose_sliders(simulation(tc.shapes.pendulum())) == []
+
+
+def test_gravity_and_parameters_have_sliders():
+    run = simulation(
+        PRISM, gravity=tc.Gravity((0, 0, -2.0)), parameters=tc.Parameters(scale=["stiffness"])
+    )
+    gravity, stiffness = choose_parameter_sliders(run)
+    assert (gravity.name, gravity.low, gravity.high) == ("gravity (m/s²)", 0.0, 4.0)
+    assert stiffness.name == "stiffness (factor)"
+    assert (gravity.read(run), stiffness.read(run)) == pytest.approx((2.0, 1.0))
+    gravity.apply(run, 3.0)
+    stiffness.apply(run, 9.0)  # limited to the range
+    places = run.model.parameters.places
+    assert run.parameters[places["gravity"]] == pytest.approx([0, 0, -3.0])
+    assert run.parameters[places["stiffness"]] == pytest.approx(np.full(9, 2000.0))
+    assert (gravity.read(run), stiffness.read(run)) == pytest.approx((3.0, 2.0))
+
+
+def test_gravity_can_be_added_unless_it_varies():
+    (gravity,) = choose_parameter_sliders(simulation(PRISM))
+    assert gravity.high == 20.0
+    run = simulation(PRISM, gravity=tc.Gravity(lambda t: (0, 0, -t)))
+    assert choose_parameter_sliders(run) == []
