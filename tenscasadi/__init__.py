@@ -60,6 +60,7 @@ if TYPE_CHECKING:
     from tenscasadi.design.sizing.size import size
     from tenscasadi.design.sizing.sized import Sized
     from tenscasadi.exchange.gltf import export_gltf
+    from tenscasadi.exchange.jax_function import to_jax
     from tenscasadi.exchange.matlab.save import save_mat
     from tenscasadi.exchange.matlab.structures import load_mat
     from tenscasadi.exchange.matlab.trajectories import load_mat_trajectory
@@ -101,6 +102,7 @@ __getattr__ = find_attribute(
         "tenscasadi.design.sizing.size": ("size",),
         "tenscasadi.design.sizing.sized": ("Sized",),
         "tenscasadi.exchange.gltf": ("export_gltf",),
+        "tenscasadi.exchange.jax_function": ("to_jax",),
         "tenscasadi.exchange.matlab.save": ("save_mat",),
         "tenscasadi.exchange.matlab.structures": ("load_mat",),
         "tenscasadi.exchange.matlab.trajectories": ("load_mat_trajectory",),
@@ -213,6 +215,7 @@ __all__ = [
     "CompileError",
     # other programs' files
     "export_gltf",
+    "to_jax",
     "export_mjcf",
     "export_vtk",
     "import_mjcf",
