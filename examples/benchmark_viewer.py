@@ -8,11 +8,13 @@ number on a machine that does other things, too (Linux alone tells it).
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -82,6 +84,64 @@ def tower(seconds: float) -> tc.Trajectory:
     return tc.simulate(model, seconds, 1e-3, state=start, correction=tc.Projection(), save_every=10)
 
 
+def many_rows(seconds: float) -> tc.Trajectory:
+    """A tower of 17 prisms, 51 bars, that falls over; 1000 rows per second."""
+    structure = tc.shapes.prism_tower(stages=17, prestress=50.0, stiffness=1000.0, damping=1.0)
+    scene = tc.Scene(structure, gravity=tc.Gravity((0, 0, -1.0)), ground=tc.Ground(height=-0.1))
+    return tc.simulate(
+        tc.Model(scene), seconds, 1e-3, correction=tc.Projection(10), save_every=1, verify=False
+    )
+
+
+class Demand(NamedTuple):
+    """Opening, dragging and page of a long motion.
+
+    Wall and processor seconds until the first frame, frames a second and processor ms of each while
+    the time is dragged, MB of a page of 1000 frames.
+    """
+
+    rows: int
+    opening: float
+    opening_cost: float
+    frames: float
+    cost: float
+    megabytes: float
+
+
+def demand(browser: Any, motion: tc.Trajectory, seconds: float) -> Demand:
+    """Measure a motion from the call of `view` on."""
+    before, began = processor_seconds(os.getpid()), time.perf_counter()
+    page = browser.new_page(viewport=SIZE)
+    page.set_default_timeout(120_000)
+    page.add_init_script(COUNT)
+    with view(motion, browser=False, wait=False) as served:
+        page.goto(served.url)
+        page.wait_for_function("window.drawn > 0")
+        opening = time.perf_counter() - began
+        opening_cost = processor_seconds(os.getpid()) - before
+        player: Any = served.player
+        player.play(False)
+        page.wait_for_timeout(2000)
+        spent, first, began, shown = (
+            processor_seconds(os.getpid()),
+            page.evaluate("window.drawn"),
+            time.perf_counter(),
+            0,
+        )
+        while (passed := time.perf_counter() - began) < seconds:
+            player.show(float(motion.time[-1]) * (0.618 * shown % 1.0))  # back and forth
+            shown += 1
+            page.wait_for_timeout(max(0.0, 1000 * (shown / 30 - passed)))
+        drawn = page.evaluate("window.drawn") - first
+        cost = 1000 * (processor_seconds(os.getpid()) - spent) / max(drawn, 1)
+    page.close()
+    with tempfile.TemporaryDirectory() as folder:
+        target = Path(folder) / "page.html"
+        view(motion, html=target, speed=float(motion.time[-1]) * 30 / 1000)
+        size = target.stat().st_size / 1e6
+    return Demand(len(motion.time), opening, opening_cost, drawn / passed, cost, size)
+
+
 def processor_seconds(parent: int) -> float:
     """Processor time of all processes below one so far; NaN where the system does not tell."""
     if not Path("/proc/self/stat").exists():
@@ -121,8 +181,9 @@ def frames(browser: Any, url: str, seconds: float) -> tuple[float, float, float]
     return 1000 * (last - first) / (end - begin), cost, opening
 
 
-def measure(seconds: float = SECONDS, motions: dict[str, tc.Trajectory] | None = None) -> list[Row]:
-    """Play each motion by the server and as a page."""
+@contextlib.contextmanager
+def open_browser() -> Iterator[Any]:
+    """A headless browser that draws in software."""
     from playwright.sync_api import sync_playwright
 
     path = (
@@ -130,16 +191,23 @@ def measure(seconds: float = SECONDS, motions: dict[str, tc.Trajectory] | None =
         or shutil.which("chromium")
         or shutil.which("google-chrome")
     )
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(
+            executable_path=path, headless=True, args=list(SOFTWARE)
+        )
+        yield browser
+        browser.close()
+
+
+def measure(seconds: float = SECONDS, motions: dict[str, tc.Trajectory] | None = None) -> list[Row]:
+    """Play each motion by the server and as a page."""
     shown = (
         {"six-bar ball, 10 s": ball(10.0), "tower of 300 bars": tower(10.0)}
         if motions is None
         else motions
     )
     rows = []
-    with sync_playwright() as playwright, tempfile.TemporaryDirectory() as folder:
-        browser = playwright.chromium.launch(
-            executable_path=path, headless=True, args=list(SOFTWARE)
-        )
+    with open_browser() as browser, tempfile.TemporaryDirectory() as folder:
         for name, motion in shown.items():
             members = len(motion.bars) + len(motion.strings)
             with view(motion, title=name, browser=False, wait=False) as served:
@@ -156,7 +224,6 @@ def measure(seconds: float = SECONDS, motions: dict[str, tc.Trajectory] | None =
                     *frames(browser, page.as_uri(), seconds),
                 )
             )
-        browser.close()
     return rows
 
 
@@ -169,6 +236,13 @@ def main(quick: bool = False) -> list[Row]:
         print(
             f"{row.name:24s} {row.members:8d} {row.way:>16s} {row.frames:9.1f} {row.cost:8.0f} {row.opening:8.1f} s"
         )
+    motion = many_rows(0.5 if quick else 10.0)
+    with open_browser() as browser:
+        found = demand(browser, motion, 1.0 if quick else SECONDS)
+    print(
+        f"{len(motion.bars)} bars, {found.rows} rows: opened in {found.opening:.1f} s ({found.opening_cost:.1f} s of processor time), "
+        f"dragged at {found.frames:.0f} frames/s ({found.cost:.0f} ms each), page of 1000 frames {found.megabytes:.2f} MB"
+    )
     return rows
 
 
