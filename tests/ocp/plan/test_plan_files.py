@@ -79,6 +79,18 @@ OTHER: dict[str, Callable[[], tc.Model]] = {
     "Structure.damping": lambda: model(made=structure(damping=1.0)),
     "Structure.rest_length": lambda: model(made=structure(rest_length=0.5)),
     "Structure.string_mass": lambda: model(made=structure(string_mass=0.2)),
+    "Structure.cables": lambda: model(made=structure(cables=[(0, 2)]), control=tc.Tension()),
+    "Structure.cable_friction": lambda: model(
+        made=structure(cables=[(0, 2)], cable_friction=0.1), control=tc.Tension()
+    ),
+    "Structure.bodies": lambda: model(
+        "reduced",
+        made=structure(
+            nodes=[*NODES, (2, 0, 0), (2, 1, 0), (3, 0, 0)],
+            node_mass=[0, 0, 0, 1, 1, 0, 0, 0],
+            bodies=[tc.RigidBody((5, 6, 7), 2.0)],
+        ),
+    ),
     "Structure.derived ": lambda: model(made=structure(string_mass=0.1).subdivide(2)),
     "Structure.derived": lambda: model(made=twisted()),
     "Scene.segments": lambda: model(segments=2),
