@@ -77,6 +77,7 @@ def _join(model: Model, nodes: Array, velocities: Array, state: Array) -> Array:
     """
     fixed = model.structure.fixed
     own = np.where(fixed, model.nodes(state), nodes)
-    found = model.state(own, np.where(fixed, 0.0, velocities))
+    moves = np.where(fixed, 0.0, velocities)
+    found = model.state(model.place_dependent(own), model.place_dependent(moves))
     model.split(found)[2][:] = model.split(state)[2]
     return found

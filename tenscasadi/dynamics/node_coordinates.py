@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from tenscasadi.scene.scene import Scene
 
 
+_FOLLOWING = 1e-5  # of the size or the largest speed: larger deviations are no rounding of files
+
+
 class NodeCoordinates(BaseModel):
     """Positions, velocities and clock in a state; support motion.
 
@@ -75,7 +78,7 @@ class NodeCoordinates(BaseModel):
         Raises
         ------
         ValueError
-            If a pinned coordinate is displaced or moves.
+            If a pinned coordinate is displaced or moves, or a node leaves its rigid body.
         """
         n = len(self.structure.nodes)
         positions = finite_array("nodes", nodes, (n, 3))
@@ -84,6 +87,7 @@ class NodeCoordinates(BaseModel):
             if velocities is None
             else finite_array("velocities", velocities, (n, 3))
         )
+        self._check_dependent_nodes(positions, speeds)
         if self._supports is not None:
             speeds = speeds.copy()
             speeds[self._moved] = self._supports(0.0)[1].full().T  # supports override
@@ -139,6 +143,23 @@ class NodeCoordinates(BaseModel):
                         f"{name}[{node}] moves node {node} off its roller: "
                         f"do not move it along {normals}"
                     )
+
+    def _check_dependent_nodes(self, positions: Array, speeds: Array) -> None:
+        """Check that dependent nodes of bodies follow the others."""
+        if self.mechanism.spread is None:
+            return
+        size = float(np.ptp(self.structure.nodes, axis=0).max())
+        for name, vectors, scale, unit in (
+            ("nodes", positions, size, "m"),
+            ("velocities", speeds, float(np.abs(speeds).max()), "m/s"),
+        ):
+            apart = np.abs(vectors - self.place_dependent(np.array(vectors)))
+            node = int(apart.max(axis=1).argmax())
+            if apart.max() > _FOLLOWING * scale:
+                raise ValueError(
+                    f"{name}[{node}] is {apart.max():.2g} {unit} off its rigid body: "
+                    "give all nodes of the body one rigid motion"
+                )
 
     def nodes(self, x: Any) -> Any:
         """Compute the positions of physical nodes.

@@ -275,3 +275,46 @@ def test_support_motion_carries_a_body_with_it():
     model = tc.Model(tc.Scene(s, supports=tc.SupportMotion(motion)))
     run = tc.simulate(model, 1.0, 1e-2, verify=False)
     np.testing.assert_allclose(run.nodes[-1], nodes + [0.1, 0.0, 0.2], atol=1e-10)
+
+
+@pytest.mark.parametrize("nodes", BODY.values(), ids=BODY)
+def test_linearization_agrees_with_finite_differences(nodes):
+    """A body on damped strings, in motion."""
+    anchors = np.array([(2, 0, 2), (-2, 1, 2), (0, -2, 2.0)])
+    count = len(nodes)
+    s = tc.Structure(
+        np.vstack([nodes, anchors]),
+        strings=[(0, count), (1, count + 1), (2, count + 2), (0, count + 2)],
+        pinned=range(count, count + 3),
+        bodies=[tc.RigidBody(range(count), MASS, CENTER, INERTIA)],
+        stiffness=50.0,
+        damping=2.0,
+        rest_length=1.0,
+    )
+    model = tc.Model(tc.Scene(s, gravity=tc.Gravity(), control=tc.RestLength()))
+    speeds = np.cross((0.3, -0.5, 0.2), s.nodes)
+    speeds[count:] = 0.0
+    x, u = model.state(s.nodes, speeds), model.initial_control
+    found = tc.linearize(model, x, u)
+    T = found.tangent
+    allowed = np.block([[T, np.zeros_like(T)], [np.zeros_like(T), T]])
+    rates = [
+        [model.ode(x + sign * 1e-6 * direction, u).full().ravel() for direction in allowed.T]
+        for sign in (1, -1)
+    ]
+    difference = (np.array(rates[0]) - rates[1]).T / 2e-6
+    np.testing.assert_allclose(found.A @ allowed, difference, atol=1e-5)
+
+
+def test_generated_code_has_the_same_motion(tmp_path):
+    model, state = free_body(CORNERS)
+    runs = [
+        tc.simulate(model, 0.2, 1e-3, state=state, compiled=compiled, verify=False)
+        for compiled in (True, False)
+    ]
+    np.testing.assert_allclose(runs[0].states, runs[1].states, atol=1e-12)
+    found = tc.sensitivities(model, state, 0.2, 1e-3, compiled=False)
+    moved = state + np.append(np.zeros(model.nx - 1), 1e-6)
+    other = tc.simulate(model, 0.2, 1e-3, state=moved, verify=False)
+    change = (other.states[-1] - runs[0].states[-1]) / 1e-6
+    np.testing.assert_allclose(found.jacobian[:, -1], change, atol=1e-5)

@@ -170,3 +170,48 @@ def test_copies_and_pickles_keep_bodies():
     again = pickle.loads(pickle.dumps(s))  # noqa: S301  own data
     assert again.bodies == s.bodies
     assert energy(again, (1, 2, 3), (1, 0, 0)) == energy(s, (1, 2, 3), (1, 0, 0))
+
+
+def test_states_of_nodes_off_their_body_are_rejected():
+    model = tc.Model(tc.Scene(with_body(CUBE, 1.0)))
+    moved = np.zeros_like(CUBE)
+    moved[3, 0] = 0.1
+    with pytest.raises(ValueError, match=r"nodes\[.\] is .* m off its rigid body"):
+        model.state(CUBE + moved)
+    with pytest.raises(ValueError, match=r"velocities\[.\] is .* m/s off its rigid body"):
+        model.state(CUBE, moved)
+    model.state(1.1 * CUBE, 2.0 * CUBE)  # affine: projections restore the lengths
+
+
+def test_bodies_take_cables_and_segments():
+    nodes = np.vstack([SQUARE, SQUARE + (0, 0, 1)])
+    s = tc.Structure(
+        nodes,
+        strings=[(0, 4), (4, 1), (2, 6), (3, 7)],
+        pinned=(5, 6, 7),
+        node_mass=np.where(np.arange(8) == 4, 0.5, 0.0),
+        bodies=[tc.RigidBody(range(4), 1.0, None, (0.2, 0.2, 0.3))],
+        cables=[[0, 1]],
+        stiffness=200.0,
+        rest_length=0.8,
+        string_mass=0.01,
+    )
+    model = tc.Model(tc.Scene(s, gravity=tc.Gravity()))
+    run = tc.simulate(model, 0.3, 1e-3)
+    assert run.success, run.message
+    plain = s.replace(cables=())
+    halves = tc.Model(tc.Scene(plain, gravity=tc.Gravity(), segments=2, ends="consistent"))
+    assert halves.nodes(halves.initial_state).shape == (12, 3)
+    assert tc.simulate(halves, 0.1, 1e-3).success
+
+
+@pytest.mark.parametrize(
+    ("scene", "count"),
+    [
+        (tc.Scene(tc.shapes.prism(), control=tc.ForceDensity()), 357),
+        (tc.Scene(tc.shapes.double_pendulum(), gravity=tc.Gravity()), 171),
+        (tc.Scene(tc.shapes.six_bar_ball(), gravity=tc.Gravity(), ground=tc.Ground()), 1140),
+    ],
+)
+def test_expressions_without_bodies_are_as_short_as_before(scene, count):
+    assert tc.Model(scene, "reduced").ode.n_instructions() <= count

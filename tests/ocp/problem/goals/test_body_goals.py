@@ -116,3 +116,31 @@ def test_problem_files_hold_the_goal(tmp_path):
     again = ocp.load_problem(tmp_path / "plate.toml")
     np.testing.assert_array_equal(again.goals[0].rotation, (0, 0, 0.5))
     assert again.model.structure.bodies == problem.model.structure.bodies
+
+
+def test_spine_of_vertebrae_bends():
+    """Each vertebra of four tips hangs in eight strings; the lowest one is pinned."""
+    tips = 0.1 * np.array([(1, 1, -1), (-1, -1, -1), (1, -1, 1), (-1, 1, 1)])
+    nodes = np.vstack([tips + (0, 0, 0.12 * k) for k in range(3)])
+    strings = [
+        (4 * k + i, 4 * k + 4 + j)
+        for k in range(2)
+        for i, j in [*((tip, tip) for tip in range(4)), (2, 0), (2, 1), (3, 0), (3, 1)]
+    ]
+    bodies = [
+        tc.RigidBody(range(4 * k, 4 * k + 4), 0.3, (0, 0, 0.12 * k), (2e-3, 2e-3, 2e-3))
+        for k in (1, 2)
+    ]
+    s = tc.Structure(nodes, strings=strings, pinned=range(4), bodies=bodies)
+    model = tc.Model(tc.Scene(s, gravity=tc.Gravity(), control=tc.ForceDensity()))
+    problem = ocp.Problem(
+        model,
+        0.5,
+        goals=[ocp.BodyOrientation(1, (0, 0.3, 0)), ocp.AtRest()],
+        bounds=[ocp.ForceDensityLimits(2.0, 300.0)],
+        costs=[ocp.Effort()],
+    )
+    plan = ocp.solve(problem)
+    assert plan.success, plan.message
+    expected = Rotation.from_rotvec((0, 0.3, 0)).as_matrix()
+    np.testing.assert_allclose(plan.replay().orientation(1)[-1], expected, atol=1e-3)
