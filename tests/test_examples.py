@@ -43,6 +43,14 @@ def plate_on_strings(plan: Any) -> None:
     assert spin.max() < 1.25
 
 
+def two_motors(plan: Any) -> None:
+    assert plan.success, plan.message
+    assert plan.replay_error < 1e-3
+    assert (plan.control[:, 1] == plan.control[:, 2]).all()  # wound by one motor
+    tension = plan.replay().tension
+    np.testing.assert_allclose(tension[:, :3], tension[:, 3:6], rtol=1e-9)  # along each cable
+
+
 def plan_landing(plan: Any) -> None:
     assert plan.success, plan.message
     replay = plan.replay()

@@ -29,6 +29,7 @@ PICTURES = {
     "plan_prism": ("plan_prism", "plan_prism_forces"),
     "plate_on_strings": ("plate_on_strings",),
     "dbar_folds": ("dbar_folds",),
+    "two_motors": ("two_motors",),
     "arm_reaches": ("arm_reaches",),
     "ball_rolls": ("ball_rolls",),
     "plan_landing": ("plan_landing",),

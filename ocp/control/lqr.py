@@ -13,8 +13,12 @@ from numpy.typing import ArrayLike
 from ocp.control.closed_loop import run
 from ocp.control.departures import build_departures
 from ocp.control.holding import Rest, compute_stationary_cost, find_rest
-from ocp.problem.bounds.string_bounds import ForceDensityLimits, RestLengthLimits
-from ocp.problem.control import build_force_density_model, controls_rest_lengths
+from ocp.problem.control import (
+    build_force_density_model,
+    controls_force_densities,
+    controls_rest_lengths,
+)
+from ocp.problem.path_constraints import control_limits
 from ocp.results.result import PlanResult
 from ocp.transcription.mesh import profile_at
 from tenscasadi.dynamics.linear_steps import riccati_gains, transitions
@@ -241,13 +245,12 @@ def track(
         else positive_number("place", place)
     )
     usual = 0.1 * float(plan.force_density.mean()) or 1.0
-    if controls_rest_lengths(model):  # the change of rest lengths that causes it
-        usual *= float(
-            np.mean(model.scene.structure.string_lengths / model.scene.structure.stiffness)
-        )
+    if not controls_force_densities(model):  # the change of tension or rest lengths that causes it
+        stiffness = model.scene.structure.stiffness if controls_rest_lengths(model) else 1.0
+        usual *= float(np.mean(model.scene.structure.string_lengths / stiffness))
     force = usual if effort is None else positive_number("effort", effort)
     known = (0.0, np.inf) if plan.problem is None else plan.problem.control_limits
-    limits = (RestLengthLimits if controls_rest_lengths(model) else ForceDensityLimits)(
+    limits = control_limits(model)(
         known[0] if lower is None else lower, known[1] if upper is None else upper
     )
     limits.check(model.scene.structure)
@@ -282,9 +285,12 @@ def _rest(
     It is a force density, or the rest length at which an elastic string has this force density.
     """
     end = plan.trajectory.states[-1]
-    if not controls_rest_lengths(model):
+    if controls_force_densities(model):
         return find_rest(model, end, *limits, slow, margin)
     structure = model.scene.structure
+    if structure.cables or not controls_rest_lengths(model):
+        message = "the end is not held: give a model without cables, under force densities"
+        return Rest(None, np.zeros(0), message)
     lower, upper = (
         (np.zeros(model.nu), np.full(model.nu, np.inf))
         if plan.problem is None
@@ -328,7 +334,7 @@ def _planned(plan: PlanResult, model: Model, time: Array) -> Array:
     for part in range(BETWEEN):
         x = advance(
             x,
-            profile_at(plan.force_density, nodes, nodes[k] + (part + 0.5) / BETWEEN * since).T,
+            profile_at(plan.control, nodes, nodes[k] + (part + 0.5) / BETWEEN * since).T,
             since[None] / BETWEEN,
         )
     states = np.asarray(x.full()).T

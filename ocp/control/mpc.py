@@ -13,7 +13,7 @@ from ocp.control.departures import build_departures
 from ocp.control.holding import find_rest
 from ocp.control.mpc_constraints import Horizon, HorizonLimits
 from ocp.guess.inverse_dynamics import inverse_dynamics
-from ocp.problem.control import reject_rest_length_control
+from ocp.problem.control import require_force_densities
 from ocp.problem.goals.periodic import Periodic
 from ocp.problem.goals.waypoints import Waypoint
 from ocp.problem.phase import reject_phases
@@ -116,7 +116,7 @@ class Mpc:
     ) -> None:
         instance("problem", problem, Problem, "an ocp.Problem")
         reject_phases(problem.phases, "Mpc")
-        reject_rest_length_control(problem.model, "Mpc")
+        require_force_densities(problem.model, "Mpc")
         if plan is not None:
             instance("plan", plan, PlanResult, "an ocp.Plan or None")
             if (plan.trajectory.states.shape[1], plan.force_density.shape[1]) != (

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from ocp.control.holding import at_rest
 from ocp.guess.inverse_dynamics import inverse_dynamics
-from ocp.problem.control import reject_rest_length_control
+from ocp.problem.control import require_force_densities
 from ocp.problem.costs import Cost
 from ocp.problem.expressions import Integral
 from ocp.problem.instant import Instant
@@ -149,7 +149,7 @@ class Mppi:
     ) -> None:
         problem = _read_problem(problem, model)
         reject_phases(problem.phases, "Mppi")
-        reject_rest_length_control(problem.model, "Mppi")
+        require_force_densities(problem.model, "Mppi")
         self.model: Model = problem.model
         self.period = positive_number("period", period)
         ratio = positive_number("horizon", horizon) / self.period

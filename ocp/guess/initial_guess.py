@@ -329,7 +329,7 @@ def _with_noise(problem: Problem, guess: Guess, share: float, seed: int) -> Gues
     """Attach the noise that a solver adds at a saddle.
 
     It differs from string to string, which breaks symmetries. It is at most ``share`` times the
-    largest force density. Guesses of rest lengths get none.
+    largest force density or tension. Guesses of rest lengths get none.
     """
     if controls_rest_lengths(
         problem.model

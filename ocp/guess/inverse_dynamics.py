@@ -8,11 +8,16 @@ import casadi as ca
 import numpy as np
 import scipy.optimize
 
-from ocp.problem.control import build_force_density_model, controls_rest_lengths
+from ocp.problem.control import (
+    build_force_density_model,
+    controls_force_densities,
+    controls_rest_lengths,
+)
 from ocp.problem.instant import symbolic
 from tenscasadi.dynamics.linearization import EquationDerivatives
 from tenscasadi.scene.loads import Gravity
 from tenscasadi.statics.force_density import EquilibriumError, equilibrium_force_density
+from tenscasadi.structure.cables import add_compliances
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array
 
@@ -61,30 +66,34 @@ def inverse_dynamics(problem: Problem, states: Array, interval: float) -> tuple[
     found = _solve_least_squares(A, b, lower, upper)
     rest = wanted - free - (accelerations @ found[:, :, None])[:, :, 0]
     error = float(np.nan_to_num(np.mean(rest**2), nan=np.inf))
-    if controls_rest_lengths(problem.model):
-        found = _convert_to_rest_lengths(problem, middle, found)
+    if not controls_force_densities(problem.model):
+        found = _convert_to_controls(problem, middle, found)
     return found, error
 
 
-def _convert_to_rest_lengths(problem: Problem, states: Array, force_density: Array) -> Array:
-    """Convert force densities into rest lengths of elastic strings.
+def _convert_to_controls(problem: Problem, states: Array, force_density: Array) -> Array:
+    """Convert force densities into tensions or rest lengths.
 
-    At states (K, nx), the rest lengths (K, α) are s − (s γ − c ṡ)/k [m], clipped to their limits.
-    Strings keep at least 2 % of the largest force density, as slack ones do not respond to their
-    controls.
+    At states (K, nx), a cable has the mean tension T = Σ s t/Σ s of its strings. The controls
+    (K, nu) are T [N], or the rest lengths Σ s − (T − c Σ ṡ)/k [m]. They are clipped to their
+    limits. Strings keep at least 2 % of the largest force density, as slack ones do not respond to
+    their controls.
     """
     structure, now = problem.model.scene.structure, symbolic(problem.model)
     measure = ca.Function(
         "measure", [now.state], [ca.densify(now.lengths), ca.densify(now.rates)]
     ).map(len(states))
     lengths, rates = (np.asarray(value.full()).T for value in measure(states.T))
-    taut = np.maximum(force_density, 0.02 * force_density.max(initial=0.0)) * lengths
-    return np.asarray(
-        np.clip(
-            lengths - (taut - structure.damping * rates) / structure.stiffness,
-            *problem.control_limits,
-        )
-    )
+    tension = np.maximum(force_density, 0.02 * force_density.max(initial=0.0)) * lengths
+    k, c = structure.stiffness, structure.damping
+    if structure.cables:
+        onto = np.equal.outer(structure.cable_of, np.arange(problem.model.nu)).astype(float)
+        tension, lengths = (tension * lengths) @ onto / (lengths @ onto), lengths @ onto
+        rates = rates @ onto
+        k, c = (add_compliances(structure.cable_of, each) for each in (k, c))
+    if not controls_rest_lengths(problem.model):
+        return np.asarray(np.clip(tension, *problem.control_limits))
+    return np.asarray(np.clip(lengths - (tension - c * rates) / k, *problem.control_limits))
 
 
 def _interpolate_equilibria(problem: Problem, states: Array) -> Array:

@@ -20,7 +20,7 @@ from ocp.plan.robustness import (
     share_variance,
     vary_model,
 )
-from ocp.problem.control import reject_rest_length_control
+from ocp.problem.control import require_force_densities
 from ocp.problem.phase import reject_phases
 from ocp.problem.scaling import Scales
 from ocp.results.acceptance import RELIABLE, interpolate_replays, measure_errors
@@ -60,7 +60,7 @@ def measure_robustness(
     names = tuple(spreads)
     planned, problem = plan.require_model("robustness"), plan.problem
     reject_phases(() if problem is None else problem.phases, "robustness")
-    reject_rest_length_control(planned, "robustness")
+    require_force_densities(planned, "robustness")
     elastic = any(name in STRINGS for name in names)
     model = vary_model(planned, names, RestLength() if elastic else planned.scene.control)
     tracker = (

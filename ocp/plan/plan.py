@@ -86,9 +86,13 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
         failed. None for one start.
     not_restored : str
         Reason why a loaded plan has no problem, transcription or solver; "" if it has them.
-    rest_length : ndarray, shape (K, α) or (K + 1, α), or None
+    rest_length : ndarray, shape (K, nu) or (K + 1, nu), or None
         Rest lengths [m] under rest-length control (``control=RestLength()``). `force_density` has
-        the resulting force densities at the same times. None under force-density control.
+        the resulting force densities at the same times. None under other controls. A cable has one
+        entry, as it has in `control`.
+    input_tension : ndarray, shape (K, nu) or (K + 1, nu), or None
+        Tensions [N] of cables and lone strings under tension control (``control=Tension()``). None
+        under other controls.
 
     Examples
     --------

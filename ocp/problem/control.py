@@ -1,4 +1,4 @@
-"""Control of a plan: force densities, or rest lengths."""
+"""Control of a plan: force densities, tensions or rest lengths."""
 
 from __future__ import annotations
 
@@ -8,7 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tenscasadi.scene.strings import ForceDensity, Linear, RestLength
-from tenscasadi.structure.cables import reject_cables
+
+
+def controls_force_densities(model: Model) -> bool:
+    """Return whether the model is controlled by force densities."""
+    return isinstance(model.scene.control, ForceDensity)
+
 
 if TYPE_CHECKING:
     from tenscasadi.dynamics.model import Model
@@ -20,13 +25,28 @@ def controls_rest_lengths(model: Model) -> bool:
 
 
 def control_name(model: Model) -> str:
-    """Return the name of the control of one string."""
-    return "rest length" if controls_rest_lengths(model) else "force density"
+    """Return the name of the control of one string or cable."""
+    control = model.scene.control
+    return "" if control is None else control.name
+
+
+def control_unit(model: Model) -> str:
+    """Return the unit of the control."""
+    control = model.scene.control
+    return "" if control is None else control.unit
 
 
 def build_force_density_model(model: Model) -> Model:
-    """Build the model of the same structure under force densities."""
-    return _change(model, control=ForceDensity()) if controls_rest_lengths(model) else model
+    """Build the model of the same structure under force densities.
+
+    Its strings are in no cable, so that each has a force density.
+    """
+    if controls_force_densities(model):
+        return model
+    structure = model.scene.structure
+    if not structure.cables:
+        return _change(model, control=ForceDensity())
+    return _change(model, control=ForceDensity(), structure=structure.replace(cables=()))
 
 
 def build_smooth_model(model: Model) -> Model:
@@ -56,11 +76,10 @@ def _change(model: Model, **changes: Any) -> Model:
 def check_control(model: Model) -> None:
     """Raise ValueError if the strings cannot be controlled."""
     control = model.scene.control
-    if not isinstance(control, (ForceDensity, RestLength)):
+    if control is None:
         raise ValueError(
-            f"Problem.model has the control {control}: give a model of Scene(..., control=ForceDensity()) or RestLength()"
+            f"Problem.model has the control {control}: give a model of Scene(..., control=ForceDensity()), Tension() or RestLength()"
         )
-    reject_cables(model.scene.structure, "planning")
     limp = np.flatnonzero(model.scene.structure.stiffness == 0)
     if controls_rest_lengths(model) and limp.size:
         raise ValueError(
@@ -70,9 +89,9 @@ def check_control(model: Model) -> None:
         raise ValueError("Problem.model has no strings: there is nothing to plan")
 
 
-def reject_rest_length_control(model: Model, user: str) -> None:
-    """Raise ValueError if the control is rest lengths."""
-    if controls_rest_lengths(model):
+def require_force_densities(model: Model, user: str) -> None:
+    """Raise ValueError if the control is not force densities."""
+    if not controls_force_densities(model):
         raise ValueError(
-            f"{user} is for force densities, and the model has control=RestLength(): give a model of Scene(..., control=ForceDensity())"
+            f"{user} is for force densities, and the model has control={model.scene.control}: give a model of Scene(..., control=ForceDensity())"
         )

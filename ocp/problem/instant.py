@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
-from ocp.problem.control import controls_rest_lengths
+from ocp.problem.control import controls_force_densities, controls_rest_lengths
 from ocp.problem.rows import column_norms
 from tenscasadi.dynamics.body_motion import body_frame
-from tenscasadi.util.validate import Array, nonnegative, per_item
+from tenscasadi.util.validate import Array, Indices, nonnegative, per_item
 
 if TYPE_CHECKING:
     from tenscasadi.dynamics.model import Model
@@ -29,9 +29,9 @@ class Instant:
         The model of the problem.
     state : casadi.SX or casadi.MX, shape (nx,)
         State of the model.
-    control : casadi.SX or casadi.MX, shape (α,)
-        Control: force densities γ [N/m], or rest lengths [m] of a model with
-        ``control=RestLength()``.
+    control : casadi.SX or casadi.MX, shape (nu,)
+        Control: force densities γ [N/m], or tensions [N] or rest lengths [m] of cables and strings,
+        as the model's control is.
     time : casadi.SX or casadi.MX
         Time since the start [s].
 
@@ -114,12 +114,12 @@ class Instant:
     def force_density(self) -> Any:
         """Force densities γ (α,) [N/m].
 
-        They are the control, or follow from rest lengths by the string law.
+        They are the control, or follow from it by the string law.
         """
-        if not controls_rest_lengths(self.model):
+        if controls_force_densities(self.model):
             return self.control
         mean = self._gather(
-            self.model.structure.string_fraction
+            self.model.structure.string_parent, self.model.structure.string_fraction
         )  # weighted mean over segments: their tensions differ by the inertia of inner nodes
         return ca.mtimes(mean, self.tension) / self.lengths
 
@@ -140,8 +140,8 @@ class Instant:
     def rest_lengths(self, stiffness: Any) -> Any:
         """Compute the rest lengths that give the force densities.
 
-        They are ρ = s (1 − γ/k), summed over the segments of a string. Under rest-length control,
-        they are the control itself.
+        They are ρ = s (1 − γ/k), summed over the segments of a string and the strings of a cable.
+        Under rest-length control, they are the control itself.
 
         Parameters
         ----------
@@ -150,8 +150,8 @@ class Instant:
 
         Returns
         -------
-        casadi.SX or casadi.MX, shape (α,)
-            Rest lengths [m] (Eq. 99).
+        casadi.SX or casadi.MX, shape (nu,)
+            Rest lengths of cables and strings [m] (Eq. 99).
 
         Raises
         ------
@@ -168,15 +168,15 @@ class Instant:
             / s.string_fraction
         )
         parts = along - self.tension / whole  # s (1 − γ/k)
-        return ca.mtimes(self._gather(np.ones(len(s.strings))), parts)
+        return ca.mtimes(self._gather(self.model.scene.input_of, np.ones(len(s.strings))), parts)
 
-    def _gather(self, weights: Array) -> ca.DM:
-        """Build the matrix that sums over the segments of strings.
+    def _gather(self, whole: Indices, weights: Array) -> ca.DM:
+        """Build the matrix that sums over the segments of strings or the strings of cables.
 
-        Its nonzero entries are ``weights``, one for each segment.
+        ``whole`` is the sum to which each segment contributes, with a weight.
         """
-        parent, count = self.model.structure.string_parent, len(self.model.scene.structure.strings)
-        return ca.sparsify(ca.DM((np.arange(count)[:, None] == parent[None]) * weights[None]))
+        count = int(whole.max(initial=-1)) + 1
+        return ca.sparsify(ca.DM((np.arange(count)[:, None] == whole[None]) * weights[None]))
 
     def _across(self, columns: Any, pairs: Any) -> Any:
         return columns[:, pairs[:, 1].tolist()] - columns[:, pairs[:, 0].tolist()]
@@ -185,9 +185,9 @@ class Instant:
 def forces_of(model: Model, states: Array, controls: Array) -> Array:
     """Evaluate force densities at states under given controls.
 
-    States are (K, nx), controls (K, α), force densities (K, α) [N/m].
+    States are (K, nx), controls (K, nu), force densities (K, α) [N/m].
     """
-    if not controls_rest_lengths(model):
+    if controls_force_densities(model):
         return controls
     now = symbolic(model)
     follow = ca.Function("follow", [now.state, now.control], [ca.densify(now.force_density)]).map(

@@ -14,15 +14,34 @@ import casadi as ca
 import numpy as np
 
 from ocp.problem.bounds.bound import Bound, PathBound, PathConstraint, RateBound
-from ocp.problem.bounds.string_bounds import ForceDensityLimits, RestLengthLimits
+from ocp.problem.bounds.string_bounds import (
+    ForceDensityLimits,
+    RestLengthLimits,
+    StringLimits,
+    TensionLimits,
+)
 from ocp.problem.constraints import build_constraint
-from ocp.problem.control import controls_rest_lengths
+from ocp.problem.control import controls_force_densities, controls_rest_lengths
 from ocp.problem.instant import symbolic
+from tenscasadi.dynamics.model import Model
+from tenscasadi.scene.strings import ForceDensity, RestLength, Tension
+from tenscasadi.structure.cables import select_first
 from tenscasadi.util.validate import Array
 
 if TYPE_CHECKING:
     from ocp.problem.problem import Problem
     from ocp.problem.scaling import Scales
+
+_LIMITS: dict[type, type[StringLimits]] = {
+    ForceDensity: ForceDensityLimits,
+    Tension: TensionLimits,
+    RestLength: RestLengthLimits,
+}
+
+
+def control_limits(model: Model) -> type[StringLimits]:
+    """Return the limits of a model's control, which are bounds on decision variables."""
+    return _LIMITS[type(model.scene.control)]
 
 
 def path_constraints(
@@ -37,8 +56,8 @@ def path_constraints(
     found = dict(_build_constraints(problem, kind, implied))
     times = Counter(name for one in found.values() for name in set(one.names))
     own = []
-    if kind is PathBound and controls_rest_lengths(problem.model):
-        own = [_limit_force_densities(problem)]
+    if kind is PathBound and not controls_force_densities(problem.model):
+        own = _limit_force_densities(problem)
     for k, one in found.items():
         names = tuple(f"{name} (bounds[{k}])" if times[name] > 1 else name for name in one.names)
         own += [replace(one, names=names)] if names else []
@@ -53,7 +72,7 @@ def _build_constraints(
     Limits of the control itself are left out, as they are bounds on decision variables.
     """
     model = problem.model
-    control = RestLengthLimits if controls_rest_lengths(model) else ForceDensityLimits
+    control = control_limits(model)
     for k, bound in enumerate(problem.bounds):
         if isinstance(bound, kind) and not isinstance(bound, control):
             own: Bound = bound
@@ -62,16 +81,23 @@ def _build_constraints(
             yield k, build_constraint(own, model)
 
 
-def _limit_force_densities(problem: Problem) -> PathConstraint:
-    """Build the limits of force densities under rest-length control.
+def _limit_force_densities(problem: Problem) -> list[PathConstraint]:
+    """Build the limits of force densities that are no controls.
 
-    Strings carry no compression, so that lower limits are at least 0.
+    Strings carry no compression, so that lower limits are at least 0. That is one constraint for
+    each cable, and the controls satisfy it already if they are tensions.
     """
     now, (lower, upper) = symbolic(problem.model), problem.force_density_limits
-    names = tuple(f"force density of string {k}" for k in range(len(lower)))
-    return PathConstraint(
-        now.force_density, lower, upper, names, "N/m", now.symbols, PathBound.ends
-    )
+    own = (lower > 0) | np.isfinite(upper)
+    if controls_rest_lengths(problem.model):
+        own[select_first(problem.model.scene.structure.cable_of)] = True
+    which = np.flatnonzero(own)
+    if not which.size:
+        return []
+    names = tuple(f"force density of string {k}" for k in which)
+    value = now.force_density if own.all() else now.force_density[which.tolist()]
+    limits = lower[which], upper[which]
+    return [PathConstraint(value, *limits, names, "N/m", now.symbols, PathBound.ends)]
 
 
 @dataclass(frozen=True, eq=False)

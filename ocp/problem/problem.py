@@ -10,8 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ocp.problem.bounds.bound import Bound
-from ocp.problem.bounds.string_bounds import ForceDensityLimits, RestLengthLimits
-from ocp.problem.control import controls_rest_lengths
+from ocp.problem.bounds.string_bounds import (
+    ForceDensityLimits,
+    RestLengthLimits,
+    StringLimits,
+    TensionLimits,
+)
+from ocp.problem.control import controls_force_densities, controls_rest_lengths
 from ocp.problem.costs import Cost
 from ocp.problem.goals.goal import Goal
 from ocp.problem.phase import Phase
@@ -229,7 +234,7 @@ class Problem(Value, kind="Problem"):
             for goal in self.goals
         ]
 
-    def limits(self, kind: type) -> tuple[Array, Array]:
+    def limits(self, kind: type[StringLimits]) -> tuple[Array, Array]:
         """Combine the limits of all bounds of one kind.
 
         Parameters
@@ -239,9 +244,9 @@ class Problem(Value, kind="Problem"):
 
         Returns
         -------
-        lower : numpy.ndarray, shape (α,)
-            Lower limits; −inf if there are none.
-        upper : numpy.ndarray, shape (α,)
+        lower : numpy.ndarray, shape (α,) or (nu,)
+            Lower limits of strings, or of cables and lone strings; −inf if there are none.
+        upper : numpy.ndarray, shape (α,) or (nu,)
             Upper limits; inf if there are none.
         """
         return string_limits(self.model.scene.structure, self.bounds, kind)
@@ -257,12 +262,16 @@ class Problem(Value, kind="Problem"):
 
     @property
     def control_limits(self) -> tuple[Array, Array]:
-        """Lower and upper limits (α,) of the control.
+        """Lower and upper limits (nu,) of the control.
 
-        They limit force densities [N/m], or rest lengths [m]. Lower limits of rest lengths are at
-        least 10⁻³ of the string lengths.
+        They limit force densities [N/m], tensions [N], or rest lengths [m]. Lower limits of rest
+        lengths are at least 10⁻³ of the string lengths.
         """
-        if not controls_rest_lengths(self.model):
+        if controls_force_densities(self.model):
             return self.force_density_limits
+        if not controls_rest_lengths(self.model):
+            lower, upper = self.limits(TensionLimits)
+            return np.maximum(lower, 0.0), upper
         lower, upper = self.limits(RestLengthLimits)
-        return np.maximum(lower, 1e-3 * self.model.scene.structure.string_lengths), upper
+        s = self.model.scene.structure
+        return np.maximum(lower, 1e-3 * np.bincount(s.cable_of, weights=s.string_lengths)), upper

@@ -16,7 +16,7 @@ from ocp.problem.bounds.string_bounds import (
     StringLimits,
     TensionLimits,
 )
-from ocp.problem.control import check_control, reject_rest_length_control
+from ocp.problem.control import check_control, require_force_densities
 from ocp.problem.costs import Cost, CostAt, Effort
 from ocp.problem.expressions import check_expressions
 from ocp.problem.goals.goal import Goal, SoftGoal
@@ -120,8 +120,10 @@ def fraction_of(goal: Goal, duration: Duration) -> float:
     return goal.at(*limits_of(duration)) if isinstance(goal, Waypoint) else 1.0
 
 
-def string_limits(structure: Structure, bounds: Iterable[Bound], kind: type) -> tuple[Array, Array]:
-    """Combine the limits (α,) of all bounds of one kind.
+def string_limits(
+    structure: Structure, bounds: Iterable[Bound], kind: type[StringLimits]
+) -> tuple[Array, Array]:
+    """Combine the limits (α,) or (nu,) of all bounds of one kind.
 
     They are infinite if there are none.
     """
@@ -130,7 +132,7 @@ def string_limits(structure: Structure, bounds: Iterable[Bound], kind: type) -> 
         for bound in bounds
         if isinstance(bound, kind) and isinstance(bound, StringLimits)
     ]
-    count = len(structure.strings)
+    count = len(kind.names_of(structure))
     lower = np.max([np.full(count, -np.inf), *(low for low, _ in given)], axis=0)
     upper = np.min([np.full(count, np.inf), *(up for _, up in given)], axis=0)
     return lower, upper
@@ -215,7 +217,7 @@ def _check_limits(structure: Structure, bounds: tuple[Bound, ...]) -> None:
         if crossed.size:
             i = int(crossed[0])
             raise ValueError(
-                f"Problem.bounds: {kind.__name__} leave string {i} nothing, lower {lower[i]:g} and upper {upper[i]:g}: widen one"
+                f"Problem.bounds: {kind.__name__} leave {kind.names_of(structure)[i]} nothing, lower {lower[i]:g} and upper {upper[i]:g}: widen one"
             )
 
 
@@ -225,7 +227,7 @@ def _check_phases(found: Resolved, divided: bool) -> None:
     ``divided`` says whether they come from waypoints. Raises TypeError, ValueError.
     """
     try:
-        reject_rest_length_control(found.model, "Problem.phases")
+        require_force_densities(found.model, "Problem.phases")
         if isinstance(found.start, FreeStart):
             raise ValueError(
                 "Problem.start is free, and phases begin with nodes on the ground: give the start"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 
-from ocp.problem.control import controls_rest_lengths
+from ocp.problem.control import controls_force_densities, controls_rest_lengths
 from ocp.problem.costs import cost_terms
 from ocp.problem.instant import symbolic
 from tenscasadi.util.validate import Array
@@ -63,15 +63,20 @@ class Scales:
 
 
 def control_scale(problem: Problem, strength: float) -> Array:
-    """Compute the scale (α,) of control changes.
+    """Compute the scale (nu,) of control changes.
 
-    It is a typical force density ``strength`` [N/m]. Under rest-length control, it is the change of
-    rest lengths [m] that causes it, at most the string lengths.
+    It is a typical force density ``strength`` [N/m], or the tension [N] of a string that has it.
+    Under rest-length control, it is the change of rest lengths [m] that causes it, at most the
+    string lengths.
     """
     structure = problem.model.scene.structure
-    if not controls_rest_lengths(problem.model):
+    if controls_force_densities(problem.model):
         return np.full(len(structure.strings), strength)
-    return np.asarray(structure.string_lengths * np.minimum(strength / structure.stiffness, 1.0))
+    of = structure.cable_of
+    if not controls_rest_lengths(problem.model):
+        return strength * np.bincount(of, weights=structure.string_lengths) / np.bincount(of)
+    change = structure.string_lengths * np.minimum(strength / structure.stiffness, 1.0)
+    return np.asarray(np.bincount(of, weights=change))
 
 
 def typical_cost(
@@ -79,20 +84,20 @@ def typical_cost(
 ) -> float:
     """Compute a typical value of the objective for its scaling.
 
-    States are (K + 1, nx), controls (K, α). Force densities are replaced by one sine period about
-    ``strength`` [N/m]; under rest-length control, in control costs only. If they alternated between
+    States are (K + 1, nx), controls (K, nu). Force densities are replaced by one sine period about
+    ``strength`` [N/m]; under other controls, in control costs only. If they alternated between
     intervals instead, costs of their rates would grow with the square of the number of intervals.
     The scaled objective would then be small compared with the solver's tolerance.
     """
     count = len(force_density)
-    string, interval = np.indices(force_density.T.shape)
+    string, interval = np.indices((len(problem.model.scene.structure.strings), count))
     pattern = strength * (
         1 + np.sqrt(0.5) * (-1.0) ** string * np.sin(2 * np.pi * (interval + 0.5) / count)
     )
-    decided = force_density.T if controls_rest_lengths(problem.model) else pattern
+    decided = pattern if controls_force_densities(problem.model) else force_density.T
     step, time = duration / count, np.linspace(0.0, duration, count + 1)
     now, terms = symbolic(problem.model), cost_terms(problem.costs)
-    changed = np.diag(control_scale(problem, strength) / strength) @ pattern
+    changed = np.diag(control_scale(problem, strength) / strength) @ pattern[: problem.model.nu]
     total = sum(
         float(ca.DM(expression(ca.DM(held), step)))
         for expressions, held in ((terms.control, pattern), (terms.changes, changed))

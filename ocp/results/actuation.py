@@ -151,7 +151,7 @@ def replay_rest_lengths(
 
 
 def _reject_rest_lengths(plan: PlanResult) -> None:
-    if plan.rest_length is not None:
+    if plan.control is not plan.force_density:
         raise ValueError(
-            "plan has decided rest lengths: Plan.rest_lengths returns them, and Plan.replay applies them"
+            "plan has decided rest lengths or tensions: Plan.control returns them, and Plan.replay applies them"
         )

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.strings import rest_length
 from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.structure.cables import name_inputs
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.tables import Quantity, Tabular
 from tenscasadi.util.validate import Array, flag, nonnegative, per_item
@@ -27,6 +28,7 @@ class PlannedForces(Tabular):
     time: Array
     force_density: Array
     rest_length: Array | None
+    input_tension: Array | None
     trajectory: Trajectory
     structure: Structure
 
@@ -39,11 +41,13 @@ class PlannedForces(Tabular):
 
     @property
     def control(self) -> Array:
-        """Control values (K, α) or (K + 1, α).
+        """Control values (K, nu) or (K + 1, nu).
 
-        They are rest lengths [m] under rest-length control, otherwise force densities [N/m].
+        They are force densities [N/m] of strings, or rest lengths [m] or tensions [N] of cables and
+        lone strings.
         """
-        return self.force_density if self.rest_length is None else self.rest_length
+        given = self.rest_length if self.input_tension is None else self.input_tension
+        return self.force_density if given is None else given
 
     @property
     def linear(self) -> bool:
@@ -64,14 +68,16 @@ class PlannedForces(Tabular):
         yield Quantity("force_density", "string {} force density (N/m)", gamma, string)
         yield Quantity("tension", "string {} tension (N)", gamma * self.lengths(), string)
         if not soft:
-            rest = self.rest_lengths()[rows]
-            yield Quantity("rest_length", "string {} rest length (m)", rest, string)
+            item = "input" if self.structure.cables else "string"
+            rest, column = self.rest_lengths()[rows], f"{item} {{}} rest length (m)"
+            yield Quantity("rest_length", column, rest, (item,))
         yield Quantity("position", "node {} {} (m)", self.trajectory.nodes, nodes)
         velocities = self.trajectory.velocities
         yield Quantity("velocity", "node {} velocity {} (m/s)", velocities, nodes)
 
     def _labels(self) -> Mapping[str, Sequence[str]]:
-        return {"node": self.structure.node_names, "string": self.structure.string_names}
+        s = self.structure
+        return {"node": s.node_names, "string": s.string_names, "input": name_inputs(s)}
 
     def lengths(self) -> Array:
         """Compute the lengths of all strings.
@@ -116,7 +122,7 @@ class PlannedForces(Tabular):
         """
         model, count = self.require_model("bar_forces"), len(self.time) - 1
         lam = model.multiplier_function.map(count)(
-            self.trajectory.states[:-1].T, self.force_density[:count].T
+            self.trajectory.states[:-1].T, self.control[:count].T
         )[0]
         ends = self.trajectory.nodes[:-1, self.structure.bars]
         return np.asarray(
@@ -127,7 +133,8 @@ class PlannedForces(Tabular):
         """Compute the rest lengths that produce the planned force densities.
 
         A plan under rest-length control returns its control if no stiffness is given. Otherwise the
-        rest lengths are s (1 − γ/k) for elastic strings of length s, without damping (Eq. 99).
+        rest lengths are s (1 − γ/k) for elastic strings of length s, without damping (Eq. 99). That
+        of a cable is the sum over its strings.
 
         Parameters
         ----------
@@ -136,8 +143,8 @@ class PlannedForces(Tabular):
 
         Returns
         -------
-        ndarray, shape (K, α) or (K + 1, α)
-            Rest lengths [m] at the start of each interval, or at all mesh points if force densities
+        ndarray, shape (K, nu) or (K + 1, nu)
+            Rest lengths [m] of cables and lone strings at the start of each interval, or at all mesh points if force densities
             are piecewise linear.
 
         Raises
@@ -159,4 +166,8 @@ class PlannedForces(Tabular):
             raise ValueError(
                 f"stiffness of string {i} is {k[i]:g} N/m: it must exceed its force density, up to {largest[i]:g} N/m in this plan"
             )
-        return rest_length(self.force_density, self.lengths()[: len(self.force_density)], k)
+        rest = rest_length(self.force_density, self.lengths()[: len(self.force_density)], k)
+        if not self.structure.cables:
+            return rest
+        inputs = np.arange(len(name_inputs(self.structure)))
+        return np.asarray(rest @ np.equal.outer(self.structure.cable_of, inputs).astype(float))

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from ocp.problem.bounds.bound import PathBound, PathConstraint, RateBound
-from ocp.problem.control import control_name, controls_rest_lengths
+from ocp.problem.control import control_name, control_unit
 from ocp.problem.goals.goal import soft_goals
 from ocp.problem.path_constraints import path_constraints
 from ocp.problem.problem import Problem
@@ -18,6 +18,7 @@ from ocp.problem.rows import goal_rows
 from ocp.solvers.multipliers import Duals
 from ocp.transcription.mesh import profile_at
 from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.structure.cables import name_inputs
 from tenscasadi.util.validate import Array
 
 # relative to the range or size of a limit: a value within it is active, one farther beyond violated
@@ -261,14 +262,15 @@ def _limits_of_instants(
     Bounds of the end only are evaluated at the last instant.
     """
     lower, upper = problem.control_limits
-    names = tuple(f"{control_name(problem.model)} of string {k}" for k in range(len(lower)))
+    inputs = name_inputs(problem.model.scene.structure)
+    names = tuple(f"{control_name(problem.model)} of {name}" for name in inputs)
     own = _LimitedValues(
         PathConstraint(
             None,
             lower,
             upper,
             names,
-            "m" if controls_rest_lengths(problem.model) else "N/m",
+            control_unit(problem.model),
             (),
             (),
         ),

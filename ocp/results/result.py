@@ -52,7 +52,8 @@ class PlanResult(PlannedForces, Stored):
     solver: Solver | CondensedNewton | Sampling | None = None
     not_restored: str = "it was made by hand"
     tracked: bool = False
-    rest_length: Annotated[Array | None, "ku", "f"] = None
+    rest_length: Annotated[Array | None, "ki", "f"] = None
+    input_tension: Annotated[Array | None, "ki", "f"] = None
     start_objectives: Annotated[Array | None, "n", "f"] = None
     open_loop_error: float = np.nan
 
@@ -139,7 +140,7 @@ class PlanResult(PlannedForces, Stored):
         """
         if (
             self.trajectory.states.shape[1] != problem.model.nx
-            or self.force_density.shape[1] != problem.model.nu
+            or self.control.shape[1] != problem.model.nu
         ):
             raise ValueError(
                 "guess is a plan for another structure: give one whose model has the same nodes and strings"

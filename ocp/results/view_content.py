@@ -91,10 +91,14 @@ def _build_charts(plan: Any, replay: Any, bounds: list[Any]) -> Iterator[Chart]:
 
     def chart(title: str, unit: str, time: Array, values: Array, kind: type[StringLimits]) -> Chart:
         names = list_names(plan.structure, "string", values.shape[1])
+        if plan.structure.cables and kind.per_cable and values is not getattr(replay, "tension", 0):
+            names = tuple(kind.names_of(plan.structure))
         return Chart(title, unit, time, values, names, *_limits(kind, plan, bounds, len(names)))
 
     if plan.rest_length is not None:
         yield chart("rest length", "m", plan.time, plan.rest_length, RestLengthLimits)
+    if plan.input_tension is not None:
+        yield chart("tension", "N", plan.time, plan.input_tension, TensionLimits)
     yield chart("force density", "N/m", plan.time, plan.force_density, ForceDensityLimits)
     if replay is not None and any(isinstance(bound, TensionLimits) for bound in bounds):
         yield chart("tension of the replay", "N", replay.time, replay.tension, TensionLimits)

@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 
-from ocp.problem.control import reject_rest_length_control
+from ocp.problem.control import require_force_densities
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.sampling.batch_simulation import BatchSimulation
@@ -41,7 +41,7 @@ def default_intervals(problem: Problem) -> int:
 
 def check_sampling(problem: Problem, transcription: Transcription, solver: Sampling) -> None:
     """Raise ValueError if a problem or profile is unsupported."""
-    reject_rest_length_control(problem.model, "Sampling")
+    require_force_densities(problem.model, "Sampling")
     if problem.free_start:
         raise ValueError(
             "Problem.start is free, and sampled motions begin somewhere: give Problem(start=...), or another solver than Sampling"

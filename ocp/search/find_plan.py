@@ -14,7 +14,7 @@ import numpy as np
 
 from ocp.control.lqr import replay_tracked
 from ocp.guess.initial_guess import InitialGuess
-from ocp.problem.control import controls_rest_lengths
+from ocp.problem.control import controls_force_densities, controls_rest_lengths
 from ocp.problem.instant import forces_of
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
@@ -203,10 +203,10 @@ def _record(task: PlanningTask, attempt: Attempt, found: Outcome) -> PlanResult:
     )
     mesh[-1] = found.duration
     motion = _record_motion(problem, mesh, found)
-    rest_length = found.force_density if controls_rest_lengths(problem.model) else None
-    forces = found.force_density
-    if rest_length is not None:
-        forces = forces_of(problem.model, motion.states[: len(forces)], forces)
+    control, model = found.force_density, problem.model
+    forces = forces_of(model, motion.states[: len(control)], control)
+    by_length = controls_rest_lengths(model)
+    by_tension = not by_length and not controls_force_densities(model)
     return PlanResult(
         success=False,
         status=found.status,
@@ -226,7 +226,8 @@ def _record(task: PlanningTask, attempt: Attempt, found: Outcome) -> PlanResult:
         transcription=transcription,
         solver=attempt.solver,
         not_restored="",
-        rest_length=rest_length,
+        rest_length=control if by_length else None,
+        input_tension=control if by_tension else None,
     )
 
 

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from ocp.guess.initial_guess import NOISE, InitialGuess, InverseDynamics, evaluate_guess
-from ocp.problem.control import controls_rest_lengths
+from ocp.problem.control import controls_force_densities, controls_rest_lengths
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.results.result import PlanResult
@@ -99,7 +99,7 @@ def attempts(task: PlanningTask, guess: InitialGuess | None) -> Iterator[Attempt
     # problems without contact.
     start = InverseDynamics(noise=NOISE) if guess is None else guess
     first = evaluate_guess(start, problem, task.target, MIN_INTERVALS)
-    sampled = model.scene.grounds and not problem.free_start and not controls_rest_lengths(model)
+    sampled = model.scene.grounds and not problem.free_start and controls_force_densities(model)
     near = sampled and is_near_ground(problem, first)
     after = FIRST
     if near:  # IPOPT finds 0 of 8 jumps through a penalty ground, sampling 12 of 12

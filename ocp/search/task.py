@@ -7,7 +7,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from ocp.problem.control import control_name, controls_rest_lengths
+from ocp.problem.control import control_name, control_unit
 from ocp.problem.limit_conflict import find_conflict
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
@@ -77,7 +77,7 @@ def check_groups(problem: Problem, profile: Profile) -> None:
     Raises ValueError if they contradict each other.
     """
     lower, upper = problem.control_limits
-    name, unit = control_name(problem.model), "m" if controls_rest_lengths(problem.model) else "N/m"
+    name, unit = control_name(problem.model), control_unit(problem.model)
     for together in group_matrix(profile, len(lower)).T > 0:
         strings = np.flatnonzero(together)
         low, high = strings[np.argmax(lower[strings])], strings[np.argmin(upper[strings])]

@@ -16,6 +16,7 @@ from ocp.targets.target import Target
 from ocp.transcription.mesh import Guess, Profile, group_matrix, on_mesh, spans
 from ocp.transcription.sparse_nlp import Block, Unknowns
 from tenscasadi.dynamics.model import Model
+from tenscasadi.structure.cables import name_inputs
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.validate import Array, Indices
 
@@ -210,7 +211,8 @@ class Variables:
         span = np.arange(len(first)) if self.profile.linear else spans(self.profile, self.fractions)
         begins = np.unique(span, return_index=True)[1]
         first = np.add.reduceat(first, begins) / np.bincount(span)[:, None]
-        names = name_controls(self.group_matrix, begins, control_name(self.model))
+        labels = name_inputs(self.model.scene.structure)
+        names = name_controls(self.group_matrix, begins, control_name(self.model), labels)
         scale = np.array(
             [np.max(control_scale(self.problem, self.strength)[own]) for own in members]
         )
@@ -258,13 +260,19 @@ class Variables:
         return np.tile(index, (self.count if count is None else count, 1))
 
 
-def name_controls(group_matrix: Array, begins: Indices, what: str = "force density") -> list[str]:
-    """Name the controls that begin at intervals, interval by interval."""
-    members = [np.flatnonzero(column) for column in group_matrix.T]
-    own = [
-        f"{what} of string{'s' * (len(strings) > 1)} {', '.join(map(str, strings))}"
-        for strings in members
-    ]
+def name_controls(
+    group_matrix: Array, begins: Indices, what: str, labels: Sequence[str]
+) -> list[str]:
+    """Name the controls that begin at intervals, interval by interval.
+
+    `labels` name the cables and lone strings.
+    """
+    own = []
+    for column in group_matrix.T:
+        names = [labels[k] for k in np.flatnonzero(column).tolist()]
+        if len(names) > 1 and all(name.startswith("string ") for name in names):
+            names = [f"strings {', '.join(name.removeprefix('string ') for name in names)}"]
+        own.append(f"{what} of {', '.join(names)}")
     return [f"{name}, interval {k}" for k in begins for name in own]
 
 

@@ -16,6 +16,7 @@ from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Clip, StringLaw
 from tenscasadi.simulation.motions import Rollouts, node_positions
 from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.structure.cables import add_compliances
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Indices, format_value, text
 
@@ -93,12 +94,19 @@ def describe_structure(
     `laws` are those of its strings; by default all have `Clip`.
     """
     s, every = structure, np.arange(len(structure.strings))
-    density = np.zeros(len(s.strings))
+    tension = np.zeros(len(s.strings))
     for law, some in [(Clip(), every)] if laws is None else laws:
-        length, rest, stiffness = s.string_lengths[some], s.rest_length[some], s.stiffness[some]
+        of = s.cable_of[some]
+        length, rest = (
+            np.bincount(s.cable_of, weights=values)[of]
+            for values in (s.string_lengths, s.rest_length)
+        )
+        stiffness = add_compliances(s.cable_of, s.stiffness)[of]
         found = law.force_density(length**2, rest, stiffness, None, length)
-        density[some] = np.where(length > 0, np.asarray(found).ravel(), 0.0)
-    tension = density * s.string_lengths
+        tension[some] = np.where(length > 0, np.asarray(found).ravel() * length, 0.0)
+    density = np.divide(
+        tension, s.string_lengths, out=np.zeros_like(tension), where=s.string_lengths > 0
+    )
     return Motion(
         name,
         np.zeros(1),

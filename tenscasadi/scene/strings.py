@@ -18,12 +18,13 @@ class Control(Value):
 
     Attributes
     ----------
-    quantity, unit : str
-        Name of the inputs in messages, and their unit.
+    name, quantity, unit : str
+        Name of an input and of all of them in messages, and their unit.
     commands_forces : bool
         Whether the inputs are forces, so that strings have no law.
     """
 
+    name: ClassVar[str]
     quantity: ClassVar[str]
     unit: ClassVar[str]
     commands_forces: ClassVar[bool]
@@ -42,6 +43,7 @@ class ForceDensity(Control, kind="ForceDensity"):
     9
     """
 
+    name: ClassVar[str] = "force density"
     quantity: ClassVar[str] = "force densities"
     unit: ClassVar[str] = "N/m"
     commands_forces: ClassVar[bool] = True
@@ -63,6 +65,7 @@ class Tension(Control, kind="Tension"):
     5
     """
 
+    name: ClassVar[str] = "tension"
     quantity: ClassVar[str] = "tensions"
     unit: ClassVar[str] = "N"
     commands_forces: ClassVar[bool] = True
@@ -83,6 +86,7 @@ class RestLength(Control, kind="RestLength"):
     True
     """
 
+    name: ClassVar[str] = "rest length"
     quantity: ClassVar[str] = "rest lengths"
     unit: ClassVar[str] = "m"
     commands_forces: ClassVar[bool] = False

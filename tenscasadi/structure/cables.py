@@ -105,6 +105,14 @@ def wrap_angles(structure: Any, cable: Sequence[int]) -> Array:
     return np.asarray(np.arctan2(across, along))
 
 
+def name_inputs(structure: Any) -> list[str]:
+    """Name the inputs of cables and lone strings, such as "cable 0" and "string 3"."""
+    names = [f"string {string}" for string in select_first(structure.cable_of)]
+    for k, cable in enumerate(structure.cables):
+        names[structure.cable_of[cable[0]]] = f"cable {k}"
+    return names
+
+
 def select_first(cable_of: Indices) -> Indices:
     """Select one string for each input: lone strings, and one of each cable."""
     return np.unique(cable_of, return_index=True)[1].astype(np.intp)

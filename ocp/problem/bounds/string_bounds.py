@@ -6,7 +6,7 @@ Rates of force densities and of rest lengths can be limited, too.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +21,7 @@ from ocp.problem.bounds.bound import (
     replace_inf,
 )
 from tenscasadi.schema.field_types import LIMITS, PER_ITEM
+from tenscasadi.structure.cables import name_inputs
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.renamed import rename_fields
 from tenscasadi.util.validate import Array, nonnegative, number_or_vector, per_item
@@ -31,8 +32,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class StringLimits(Bound):
-    """Base class of lower and upper limits of each string."""
+    """Base class of lower and upper limits of each string.
 
+    Attributes
+    ----------
+    per_cable : bool
+        Whether a cable has one limit, instead of one for each of its strings.
+    """
+
+    per_cable: ClassVar[bool] = False
     lower: Annotated[ArrayLike | None, LIMITS] = None
     upper: Annotated[ArrayLike | None, LIMITS] = None
 
@@ -59,15 +67,22 @@ class StringLimits(Bound):
         if crossed.size:
             i = int(crossed[0])
             raise ValueError(
-                f"{type(self).__name__}: lower is {lower[i]:g} and upper is {upper[i]:g} for string {i}: give lower ≤ upper"
+                f"{type(self).__name__}: lower is {lower[i]:g} and upper is {upper[i]:g} for {self.names_of(structure)[i]}: give lower ≤ upper"
             )
 
+    @classmethod
+    def names_of(cls, structure: Structure) -> list[str]:
+        """Name the strings, or cables and lone strings, that have a limit each."""
+        if cls.per_cable:
+            return name_inputs(structure)
+        return [f"string {string}" for string in range(len(structure.strings))]
+
     def limits(self, structure: Structure) -> tuple[Array, Array]:
-        """Return the lower and upper limits (α,).
+        """Return the lower and upper limits (α,), or (nu,) if cables have one.
 
         They are −inf and inf where there are none.
         """
-        count, name = len(structure.strings), type(self).__name__
+        count, name = len(self.names_of(structure)), type(self).__name__
         return broadcast_limits(f"{name}.lower", self.lower, count, -np.inf), broadcast_limits(
             f"{name}.upper", self.upper, count, np.inf
         )
@@ -187,14 +202,17 @@ class TensionLimits(StringLimits, PathBound, kind="TensionLimits"):
     """Limits of the tension γ s of each string.
 
     They hold at both ends of every interval. If a string is modeled in segments, they hold in each
-    segment.
+    segment. A cable has one limit, see `tenscasadi.Structure.cable_of`. Under tension control
+    (``control=Tension()``), they are bounds on decision variables.
 
     Parameters
     ----------
-    lower : float or array_like, shape (α,), optional
-        Smallest tension [N], ≥ 0: one number, or one for each string. None for no limit but γ ≥ 0.
-    upper : float or array_like, shape (α,), optional
-        Largest tension [N]: one number, or one for each string. None or inf for no limit.
+    lower : float or array_like, shape (nu,), optional
+        Smallest tension [N], ≥ 0: one number, or one for each cable and lone string. None for no
+        limit but γ ≥ 0.
+    upper : float or array_like, shape (nu,), optional
+        Largest tension [N]: one number, or one for each cable and lone string. None or inf for no
+        limit.
 
     Raises
     ------
@@ -209,6 +227,8 @@ class TensionLimits(StringLimits, PathBound, kind="TensionLimits"):
     True
     """
 
+    per_cable: ClassVar[bool] = True
+
     def limit(self, now: Instant) -> Limit:
         """Build the constrained quantities.
 
@@ -222,11 +242,19 @@ class TensionLimits(StringLimits, PathBound, kind="TensionLimits"):
         Limit
             Tension of each string or segment of the model [N].
         """
-        parent = now.model.structure.string_parent
-        lower, upper = (limit[parent] for limit in self.limits(now.model.scene.structure))
+        scene = now.model.scene
+        smooth = not scene.structure.cable_friction.any()  # strings of a cable have equal tensions
+        strings = scene.first_strings if smooth else np.arange(len(scene.modelled.strings))
+        of = scene.input_of[strings]
+        lower, upper = (limit[of] for limit in self.limits(scene.structure))
         lower = np.where(lower > 0, lower, -np.inf)  # γ ≥ 0 implies it already
-        names = tuple(f"tension of string {k}" for k in parent)
-        return drop_infinite(Limit(now.tension, lower, upper, names, "N"))
+        every = self.names_of(scene.structure)
+        names = tuple(f"tension of {every[k]}" for k in of)
+        if not smooth:
+            parent = scene.modelled.string_parent
+            names = tuple(f"tension of string {k}" for k in parent)
+        own = now.tension if len(strings) == now.tension.shape[0] else now.tension[strings.tolist()]
+        return drop_infinite(Limit(own, lower, upper, names, "N"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,14 +264,17 @@ class RestLengthLimits(StringLimits, PathBound, kind="RestLengthLimits"):
     The rest length is ρ = s (1 − γ/k). The limits hold at both ends of every interval.
     ``RestLengthLimits(0)`` keeps every force density within reach of an actuator that changes the
     rest length of a string of stiffness k. Under rest-length control (``control=RestLength()``),
-    they are bounds on decision variables, which are positive without these limits, too.
+    they are bounds on decision variables, which are positive without these limits, too. A cable has
+    one limit, see `tenscasadi.Structure.cable_of`.
 
     Parameters
     ----------
-    lower : float or array_like, shape (α,), optional
-        Smallest rest length [m], ≥ 0: one number, or one for each string. None for no limit.
-    upper : float or array_like, shape (α,), optional
-        Largest rest length [m]: one number, or one for each string. None or inf for no limit.
+    lower : float or array_like, shape (nu,), optional
+        Smallest rest length [m], ≥ 0: one number, or one for each cable and lone string. None for
+        no limit.
+    upper : float or array_like, shape (nu,), optional
+        Largest rest length [m]: one number, or one for each cable and lone string. None or inf for
+        no limit.
     stiffness : float or array_like, shape (α,), optional
         Stiffness k [N/m]: one number, or one for each string. None for that of the structure.
 
@@ -262,6 +293,7 @@ class RestLengthLimits(StringLimits, PathBound, kind="RestLengthLimits"):
     (0.2, None)
     """
 
+    per_cable: ClassVar[bool] = True
     lower: Annotated[ArrayLike | None, LIMITS] = 0.0
     upper: Annotated[ArrayLike | None, LIMITS] = None
     stiffness: Annotated[ArrayLike | None, PER_ITEM] = None
@@ -293,12 +325,12 @@ class RestLengthLimits(StringLimits, PathBound, kind="RestLengthLimits"):
         Returns
         -------
         Limit
-            Rest length of each string [m].
+            Rest length of each cable and lone string [m].
         """
         structure = now.model.scene.structure
         stiffness = read_stiffness("RestLengthLimits.stiffness", self.stiffness, structure)
         lower, upper = self.limits(structure)
-        names = tuple(f"rest length of string {k}" for k in range(len(lower)))
+        names = tuple(f"rest length of {name}" for name in self.names_of(structure))
         return drop_infinite(Limit(now.rest_lengths(stiffness), lower, upper, names, "m"))
 
 
@@ -313,8 +345,9 @@ class RestLengthRateLimits(RateBound, kind="RestLengthRateLimits"):
 
     Parameters
     ----------
-    rate : float or array_like, shape (α,)
-        Largest mean rate [m/s], > 0: one number, or one for each string. inf for no limit.
+    rate : float or array_like, shape (nu,)
+        Largest mean rate [m/s], > 0: one number, or one for each cable and lone string. inf for no
+        limit.
     stiffness : float or array_like, shape (α,), optional
         Stiffness k of ρ = s (1 − γ/k) [N/m]: one number, or one for each string. None for that of
         the structure.
@@ -352,7 +385,8 @@ class RestLengthRateLimits(RateBound, kind="RestLengthRateLimits"):
         TypeError, ValueError
             If the rates or the stiffness do not fit the strings.
         """
-        broadcast_limits("RestLengthRateLimits.rate", self.rate, len(structure.strings), np.inf)
+        count = len(name_inputs(structure))
+        broadcast_limits("RestLengthRateLimits.rate", self.rate, count, np.inf)
         read_stiffness("RestLengthRateLimits.stiffness", self.stiffness, structure)
 
     def limit(self, before: Instant, after: Instant, interval: Any) -> Limit:
@@ -368,14 +402,14 @@ class RestLengthRateLimits(RateBound, kind="RestLengthRateLimits"):
         Returns
         -------
         Limit
-            Mean rate of each rest length [m/s].
+            Mean rate of the rest length of each cable and lone string [m/s].
         """
         structure = before.model.scene.structure
         k = read_stiffness("RestLengthRateLimits.stiffness", self.stiffness, structure)
         value = (after.rest_lengths(k) - before.rest_lengths(k)) / interval
-        count = len(structure.strings)
-        rate = broadcast_limits("RestLengthRateLimits.rate", self.rate, count, np.inf)
-        names = tuple(f"rest length rate of string {i}" for i in range(count))
+        inputs = name_inputs(structure)
+        rate = broadcast_limits("RestLengthRateLimits.rate", self.rate, len(inputs), np.inf)
+        names = tuple(f"rest length rate of {name}" for name in inputs)
         return drop_infinite(Limit(value, -rate, rate, names, "m/s"))
 
 

@@ -17,8 +17,7 @@ from tenscasadi.exchange.mjcf.body_tree import build_tree, find_held_directions
 from tenscasadi.exchange.mjcf.writer import AXIAL, MjcfWriter
 from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.strings import Smooth, Tension
-from tenscasadi.structure.cables import reject_cables
+from tenscasadi.scene.strings import Smooth
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import (
     Array,
@@ -95,8 +94,10 @@ def export_mjcf(
       forces on the body. Friction is Coulomb friction with a slip speed. In MuJoCo the slip speed
       refers to the weight on each of three supporting nodes, in `Ground` to the current normal
       force.
-    - Control by rest lengths becomes a position actuator for each string. Control by force
-      densities becomes a general actuator with the gain −length. MuJoCo's ``ctrl`` is the control
+    - A cable without friction is a spatial tendon through the sites of its nodes.
+    - Control by rest lengths becomes a position actuator for each string or cable. Control by force
+      densities becomes a general actuator with the gain −length, control by tensions one with the
+      gain −1. MuJoCo's ``ctrl`` is the control
       of the model in both cases. Its initial value is in the keyframe ``start``: begin with
       ``mujoco.mj_resetDataKeyframe(model, data, 0)``.
 
@@ -138,10 +139,9 @@ def _check_scene(scene: Scene) -> None:
     for name, cure in others.items():
         if getattr(scene, name) is not None:
             raise ValueError(f"Scene.{name} has no counterpart in MJCF: {cure}")
-    reject_cables(scene.structure, "export_mjcf")
-    if isinstance(scene.control, Tension):
+    if scene.structure.cable_friction.any():
         raise ValueError(
-            "Scene.control is Tension(), which export_mjcf does not take: give ForceDensity()"
+            "Structure.cable_friction has no counterpart in MJCF: give structure.replace(cable_friction=0.0)"
         )
     if scene.gravity is not None and scene.gravity.varies:
         raise ValueError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, NamedTuple
 from xml.etree import ElementTree as ET  # to write alone
 
 import numpy as np
@@ -22,14 +22,62 @@ from tenscasadi.exchange.mjcf.contact import (
     list_touching,
 )
 from tenscasadi.exchange.mjcf.frames import rotate_z_to
+from tenscasadi.scene.cables import CableRows
 from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.strings import ForceDensity, RestLength
+from tenscasadi.scene.strings import Control, ForceDensity, RestLength, Tension
+from tenscasadi.structure.cables import find_directions
 from tenscasadi.util.linear_algebra import fit_velocities
 from tenscasadi.util.validate import Array
 
 # inertia of a bar about its axis, at least so much of its transverse one: MuJoCo rejects 0
 AXIAL = 0.01
+
+
+class SpatialTendon(NamedTuple):
+    """String or cable as a tendon of MuJoCo."""
+
+    name: str
+    path: list[int]  # nodes
+    length: float  # m, at rest
+    rest_length: float  # m
+    stiffness: float  # N/m
+    damping: float  # N·s/m
+    pushes: bool
+
+    def control(self, kind: Control) -> float:
+        """Compute the control that keeps the rest length."""
+        if isinstance(kind, RestLength):
+            return self.rest_length
+        if isinstance(kind, ForceDensity):
+            return self.stiffness * max(0.0, 1 - self.rest_length / self.length)  # Eq. 99 at rest
+        return self.stiffness * max(0.0, self.length - self.rest_length)
+
+
+def list_tendons(scene: Scene) -> list[SpatialTendon]:
+    """List the cables and lone strings of a scene, in the order of their inputs."""
+    s, pushing = scene.modelled, scene.compression_strings.tolist()
+    paths = {
+        int(s.cable_of[k]): (f"string{k}", [int(a), int(b)]) for k, (a, b) in enumerate(s.strings)
+    }
+    for k, cable in enumerate(s.cables):
+        steps = find_directions(s.strings, cable)
+        path = [steps[0][0], *(end for _, end in steps)]
+        paths[int(s.cable_of[cable[0]])] = f"cable{k}", path
+    own = CableRows(s).constants() if s.cables else s
+    length = np.bincount(s.cable_of, weights=s.string_lengths)
+    first = scene.first_strings.tolist()
+    return [
+        SpatialTendon(
+            *paths[k],
+            float(length[k]),
+            float(own.rest_length[k]),
+            float(own.stiffness[k]),
+            float(own.damping[k]),
+            first[k] in pushing,
+        )
+        for k in sorted(paths)
+    ]
 
 
 class MjcfWriter:
@@ -40,6 +88,7 @@ class MjcfWriter:
         self.grounds = [
             ground for ground in scene.grounds if isinstance(ground, Ground)
         ]  # all others are rejected
+        self.tendons = list_tendons(scene)
         s = self.s
         size = (
             float(np.mean(np.concatenate([s.bar_lengths, s.string_lengths])))
@@ -271,27 +320,18 @@ class MjcfWriter:
                 _add(contact, "pair", geom1=f"ground{k}", geom2=f"n{node}", **numbers)
 
     def _strings(self) -> None:
-        s, pushing, driven = (
-            self.s,
-            set(self.scene.compression_strings.tolist()),
-            self.scene.control is not None,
-        )
-        if not len(s.strings):
+        if not self.tendons:
             return
         tendon = ET.SubElement(self.root, "tendon")
-        for string, (a, b) in enumerate(s.strings):
-            rest = [s.rest_length[string]] if string in pushing else [0.0, s.rest_length[string]]
+        for own in self.tendons:
+            rest = [own.rest_length] if own.pushes else [0.0, own.rest_length]
             law = (
-                {}
-                if driven
-                else {
-                    "stiffness": s.stiffness[string],
-                    "damping": s.damping[string],
-                    "springlength": rest,
-                }
+                {"stiffness": own.stiffness, "damping": own.damping, "springlength": rest}
+                if self.scene.control is None
+                else {}
             )
-            spatial = _add(tendon, "spatial", name=f"string{string}", **law)
-            for node in (a, b):
+            spatial = _add(tendon, "spatial", name=own.name, **law)
+            for node in own.path:
                 _add(spatial, "site", site=f"n{node}")
 
     def _ties(self, step: float) -> None:
@@ -307,39 +347,28 @@ class MjcfWriter:
             _add(equality, "connect", body1=one, body2=another, anchor=place, **hard)
 
     def _control(self, moving: bool) -> None:
-        scene, s = self.scene, self.s
+        scene = self.scene
         start: dict[str, Any] = {}
         if moving:  # MuJoCo's order is that of the file
             start["qvel"] = [
                 rate for body in self.root.iter("body") for rate in self.rates.get(body, ())
             ]
-        if scene.control is not None and len(s.strings):
+        if scene.control is not None and self.tendons:
             actuator = ET.SubElement(self.root, "actuator")
-            pushing = set(scene.compression_strings.tolist())
-            for string in range(len(s.strings)):
-                of = {"name": f"string{string}", "tendon": f"string{string}"}
+            for own in self.tendons:
+                of = {"name": own.name, "tendon": own.name}
                 if isinstance(scene.control, ForceDensity):
                     _add(
                         actuator, "general", **of, gaintype="affine", gainprm=[0, -1, 0]
                     )  # force −length × γ
+                elif isinstance(scene.control, Tension):
+                    _add(actuator, "general", **of, gainprm=[-1, 0, 0])
                 else:
                     pulls = (
-                        {}
-                        if string in pushing
-                        else {"forcelimited": "true", "forcerange": [-1e12, 0.0]}
+                        {} if own.pushes else {"forcelimited": "true", "forcerange": [-1e12, 0.0]}
                     )
-                    _add(
-                        actuator,
-                        "position",
-                        **of,
-                        kp=s.stiffness[string],
-                        kv=s.damping[string],
-                        **pulls,
-                    )
-            taut = s.stiffness * np.maximum(
-                0.0, 1 - s.rest_length / s.string_lengths
-            )  # Eq. 99 at rest
-            start["ctrl"] = s.rest_length if isinstance(scene.control, RestLength) else taut
+                    _add(actuator, "position", **of, kp=own.stiffness, kv=own.damping, **pulls)
+            start["ctrl"] = [own.control(scene.control) for own in self.tendons]
         if start:
             _add(ET.SubElement(self.root, "keyframe"), "key", name="start", **start)
 

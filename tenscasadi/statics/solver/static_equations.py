@@ -140,6 +140,11 @@ class StaticEquations:
 
     def __init__(self, scene: Scene) -> None:
         self.scene, self.structure = scene, scene.modelled
+        if scene.structure.cable_friction.any():
+            raise ValueError(
+                "Structure.cable_friction is not 0, and statics takes cables without friction: "
+                "give structure.replace(cable_friction=0.0)"
+            )
         s = self.structure
         self.rigid, self.elastic = np.flatnonzero(~s.elastic), np.flatnonzero(s.elastic)
         count = len(s.nodes)

@@ -12,7 +12,6 @@ from tenscasadi.drawing.color_scale import ColorScale
 from tenscasadi.drawing.describe import describe_content
 from tenscasadi.drawing.style import STYLE, linearize_colors
 from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.strings import RestLength
 from tenscasadi.viewer.canvas import Canvas
 from tenscasadi.viewer.controls import ViewControls, add_speed
 from tenscasadi.viewer.live_mode.pace import Pace
@@ -235,8 +234,9 @@ class LivePanel:
     def _add_sliders(self, gui: viser.GuiApi, sliders: list[Slider]) -> None:
         if not sliders:
             return
-        by_length = isinstance(self.simulation.model.scene.control, RestLength)
-        with gui.add_folder("Rest lengths (m)" if by_length else "Force densities (N/m)"):
+        control = self.simulation.model.scene.control
+        title = "" if control is None else f"{control.quantity.capitalize()} ({control.unit})"
+        with gui.add_folder(title):
             for slider in sliders:
                 self._add_slider(gui, slider)
             if self.simulation.model.nu > MOST:

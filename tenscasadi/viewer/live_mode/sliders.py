@@ -10,6 +10,7 @@ import numpy as np
 
 from tenscasadi.drawing.view_content import list_names
 from tenscasadi.scene.strings import RestLength
+from tenscasadi.structure.cables import name_inputs, select_first
 from tenscasadi.util.validate import Array, as_tuple, format_value, node_index, text
 from tenscasadi.viewer.live_mode.simulation import LiveSimulation
 
@@ -149,7 +150,11 @@ def choose_sliders(simulation: LiveSimulation, groups: Groups = None) -> list[Sl
 
 
 def _list_names(simulation: LiveSimulation) -> tuple[str, ...]:
-    return list_names(simulation.model.scene.structure, "string", len(simulation.start_control))
+    """List the names of lone strings and cables."""
+    structure = simulation.model.scene.structure
+    strings = list_names(structure, "string", len(structure.strings))
+    inputs = zip(name_inputs(structure), select_first(structure.cable_of), strict=True)
+    return tuple(name if name.startswith("cable") else strings[k] for name, k in inputs)
 
 
 def _by_length(simulation: LiveSimulation) -> bool:
@@ -178,9 +183,8 @@ def _group_equal(simulation: LiveSimulation) -> dict[str, tuple[int, ...]]:
     count = len(start)
     if count <= MOST:
         return {name: (k,) for k, name in enumerate(_list_names(simulation))}
-    rows = np.column_stack(
-        [values / (np.abs(values).max() or 1.0) for values in (start, structure.string_lengths)]
-    )
+    lengths = np.bincount(structure.cable_of, weights=structure.string_lengths)
+    rows = np.column_stack([values / (np.abs(values).max() or 1.0) for values in (start, lengths)])
     _, kinds = np.unique(np.round(rows, 9), axis=0, return_inverse=True)
     if kinds.max() >= MOST:
         return {"all": tuple(range(count))}

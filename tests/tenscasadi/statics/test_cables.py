@@ -179,3 +179,8 @@ def test_displacement_under_a_small_load_is_that_of_the_tangent():
 def test_design_rejects_cables(function):
     with pytest.raises(ValueError, match="does not take: give structure"):
         function(laced())
+
+
+def test_statics_rejects_friction_of_cables():
+    with pytest.raises(ValueError, match="statics takes cables without friction"):
+        tc.find_equilibrium(tc.Scene(sliding(cable_friction=0.1), gravity=GRAVITY))

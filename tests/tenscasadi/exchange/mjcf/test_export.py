@@ -261,3 +261,28 @@ def test_wrong_arguments_are_refused_by_name(tmp_path: Any) -> None:
     }.items():
         with pytest.raises((TypeError, ValueError), match=words):
             call()
+
+
+@pytest.mark.parametrize("control", [None, tc.RestLength(), tc.Tension()])
+def test_cables_are_tendons_through_their_nodes(tmp_path, control):
+    """Accelerations of a displaced prism are those of MuJoCo."""
+    mujoco = pytest.importorskip("mujoco")
+    prism = tc.shapes.prism(stiffness=500.0, prestress=30.0, damping=0.0)
+    s = prism.replace(cables=[[0, 7, 4], [1, 8, 5], [2, 6, 3]])
+    scene = tc.Scene(s, control=control, gravity=tc.Gravity())
+    path = tc.export_mjcf(scene, tmp_path / "cables.xml")
+    world = mujoco.MjModel.from_xml_path(str(path))
+    assert world.ntendon == 3
+    data = mujoco.MjData(world)
+    if control is not None:
+        mujoco.mj_resetDataKeyframe(world, data, 0)
+        np.testing.assert_allclose(data.ctrl, tc.Model(scene).initial_control, rtol=1e-12)
+    ends = mujoco_ends(path, 0.1, step=1e-4)
+    run = tc.simulate(tc.Model(scene), 0.1, 1e-3, verify=False)
+    np.testing.assert_allclose(ends, run.nodes[-1], atol=2e-4)
+
+
+def test_friction_of_cables_is_rejected(tmp_path):
+    s = tc.shapes.prism().replace(cables=[[0, 1, 2]], cable_friction=0.1)
+    with pytest.raises(ValueError, match="cable_friction has no counterpart in MJCF"):
+        tc.export_mjcf(tc.Scene(s), tmp_path / "rough.xml")
