@@ -49,7 +49,8 @@ def solve(
         Solver of the nonlinear program, or search by samples. Default, with a transcription:
         `Ipopt()`; without, automatic.
     guess : InverseDynamics, EquilibriumGuess, TrajectoryGuess or Plan, optional
-        Initial guess. A plan of the same mesh and constraints brings its duals (see `Ipopt`).
+        Initial guess. A plan of the same mesh and constraints also provides initial duals (see
+        `Ipopt`).
         `Sampling` searches if the guess leads to no plan. Default: `InverseDynamics()`.
     tolerance : float, optional
         Largest distance of the replay from the goals [m]; velocities: m per duration. Default: 1 %
@@ -64,11 +65,12 @@ def solve(
         Executor that solves the starts in parallel, such as a ``ProcessPoolExecutor``. Default: one
         after the other.
     tracked : bool
-        Whether the replay that decides on success is always in closed loop, under `track`. If
-        False, it is so only if the open-loop replay fails because errors grow along the motion.
+        Whether the replay under the feedback of `track` decides on success. By default the
+        open-loop replay decides, unless it fails because errors grow along the motion.
     parameters : array_like, shape (np,), or mapping of str to array_like, optional
         Values of the parameters of the problem's model, see `Problem.with_parameters`. Default:
-        those of the problem. They are constants; only `Sampling` compiles code again for others.
+        those of the problem. They are constants of the plan. New values need no new code, except
+        for `Sampling`.
     progress : bool, optional
         Whether a line on standard error shows the progress of a plan that takes longer than two
         seconds. Default: if standard error is a terminal.

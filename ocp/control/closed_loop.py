@@ -104,8 +104,8 @@ def run(
         (`tenscasadi.NodalForce` of time), but not in nodes and strings. Default: the controller's
         model.
     state : array_like, shape (nx,), optional
-        Initial state, on the constraints. The controller sees its clock, which need not begin
-        at 0. Default: the model's initial state.
+        Initial state, which satisfies bars and joints. If it has a clock, this is the time that
+        the controller receives; it need not begin at 0. Default: the model's initial state.
     steps : int
         Number of steps of `RungeKutta4` in each period.
     disturbance : callable, optional

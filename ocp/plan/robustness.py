@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -213,9 +212,6 @@ def check_start(start: Any) -> tuple[float, float]:
     )
 
 
-_VARIED: WeakKeyDictionary[Model, dict[Any, Model]] = WeakKeyDictionary()
-
-
 def vary_model(model: Model, names: tuple[str, ...], control: Any) -> Model:
     """Build the model with factors of some quantities as parameters.
 
@@ -226,16 +222,12 @@ def vary_model(model: Model, names: tuple[str, ...], control: Any) -> Model:
         raise ValueError(
             "robustness varies the values of the scene: plan with a model whose scene has no parameters="
         )
-    known = _VARIED.setdefault(model, {})
-    key = names, type(control)
-    if key not in known:
-        scene = replace(
-            model.scene, control=control, parameters=Parameters(scale=names) if names else None
-        )
-        known[key] = Model(
-            scene, model.coordinates, "constant" if model.mechanism.constant_length else "current"
-        )
-    return known[key]
+    parameters = Parameters(scale=names) if names else None
+
+    def build() -> Model:
+        return model.with_scene(replace(model.scene, control=control, parameters=parameters))
+
+    return model.keep(("varied", names, type(control)), build)
 
 
 def draw_starts(

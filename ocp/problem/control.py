@@ -64,13 +64,9 @@ def _change(model: Model, **changes: Any) -> Model:
 
     It is cached in the model, as its functions take time to build.
     """
-    kept: dict[Any, Any] = model.functions
-    key = "changed", tuple(changes)
-    if key not in kept:
-        scene = replace(model.scene, **changes)
-        kept[key] = type(model)(**{**model.to_fields(), "scene": scene})
-    changed: Model = kept[key]
-    return changed
+    return model.keep(
+        ("changed", *changes), lambda: model.with_scene(replace(model.scene, **changes))
+    )
 
 
 def check_control(model: Model) -> None:

@@ -67,7 +67,7 @@ class Cost(Value):
         )
 
     def check(self, structure: Structure) -> None:
-        """Reject a structure that the cost does not fit.
+        """Check that the cost can apply to a structure.
 
         Raises TypeError, ValueError.
         """
@@ -140,7 +140,7 @@ class CostAt(Cost):
             )
 
     def check(self, structure: Structure) -> None:
-        """Reject a structure that the cost does not fit.
+        """Check that the cost can apply to a structure.
 
         Raises TypeError, ValueError.
         """
@@ -295,7 +295,7 @@ class Prestress(ControlCost, kind="Prestress"):
         nonnegative("Prestress.level", array, "string")
 
     def check(self, structure: Structure) -> None:
-        """Reject a structure that the cost does not fit.
+        """Check that the cost can apply to a structure.
 
         Parameters
         ----------
@@ -418,7 +418,7 @@ class Work(RunningCost, kind="Work"):
         object.__setattr__(self, "smoothing", positive_number("Work.smoothing", self.smoothing))
 
     def rate(self, now: Instant) -> Any:
-        """Build the integrand.
+        """Build the integrand of the cost.
 
         Parameters
         ----------

@@ -247,7 +247,7 @@ class Integral(RunningCost):
         )
 
     def rate(self, now: Instant) -> Any:
-        """Build the integrand.
+        """Build the integrand of the cost.
 
         Parameters
         ----------

@@ -177,7 +177,7 @@ class Problem(Value, kind="Problem"):
 
     @property
     def free_start(self) -> bool:
-        """Whether the solver chooses the start."""
+        """Whether the initial state is a decision variable."""
         return isinstance(self.start, FreeStart)
 
     @property

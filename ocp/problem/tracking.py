@@ -82,7 +82,7 @@ class Tracking(RunningCost, kind="Tracking"):
         object.__setattr__(self, "positions", places)
 
     def check(self, structure: Structure) -> None:
-        """Reject a structure that the cost does not fit.
+        """Check that the cost can apply to a structure.
 
         Parameters
         ----------
@@ -98,7 +98,7 @@ class Tracking(RunningCost, kind="Tracking"):
             node_index("Tracking.positions: node", node, len(structure.nodes))
 
     def rate(self, now: Instant) -> Any:
-        """Build the integrand.
+        """Build the integrand of the cost.
 
         Parameters
         ----------

@@ -9,7 +9,6 @@ from numpy.typing import ArrayLike
 
 from ocp.results.rest_length_schedule import compute_rest_lengths
 from ocp.results.result import PlanResult
-from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.strings import RestLength, rest_length
 from tenscasadi.simulation.inputs.controls import ControlProfile
 from tenscasadi.simulation.simulate import simulate
@@ -140,9 +139,7 @@ def replay_rest_lengths(
         structure=plan.structure.replace(stiffness=k, damping=damping),
         control=RestLength(),
     )
-    model = Model(
-        elastic, planned.coordinates, "constant" if planned.mechanism.constant_length else "current"
-    )
+    model = planned.with_scene(elastic)
     control = ControlProfile(time, rest, STEPS_PER_UPDATE)
     end = float(plan.time[-1])
     return simulate(

@@ -106,7 +106,7 @@ class Report:
         limit the same quantity, the name has the index of the bound, such as "obstacle clear of bar
         0 (bounds[2])".
     missed : tuple of Missed
-        Rows of soft goals in decreasing order of their costs.
+        Residuals of soft goals in decreasing order of their costs.
 
     Examples
     --------

@@ -104,14 +104,9 @@ def _in_reduced(model: Model) -> Model:
 
     The given model caches it, as its functions take time to build.
     """
-    kept: dict[Any, Any] = model.functions
-    key = ("reduced",)
-    if key not in kept:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RedundantConstraints)
-            kept[key] = Model(model.scene, "reduced")
-    twin: Model = kept[key]
-    return twin
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RedundantConstraints)
+        return model.keep("reduced", lambda: model.with_scene(model.scene, "reduced"))
 
 
 class _Seen(Instant):

@@ -9,17 +9,17 @@ from typing import NamedTuple
 class Certificate(NamedTuple):
     """Proof that some constraints have no common solution.
 
-    The sum of the rows, each times its multiplier, is at least `bound` > 0 for every state. A
-    common solution of all rows would make it zero.
+    The weighted sum of the constraint residuals is at least `bound` > 0 for every state. A common
+    solution of all constraints would make it zero.
 
     Attributes
     ----------
     multipliers : mapping of str to float
-        Multipliers of the rows by name; rows are scaled to order one.
+        Weights of the residuals by name; residuals are scaled to order one.
     bound : float
         Least value of the sum, greater than 0.
     relaxation : str
-        "linear" or "convex": the kind of the sum, as a function of the state.
+        "linear" or "convex", as the sum is in the state.
 
     Examples
     --------

@@ -44,8 +44,9 @@ class MultipleShooting(RungeKuttaTranscription, kind="MultipleShooting"):
 
     Notes
     -----
-    At the end of each interval, two multipliers for each bar keep its length and rate. Without them
-    bars drift, and imposed as constraints they would repeat the dynamics.
+    The steps of a scheme conserve bar lengths only up to their integration error. As constraints at
+    mesh points, the lengths would be redundant with the dynamics. Instead, two further unknowns for
+    each bar correct its length and its rate at the end of each interval.
 
     References
     ----------

@@ -44,8 +44,8 @@ class TradeoffRow:
     setup : float
         Wall time of building and compiling the equations, s.
     position : float
-        Largest distance of a node from the reference at the end, m; NaN where the run failed, as
-        all errors.
+        Largest distance of a node from the reference at the end, m. All errors are NaN if the run
+        failed.
     bar : float
         Largest relative error of a bar's length over the run.
     joint : float
@@ -55,7 +55,7 @@ class TradeoffRow:
     instructions : int
         Instructions of one step with its correction; 0 where they are not known.
     steps : int
-        Steps of the run, with those tried in vain.
+        Steps of the run, including rejected trial steps.
     success : bool
         Whether the run reached the end.
     message : str

@@ -132,19 +132,47 @@ class Model(Value, Observations, kind="Model"):
 
     fixed = RenamedAttribute("with_parameters")
 
-    def with_schedule(self, schedule: ControlSchedule) -> Model:
-        """Drive a copy by a control over time.
+    def with_scene(self, scene: Scene, coordinates: Coordinates | None = None) -> Model:
+        """Build the model of another scene.
 
         Parameters
         ----------
-        schedule : ControlSchedule
-            The control over time.
+        scene : Scene
+            The scene, often one with changed fields.
+        coordinates : {"reduced", "full"}, optional
+            Coordinates. Default: those of this model.
 
         Returns
         -------
         Model
-            The same equations with a clock. Their control u is added to that of the schedule.
-            `power` is that of all forces, as the control changes the energy that strings store.
+            The model, with λ̂ computed as in this one.
+
+        Examples
+        --------
+        >>> from dataclasses import replace
+        >>> import tenscasadi as tc
+        >>> model = tc.Model(tc.Scene(tc.shapes.prism()))
+        >>> model.with_scene(replace(model.scene, control=tc.RestLength())).nu
+        9
+        """
+        fields = {**self.to_fields(), "scene": scene}
+        return type(self)(
+            **fields if coordinates is None else {**fields, "coordinates": coordinates}
+        )
+
+    def with_schedule(self, schedule: ControlSchedule) -> Model:
+        """Build a copy whose control follows a function of time.
+
+        Parameters
+        ----------
+        schedule : ControlSchedule
+            Control as a function of time.
+
+        Returns
+        -------
+        Model
+            Model with a clock, whose control u is added to the scheduled one. Its `power` is that
+            of all forces, as the scheduled control changes the energy that strings store.
         """
         return self._copy(self.scene, schedule)
 

@@ -68,7 +68,7 @@ class BarForceLimits(PathBound, kind="BarForceLimits"):
                 nonnegative(f"BarForceLimits.{name}", array, "bar")
 
     def check(self, structure: Structure) -> None:
-        """Reject a structure that the bound does not fit.
+        """Check that the bound can apply to a structure.
 
         Parameters
         ----------
@@ -151,7 +151,7 @@ class Buckling(PathBound, kind="Buckling"):
         object.__setattr__(self, "safety", positive_number("Buckling.safety", self.safety))
 
     def check(self, structure: Structure) -> None:
-        """Reject a structure that the bound does not fit.
+        """Check that the bound can apply to a structure.
 
         Parameters
         ----------

@@ -75,7 +75,7 @@ class Bound(Value):
     """Base class of limits along a plan."""
 
     def check(self, structure: Structure) -> None:
-        """Reject a structure that the bound does not fit.
+        """Check that the bound can apply to a structure.
 
         Raises TypeError, ValueError.
         """

@@ -110,7 +110,7 @@ class InsideBox(PathBound, kind="InsideBox"):
         return lower, np.array([np.inf if value is None else value for value in self.upper])
 
     def check(self, structure: Structure) -> None:
-        """Reject a structure that the bound does not fit.
+        """Check that the bound can apply to a structure.
 
         Parameters
         ----------
@@ -258,7 +258,7 @@ class BarClearance(PathBound, kind="BarClearance"):
             object.__setattr__(self, "pairs", tuple(found))
 
     def check(self, structure: Structure) -> None:
-        """Reject a structure that the bound does not fit.
+        """Check that the bound can apply to a structure.
 
         Parameters
         ----------
@@ -362,7 +362,7 @@ class Obstacle(PathBound, kind="Obstacle"):
             )
 
     def check(self, structure: Structure) -> None:
-        """Reject a structure that the bound does not fit.
+        """Check that the bound can apply to a structure.
 
         Parameters
         ----------

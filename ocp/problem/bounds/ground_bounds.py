@@ -65,7 +65,7 @@ class AboveSurface(PathBound, kind="AboveSurface"):
             object.__setattr__(self, "nodes", as_tuple("AboveSurface.nodes", self.nodes, "[0, 1]"))
 
     def check(self, structure: Structure) -> None:
-        """Reject a structure that the bound does not fit.
+        """Check that the bound can apply to a structure.
 
         Parameters
         ----------

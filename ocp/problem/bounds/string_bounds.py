@@ -57,7 +57,7 @@ class StringLimits(Bound):
                 nonnegative(field, array, "string")
 
     def check(self, structure: Structure) -> None:
-        """Reject a structure that the limits do not fit.
+        """Check that the limits can apply to a structure.
 
         Raises TypeError or ValueError if their number differs from that of strings, or if a lower
         limit is above the upper one.
@@ -161,7 +161,7 @@ class ForceDensityRateLimits(RateBound, kind="ForceDensityRateLimits"):
         nonnegative("ForceDensityRateLimits.rate", array, "string", strict=True)
 
     def check(self, structure: Structure) -> None:
-        """Reject a structure that the bound does not fit.
+        """Check that the bound can apply to a structure.
 
         Parameters
         ----------
@@ -299,7 +299,7 @@ class RestLengthLimits(StringLimits, PathBound, kind="RestLengthLimits"):
     stiffness: Annotated[ArrayLike | None, PER_ITEM] = None
 
     def check(self, structure: Structure) -> None:
-        """Reject a structure that the bound does not fit.
+        """Check that the bound can apply to a structure.
 
         Parameters
         ----------
@@ -373,7 +373,7 @@ class RestLengthRateLimits(RateBound, kind="RestLengthRateLimits"):
         nonnegative("RestLengthRateLimits.rate", array, "string", strict=True)
 
     def check(self, structure: Structure) -> None:
-        """Reject a structure that the bound does not fit.
+        """Check that the bound can apply to a structure.
 
         Parameters
         ----------

@@ -59,7 +59,7 @@ class Goal(Value):
         return False
 
     def check(self, structure: Structure) -> None:
-        """Reject a structure that the goal does not fit.
+        """Check that the goal can apply to a structure.
 
         Raises TypeError, ValueError.
         """
@@ -152,7 +152,7 @@ class SoftGoal(Goal, TerminalCost, kind="SoftGoal"):
         check_weight(self)
 
     def check(self, structure: Structure) -> None:
-        """Reject a structure that the goal does not fit.
+        """Check that the goal can apply to a structure.
 
         Parameters
         ----------
@@ -277,7 +277,7 @@ class StringLengths(Goal, kind="StringLengths"):
         )
 
     def check(self, structure: Structure) -> None:
-        """Reject a structure that the goal does not fit.
+        """Check that the goal can apply to a structure.
 
         Parameters
         ----------
@@ -371,7 +371,7 @@ class Shape(Goal, kind="Shape"):
         object.__setattr__(self, "nodes", finite_array("Shape.nodes", self.nodes, (None, 3)))
 
     def check(self, structure: Structure) -> None:
-        """Reject a structure that the goal does not fit.
+        """Check that the goal can apply to a structure.
 
         Parameters
         ----------

@@ -62,7 +62,7 @@ class NodePositions(Goal, kind="NodePositions"):
         )
 
     def check(self, structure: Structure) -> None:
-        """Reject a structure that the goal does not fit.
+        """Check that the goal can apply to a structure.
 
         Parameters
         ----------
@@ -182,7 +182,7 @@ class NodeVelocities(Goal, kind="NodeVelocities"):
         )
 
     def check(self, structure: Structure) -> None:
-        """Reject a structure that the goal does not fit.
+        """Check that the goal can apply to a structure.
 
         Parameters
         ----------
@@ -323,7 +323,7 @@ class CenterOfMass(Goal, kind="CenterOfMass", earlier="CentreOfMass"):
             object.__setattr__(self, "masses", masses)
 
     def check(self, structure: Structure) -> None:
-        """Reject a structure that the goal does not fit.
+        """Check that the goal can apply to a structure.
 
         Parameters
         ----------

@@ -73,7 +73,7 @@ class Periodic(Goal, kind="Periodic"):
             )
 
     def check(self, structure: Structure) -> None:
-        """Reject a structure that the goal does not fit.
+        """Check that the goal can apply to a structure.
 
         Parameters
         ----------
@@ -115,7 +115,7 @@ class Periodic(Goal, kind="Periodic"):
         return replace(self, start=(model.nodes(start)[:count], model.velocities(start)[:count]))
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
-        """Build coordinates and velocities minus those of the start.
+        """Build the differences between the final state and the start.
 
         Parameters
         ----------

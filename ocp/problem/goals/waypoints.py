@@ -84,7 +84,7 @@ class Waypoint(Goal, kind="Waypoint"):
             )
 
     def check(self, structure: Structure) -> None:
-        """Reject a structure that the goals do not fit.
+        """Check that the goals can apply to a structure.
 
         Parameters
         ----------

@@ -36,5 +36,4 @@ def add_inputs(model: Model, values: Any = None) -> Model:
     scene = replace(scene, forces=forces, gravity=gravity, parameters=parameters)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RedundantConstraints)  # the given model has warned
-        constant = model.mechanism.constant_length
-        return Model(scene, model.coordinates, "constant" if constant else "current")
+        return model.with_scene(scene)
