@@ -16,6 +16,7 @@ from ocp.problem.constraints import build_constraint
 from ocp.problem.costs import Cost, RunningCost, TerminalCost
 from ocp.problem.instant import Instant, symbolic
 from tenscasadi.util.validate import (
+    TOLERANCE,
     Array,
     call_user_function,
     flag,
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
 
 Expression = Callable[[Instant], Any]
 
-START_TOLERANCE = 1e-6  # relative to the structure's size; tolerance of a start's violation
 _NO_NUMBER = "is not a number at the start: keep roots, logarithms and quotients away from their limits, or start elsewhere"
 
 
@@ -286,9 +286,7 @@ def check_expressions(
                     f"Problem.bounds: {limited.names[int(np.argmax(undefined))]} {_NO_NUMBER}"
                 )
             if limited.ends == ("end",) and len(value):
-                _check_within(
-                    limited, value, START_TOLERANCE * float(np.ptp(model.structure.nodes))
-                )
+                _check_within(limited, value, TOLERANCE * float(np.ptp(model.structure.nodes)))
     for cost in costs:
         now = symbolic(model)
         terms = cost.terms()

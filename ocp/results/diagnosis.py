@@ -14,7 +14,7 @@ from ocp.problem.path_constraints import path_constraints
 from ocp.problem.problem import Problem
 from ocp.results.result import PlanResult
 from ocp.solvers.base import Solution
-from ocp.solvers.ipopt import SADDLE, SMALL_VIOLATION
+from ocp.solvers.ipopt import SADDLE
 from ocp.solvers.monitor import STOPPED, TIME_UP
 from ocp.solvers.relaxation import TOO_SLOW, find_rate_rows, measure_relaxation
 from ocp.targets.target import Target
@@ -22,7 +22,7 @@ from ocp.transcription.mesh import Guess, hermite_state, locate_share
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stability import fastest_rate
-from tenscasadi.util.validate import Array
+from tenscasadi.util.validate import TOLERANCE, Array
 
 RUNAWAY = 1e2  # scaled size from which an unknown without limits counts as unbounded
 
@@ -110,7 +110,7 @@ def explain_failure(
     if not np.all(np.isfinite(g)):
         return parts[0]
     worst = int(np.argmax(violation))
-    if violation[worst] > SMALL_VIOLATION:
+    if violation[worst] > TOLERANCE:
         name, amount = program.names[worst], violation[worst]
         unit = _units(problem).get(name.split(",")[0])
         scaled = f"{amount:.2g} of its scale"

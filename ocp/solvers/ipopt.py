@@ -16,7 +16,7 @@ from ocp.solvers.monitor import STOPPED, Monitor, Progress
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.schema.containers import TableOf
 from tenscasadi.schema.field_types import InPython, Option
-from tenscasadi.util.validate import Array, format_value, positive_number
+from tenscasadi.util.validate import TOLERANCE, Array, format_value, positive_number
 
 HSL = ("ma27", "ma57", "ma77", "ma86", "ma97")  # linear solvers that CasADi does not bring along
 PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
@@ -38,7 +38,6 @@ MANY_INTERVALS = 800
 BENT = 3  # consecutive iterations with negative curvature at a saddle
 SADDLE = "Saddle"
 NOWHERE = "Infeasible_Problem_Detected", "Restoration_Failed"  # no progress to the constraints
-SMALL_VIOLATION = 1e-6  # scaled violation that counts as none
 
 Watcher = Callable[[Progress], Any]
 
@@ -311,11 +310,7 @@ class BestIterate(ca.Callback):
             np.maximum(np.maximum(self._lower - g, g - self._upper), 0.0).max(initial=0.0)
         )
         # the least violation counts, until it is small; then the objective
-        merit = (
-            violation
-            if violation > SMALL_VIOLATION
-            else SMALL_VIOLATION * float(np.arctan(f[0]) / np.pi)
-        )
+        merit = violation if violation > TOLERANCE else TOLERANCE * float(np.arctan(f[0]) / np.pi)
         if np.isfinite(merit) and merit < self._merit:
             self._merit, self.w = merit, w.copy()
         now = Progress(self._count, float(f[0]) * self._objective, violation)

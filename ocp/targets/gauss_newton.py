@@ -13,7 +13,7 @@ import scipy.sparse as sp
 
 from ocp.targets.row_reduction import RANK, RowFunction, soft_directions
 from tenscasadi.util.linear_algebra import find_blocks
-from tenscasadi.util.validate import Array
+from tenscasadi.util.validate import ROUNDING, Array
 
 STRIDE = 0.1  # relative to the structure's size: largest relative displacement of nodes in a step
 STEPS = 100
@@ -24,7 +24,6 @@ CRAWL, PATIENCE = (
     0.99,
     5,
 )  # the search stops after 5 steps that each leave more than 99 % of the residual
-DONE = 1e-13
 STARTS = 4  # directions of largest curvature for which both roots of the quadratic are tried
 
 
@@ -57,7 +56,7 @@ class GaussNewton:
         crawling = 0
         for _ in range(STEPS):
             best, least = None, rows.size(y)
-            if least < DONE or crawling == PATIENCE:
+            if least < ROUNDING or crawling == PATIENCE:
                 break
             enough = QUICK * least
             for trial in self._trials(rows, y):
@@ -74,7 +73,7 @@ class GaussNewton:
             STEPS
         ):  # rigid rows come last, so that the goal's residual shows the violation
             size = kept.size(y)
-            if size < DONE or size > CRAWL * before:
+            if size < ROUNDING or size > CRAWL * before:
                 break
             y, before = self._moved(y, self._step(kept, y, RANK)), size
         return y

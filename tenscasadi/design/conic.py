@@ -11,7 +11,6 @@ import scipy.sparse as sp
 
 from tenscasadi.util.validate import Array
 
-ACCURACY = 1e-6  # relative error of solutions, with a margin for ill-conditioned programs
 _ACCURATE = ("Solved", "AlmostSolved")
 _INFEASIBLE = ("PrimalInfeasible", "AlmostPrimalInfeasible")
 _UNBOUNDED = ("DualInfeasible", "AlmostDualInfeasible")

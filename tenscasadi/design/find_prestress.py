@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from tenscasadi.design.conic import ACCURACY, LinearRows
+from tenscasadi.design.conic import LinearRows
 from tenscasadi.design.force_densities import Groups, read_force_densities, set_prestress
 from tenscasadi.design.prestress_goals import (
     Even,
@@ -29,6 +29,7 @@ from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import (
     MAX_ITERATIONS,
     NEGLIGIBLE,
+    TOLERANCE,
     Array,
     as_tuple,
     finite_array,
@@ -253,7 +254,7 @@ class _PrestressSearch:
         forces = q * self.tangent.lengths
         if (
             np.abs(forces[:strings]).max(initial=0.0)
-            <= ACCURACY * self.scale * self.tangent.lengths.mean()
+            <= TOLERANCE * self.scale * self.tangent.lengths.mean()
         ):
             if not len(self_stress(structure)):
                 return self.fail(

@@ -30,6 +30,7 @@ from tenscasadi.structure.rigid_body import reject_bodies
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import (
+    TOLERANCE,
     Array,
     as_tuple,
     coordinates,
@@ -41,8 +42,6 @@ from tenscasadi.util.validate import (
     number,
     positive_number,
 )
-
-_FLAT = 1e-6  # relative to the size of a form: smaller extents and lengths count as zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,7 +237,7 @@ def _assess(
         balance_columns(pairs, vectors, len(nodes)) @ q - loads.ravel()
     )
     unbalanced = float(np.abs(residual).max(initial=0.0))
-    short = bool(np.any(lengths <= _FLAT * np.ptp(nodes)))
+    short = bool(np.any(lengths <= TOLERANCE * np.ptp(nodes)))
     fault = _find_fault(structure, nodes, forces, unbalanced, misses)
     if short and not fault:
         fault = (
@@ -248,7 +247,7 @@ def _assess(
     if not short:
         formed = set_prestress(structure.replace(nodes=nodes), q[:strings], -q[strings:])
     change = np.abs(lengths[strings:] / structure.bar_lengths - 1.0).max(initial=0.0)
-    far = f", bars change their lengths by up to {change:.2g} times" if change > _FLAT else ""
+    far = f", bars change their lengths by up to {change:.2g} times" if change > TOLERANCE else ""
     balanced = f"in equilibrium, unbalanced forces below {max(unbalanced, 1e-16):.1g} N"
     message = fault or balanced + far
     return Form(formed, q[:strings], forces[strings:], not fault, message)
@@ -285,4 +284,4 @@ def _find_fault(
 def _dimension(nodes: Array) -> int:
     """Count the dimensions that nodes span."""
     sizes = np.linalg.svd(nodes - nodes.mean(axis=0), compute_uv=False)
-    return int(np.sum(sizes > _FLAT * sizes.max(initial=1e-300)))
+    return int(np.sum(sizes > TOLERANCE * sizes.max(initial=1e-300)))

@@ -39,6 +39,12 @@ class Style:
         Number of grid lines along the ground.
     saturation : float
         Quantile of the values at the end of a color scale.
+    shadow : float
+        Opacity of shadows on grounds.
+    ground_margin : float
+        Margin of grounds around the structure in a 3-D file, relative to its size.
+    mode_amplitude : float
+        Largest displacement of a mode, relative to the structure.
     """
 
     bar: Rgb = (57, 66, 78)
@@ -74,6 +80,9 @@ class Style:
     arrow_length: float = 0.25
     grid_lines: int = 20
     saturation: float = 0.99
+    shadow: float = 0.25
+    ground_margin: float = 0.7
+    mode_amplitude: float = 0.12
 
 
 STYLE = Style()

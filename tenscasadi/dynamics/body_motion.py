@@ -7,9 +7,8 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from tenscasadi.structure.body_assembly import FLAT
 from tenscasadi.util.linear_algebra import fit_rotation, fit_velocities
-from tenscasadi.util.validate import Array, whole_number
+from tenscasadi.util.validate import NEGLIGIBLE, Array, whole_number
 
 
 class BodyFrame(NamedTuple):
@@ -59,7 +58,7 @@ def find_body(structure: Any, body: Any) -> Any:
     own = structure.bodies[whole_number("body", body, 0, count - 1)]
     places = structure.nodes[list(own.nodes)]
     sizes = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
-    if sizes[1] <= FLAT * sizes[0]:
+    if sizes[1] <= NEGLIGIBLE * sizes[0]:
         raise ValueError(f"body {body} is a thin rod: its nodes define no orientation")
     return own
 
@@ -87,7 +86,7 @@ def body_frame(structure: Any, body: Any) -> BodyFrame:
     nodes = list(find_body(structure, body).nodes)
     arms = structure.nodes[nodes] - structure.nodes[nodes].mean(axis=0)
     _, sizes, right = np.linalg.svd(arms)
-    count = int(np.sum(sizes > FLAT * sizes[0]))
+    count = int(np.sum(sizes > NEGLIGIBLE * sizes[0]))
     directions = right.T * np.array([1.0, 1.0, np.linalg.det(right)])
     along = directions[:, :count]
     weights = np.linalg.pinv((arms @ along).T)  # (k, d): arms' combination is a direction

@@ -31,7 +31,6 @@ _MESHES = {"member": build_cylinder(12), "ball": build_ball(8, 12), "cone": buil
 _UPWARD = np.array(
     [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 )
-_MARGIN = 0.7  # of grounds around the structure, relative to its size
 
 
 def export_gltf(data: Any, path: str | os.PathLike[str], *, time: float | None = None) -> Path:
@@ -103,7 +102,7 @@ def export_gltf(data: Any, path: str | os.PathLike[str], *, time: float | None =
         mesh = _color(trimesh, Mesh(shape.points.reshape(-1, 3), indices), STYLE.body)
         scene.add_geometry(mesh, node_name=f"body {k}", transform=_UPWARD)
     for k, ground in enumerate(content.grounds):
-        patch = cut_ground(ground, *find_view(content, _MARGIN))
+        patch = cut_ground(ground, *find_view(content, STYLE.ground_margin))
         if patch is not None:
             mesh = _color(trimesh, Mesh(patch.vertices, patch.faces), STYLE.ground)
             scene.add_geometry(mesh, node_name=f"ground {k}", transform=_UPWARD)

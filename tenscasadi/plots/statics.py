@@ -24,7 +24,6 @@ _SIGNS: tuple[Rgb, ...] = (STYLE.reaction, STYLE.slack, STYLE.load)  # push, non
 # radii relative to the structure: of members without and with the largest force, and in modes
 _THINNEST, _WIDEST, _LINE = 0.001, 0.007, 0.002
 _ZOOM = 1.5  # of modes, which have no axes around them
-_AMPLITUDE = 0.12  # of the largest displacement in a mode, relative to the structure
 _COLUMNS = 3
 
 
@@ -164,7 +163,7 @@ def mode_shapes(
         )
         canvas = Canvas3D(figure, content, place)
         largest = float(np.linalg.norm(mode, axis=1).max()) or 1.0
-        moved = structure.nodes + mode * (_AMPLITUDE * size / largest)
+        moved = structure.nodes + mode * (STYLE.mode_amplitude * size / largest)
         still, moving = (MotionShapes(content, tint=tint) for tint in (STYLE.slack, STYLE.load))
         gray = still.build(Frame(structure.nodes))[:2]
         dark = MotionShapes(content).build(Frame(moved))[:1]

@@ -36,6 +36,7 @@ from tenscasadi.util.compile import CompileError, compile_function
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import (
+    TOLERANCE,
     Array,
     Indices,
     call_user_function,
@@ -48,7 +49,6 @@ from tenscasadi.util.validate import (
 By = Literal["state", "control", "parameters"]
 Mode = Literal["forward", "adjoint"]
 Output = ca.Function | Callable[[Any, Any], Any] | None
-_SAME = 1e-6  # relative difference of final states above which the steps differ from the run
 
 
 @dataclass(frozen=True, eq=False)
@@ -399,7 +399,7 @@ def _compare(request: _RunArguments, run: Trajectory) -> None:
     if request.last is None:
         return
     off = float(np.abs(run.states[-1] - request.last).max(initial=0.0))
-    if off > _SAME * max(1.0, float(np.abs(request.last).max(initial=0.0))):
+    if off > TOLERANCE * max(1.0, float(np.abs(request.last).max(initial=0.0))):
         raise ValueError(
             f"start is a trajectory whose last state is {off:.2g} from where these steps end: give the scheme, the correction and, where it "
             "changes between the rows kept, the control of that run with its first state"
@@ -434,7 +434,7 @@ def _differentiate(
         jacobian[:, task.owner[-1]] += by_w[:, task.entries]
     seconds = time.perf_counter() - began
     message, finite = run.message + note, bool(np.all(np.isfinite(jacobian)))
-    same = found.apart <= _SAME * max(1.0, float(np.abs(run.states).max(initial=0.0)))
+    same = found.apart <= TOLERANCE * max(1.0, float(np.abs(run.states).max(initial=0.0)))
     if not finite:
         message += "; the derivatives are not finite: they overflow, or a step is not differentiable where it was taken"
     elif not same:

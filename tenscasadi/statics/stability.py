@@ -35,9 +35,7 @@ from tenscasadi.structure.prestress import check_cable_tensions, read_force_dens
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.kept import keep
 from tenscasadi.util.read_only import ReadOnlyArrays
-from tenscasadi.util.validate import NEGLIGIBLE, ROUNDING, Array, instance, whole_number
-
-BALANCED = 1e-6  # unbalanced force in equilibrium, relative to the largest force
+from tenscasadi.util.validate import NEGLIGIBLE, ROUNDING, TOLERANCE, Array, instance, whole_number
 
 
 @dataclass(frozen=True, eq=False)
@@ -365,7 +363,7 @@ def describe_state(
     residual = float(
         np.linalg.norm((equations.free @ unbalanced).reshape(-1, 3), axis=1).max(initial=0.0)
     )
-    balanced = residual <= allowed_residual(system, point, state.tension, BALANCED)
+    balanced = residual <= allowed_residual(system, point, state.tension, TOLERANCE)
     softest = (
         f"softest motion {values[0]:.4g} N/m" if len(values) else "no motion changes the shape"
     )

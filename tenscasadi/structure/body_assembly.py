@@ -19,12 +19,12 @@ from scipy.sparse import block_diag, csr_array
 from tenscasadi.structure.class_one import member_lengths
 from tenscasadi.util.linear_algebra import fit_rotation, fit_velocities
 from tenscasadi.util.validate import (
+    NEGLIGIBLE,
+    ROUNDING,
     Array,
     Indices,
 )
 
-FLAT = 1e-9  # height relative to the size, below which nodes or masses count as in a plane
-ROUNDING = 1e-12  # of weights of nodes
 _MIN_HEIGHT = 1e-3  # relative height of a basic node; below, M⁻ loses more than six digits
 _PREFERENCE = 0.3  # of the largest height, from which on shared and pinned nodes are preferred
 
@@ -190,7 +190,7 @@ def _build_frame(k: int, body: Any, nodes: Array, preferred: Any) -> _Frame:
     basic, Q, size = _choose_basic(k, X, preferred[own])
     origin, auxiliary = X[basic[0]], np.zeros((0, 3))
     outside = _extent_outside(properties, origin, Q)
-    if len(basic) < 4 and outside > FLAT * size:
+    if len(basic) < 4 and outside > NEGLIGIBLE * size:
         if len(basic) == 2:
             raise ValueError(
                 f"bodies[{k}]: its nodes {list(body.nodes)} lie on a line, but its mass does not "
@@ -204,7 +204,7 @@ def _build_frame(k: int, body: Any, nodes: Array, preferred: Any) -> _Frame:
     H = np.vstack([((places - origin) @ Q).T, np.ones(len(places))])
     inverse = np.linalg.inv(H)
     moments = Q.T @ properties.moments @ Q
-    if np.linalg.eigvalsh(moments)[0] < FLAT * np.trace(properties.moments):
+    if np.linalg.eigvalsh(moments)[0] < NEGLIGIBLE * np.trace(properties.moments):
         where = ["on a line", "in a plane"][len(Q.T) - 2] if len(Q.T) > 1 else "at a point"
         raise ValueError(
             f"bodies[{k}]: its mass lies {where}, but not its nodes {list(body.nodes)}: give the "
@@ -234,7 +234,7 @@ def _choose_basic(k: int, X: Array, preferred: Any) -> tuple[list[int], Array, f
         arms = arms - arms @ directions @ directions.T
         height = np.linalg.norm(arms, axis=1)
         best = int(height.argmax())
-        if height[best] <= FLAT * size:
+        if height[best] <= NEGLIGIBLE * size:
             break
         if height[best] < _MIN_HEIGHT * size:
             shape = {1: "a point", 2: "a line", 3: "a plane"}[len(chosen)]
@@ -255,7 +255,7 @@ def _extent_outside(own: Any, origin: Array, Q: Array) -> float:
     """Compute how far mass extends outside a plane or line [m]."""
     across = np.eye(3) - Q @ Q.T
     gyration = np.sqrt(max(float(np.trace(across @ own.moments @ across)), 0.0) / own.mass)
-    thin = float(np.sqrt(FLAT * np.trace(own.moments) / own.mass))  # of rounded moments
+    thin = float(np.sqrt(NEGLIGIBLE * np.trace(own.moments) / own.mass))  # of rounded moments
     offset = float(np.linalg.norm(across @ (own.center - origin)))
     return max(gyration if gyration > thin else 0.0, offset)
 

@@ -8,11 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from tenscasadi.util.validate import Array, finite_array, format_value, nesting, node_index
+from tenscasadi.util.validate import (
+    TOLERANCE,
+    Array,
+    finite_array,
+    format_value,
+    nesting,
+    node_index,
+)
 
 Normals = tuple[tuple[float, float, float], ...]
-
-_PARALLEL = 1e-6  # sine of the angle below which two directions count as parallel
 
 
 def read_pins(pinned: Any, count: int) -> Mapping[int, str]:
@@ -114,7 +119,7 @@ def _orthonormalize(field: str, given: Any) -> Array:
         along = float(normals[0] @ normals[k])
         if abs(along) > 1e-15:
             rest = normals[k] - along * normals[0]
-            if np.linalg.norm(rest) < _PARALLEL:
+            if np.linalg.norm(rest) < TOLERANCE:
                 raise ValueError(
                     f"{field} is {format_value(given)}, parallel directions: give one of them"
                 )

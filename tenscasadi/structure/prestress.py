@@ -10,6 +10,7 @@ import numpy as np
 from tenscasadi.structure.cables import wrap_angles
 from tenscasadi.structure.equilibrium_matrix import balance_bars
 from tenscasadi.util.validate import (
+    TOLERANCE,
     Array,
     finite_array,
     item_mask,
@@ -18,8 +19,6 @@ from tenscasadi.util.validate import (
     per_item,
     real_array,
 )
-
-EQUAL = 1e-6  # relative difference of tensions of a cable that counts as rounding
 
 
 def find_rest_lengths(
@@ -85,7 +84,7 @@ def check_cable_tensions(structure: Any, gamma: Array) -> None:
     for k, (cable, friction) in enumerate(
         zip(structure.cables, structure.cable_friction, strict=True)
     ):
-        limits = np.exp(friction * wrap_angles(structure, cable)) * (1 + EQUAL)
+        limits = np.exp(friction * wrap_angles(structure, cable)) * (1 + TOLERANCE)
         for one, other, limit in zip(cable, cable[1:], limits, strict=False):
             low, high = sorted((tension[one], tension[other]))
             if high > limit * low and high > 0:

@@ -12,6 +12,7 @@ from tenscasadi.schema.field_types import VECTOR, Members, Numbers
 from tenscasadi.schema.value import Value
 from tenscasadi.util.linear_algebra import fit_rotation
 from tenscasadi.util.validate import (
+    NEGLIGIBLE,
     SMALLEST,
     Array,
     as_tuple,
@@ -23,8 +24,6 @@ from tenscasadi.util.validate import (
     positive_number,
     whole_number,
 )
-
-_ROUNDING = 1e-9  # relative violation of the triangle inequality that counts as rounding
 
 
 class MassProperties(NamedTuple):
@@ -199,18 +198,18 @@ def _read_inertia(given: Any) -> Array:
     matrix = np.array(finite_array("RigidBody.inertia", given, shape))
     matrix = np.diag(matrix) if matrix.ndim == 1 else matrix
     size = float(np.abs(matrix).max())
-    if np.abs(matrix - matrix.T).max() > _ROUNDING * size:
+    if np.abs(matrix - matrix.T).max() > NEGLIGIBLE * size:
         raise ValueError(
             f"RigidBody.inertia is {format_value(matrix.tolist())}: give a symmetric matrix"
         )
     matrix = (matrix + matrix.T) / 2
     principal = np.linalg.eigvalsh(matrix)
-    if principal[0] < -_ROUNDING * size or principal[2] < SMALLEST:
+    if principal[0] < -NEGLIGIBLE * size or principal[2] < SMALLEST:
         raise ValueError(
             f"RigidBody.inertia has the principal moments {principal.tolist()} kg m²: "
             "they must be at least 0, and two of them greater"
         )
-    if principal[0] + principal[1] < (1 - _ROUNDING) * principal[2]:
+    if principal[0] + principal[1] < (1 - NEGLIGIBLE) * principal[2]:
         raise ValueError(
             f"RigidBody.inertia has the principal moments {principal.tolist()} kg m²: "
             "none may exceed the sum of the others"

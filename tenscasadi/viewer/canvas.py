@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     import viser
 
 _FIELD_OF_VIEW = np.radians(40.0)
-_SHADOW = 0.25  # opacity of shadows on grounds
 
 
 class Layer:
@@ -330,7 +329,7 @@ def _add_surroundings(
             side="double",
             material="toon5",
             cast_shadow=False,
-            receive_shadow=_SHADOW if shaded else False,
+            receive_shadow=STYLE.shadow if shaded else False,
         )
         scene.add_line_segments(
             f"{root}/ground {k}/grid", patch.lines + lift, STYLE.grid, thickness=1.0, **thin

@@ -15,9 +15,14 @@ from tenscasadi.dynamics.body_motion import find_body
 from tenscasadi.schema.field_types import Numbers
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.linear_algebra import fit_rotation
-from tenscasadi.util.validate import Array, finite_array, format_value, nesting, whole_number
-
-_ROUNDING = 1e-6  # of rotation matrices in files, which are made orthonormal
+from tenscasadi.util.validate import (
+    TOLERANCE,
+    Array,
+    finite_array,
+    format_value,
+    nesting,
+    whole_number,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +58,7 @@ class BodyOrientation(Goal, kind="BodyOrientation"):
         given = finite_array("BodyOrientation.rotation", self.rotation, shape)
         object.__setattr__(self, "rotation", given)
         R = self.matrix
-        if np.abs(R @ R.T - np.eye(3)).max() > _ROUNDING or np.linalg.det(R) < 0.0:
+        if np.abs(R @ R.T - np.eye(3)).max() > TOLERANCE or np.linalg.det(R) < 0.0:
             raise ValueError(
                 f"BodyOrientation.rotation is {format_value(given.tolist())}: give a rotation "
                 "matrix, which is orthonormal with determinant 1, or a rotation vector [rad]"

@@ -8,10 +8,10 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from tenscasadi.design.conic import ACCURACY, LinearRows, solve_conic
+from tenscasadi.design.conic import LinearRows, solve_conic
 from tenscasadi.design.sizing.program import SizingProgram
 from tenscasadi.util.linear_algebra import REGULARIZATION
-from tenscasadi.util.validate import MAX_ITERATIONS, NEGLIGIBLE, Array
+from tenscasadi.util.validate import MAX_ITERATIONS, NEGLIGIBLE, TOLERANCE, Array
 
 
 def elastic_response(program: SizingProgram, area: Array) -> Array:
@@ -82,7 +82,7 @@ def fit_prestress(program: SizingProgram, area: Array, forces: Array) -> Array:
     equal = LinearRows(program.balance, np.zeros(program.balance.shape[0]))
     found = solve_conic(-forces.mean(axis=0) / scale, equal, below, eye)
     fitted = found.x * scale
-    if found.status != "solved" or np.abs(fitted).max() <= ACCURACY * scale:
+    if found.status != "solved" or np.abs(fitted).max() <= TOLERANCE * scale:
         return np.zeros(members)
     return fitted
 

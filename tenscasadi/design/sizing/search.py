@@ -18,9 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tenscasadi.design.conic import ACCURACY
 from tenscasadi.design.sizing.program import BucklingRows, SizedForces, SizingProgram
-from tenscasadi.util.validate import MAX_ITERATIONS, NEGLIGIBLE, Array
+from tenscasadi.util.validate import MAX_ITERATIONS, NEGLIGIBLE, TOLERANCE, Array
 
 _GROWTHS = 12  # doublings of areas until they carry their own weight
 _WORK = 20_000  # unknowns of all programs of branch and bound: 0.2 s; 200 programs of 100 unknowns
@@ -48,7 +47,7 @@ def find_least_mass(program: SizingProgram) -> Design:
     if not np.isfinite(root.mass):
         return Design(none, np.inf)
     needed = program.sections.needed(root.force)
-    if np.all(needed <= root.area + ACCURACY * root.area.max(initial=0.0)):
+    if np.all(needed <= root.area + TOLERANCE * root.area.max(initial=0.0)):
         return Design(root, root.mass)  # yield governs: the program is convex
     best = _descend(program, root.force) or none
     return _branch(program, best)
@@ -116,13 +115,13 @@ def _branch(program: SizingProgram, best: SizedForces) -> Design:
     queue: list[tuple[float, int, Array, Array]] = [(0.0, 0, np.zeros(program.members), largest())]
     unknowns = program.members * (1 + 2 * len(program.loads))
     for count in range(1 + _WORK // max(unknowns, 1)):
-        if not queue or queue[0][0] >= best.mass * (1.0 - ACCURACY):
+        if not queue or queue[0][0] >= best.mass * (1.0 - TOLERANCE):
             return Design(best, best.mass)
         _, _, low, high = heapq.heappop(queue)
         relaxed = program.solve(chords(low, high), high)
-        if relaxed.mass >= best.mass * (1.0 - ACCURACY):
+        if relaxed.mass >= best.mass * (1.0 - TOLERANCE):
             continue
-        if sections.mass_per_area @ sections.needed(relaxed.force) < best.mass * (1.0 - ACCURACY):
+        if sections.mass_per_area @ sections.needed(relaxed.force) < best.mass * (1.0 - TOLERANCE):
             candidate = _descend(program, relaxed.force) or best
             best = min(best, candidate, key=lambda each: each.mass)
         push = np.maximum(-relaxed.force, 0.0).max(axis=0)

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from tenscasadi.design.conic import ACCURACY, LinearRows, solve_conic
+from tenscasadi.design.conic import LinearRows, solve_conic
 from tenscasadi.design.find_prestress import read_load_cases
 from tenscasadi.design.sizing.elastic_forces import (
     elastic_response,
@@ -28,6 +28,7 @@ from tenscasadi.structure.rigid_body import reject_bodies
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import (
     NEGLIGIBLE,
+    TOLERANCE,
     Array,
     finite_array,
     flag,
@@ -141,7 +142,7 @@ def size(
     message = f"stable, {more:.1e} above the least mass without that"
     sized = report_sections(structure, program, cases, found[:3], message)
     least = float(sized.buckling.min(initial=np.inf))
-    if least < 1.0 - ACCURACY:
+    if least < 1.0 - TOLERANCE:
         reason = f"a load case buckles at {least:.6g} times its load: give a minimum area"
         return replace(sized, success=False, message=reason)
     return sized
@@ -201,7 +202,7 @@ def _superpose(structure: Structure, program: SizingProgram, cases: Array, given
     sections = program.sections
     area, forces = superpose_prestress(program, given, sections.needed(given[None]))
     needed = sections.needed(np.vstack([forces, given]))
-    if not np.all(needed <= area + ACCURACY * area.max(initial=0.0)):
+    if not np.all(needed <= area + TOLERANCE * area.max(initial=0.0)):
         reason = "areas and response to the loads do not settle: give a minimum area"
         return report_failure(structure, cases, reason)
     message = "each member is as thin as the given prestress allows"
@@ -224,10 +225,10 @@ def _choose_forces(
     own = none if given is not None else fit_prestress(program, area, best.force - response)
     elastic = own + response
     largest = float(np.abs(elastic).max(initial=0.0))
-    taut = elastic[:, : program.strings].min(initial=0.0) >= -ACCURACY * largest
+    taut = elastic[:, : program.strings].min(initial=0.0) >= -TOLERANCE * largest
     needed = sections.needed(np.vstack([elastic, own]))
-    if taut and np.all(needed <= area + ACCURACY * area.max()):
-        same = np.abs(elastic - best.force) <= ACCURACY * largest
+    if taut and np.all(needed <= area + TOLERANCE * area.max()):
+        same = np.abs(elastic - best.force) <= TOLERANCE * largest
         return area, np.where(same, best.force, elastic), own
     return area, best.force, none
 
@@ -237,7 +238,7 @@ def _explain(program: SizingProgram) -> str:
     for case in np.flatnonzero(program.loads.any(axis=1)):
         load = program.loads[case]
         left = unbalanced_load(program, load)
-        if left > ACCURACY * float(np.abs(load).max()):
+        if left > TOLERANCE * float(np.abs(load).max()):
             return f"no forces with strings in tension balance load case {case}, {left:.3g} N stay unbalanced: change supports, members or the load"
     if program.weight.nnz:
         return "no sections carry their own weight: use a stronger material or shorter members"

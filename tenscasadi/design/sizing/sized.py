@@ -7,7 +7,6 @@ from functools import cached_property
 
 import numpy as np
 
-from tenscasadi.design.conic import ACCURACY
 from tenscasadi.design.force_densities import set_prestress
 from tenscasadi.design.sizing.material import Sections
 from tenscasadi.design.sizing.program import SizingProgram
@@ -16,7 +15,7 @@ from tenscasadi.scene.scene import Scene
 from tenscasadi.statics.buckling import buckling_factor
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.read_only import ReadOnlyArrays
-from tenscasadi.util.validate import NEGLIGIBLE, Array
+from tenscasadi.util.validate import NEGLIGIBLE, TOLERANCE, Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +110,7 @@ def report_sections(
     sections, strings = program.sections, program.strings
     masses = sections.mass_per_area * area
     largest = float(np.abs(force).max(initial=0.0))
-    slack = np.flatnonzero(force[:, :strings].min(axis=0, initial=0.0) < -ACCURACY * largest)
+    slack = np.flatnonzero(force[:, :strings].min(axis=0, initial=0.0) < -TOLERANCE * largest)
     if len(slack):
         message = f"string {slack[0]} would be compressed under a load: raise the prestress"
     return Sized(
@@ -141,7 +140,7 @@ def _find_reasons(sections: Sections, area: Array, states: Array) -> tuple[str, 
         sections.minimum,
     ]
     reasons = np.array(["yield", "buckling", "minimum"])[np.argmax(needs, axis=0)]
-    unused = area <= ACCURACY * area.max(initial=0.0)
+    unused = area <= TOLERANCE * area.max(initial=0.0)
     return tuple(np.where(unused, "none", reasons).tolist())
 
 

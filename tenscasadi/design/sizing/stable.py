@@ -12,11 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from tenscasadi.design.conic import ACCURACY, LinearRows, scaled_triangle, solve_conic
+from tenscasadi.design.conic import LinearRows, scaled_triangle, solve_conic
 from tenscasadi.design.sizing.elastic_forces import elastic_response, response_slopes
 from tenscasadi.design.sizing.program import SizingProgram
 from tenscasadi.design.tangent_stiffness import TangentStiffness, extend_basis
-from tenscasadi.util.validate import MAX_ITERATIONS, NEGLIGIBLE, Array
+from tenscasadi.util.validate import MAX_ITERATIONS, NEGLIGIBLE, TOLERANCE, Array
 
 _FACTOR = 10.0  # largest factor of an area per iteration, before the areas oscillate
 _LARGEST_FACTOR = 1e6
@@ -111,7 +111,7 @@ class StableSizing:
 
     def _design(self, area: Array, own: Array, message: str) -> StableDesign:
         response = elastic_response(self.program, area)
-        if np.abs(own).max(initial=0.0) <= ACCURACY * np.abs(response).max(initial=0.0):
+        if np.abs(own).max(initial=0.0) <= TOLERANCE * np.abs(response).max(initial=0.0):
             own = np.zeros_like(own)
         return StableDesign(area, own + response, own, message)
 

@@ -14,9 +14,8 @@ from tenscasadi.statics.solver.trust_region import (
     find_rest,
     pull_to_bars,
 )
-from tenscasadi.util.validate import MAX_ITERATIONS, ROUNDING, Array
+from tenscasadi.util.validate import MAX_ITERATIONS, ROUNDING, TOLERANCE, Array
 
-SLIP = 1e-6  # displacement of a sticking contact, relative to the size of the structure
 ROUGH = 1e-4  # accuracy before the final Newton iterations, relative to the largest force
 
 
@@ -56,7 +55,7 @@ def prepare_friction(system: NewtonSystem, nodes: Array, given: Conditions) -> C
     """Set the nodes from which contacts with friction slip."""
     if not system.equations.has_friction:
         return given
-    return given._replace(anchor=nodes, slip=SLIP * structure_size(nodes))
+    return given._replace(anchor=nodes, slip=TOLERANCE * structure_size(nodes))
 
 
 def structure_size(nodes: Array) -> float:

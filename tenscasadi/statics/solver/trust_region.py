@@ -30,7 +30,6 @@ ACCURACY = 1e-11  # unbalanced force in equilibrium, relative to the largest for
 ESCAPES = 20  # from saddles
 FARTHEST = 1e3  # displacement of an unsupported structure, relative to its size
 _ROUNDING = 16 * float(np.finfo(float).eps)
-_SHORTEST = 1e-14  # shortest step, relative to the size of the structure
 
 
 class SearchResult(NamedTuple):
@@ -209,7 +208,7 @@ class _SearchState:
             self._take(whole)
             self.tension = self.tension + change
             self._balance()
-        elif self.radius < _SHORTEST * self.size:
+        elif self.radius < ROUNDING * self.size:
             self._fit_tension()  # those of the model are too large after all strings became slack
             if not self._is_balanced():
                 raise StalledError("no step lowers the energy any more")
