@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tenscasadi.structure.body_assembly import FLAT
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, Indices
+from tenscasadi.util.validate import NEGLIGIBLE, Array, Indices
 
 
 def find_hulls(structure: Structure | None) -> list[Indices]:
@@ -29,7 +28,7 @@ def _find_triangles(points: Array) -> Indices:
 
     arms = points - points.mean(axis=0)
     _, sizes, right = np.linalg.svd(arms)
-    dimension = int(np.sum(sizes > FLAT * sizes[0]))
+    dimension = int(np.sum(sizes > NEGLIGIBLE * sizes[0]))
     if dimension == 3:
         return np.asarray(ConvexHull(points).simplices, dtype=np.intp)
     if dimension < 2:

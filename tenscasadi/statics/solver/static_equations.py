@@ -27,7 +27,6 @@ from tenscasadi.dynamics.forces import (
 from tenscasadi.dynamics.masses import node_weights
 from tenscasadi.scene.binding import bind, with_fields
 from tenscasadi.scene.scene import Scene
-from tenscasadi.structure.body_assembly import FLAT
 from tenscasadi.structure.cables import pair_strings
 from tenscasadi.structure.class_one import connectivity
 from tenscasadi.structure.equilibrium_matrix import free_directions, support_directions
@@ -431,7 +430,9 @@ def _find_body_bars(scene: Scene) -> tuple[Indices, Array]:
     if bodies is None:
         return np.zeros((0, 2), dtype=np.intp), np.zeros(0)
     weights = np.asarray(bodies.mass.sum(axis=1)).ravel()
-    if scene.gravity is not None and np.any(abs(weights[len(s.nodes) :]) > FLAT * weights.sum()):
+    if scene.gravity is not None and np.any(
+        abs(weights[len(s.nodes) :]) > NEGLIGIBLE * weights.sum()
+    ):
         raise ValueError(
             "bodies: a center of mass lies off the plane of its body's nodes: add a node off this "
             "plane to the body"

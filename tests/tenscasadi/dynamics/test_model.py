@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -19,6 +20,7 @@ from tenscasadi.scene.loads import Gravity, NodalForce
 from tenscasadi.scene.parameters import Parameters
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Clip, ForceDensity, RestLength, Smooth, StringLaw
+from tenscasadi.structure.shapes import double_pendulum
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.compile import CompileError
 
@@ -353,3 +355,11 @@ def test_forces_on_pins_without_bars_are_those_of_full_coordinates() -> None:
     ]
     assert forces[0] == pytest.approx(forces[1])
     assert forces[0][:, 0] == pytest.approx([0, 0, 10.0])
+
+
+def test_model_of_another_scene_keeps_its_form():
+    model = Model(Scene(double_pendulum()), "full", "constant")
+    heavy = model.with_scene(replace(model.scene, gravity=Gravity()))
+    assert heavy.to_fields() == {**model.to_fields(), "scene": heavy.scene}
+    assert heavy.scene.gravity is not None
+    assert Model(model.scene, "full").with_scene(model.scene, "reduced").nq < model.nq
