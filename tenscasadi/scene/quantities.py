@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal, NamedTuple
 
 
-class Quantity(NamedTuple):
+class ParameterQuantity(NamedTuple):
     """Physical quantity that can be a parameter."""
 
     unit: str
@@ -15,20 +15,20 @@ class Quantity(NamedTuple):
 
 
 QUANTITIES = {
-    "stiffness": Quantity("N/m", "string", "zero"),
-    "damping": Quantity("N·s/m", "string", "zero"),
-    "rest_length": Quantity("m", "string", "positive"),
-    "string_mass": Quantity("kg", "string", "zero"),
-    "bar_mass": Quantity("kg", "bar", "positive"),
-    "bar_stiffness": Quantity("N/m", "bar", "positive"),
-    "bar_rest_length": Quantity("m", "bar", "positive"),
-    "node_mass": Quantity("kg", "node", "zero"),
-    "gravity": Quantity("m/s²", "axis", "any", "gravity"),
-    "ground_stiffness": Quantity("N/m", "ground", "positive", "ground"),
-    "ground_damping": Quantity("N·s/m", "ground", "zero", "ground"),
-    "ground_friction": Quantity("1", "ground", "zero", "ground"),
-    "pressure": Quantity("Pa", "pressure", "any", "pressure"),
-    "forces": Quantity("N", "force", "any", "forces"),
+    "stiffness": ParameterQuantity("N/m", "string", "zero"),
+    "damping": ParameterQuantity("N·s/m", "string", "zero"),
+    "rest_length": ParameterQuantity("m", "string", "positive"),
+    "string_mass": ParameterQuantity("kg", "string", "zero"),
+    "bar_mass": ParameterQuantity("kg", "bar", "positive"),
+    "bar_stiffness": ParameterQuantity("N/m", "bar", "positive"),
+    "bar_rest_length": ParameterQuantity("m", "bar", "positive"),
+    "node_mass": ParameterQuantity("kg", "node", "zero"),
+    "gravity": ParameterQuantity("m/s²", "axis", "any", "gravity"),
+    "ground_stiffness": ParameterQuantity("N/m", "ground", "positive", "ground"),
+    "ground_damping": ParameterQuantity("N·s/m", "ground", "zero", "ground"),
+    "ground_friction": ParameterQuantity("1", "ground", "zero", "ground"),
+    "pressure": ParameterQuantity("Pa", "pressure", "any", "pressure"),
+    "forces": ParameterQuantity("N", "force", "any", "forces"),
 }
 GROUPED = "string", "bar", "node", "ground"
 MASSES = "bar_mass", "node_mass", "string_mass"

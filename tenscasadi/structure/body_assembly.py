@@ -99,7 +99,7 @@ class BodyAssembly:
 
 
 @dataclass(frozen=True, eq=False)
-class _Frame:
+class _BasicNodes:
     """Basic nodes of one body, with weights of its others."""
 
     basic: list[int]
@@ -179,7 +179,7 @@ def assemble_bodies(structure: Any) -> BodyAssembly | None:
     )
 
 
-def _build_frame(k: int, body: Any, nodes: Array, preferred: Any) -> _Frame:
+def _build_frame(k: int, body: Any, nodes: Array, preferred: Any) -> _BasicNodes:
     """Choose the basic nodes of a body and compute its mass matrix.
 
     Raises ValueError if its nodes do not fit its inertia.
@@ -217,7 +217,7 @@ def _build_frame(k: int, body: Any, nodes: Array, preferred: Any) -> _Frame:
     weights = (inverse @ np.vstack([((X[others] - origin) @ Q).T, np.ones(len(others))])).T
     weights[np.abs(weights) < 1e-14 * np.abs(weights).max(initial=0.0)] = 0.0
     M = inverse @ J @ inverse.T
-    return _Frame(own[basic].tolist(), auxiliary, (M + M.T) / 2, own[others].tolist(), weights)
+    return _BasicNodes(own[basic].tolist(), auxiliary, (M + M.T) / 2, own[others].tolist(), weights)
 
 
 def _choose_basic(k: int, X: Array, preferred: Any) -> tuple[list[int], Array, float]:
