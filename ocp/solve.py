@@ -101,9 +101,11 @@ def solve(
     -----
     By default method and number of intervals are selected. The mesh has three intervals for each
     radian of the fastest vibration, at least 30. If nodes may touch a ground, `Sampling` comes
-    first. Otherwise `Variational` is corrected to a third of the tolerance, and solved by `Ipopt`,
-    or from nine bars on by `CondensedNewton`. If its replay is too inexact, a mesh twice as fine
-    follows; if the solver fails, `MultipleShooting`. The message says which method was chosen.
+    first. Plans of rest lengths are found in force densities, whose motions elastic vibrations do
+    not limit, and converted; if that fails, they are found like other plans. Otherwise
+    `Variational` is corrected to a third of the tolerance, and solved by `Ipopt`, or from nine bars
+    on by `CondensedNewton`. If its replay is too inexact, a mesh twice as fine follows; if the
+    solver fails, `MultipleShooting`. The message says which method was chosen.
 
     A plan is a success if its replay meets goals, waypoints and limits of the end within the
     tolerance, and if it keeps the other limits at mesh points. Nothing else is judged.

@@ -21,7 +21,6 @@ from ocp.results.result import PlanResult
 from ocp.results.view_content import describe_plan
 from ocp.search.find_plan import find_plan
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.io.document import read_tables
 from tenscasadi.scene.samples import sample_functions
@@ -156,10 +155,12 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
         Parameters
         ----------
         scheme : Scheme, optional
-            Integration scheme. Default: `RungeKutta4()`.
+            Integration scheme. Default: `RungeKutta4()`, or `Collocation()` if elastic strings are too
+            stiff for its steps.
         step : float, optional
             Longest step [s]. Default: a tenth of an interval, or less if contact with a ground
-            requires it.
+            requires it; half an interval
+            for `Collocation`.
         tracked : bool
             Whether to replay under `track`. Its steps are those of `RungeKutta4`, a tenth of an
             interval long.
@@ -198,7 +199,7 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
             raise ValueError(
                 f"parameters need the problem, which the plan does not hold ({self.not_restored}): give Plan.load(path, problem=...)"
             )
-        return replay_open(self, model, RungeKutta4() if scheme is None else scheme, step)
+        return replay_open(self, model, scheme, step)
 
     def report(self) -> Report:
         """List active limits with their duals, and violated limits.

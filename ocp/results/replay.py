@@ -4,42 +4,47 @@ from __future__ import annotations
 
 import numpy as np
 
+from ocp.problem.control import controls_rest_lengths
 from ocp.results.result import PlanResult
 from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.collocation import Collocation
+from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme, check_scheme
-from tenscasadi.integrators.stability import contact_step
+from tenscasadi.integrators.stability import contact_step, find_limit
 from tenscasadi.simulation.inputs.controls import ControlProfile
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
-from tenscasadi.util.validate import positive_number
+from tenscasadi.util.validate import Array, positive_number
 
 STEPS = 10  # integration steps and rest-length updates in each interval of a plan
+STIFF_STEPS = 2  # integration steps of an implicit scheme
 
 
-def replay_open(plan: PlanResult, model: Model, scheme: Scheme, step: float | None) -> Trajectory:
+def replay_open(
+    plan: PlanResult, model: Model, scheme: Scheme | None, step: float | None
+) -> Trajectory:
     """Simulate a model under the controls of a plan.
 
     The controls are force densities or rest lengths, applied in open loop from the initial state of
     the plan. `step` is the longest integration step [s]. By default it is a tenth of an interval,
-    or less if contact with a ground requires it. Raises TypeError or ValueError for an invalid
-    scheme or step.
+    or less if contact with a ground requires it, of `RungeKutta4`. If elastic strings make such
+    steps unstable, it is half an interval of `Collocation`. The energy of their vibrations, which
+    move no goal, is then not judged. Raises TypeError or ValueError for an invalid scheme or step.
     """
-    check_scheme(scheme)
     size = None if step is None else positive_number("step", step)
     start, intervals, end = plan.trajectory.states[0], np.diff(plan.time), float(plan.time[-1])
+    each, judged = STEPS, True
+    if scheme is None:
+        scheme, judged = RungeKutta4(), not controls_rest_lengths(model)
+        largest = float(intervals.max()) / STEPS if size is None else size
+        if not judged and find_limit(model, scheme) < largest:
+            scheme, each = Collocation(2, "radau"), STIFF_STEPS
+    check_scheme(scheme)
     if size is None and model.scene.grounds:
-        size = min(intervals.max() / STEPS, contact_step(model))
+        size = min(intervals.max() / each, contact_step(model))
+    control: ControlProfile | Array = plan.control
     if plan.linear or np.ptp(intervals) > 1e-9 * end:
-        profile = ControlProfile(plan.time, plan.control, STEPS if size is None else 1)
-        return simulate(
-            model, end, end if size is None else size, scheme, start, profile, compiled=False
-        )
-    return simulate(
-        model,
-        end,
-        intervals[0] / STEPS if size is None else size,
-        scheme,
-        start,
-        plan.control,
-        compiled=False,
-    )
+        control = ControlProfile(plan.time, plan.control, each if size is None else 1)
+        size = end if size is None else size
+    step = intervals[0] / each if size is None else size
+    return simulate(model, end, step, scheme, start, control, compiled=False, energy_balance=judged)

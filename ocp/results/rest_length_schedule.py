@@ -6,7 +6,6 @@ import numpy as np
 
 from ocp.results.replay import replay_open
 from ocp.results.result import PlanResult
-from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.scene.strings import rest_length
 from tenscasadi.util.validate import Array
 
@@ -34,7 +33,7 @@ def compute_rest_lengths(plan: PlanResult, stiffness: Array, updates: int) -> tu
     """
     steps = updates * round(float(plan.time[-1] / np.diff(plan.time).min()))
     model = plan.require_model("replay_rest_lengths")
-    fine = replay_open(plan, model, RungeKutta4(), float(plan.time[-1]) / steps)
+    fine = replay_open(plan, model, None, float(plan.time[-1]) / steps)
     ends = fine.nodes[:, plan.structure.strings]
     lengths = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2)
     rest = rest_length(fine.control, lengths, stiffness)

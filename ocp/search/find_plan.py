@@ -35,7 +35,6 @@ from ocp.targets.target import StateAt, Target
 from ocp.transcription.base import Transcription
 from ocp.transcription.mesh import PiecewiseConstant
 from ocp.transcription.multiple_shooting import MultipleShooting
-from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
 from tenscasadi.util.processes import one_blas_thread
 from tenscasadi.util.validate import Array
@@ -163,7 +162,7 @@ def _try(search: _PlanSearch, attempt: Attempt) -> tuple[PlanResult, Target | No
         if tracked:
             motion = replay_tracked(given)
         else:
-            motion = replay_open(given, given.require_model("replay"), RungeKutta4(), None)
+            motion = replay_open(given, given.require_model("replay"), None, None)
         return motion if search.reduced is None else search.reduced.lower(motion)
 
     plan = assess_plan(plan, target, outcome, task.tolerance, replay, search.tracked)

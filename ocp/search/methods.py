@@ -17,6 +17,7 @@ from ocp.results.result import PlanResult
 from ocp.sampling.method import solve_sampled
 from ocp.sampling.solver import Sampling
 from ocp.search.policy import Attempt
+from ocp.search.rest_lengths import build_force_density_problem, convert_outcome
 from ocp.search.task import PlanningTask, prepare
 from ocp.solvers.base import Outcome, Solution
 from ocp.solvers.condensed_newton.method import REMARKS
@@ -42,6 +43,8 @@ def run_attempt(task: PlanningTask, attempt: Attempt) -> tuple[Outcome, Target]:
 
     Returns its result, and the target of its acceptance test.
     """
+    if attempt.forces:
+        return _plan_force_densities(task, attempt)
     problem, target, monitor = task.problem, task.target, task.monitor
     transcription, solver, guess, *_ = attempt
     monitor.phase = attempt.describe()
@@ -62,6 +65,15 @@ def run_attempt(task: PlanningTask, attempt: Attempt) -> tuple[Outcome, Target]:
     if status := monitor.status():
         return _stop_early(task, transcription, first, status), target
     return _solve_program(task, attempt, target, first), target
+
+
+def _plan_force_densities(task: PlanningTask, attempt: Attempt) -> tuple[Outcome, Target]:
+    """Run an attempt in force densities, and convert its result to rest lengths."""
+    twin = build_force_density_problem(task.problem)
+    if twin is None:
+        raise ValueError("the problem has no counterpart in force densities")
+    found, target = run_attempt(task._replace(problem=twin), attempt._replace(forces=False))
+    return convert_outcome(task.problem, attempt.transcription.fractions, found), target
 
 
 def program_of(

@@ -19,12 +19,13 @@ from ocp.problem.scaling import Scales
 from ocp.results.result import PlanResult
 from ocp.sampling.method import default_intervals
 from ocp.sampling.solver import Sampling
+from ocp.search.rest_lengths import build_force_density_problem, convert_guess
 from ocp.search.task import Method, PlanningTask
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.condensed_newton.method import NOT_SETTLED
 from ocp.solvers.ipopt import Ipopt
 from ocp.transcription.base import Transcription
-from ocp.transcription.mesh import Guess
+from ocp.transcription.mesh import Guess, PiecewiseLinear
 from ocp.transcription.multiple_shooting import MultipleShooting
 from ocp.transcription.variational import Variational
 from tenscasadi.integrators.stability import fastest_rate
@@ -50,6 +51,8 @@ class Attempt(NamedTuple):
     after : str
         Condition: the first attempt (FIRST), after an optimum with an inaccurate replay (INEXACT),
         or after a failure of the solver (FAILED).
+    forces : bool
+        Whether force densities are planned, and converted to rest lengths.
     """
 
     transcription: Transcription
@@ -57,6 +60,7 @@ class Attempt(NamedTuple):
     guess: InitialGuess | None
     why: str
     after: str = FIRST
+    forces: bool = False
 
     def describe(self) -> str:
         """Describe the method.
@@ -64,7 +68,8 @@ class Attempt(NamedTuple):
         An example is "Variational of 30 intervals by Ipopt".
         """
         name, count = type(self.transcription).__name__, self.transcription.count
-        return f"{name} of {count} intervals by {type(self.solver).__name__}"
+        text = f"{name} of {count} intervals by {type(self.solver).__name__}"
+        return f"{text}, in force densities" if self.forces else text
 
     def follows(self, last: PlanResult | None) -> bool:
         """Return whether the attempt applies after a failed plan.
@@ -114,6 +119,16 @@ def attempts(task: PlanningTask, guess: InitialGuess | None) -> Iterator[Attempt
     # 0.81 and 0.79, where IPOPT fails less often, 9 to 12 bars 1.9 and 3.0, above 2.7 and 19.7.
     few = model.mechanism.bars < CONDENSED_BARS
     solver = Ipopt() if few else CondensedNewton()
+    twin = build_force_density_problem(problem)
+    # CPU time with strings of 1e3 to 1e6 N/m: 1 to 2 s; the attempts below take over 18 s from 2e4 on
+    if twin is not None:
+        known = convert_guess(problem, first)
+        forces = evaluate_guess(known, twin, task.target, MIN_INTERVALS)
+        coarse = Variational(
+            choose_intervals(twin, forces), control=PiecewiseLinear(), accuracy=accuracy
+        )
+        yield Attempt(coarse, solver, known, "stiff strings", after, forces=True)
+        after = FAILED
     yield Attempt(variational, solver, start, "the fastest that converges", after)
     yield Attempt(variational, solver, start, "mesh too coarse", INEXACT)
     if not few:

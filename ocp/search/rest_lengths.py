@@ -1,0 +1,144 @@
+"""Plans of rest lengths by way of force densities.
+
+Force densities and rest lengths are controls of the same motions. In force densities, elastic
+vibrations of the strings do not limit the mesh.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ocp.guess.initial_guess import TrajectoryGuess
+from ocp.problem.bounds.string_bounds import (
+    ForceDensityLimits,
+    RestLengthLimits,
+    RestLengthRateLimits,
+)
+from ocp.problem.control import (
+    build_force_density_model,
+    build_smooth_model,
+    controls_rest_lengths,
+)
+from ocp.problem.costs import Smoothness
+from ocp.problem.expressions import AtEnd, Constraint, Integral
+from ocp.problem.instant import forces_of
+from ocp.problem.problem import Problem
+from ocp.results.diagnosis import build_interpolant
+from ocp.results.report import violated_limits
+from ocp.solvers.base import Outcome
+from ocp.transcription.mesh import Guess, profile_at
+from tenscasadi.util.validate import Array
+
+# Their values differ between the controls: of expressions, and of the change of the control.
+_DIFFERENT = Smoothness, Constraint, Integral, AtEnd
+LARGEST_SHARE = 0.999  # of the stiffness: the largest force density, as rest lengths are positive
+# × RMS force density: error of the force densities between the nodes of the rest lengths, which
+# falls with the square of their number
+FORCE_ERROR = 0.1
+MAX_PARTS = 10  # of an interval: enough for prisms with strings of 1e6 N/m
+
+
+def build_force_density_problem(problem: Problem) -> Problem | None:
+    """Build the same problem with force densities as controls.
+
+    Returns None if the controls are no rest lengths, or if limits or costs would have other values.
+    """
+    items = (*problem.bounds, *problem.costs)
+    own = all(type(item).__module__.startswith("ocp.") for item in items)
+    if not controls_rest_lengths(problem.model) or not own or problem.phases:
+        return None
+    if any(isinstance(item, _DIFFERENT) for item in items):
+        return None
+    stiffness = problem.model.scene.structure.stiffness
+    bounds = [
+        replace(bound, stiffness=None)
+        if isinstance(bound, (RestLengthLimits, RestLengthRateLimits))
+        else bound
+        for bound in problem.bounds
+    ]
+    bounds.append(ForceDensityLimits(upper=LARGEST_SHARE * stiffness))
+    model = build_force_density_model(problem.model)
+    return replace(problem, model=model, bounds=bounds)
+
+
+def convert_guess(problem: Problem, guess: Guess) -> TrajectoryGuess:
+    """Convert an initial guess from rest lengths to force densities."""
+    middle = (guess.states[1:] + guess.states[:-1]) / 2
+    forces = forces_of(build_smooth_model(problem.model), middle, guess.force_density)
+    return TrajectoryGuess(guess.states, forces, guess.duration)
+
+
+def convert_outcome(problem: Problem, fractions: Array, found: Outcome) -> Outcome:
+    """Convert piecewise-linear force densities to rest lengths.
+
+    `fractions` are the lengths of the intervals relative to the duration. The rest lengths are
+    linear on parts of the intervals, short enough that the force densities between their ends are
+    nearly those of the plan. The result fails if they violate a limit of the problem. As in the
+    programs of elastic strings, strings do not go slack (see `build_smooth_model`); the description
+    of the result names those that do.
+    """
+    converter = _Converter(problem, fractions, found)
+    smooth = replace(problem, model=converter.model)
+    solved = found.success or found.coarse
+    # Limits were imposed at the ends of whole intervals, and may be exceeded between them.
+    for parts in (converter.count_parts(), 1) if solved else (1,):
+        nodes = converter.nodes(parts)
+        states, _, rest = converter.evaluate(nodes)
+        time = found.duration * nodes
+        broken = violated_limits(smooth, time, states, rest) if solved else ()
+        if not broken:
+            break
+    slack = (rest > 0) & (forces_of(problem.model, states, rest) <= 0.0)
+    slack &= forces_of(converter.model, states, rest) > 0.0
+    note = ""
+    if solved and slack.any():
+        named = ", ".join(map(str, np.flatnonzero(slack.any(axis=0))))
+        note = f"; strings {named} go slack where damping exceeds the planned tension"
+    why = f"under rest-length control, it violates {broken[0]}" if broken else found.why
+    return found._replace(
+        states=states,
+        force_density=rest,
+        time=time,
+        success=found.success and not broken,
+        coarse=found.coarse and not broken,
+        why=why,
+        imposed=f"{found.imposed}{note}",
+        duals=None,
+    )
+
+
+class _Converter:
+    """States, force densities and rest lengths between the nodes of a plan."""
+
+    def __init__(self, problem: Problem, fractions: Array, found: Outcome) -> None:
+        self.model = build_smooth_model(problem.model)
+        self.intervals, self.controls = fractions, found.force_density
+        self.limits = problem.control_limits
+        self.state_at = build_interpolant(self.model, found.states, found.duration, fractions)
+
+    def nodes(self, parts: int) -> Array:
+        """Compute the nodes of a mesh with parts of all intervals, from 0 to 1."""
+        return np.append(0.0, np.cumsum(np.repeat(self.intervals / parts, parts)))
+
+    def evaluate(self, shares: Array) -> tuple[Array, Array, Array]:
+        """Compute states, planned force densities, and rest lengths.
+
+        Force densities are linear in the rest lengths.
+        """
+        states = np.array([self.state_at(share) for share in shares])
+        planned = profile_at(self.controls, self.nodes(1), shares)
+        length = np.tile(self.model.scene.structure.string_lengths, (len(shares), 1))
+        zero, full = (forces_of(self.model, states, part * length) for part in (0.0, 1.0))
+        rest = length * (zero - planned) / (zero - full)
+        return states, planned, np.clip(rest, *self.limits)
+
+    def count_parts(self) -> int:
+        """Choose the number of parts of the intervals."""
+        nodes = self.nodes(1)
+        rest = self.evaluate(nodes)[2]
+        states, planned, _ = self.evaluate((nodes[1:] + nodes[:-1]) / 2)
+        error = np.abs(forces_of(self.model, states, (rest[1:] + rest[:-1]) / 2) - planned).max()
+        typical = float(np.sqrt(np.mean(planned**2)))
+        return int(np.clip(np.ceil(np.sqrt(error / (FORCE_ERROR * typical))), 1, MAX_PARTS))

@@ -1,0 +1,53 @@
+"""Plans of rest lengths by way of force densities."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from planning import prism
+
+import ocp
+import tenscasadi as tc
+from ocp.search.rest_lengths import build_force_density_problem
+
+
+def stiff(stiffness, *bounds, damping=1e-3, **changes):
+    """The prism grows by 5 cm; damping is in units of the stiffness."""
+    low = prism(1.0, stiffness=stiffness, damping=damping * stiffness, prestress=50.0)
+    given = {
+        "goals": [ocp.StringLengths(prism(1.05).string_lengths), ocp.AtRest()],
+        "bounds": [ocp.ForceDensityLimits(5.0, 200.0), *bounds],
+        "costs": [ocp.Effort()],
+        **changes,
+    }
+    return ocp.Problem(tc.Model(tc.Scene(low, control=tc.RestLength())), **given)
+
+
+@pytest.mark.parametrize("stiffness", [1e3, 1e5])
+def test_stiff_strings_reach_the_goal_by_their_rest_lengths(stiffness):
+    plan = ocp.solve(stiff(stiffness, ocp.RestLengthRateLimits(0.5)))
+    assert plan.success, plan.message
+    assert "in force densities" in plan.message
+    assert plan.rest_lengths().shape == plan.force_density.shape
+    rates = np.diff(plan.rest_lengths(), axis=0) / np.diff(plan.time)[:, None]
+    assert np.abs(rates).max() <= 0.5 + 1e-6
+
+    end = plan.replay(tc.RungeKutta4(), 0.5 * tc.stable_step(plan.model)).nodes[-1]
+    ends = end[plan.structure.strings]
+    lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    assert lengths == pytest.approx(prism(1.05).string_lengths, abs=5e-3)
+
+
+def test_message_names_strings_that_go_slack_by_their_damping():
+    plan = ocp.solve(stiff(1e5, damping=1e-2))
+    assert plan.success, plan.message
+    assert "go slack where damping exceeds the planned tension" in plan.message
+
+
+def test_costs_of_rest_lengths_have_no_counterpart():
+    assert build_force_density_problem(stiff(1e3)) is not None
+    problem = replace(stiff(1e3), costs=[ocp.Effort(), ocp.Smoothness()])
+    assert build_force_density_problem(problem) is None
+    assert build_force_density_problem(build_force_density_problem(stiff(1e3))) is None
