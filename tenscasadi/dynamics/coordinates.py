@@ -33,11 +33,6 @@ def scene_mechanism(
             "Scene.parameters contains masses, and a roller is inclined: "
             'give Model(coordinates="full") for both'
         )
-    if scene.modelled.bodies and _has_open_masses(scene):
-        raise ValueError(
-            "Scene.parameters contains masses, and the structure has bodies: give masses as "
-            "numbers, and others by structure.replace(bodies=...)"
-        )
     masses = read_masses(scene, mechanism.physical, mechanism.inverse, layout)
     return mechanism if masses is None else replace(mechanism, masses=masses)
 

@@ -14,7 +14,7 @@ from tenscasadi.scene.parameter_layout import Affine
 from tenscasadi.scene.quantities import MASSES
 from tenscasadi.structure.class_one import Layout
 from tenscasadi.structure.subdivision import cut_strings
-from tenscasadi.util.casadi_tools import matrix_with_pattern
+from tenscasadi.util.casadi_tools import matrix_with_pattern, sparse
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import Array, Indices
 
@@ -36,12 +36,15 @@ class Masses(ReadOnlyArrays):
         For each M⁻, the nodes that can move along its axes.
     held : ndarray (n,)
         Constant inverse mass of columns that never move [1/kg]; 0 for others.
+    spread : csr_array (n, n), optional
+        Weights of independent columns on all, see `Mechanism`; None: identity.
     """
 
     entries: Affine
     pattern: ca.Sparsity
     free: tuple[Any, ...]
     held: Array
+    spread: sp.csr_array | None = None
 
     def weigh(self, p: Any) -> Any:
         """Compute entries of M and M⁻ as a CasADi column."""
@@ -71,14 +74,25 @@ class Masses(ReadOnlyArrays):
         for blocks in self._blocks:
             rows = [node for block in blocks for node in np.tile(block, len(block)).tolist()]
             columns = [node for block in blocks for node in np.repeat(block, len(block)).tolist()]
-            found.append(ca.Sparsity.triplet(n, n, rows, columns))
+            if self.spread is not None:  # of S M⁻ Sᵀ
+                inner = sp.csr_array((np.ones(len(rows)), (rows, columns)), shape=(n, n))
+                rows, columns = self._expand(inner).nonzero()
+            found.append(ca.Sparsity.triplet(n, n, list(map(int, rows)), list(map(int, columns))))
         return found
+
+    def _expand(self, inner: sp.csr_array) -> sp.csr_array:
+        """Find the pattern of S M⁻ Sᵀ from that of M⁻."""
+        weights = abs(sp.csr_array(self.spread)).sign()
+        return sp.csr_array(weights @ inner @ weights.T)
 
     @cached_property
     def _blocks(self) -> list[list[Indices]]:
         """Groups of nodes that M couples, for each M⁻."""
         ones = np.ones(self.pattern.nnz()), self.pattern.get_triplet()
         coupled = sp.csr_array(ones, shape=(self.pattern.size1(),) * 2)
+        if self.spread is not None:  # of Sᵀ M S
+            weights = abs(self.spread).sign()
+            coupled = sp.csr_array(weights.T @ coupled @ weights)
         found = []
         for free in self.free:
             index = np.flatnonzero(free)
@@ -100,12 +114,17 @@ class Masses(ReadOnlyArrays):
     def _write_inverse(self, kind: Any) -> ca.Function:
         entries = kind.sym("entries", self.pattern.nnz())
         M = matrix_with_pattern(self.pattern, entries)
+        S = None if self.spread is None else sparse(self.spread)
+        M = M if S is None else ca.mtimes(ca.mtimes(S.T, M), S)
+        n = self.pattern.size1()
         outputs = []
         for pattern, blocks in zip(self.patterns, self._blocks, strict=True):
-            inverse = kind(pattern)
+            inverse = kind(pattern) if S is None else kind(n, n)
             for block in blocks:
                 nodes = block.tolist()
                 inverse[nodes, nodes] = _invert(M[nodes, nodes], self.held[block])
+            if S is not None:
+                inverse = ca.project(ca.mtimes(ca.mtimes(S, inverse), S.T), pattern)
             outputs.append(inverse.nz[:])
         return ca.Function("inverse_masses", [entries], outputs)
 
@@ -147,7 +166,11 @@ def read_masses(
     if not scene.layout.quantities.keys() & set(MASSES):
         return None
     structure, n, beta = scene.modelled, len(physical), len(scene.modelled.bars)
-    own_masses = _affine(scene, "bar_mass"), _node_masses(scene), _compute_coupled_masses(scene)
+    bodies = structure._assembly
+    own_masses = [
+        *(_affine(scene, "bar_mass"), _node_masses(scene), _compute_coupled_masses(scene)),
+        *([] if bodies is None else [_constant_masses(scene, bodies.mass.tocoo().data)]),
+    ]
     given = Affine(
         np.concatenate([part.constant for part in own_masses]),
         sp.csr_array(sp.vstack([part.matrix for part in own_masses])),
@@ -157,14 +180,21 @@ def read_masses(
         columns, share = layout.bar_columns, layout.mass_share
     own = structure.bar_inertia / structure.bar_mass  # J/m, Eq. 19
     (a, b), bar, point = columns.T, np.arange(beta), np.arange(n)
+    if bodies is not None:  # auxiliary nodes have no mass of their own
+        point = point[: len(structure.nodes)]
     c, d = (structure.strings if layout is None else layout.string_columns).T
     string = beta + len(structure.nodes) + np.arange(len(structure.strings))
     sixth = np.full(len(string), 1 / 6 if scene.ends == "consistent" else 0.0)
     row = np.concatenate([a, b, a, b, point, c, d, c, d])
     column = np.concatenate([a, b, b, a, point, c, d, d, c])
-    source = np.concatenate([bar] * 4 + [beta + physical] + [string] * 4)
+    source = np.concatenate([bar] * 4 + [beta + physical[point]] + [string] * 4)
     bars = [0.25 + own, 0.25 + own, 0.25 - own, 0.25 - own]  # Eq. 59
-    value = np.concatenate([*bars, share, -sixth, -sixth, sixth, sixth])
+    value = np.concatenate([*bars, share[point], -sixth, -sixth, sixth, sixth])
+    if bodies is not None:
+        own_mass = bodies.mass.tocoo()
+        row, column = np.append(row, own_mass.row), np.append(column, own_mass.col)
+        last = len(given.constant) - own_mass.nnz + np.arange(own_mass.nnz)
+        source, value = np.append(source, last), np.append(value, np.ones(own_mass.nnz))
     kept = value != 0
     code, entry = np.unique((column * n + row)[kept], return_inverse=True)
     onto_entries = sp.csr_array(
@@ -177,7 +207,15 @@ def read_masses(
         pinned = structure.fixed.all(axis=1)[physical]
         pinned[columns] = False
         held[pinned] = inverse[0].diagonal()[pinned]
-    return Masses(given.then(onto_entries), pattern, free, held)
+    if bodies is None or not len(bodies.dependent):
+        return Masses(given.then(onto_entries), pattern, free, held)
+    for mask in free:
+        mask[bodies.dependent] = False
+    return Masses(given.then(onto_entries), pattern, free, held, bodies.spread)
+
+
+def _constant_masses(scene: Any, values: Array) -> Affine:
+    return Affine(values, sp.csr_array((len(values), len(scene.layout))))
 
 
 def node_weights(scene: Any) -> Affine:

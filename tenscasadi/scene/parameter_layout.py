@@ -345,6 +345,7 @@ def _find_strict(scene: Any, name: str, count: int) -> Any:
     if name == "node_mass":  # nodes without mass of bars or strings
         bare = ~s.fixed.all(axis=1)
         bare[s.bars] = False
+        bare[[node for body in s.bodies for node in body.nodes]] = False
         bare[s.strings[s.string_mass > SMALLEST]] = False
         return bare
     if name == "string_mass":  # strings with inner nodes

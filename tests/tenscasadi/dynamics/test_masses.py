@@ -75,3 +75,36 @@ def test_masses_that_cancel_for_some_values_do_not_for_others():
     """Two bars that meet do not feel each other where their shared node is infinitely heavy: the system stays there for other masses."""
     model = tc.Model(tc.Scene(tc.shapes.double_pendulum(), parameters=tc.Parameters("node_mass")))
     assert model.mechanism.system_size == len(model.structure.bars)
+
+
+@pytest.mark.parametrize("count", [3, 4, 5])
+def test_masses_on_bodies_are_parameters(count):
+    """Bodies with an auxiliary node, four basic nodes, and a dependent node."""
+    nodes = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (0.7, 0.4, -0.3)])[:count]
+    body = tc.RigidBody(range(count), 2.0, (0.1, 0.1, 0.2), (0.3, 0.4, 0.5))
+    anchors = [(2, 2, 2), (1.0, 1, 3)]
+    s = tc.Structure(
+        np.vstack([nodes, anchors]),
+        bars=[(0, count + 1)],
+        strings=[(count - 1, count)],
+        pinned={count: "xyz", 1: "z"},
+        bodies=[body],
+        rest_length=0.5,
+    )
+    scene = tc.Scene(s, gravity=tc.Gravity(), parameters=tc.Parameters("node_mass", "bar_mass"))
+    model, rng = tc.Model(scene), np.random.default_rng(0)
+    masses = rng.uniform(0.1, 1.0, count + 2)
+    given = {"node_mass": masses, "bar_mass": 0.7}
+    other = tc.Model(tc.Scene(s.replace(node_mass=masses, bar_mass=0.7), gravity=tc.Gravity()))
+    x = model.initial_state + 1e-2 * rng.normal(size=model.nx)
+    found = model.ode(x, [], model.parameters.values(given)).full()
+    np.testing.assert_allclose(found, other.ode(x, []).full(), rtol=1e-9, atol=1e-9)
+    energies = model.energy(x, parameters=given), other.energy(x)
+    np.testing.assert_allclose(*energies, rtol=1e-12)
+    fixed = model.with_parameters(given)
+    np.testing.assert_allclose(fixed.ode(x, []).full(), found, rtol=1e-9, atol=1e-9)
+    runs = [
+        tc.simulate(model, 0.1, 1e-3, parameters=given, compiled=False),
+        tc.simulate(other, 0.1, 1e-3, compiled=False),
+    ]
+    np.testing.assert_allclose(runs[0].nodes, runs[1].nodes, atol=1e-10)

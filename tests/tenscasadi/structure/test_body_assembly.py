@@ -141,11 +141,9 @@ def test_wrong_bodies_are_rejected(bodies, message):
 def test_unsupported_uses_say_so(tmp_path):
     s = with_body(CUBE, 1.0, strings=[(0, 7)])
     folder = tmp_path / "file"
-    masses = tc.Parameters("node_mass")
     for use in (
         lambda: s.class_one(),
         lambda: tc.Model(tc.Scene(s), "full"),
-        lambda: tc.Model(tc.Scene(s, parameters=masses)),
         lambda: tc.form_find(s),
         lambda: tc.find_prestress(s),
         lambda: tc.size(
