@@ -143,6 +143,7 @@ HINTS: dict[str, tuple[str, ...]] = {  # fields that are asked about in place of
 
 
 NO_INPUT = {
+    "Tension",
     "shapes",
     "AtRest",
     "Clip",

@@ -118,6 +118,7 @@ def measuring_calls() -> dict[str, Call]:
             },
         ),
         "tradeoff": (tc.tradeoff, study),
+        "to_jax": (tc.to_jax, {"model": cross()}),
         "export_c": (
             tc.export_c,
             {"model": cross(), "folder": "c", "scheme": tc.RungeKutta4(), "precision": None},
