@@ -75,7 +75,7 @@ def tradeoff(
     ----------
     models : Model or mapping of str to Model
         A model, or several by name that share their scene's nodes and differ in fidelity: segments,
-        lumping, slack, coordinates.
+        lumping, slack, elastic bars, coordinates.
     t_end : float
         Duration of each run, s.
     schemes : sequence of schemes

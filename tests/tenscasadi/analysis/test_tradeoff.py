@@ -259,6 +259,20 @@ def test_fidelities_are_measured_on_the_parents_nodes():
     assert backwards.rows[0].position == pytest.approx(coarse, rel=1e-3)
 
 
+def test_stiff_elastic_bars_approach_rigid_ones():
+    stiffness = (1e4, 1e5)
+    models = {"rigid": spinning(), **{f"{k:g}": spinning(bar_stiffness=k) for k in stiffness}}
+    found = tc.tradeoff(
+        models, 0.2, [tc.RungeKutta4()], [5e-4], state=start, compiled=[False], repeats=1
+    )
+    assert all(row.success for row in found.rows)
+    rigid, soft, stiff = (row.position for row in found.rows)
+    assert rigid < 1e-9
+    assert soft / stiff == pytest.approx(10.0, rel=0.15)
+    soft, stiff = (tc.stable_step(models[f"{k:g}"]) for k in stiffness)
+    assert soft / stiff == pytest.approx(10**0.5, rel=0.1)
+
+
 def test_compiled_and_not_are_told_apart():
     table = tc.tradeoff(
         spinning(), 0.1, [tc.RungeKutta4()], [0.01], compiled=(True, False), repeats=1
