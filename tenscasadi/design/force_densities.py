@@ -55,15 +55,7 @@ def read_force_densities(structure: Structure, given: Any, groups: Groups | None
     if given is not None:
         values[:strings] = _read_values(given, strings)
     label = read_groups(groups, strings, members)
-    for group in range(label.max(initial=-1) + 1):
-        own = np.flatnonzero(label == group)
-        known = np.unique(values[own][~np.isnan(values[own])])
-        if len(known) > 1:
-            raise ValueError(
-                f"force_density: the group of member {own[0]} has {known[0]:g} and {known[1]:g} N/m: give its members one value"
-            )
-        if len(known):
-            values[own] = known
+    values = _share_values(label, values)
     unknown = np.flatnonzero(np.isnan(values))
     columns = np.unique(label[unknown], return_inverse=True)[1]
     count = int(columns.max(initial=-1)) + 1
@@ -71,6 +63,23 @@ def read_force_densities(structure: Structure, given: Any, groups: Groups | None
     lower = np.full(count, -np.inf)
     lower[columns[unknown < strings]] = 0.0
     return ForceDensities(np.where(np.isnan(values), 0.0, values), basis, lower)
+
+
+def _share_values(label: Indices, values: Array) -> Array:
+    """Give all members of a group the value that some of them have.
+
+    NaN marks an unknown value. Raises ValueError.
+    """
+    known = np.flatnonzero(~np.isnan(values))
+    least, most = np.full((2, label.max(initial=-1) + 1), np.nan)
+    np.fmin.at(least, label[known], values[known])
+    np.fmax.at(most, label[known], values[known])
+    for group in np.flatnonzero(least < most)[:1]:
+        member = np.flatnonzero(label == group)[0]
+        raise ValueError(
+            f"force_density: the group of member {member} has {least[group]:g} and {most[group]:g} N/m: give its members one value"
+        )
+    return least[label]
 
 
 def read_groups(groups: Groups | None, strings: int, members: int) -> Indices:
