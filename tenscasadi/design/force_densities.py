@@ -79,7 +79,7 @@ def _share_values(label: Indices, values: Array) -> Array:
         raise ValueError(
             f"force_density: the group of member {member} has {least[group]:g} and {most[group]:g} N/m: give its members one value"
         )
-    return least[label]
+    return np.asarray(least[label])
 
 
 def read_groups(groups: Groups | None, strings: int, members: int) -> Indices:
