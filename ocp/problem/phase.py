@@ -209,6 +209,7 @@ def _check_contact(model: Model, start: Array, phases: Sequence[Phase]) -> None:
     Those of the first phase have to start on it. Raises ValueError.
     """
     structure, grounds = model.scene.structure, model.scene.grounds
+    on_bodies = {node for body in structure.bodies for node in body.nodes}
     for k, phase in enumerate(phases):
         name = f"Problem.phases[{k}].contact_nodes"
         for node in phase.contact_nodes:
@@ -216,6 +217,11 @@ def _check_contact(model: Model, start: Array, phases: Sequence[Phase]) -> None:
             if structure.held[node].any():
                 raise ValueError(
                     f"{name} has node {node}, which is pinned: leave it out, it does not move anyway"
+                )
+            if node in on_bodies:
+                raise ValueError(
+                    f"{name} has node {node} of a rigid body, which phases do not hold: "
+                    "give nodes at which bars end"
                 )
             if len(grounds) != 1:
                 raise ValueError(

@@ -144,3 +144,11 @@ def test_spine_of_vertebrae_bends():
     assert plan.success, plan.message
     expected = Rotation.from_rotvec((0, 0.3, 0)).as_matrix()
     np.testing.assert_allclose(plan.replay().orientation(1)[-1], expected, atol=1e-3)
+
+
+def test_contact_nodes_on_bodies_are_rejected():
+    s = tc.Structure(0.1 * np.eye(4, 3), strings=[(0, 3)], bodies=[tc.RigidBody(range(4), 1.0)])
+    ground = tc.Ground(friction=0.5)
+    model = tc.Model(tc.Scene(s, gravity=tc.Gravity(), ground=ground, control=tc.ForceDensity()))
+    with pytest.raises(ValueError, match="node 3 of a rigid body"):
+        ocp.Problem(model, phases=[ocp.Phase((0.1, 0.5), contact_nodes=[3])])
