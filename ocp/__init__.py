@@ -35,6 +35,7 @@ from ocp.problem.goals.node_goals import AtRest, CenterOfMass, NodePositions, No
 from ocp.problem.goals.periodic import Periodic
 from ocp.problem.goals.waypoints import Waypoint
 from ocp.problem.instant import Instant
+from ocp.problem.instant_formula import InstantFormula
 from ocp.problem.phase import Phase
 from ocp.problem.problem import Problem
 from ocp.problem.start import FreeStart
@@ -89,6 +90,7 @@ __all__ = [
     "Duration",
     "Work",
     "Instant",
+    "InstantFormula",
     "Constraint",
     "Integral",
     "AtEnd",

@@ -15,6 +15,7 @@ from ocp.problem.bounds.bound import Bound
 from ocp.problem.costs import Cost
 from ocp.problem.expressions import AtEnd, Constraint, Integral
 from ocp.problem.goals.goal import Goal
+from ocp.problem.instant_formula import InstantFormula
 from ocp.problem.phase import Phase
 from ocp.problem.problem import Problem
 from ocp.problem.resolved import join_soft
@@ -235,9 +236,10 @@ def write_plan(problem: Problem, arguments: Mapping[str, Any]) -> dict[str, Any]
 def _reject_functions(problem: Problem) -> None:
     for name in ("bounds", "costs"):
         for k, value in enumerate(getattr(problem, name)):
-            if isinstance(value, (Constraint, Integral, AtEnd)):
+            is_custom = isinstance(value, (Constraint, Integral, AtEnd))
+            if is_custom and not isinstance(value.expression, InstantFormula):
                 kind = type(value).__name__
                 raise NotWritten(
                     f"Problem.{name}[{k}] is {kind} {value.name!r}, a function in Python: "
-                    "leave it out, or keep the problem in Python"
+                    "leave it out, or give an ocp.InstantFormula"
                 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import casadi as ca
 import numpy as np
@@ -15,6 +15,8 @@ from ocp.problem.bounds.bound import Bound, Limit, PathBound, PathConstraint
 from ocp.problem.constraints import build_constraint
 from ocp.problem.costs import Cost, RunningCost, TerminalCost
 from ocp.problem.instant import Instant, symbolic
+from ocp.problem.instant_formula import InstantText
+from tenscasadi.schema.field_types import LIMITS, Word
 from tenscasadi.util.validate import (
     TOLERANCE,
     Array,
@@ -34,7 +36,7 @@ _NO_NUMBER = "is not a number at the start: keep roots, logarithms and quotients
 
 
 @dataclass(frozen=True, eq=False)
-class AtEnd(TerminalCost):
+class AtEnd(TerminalCost, kind="AtEnd"):
     """Cost weight · expression(end) of a user-defined expression.
 
     Within a `Constraint`, it is the constrained quantity.
@@ -44,7 +46,8 @@ class AtEnd(TerminalCost):
     name : str
         Name in error messages.
     expression : callable
-        Function of the `Instant` at the end, with a CasADi scalar as its value.
+        Function of the `Instant` at the end, with a CasADi scalar as its value, or an
+        `InstantFormula`, which files can hold.
     weight : float, optional
         Weight of the cost, > 0.
 
@@ -63,7 +66,7 @@ class AtEnd(TerminalCost):
     """
 
     name: str
-    expression: Expression
+    expression: Annotated[Expression, InstantText()]
     weight: float = 1.0
 
     def __post_init__(self) -> None:
@@ -98,7 +101,7 @@ def _weighted(item: AtEnd, end: Instant) -> Any:
 
 
 @dataclass(frozen=True, eq=False)
-class Constraint(PathBound):
+class Constraint(PathBound, kind="Constraint"):
     """Limits lower ≤ expression(now) ≤ upper of a user-defined expression.
 
     They hold at both ends of every interval, or at the end of the plan only.
@@ -110,7 +113,8 @@ class Constraint(PathBound):
         ``Constraint(AtEnd(name, expression), lower=...)`` limits weight · expression at the end of
         the plan, like ``Constraint(name, expression, lower=..., at_end=True)``.
     expression : callable
-        Function of an `Instant`, with a CasADi scalar or column as its value.
+        Function of an `Instant`, with a CasADi scalar or column as its value, or an
+        `InstantFormula`, which files can hold.
     lower : float or array_like, optional
         Lower limit: one number, or one for each entry. None for no limit.
     upper : float or array_like, optional
@@ -134,10 +138,11 @@ class Constraint(PathBound):
     True
     """
 
-    name: str | AtEnd
-    expression: Expression | None = None  # None if the name is an AtEnd, which has its own
-    lower: ArrayLike | None = None
-    upper: ArrayLike | None = None
+    name: Annotated[str | AtEnd, Word()]
+    # None if the name is an AtEnd, which has its own
+    expression: Annotated[Expression | None, InstantText()] = None
+    lower: Annotated[ArrayLike | None, LIMITS] = None
+    upper: Annotated[ArrayLike | None, LIMITS] = None
     at_end: bool = False
 
     def __post_init__(self) -> None:
@@ -203,7 +208,7 @@ class Constraint(PathBound):
 
 
 @dataclass(frozen=True, eq=False)
-class Integral(RunningCost):
+class Integral(RunningCost, kind="Integral"):
     """Cost weight · ∫ expression(now) dt of a user-defined expression.
 
     Parameters
@@ -211,7 +216,8 @@ class Integral(RunningCost):
     name : str
         Name in error messages.
     expression : callable
-        Function of an `Instant`, with a CasADi scalar as its value.
+        Function of an `Instant`, with a CasADi scalar as its value, or an `InstantFormula`, which
+        files can hold.
     weight : float, optional
         Weight of the cost, > 0.
 
@@ -237,7 +243,7 @@ class Integral(RunningCost):
     """
 
     name: str
-    expression: Expression
+    expression: Annotated[Expression, InstantText()]
     weight: float = 1.0
 
     def __post_init__(self) -> None:

@@ -40,7 +40,7 @@ _OPERATORS: dict[type, Callable[..., Any]] = {
     ast.UAdd: operator.pos,
 }
 _DEGREES = re.compile(r"(?<![\w.])((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*deg\b")
-_NAME = re.compile(r"(?<![\w.])[A-Za-z_]\w*", re.ASCII)
+_NAME = re.compile(r"(?<![\w.\[])[A-Za-z_]\w*", re.ASCII)  # indices of "z[tip]" are none
 
 
 class FormulaError(ValueError):
@@ -58,7 +58,7 @@ class Formula:
     Attributes
     ----------
     names : frozenset of str
-        Names in the text, also indexed ones such as ``"z[tip]"``.
+        Names in the text, also indexed ones such as ``"z[tip]"`` and ``"length[guys[0]]"``.
 
     Raises
     ------
@@ -147,6 +147,10 @@ def _read(node: ast.expr, text: str) -> tuple[Any, list[ast.expr]]:
             return name, []
         case ast.Subscript(ast.Name(name), ast.Name(item) | ast.Constant(item)):
             return f"{name}[{item!s}]", []
+        case ast.Subscript(
+            ast.Name(name), ast.Subscript(ast.Name(group), ast.Constant(int() as member))
+        ):
+            return f"{name}[{group}[{member}]]", []
         case ast.BinOp(left, ast.BitXor(), right):
             raise _error(text, "give ** for powers")
         case ast.BinOp(left, operation, right) if type(operation) in _OPERATORS:
