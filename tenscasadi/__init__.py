@@ -59,6 +59,7 @@ if TYPE_CHECKING:
     from tenscasadi.design.sizing.material import Material
     from tenscasadi.design.sizing.size import size
     from tenscasadi.design.sizing.sized import Sized
+    from tenscasadi.exchange.fmu import export_fmu
     from tenscasadi.exchange.gltf import export_gltf
     from tenscasadi.exchange.jax_function import to_jax
     from tenscasadi.exchange.matlab.save import save_mat
@@ -101,6 +102,7 @@ __getattr__ = find_attribute(
         "tenscasadi.design.sizing.material": ("Material",),
         "tenscasadi.design.sizing.size": ("size",),
         "tenscasadi.design.sizing.sized": ("Sized",),
+        "tenscasadi.exchange.fmu": ("export_fmu",),
         "tenscasadi.exchange.gltf": ("export_gltf",),
         "tenscasadi.exchange.jax_function": ("to_jax",),
         "tenscasadi.exchange.matlab.save": ("save_mat",),
@@ -215,6 +217,7 @@ __all__ = [
     "CompileError",
     # other programs' files
     "export_gltf",
+    "export_fmu",
     "to_jax",
     "export_mjcf",
     "export_vtk",

@@ -54,5 +54,5 @@ def test_extra_all_names_extras_of_users(project):
 
 def test_each_extra_for_users_is_in_the_installation_page(project):
     page = (ROOT / "docs/index.md").read_text(encoding="utf-8")
-    developers = {"peers", "rockit", "release", "do-mpc"}
+    developers = {"fmu", "peers", "rockit", "release", "do-mpc"}
     assert set(project["optional-dependencies"]) - developers == used_extras(page)
