@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from tenscasadi.schema.field_types import FieldType
 from tenscasadi.schema.formulas import TIME, Formula, FormulaError
 from tenscasadi.schema.reading import Item, ItemKind, Names, NotWritten
+from tenscasadi.util.validate import format_value, instance, number, text
 
 if TYPE_CHECKING:
     from ocp.problem.instant import Instant
@@ -44,8 +45,13 @@ class InstantFormula:
         Arithmetic such as ``"z[tip] - 0.5 * z[3]"`` of the quantities x, y, z [m], vx, vy, vz [m/s]
         of nodes, length [m], tension [N] and force_density [N/m] of strings, each with the name or
         index of its item, and of the time t [s].
-    numbers : tuple of (str, float)
-        Declared numbers; those that the formula does not name are dropped.
+    numbers : mapping of str to float, optional
+        Numbers by name; those that the formula does not name are dropped.
+
+    Raises
+    ------
+    TypeError, ValueError
+        The text is no formula, or a number is not finite.
 
     Examples
     --------
@@ -56,12 +62,20 @@ class InstantFormula:
     """
 
     text: str
-    numbers: tuple[tuple[str, float], ...] = ()
+    numbers: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        used = Formula(self.text).names
-        numbers = tuple((name, value) for name, value in self.numbers if name in used)
-        object.__setattr__(self, "numbers", numbers)
+        used = Formula(text("InstantFormula.text", self.text)).names
+        example = "numbers by name, such as {'side': 0.4}"
+        instance("InstantFormula.numbers", self.numbers, Mapping, example)
+        numbers = {
+            text("InstantFormula.numbers: a name", name): number(
+                f"InstantFormula.numbers[{format_value(name)}]", value
+            )
+            for name, value in self.numbers.items()
+        }
+        kept = {name: value for name, value in numbers.items() if name in used}
+        object.__setattr__(self, "numbers", kept)
 
     def __call__(self, now: Instant) -> Any:
         """Build the CasADi expression of the formula at an instant.
@@ -110,13 +124,13 @@ class InstantText(FieldType):
                 find_quantity(name, item.names)
             except FormulaError as error:
                 raise item.error(str(error)) from None
-        return InstantFormula(formula.text, tuple(numbers.items()))
+        return InstantFormula(formula.text, numbers)
 
     def write(self, value: Any) -> str:
         """Write a formula, with numbers for their names."""
         if not isinstance(value, InstantFormula):
             raise NotWritten("a function in Python: leave it out, or give an ocp.InstantFormula")
-        return Formula(value.text).with_numbers(dict(value.numbers))
+        return Formula(value.text).with_numbers(value.numbers)
 
     def schema(self, kinds: Any) -> dict[str, Any]:
         """Build the schema of a text."""

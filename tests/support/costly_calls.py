@@ -123,6 +123,10 @@ def measuring_calls() -> dict[str, Call]:
             tc.export_c,
             {"model": cross(), "folder": "c", "scheme": tc.RungeKutta4(), "precision": None},
         ),
+        "export_fmu": (
+            tc.export_fmu,
+            {"model": cross(), "path": "cross.fmu", "step": 1e-3, "scheme": tc.RungeKutta4()},
+        ),
     }
 
 

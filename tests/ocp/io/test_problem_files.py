@@ -364,7 +364,7 @@ WRONG = {  # what stands in [plan]: the key, and words of the message
         "plan.bounds[0].centre",
         "3 numbers",
     ),
-    "bounds = [{ kind = 'Constraint', name = 'x' }]": ("plan.bounds[0].kind", "give one of"),
+    "bounds = [{ kind = 'Wall', name = 'x' }]": ("plan.bounds[0].kind", "give one of"),
     "costs = [{ kind = 'Effort', weight = 0 }]": ("plan.costs[0].weight", "must be"),
     "costs = [{ kind = 'Effort', wight = 1 }]": ("plan.costs[0].wight", "did you mean 'weight'?"),
     "phases = [{ duration = 1, stands = [1] }]": ("plan.phases", "ground"),

@@ -53,13 +53,13 @@ def write(path, expression="y[tip] + 0 * side * tip"):
 def test_formula_equals_the_function_in_python(text, function):
     model = tc.Model(tc.Scene(tc.shapes.prism(stiffness=100.0), control=tc.ForceDensity()))
     now = symbolic(model)
-    formula = ocp.InstantFormula(text, (("k", 3.0), ("unused", 1.0)))
+    formula = ocp.InstantFormula(text, {"k": 3.0, "unused": 1.0})
     both = ca.Function("both", now.symbols, [formula(now), function(now)])
     rng = np.random.default_rng(0)
     given = [model.initial_state + 0.1 * rng.standard_normal(model.nx), rng.uniform(1, 2, 9), 0.7]
     first, second = both(*given)
     assert float(first) == pytest.approx(float(second), rel=1e-14)
-    assert dict(formula.numbers).keys() <= {"k"}
+    assert formula.numbers.keys() <= {"k"}
 
 
 def test_plan_keeps_the_formulas_of_its_file(tmp_path):
