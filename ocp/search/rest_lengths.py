@@ -43,9 +43,12 @@ MAX_PARTS = 10  # of an interval: enough for prisms with strings of 1e6 N/m
 def build_force_density_problem(problem: Problem) -> Problem | None:
     """Build the same problem with force densities as controls.
 
-    Returns None if the controls are no rest lengths, or if limits or costs would have other values.
+    Returns None if the controls are no rest lengths, if cables have one tension along several
+    strings, or if limits or costs would have other values.
     """
     items = (*problem.bounds, *problem.costs)
+    if problem.model.scene.structure.cables:
+        return None
     own = all(type(item).__module__.startswith("ocp.") for item in items)
     if not controls_rest_lengths(problem.model) or not own or problem.phases:
         return None

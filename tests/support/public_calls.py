@@ -154,6 +154,7 @@ def dynamics_calls() -> dict[str, Call]:
              "pressure": tc.Pressure([(0, 1, 2)], 5.0), "forces": tc.NodalForce(np.ones((4, 3))), "slack": tc.Smooth(0.01)}  # fmt: skip
     found: dict[str, Call] = {
         "Structure": (tc.Structure, MEMBERS | STRING_VALUES | {"bar_mass": 1.0, "bar_radius": np.array([0.0, 0.01]), "node_mass": np.zeros(4), "pinned": {0: "xyz"}}),
+        "Structure, cables": (tc.Structure, {"nodes": NODES, "strings": [(0, 1), (1, 2), (2, 3)], "node_mass": 1.0, "cables": [[0, 1]], "cable_friction": np.array([0.1])}),
         "RigidBody": (tc.RigidBody, {"nodes": (0, 1, 2, 3), "mass": 2.0, "center": (0.1, 0.2, 0.3), "inertia": np.diag([1.0, 1.2, 1.1])}),
         "Structure.from_matrices": (tc.Structure.from_matrices, MATRICES | {"P": np.array([[0.0], [1], [0], [0]]), "D": np.array([[1.0], [0], [0]]), "node_mass": np.zeros(4)}),
         "Structure.class_one": (SEGMENTED.class_one, {"sparse": True}),

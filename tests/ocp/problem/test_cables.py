@@ -53,6 +53,13 @@ def test_plan_of_a_cable_is_replayed(control, transcription):
     np.testing.assert_allclose(replay.nodes[-1, 1], [0, 0, -0.7], atol=2e-3)
 
 
+@pytest.mark.parametrize("control", [tc.RestLength(), tc.Tension()])
+def test_automatic_method_plans_cables(control):
+    plan = ocp.solve(lift(hung(control), ocp.TensionLimits(0.5)))
+    assert plan.success, plan.message
+    assert plan.control.shape[1] == 2
+
+
 def test_plan_comes_back_from_its_file(tmp_path):
     plan = ocp.solve(lift(hung(tc.Tension()), ocp.TensionLimits(0.5)), ocp.Variational(12))
     loaded = ocp.Plan.load(plan.save(tmp_path / "plan.npz"))
