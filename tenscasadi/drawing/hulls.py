@@ -9,9 +9,9 @@ from tenscasadi.util.validate import NEGLIGIBLE, Array, Indices
 
 
 def find_hulls(structure: Structure | None) -> list[Indices]:
-    """Find the triangles (f, 3) of the convex hull of each body.
+    """Find the convex hull (f, 3) of each body.
 
-    They are indices of nodes. Bodies whose nodes lie on a line have none.
+    Its triangles are indices of nodes. Bodies whose nodes lie on a line have none.
     """
     bodies = () if structure is None else structure.bodies
     nodes = np.zeros((0, 3)) if structure is None else structure.nodes
@@ -23,7 +23,7 @@ def find_hulls(structure: Structure | None) -> list[Indices]:
 
 
 def _find_triangles(points: Array) -> Indices:
-    """Find the triangles (f, 3) of the convex hull of points (k, 3)."""
+    """Find the convex hull (f, 3) of points (k, 3)."""
     from scipy.spatial import ConvexHull  # takes a while to load
 
     arms = points - points.mean(axis=0)

@@ -12,7 +12,7 @@ from tenscasadi.util.validate import NEGLIGIBLE, Array, whole_number
 
 
 class BodyFrame(NamedTuple):
-    """Frame of a body as a constant combination of its nodes.
+    """Frame of a body, a constant combination of its nodes.
 
     Attributes
     ----------
@@ -29,14 +29,17 @@ class BodyFrame(NamedTuple):
     directions: Array
 
     def rotation(self, nodes: Any) -> Any:
-        """Compute the rotation (3×3) of nodes (3×n) from the structure's nodes."""
+        """Compute the rotation (3×3) in nodes (3×n)."""
         F = ca.mtimes(nodes[:, self.nodes], ca.DM(self.weights))
         if F.shape[1] == 2:
             F = ca.horzcat(F, ca.cross(F[:, 0], F[:, 1]))
         return ca.mtimes(F, ca.DM(self.directions.T))
 
     def angular_velocity(self, nodes: Any, velocities: Any) -> Any:
-        """Compute the angular velocity (3) of nodes and velocities (3×n) [rad/s]."""
+        """Compute the angular velocity (3) [rad/s].
+
+        Nodes and velocities are 3×n.
+        """
         weights = ca.DM(self.weights)
         F, G = (ca.mtimes(Z[:, self.nodes], weights) for Z in (nodes, velocities))
         if F.shape[1] == 2:

@@ -66,12 +66,14 @@ class BodyAssembly:
     hosts: tuple[Indices, ...]
 
     def add_mass(self, M: Any) -> csr_array:
-        """Add the bodies' mass matrix to that of the nodes (n, n)."""
+        """Add the mass matrix of the bodies to M (n, n)."""
         rest = csr_array((len(self.nodes) - M.shape[0],) * 2)
         return csr_array(block_diag([M, rest]) + self.mass)
 
     def find_auxiliary(self, nodes: Array, velocities: Array | None = None) -> Array:
-        """Find the auxiliary nodes from the nearest rigid motions of the bodies.
+        """Find the auxiliary nodes.
+
+        They follow the nearest rigid motions of the bodies.
 
         Parameters
         ----------
@@ -121,7 +123,10 @@ class _Found:
 
 
 def connected_pairs(structure: Any) -> Indices:
-    """List the pairs of nodes that bars, strings and bodies connect (m, 2)."""
+    """List the pairs (m, 2) of connected nodes.
+
+    Bars, strings and bodies connect them.
+    """
     bodies = [
         np.column_stack([np.full(len(body.nodes) - 1, body.nodes[0]), body.nodes[1:]])
         for body in structure.bodies
@@ -180,7 +185,9 @@ def assemble_bodies(structure: Any) -> BodyAssembly | None:
 
 
 def _build_frame(k: int, body: Any, nodes: Array, preferred: Any) -> _BasicNodes:
-    """Choose the basic nodes of a body and compute its mass matrix.
+    """Choose the basic nodes of a body.
+
+    Their mass matrix and the weights of the other nodes follow.
 
     Raises ValueError if its nodes do not fit its inertia.
     """
@@ -252,7 +259,7 @@ def _choose_basic(k: int, X: Array, preferred: Any) -> tuple[list[int], Array, f
 
 
 def _extent_outside(own: Any, origin: Array, Q: Array) -> float:
-    """Compute how far mass extends outside a plane or line [m]."""
+    """Compute the extent of mass outside a plane or line [m]."""
     across = np.eye(3) - Q @ Q.T
     gyration = np.sqrt(max(float(np.trace(across @ own.moments @ across)), 0.0) / own.mass)
     thin = float(np.sqrt(NEGLIGIBLE * np.trace(own.moments) / own.mass))  # of rounded moments
@@ -301,7 +308,7 @@ def _solve_relations(
 
 
 def _build_spread(rows: dict[int, dict[int, float]], size: int) -> csr_array:
-    """Build the weights (size, size) of independent nodes on all nodes."""
+    """Build the matrix (size, size) of weights of independent nodes."""
     entries = [(node, node, 1.0) for node in range(size) if node not in rows]
     entries += [
         (node, other, weight) for node, own in rows.items() for other, weight in own.items()

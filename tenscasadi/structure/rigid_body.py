@@ -27,7 +27,10 @@ from tenscasadi.util.validate import (
 
 
 class MassProperties(NamedTuple):
-    """Mass, center (3,) and second moments (3, 3) about the center."""
+    """Mass, center (3,) and second moments (3, 3).
+
+    The moments are about the center.
+    """
 
     mass: float
     center: Array
@@ -172,7 +175,10 @@ def read_bodies(given: Any, count: int) -> tuple[RigidBody, ...]:
 
 
 def reject_bodies(structure: Any, user: str) -> None:
-    """Raise ValueError if a structure has bodies, which a function does not take."""
+    """Reject a structure with bodies.
+
+    Raises ValueError, which names the function that does not take them.
+    """
     if structure.bodies:
         raise ValueError(
             f"Structure.bodies has {len(structure.bodies)} bodies, which {user} does not take: "

@@ -92,9 +92,9 @@ class BodyOrientation(Goal, kind="BodyOrientation"):
         find_body(structure, self.body)
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
-        """Build the distances of the body's nodes from those of the orientation.
+        """Build the displacements of the body's nodes.
 
-        They are relative to the mean of the nodes.
+        They are those from the desired orientation, relative to the mean of the nodes.
 
         Parameters
         ----------
