@@ -15,11 +15,9 @@ from tenscasadi.util.validate import Array, as_tuple, format_value, node_index, 
 from tenscasadi.viewer.live_mode.simulation import LiveSimulation
 
 MOST = 12  # sliders; more do not fit the panel
-_LENGTH_RANGE = (0.5, 1.5)  # relative to the initial rest length
-_FORCE_RANGE = (0.0, 3.0)  # relative to the largest initial force density
-# relative to the nominal values: twice the stiffness and half the mass halve the stable step, and
-# the step is at most half of it
-_PARAMETER_RANGE = (0.5, 2.0)
+# Ranges relative to initial rest lengths, to the largest initial force density, and to nominal
+# values: twice the stiffness and half the mass halve the stable step; the step is at most half of it.
+_RANGES = {"rest length": (0.5, 1.5), "force density": (0.0, 3.0), "parameter": (0.5, 2.0)}
 _STANDARD_GRAVITY = 9.81  # m/s²
 
 Groups = Mapping[str, Sequence[int]] | None
@@ -100,7 +98,7 @@ def choose_parameter_sliders(simulation: LiveSimulation) -> list[ParameterSlider
         elif quantity != "forces" and size:
             name = f"{quantity.replace('_', ' ')} (factor)"
             unit = tuple(nominal.tolist())
-            found.append(ParameterSlider(name, quantity, unit, *_PARAMETER_RANGE))
+            found.append(ParameterSlider(name, quantity, unit, *_RANGES["parameter"]))
     return found
 
 
@@ -136,7 +134,7 @@ def choose_sliders(simulation: LiveSimulation, groups: Groups = None) -> list[Sl
     if not count:
         return []
     named = _group_equal(simulation) if groups is None else _read_groups(groups, count)
-    factors = _LENGTH_RANGE if _by_length(simulation) else _FORCE_RANGE
+    factors = _RANGES["rest length" if _by_length(simulation) else "force density"]
     found = []
     for name, strings in named.items():
         own = start[list(strings)]
@@ -165,10 +163,10 @@ def _choose_range(simulation: LiveSimulation, own: Array) -> tuple[float, float]
     """Choose the range of strings with the initial values `own`."""
     largest = float(own.max())
     if _by_length(simulation):
-        low, high = _LENGTH_RANGE
+        low, high = _RANGES["rest length"]
         return _round(low * largest, np.floor), _round(high * largest, np.ceil)
     largest = largest or float(simulation.start_control.max())
-    return 0.0, _round(_FORCE_RANGE[1] * largest, np.ceil) if largest else 100.0
+    return 0.0, _round(_RANGES["force density"][1] * largest, np.ceil) if largest else 100.0
 
 
 def _round(value: float, way: Any) -> float:
