@@ -65,50 +65,58 @@ def to_jax(model: Model) -> Callable[..., Any]:
         import jax.numpy as jnp
     except ImportError as error:
         raise ImportError("to_jax requires JAX: pip install 'tenscasadi[jax]'") from error
-    try:
-        function = model.ode.expand()
-    except RuntimeError as error:
-        cure = 'give Model(scene, coordinates="reduced")'
-        raise ValueError(f"model solves sparse systems, which JAX lacks: {cure}") from error
-    count = function.n_instructions()
-    if count > _MOST:
-        raise ValueError(f"model has {count} operations: give one of at most {_MOST}")
-    program = [_read_instruction(function, k) for k in range(count)]
-    operations = _list_operations(jnp)
-    unknown = (
-        {step.operation for step in program}
-        - set(operations)
-        - {
-            ca.OP_INPUT,
-            ca.OP_OUTPUT,
-            ca.OP_CONST,
-        }
-    )
-    if unknown:
+    function, operations = _expand(model), _list_operations(jnp)
+    program = [_read_instruction(function, k) for k in range(function.n_instructions())]
+    handled = {ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, *operations}
+    if unknown := {step.operation for step in program} - handled:
         raise ValueError(f"model has the CasADi operations {sorted(unknown)}, unknown here")
-    rows = function.sparsity_out(0).row()
-    size, sizes = model.nx, [function.numel_in(k) for k in range(function.n_in())]
+    rows, sizes = function.sparsity_out(0).row(), [*map(function.numel_in, range(function.n_in()))]
 
     def ode(*inputs: Any) -> Any:
         if len(inputs) != len(sizes):
             names = ", ".join(function.name_in())
             raise TypeError(f"the function got {len(inputs)} arrays: give {names}")
         arrays = [jnp.reshape(jnp.asarray(a), (n,)) for a, n in zip(inputs, sizes, strict=True)]
-        work: dict[int, Any] = {}
-        out: dict[int, Any] = {}
-        for step in program:
-            if step.operation == ca.OP_INPUT:
-                work[step.result] = arrays[step.operands[0]][step.operands[1]]
-            elif step.operation == ca.OP_CONST:
-                work[step.result] = step.constant
-            elif step.operation == ca.OP_OUTPUT:
-                out[rows[step.operands[1]]] = work[step.operands[0]]
-            else:
-                given = (work[k] for k in step.operands)
-                work[step.result] = operations[step.operation](*given)
-        return jnp.stack([jnp.asarray(out.get(k, 0.0), dtype=float) for k in range(size)])
+        out = _run(program, arrays, operations)
+        values = [out.get(k, 0.0) for k in range(len(rows))]
+        placed = dict(zip(rows, values, strict=True))
+        return jnp.stack([jnp.asarray(placed.get(k, 0.0), float) for k in range(model.nx)])
 
     return ode
+
+
+def _expand(model: Model) -> ca.Function:
+    """Write the equations as scalar operations. Raises ValueError."""
+    try:
+        function = model.ode.expand()
+    except RuntimeError as error:
+        cure = 'give Model(scene, coordinates="reduced")'
+        raise ValueError(f"model solves sparse systems, which JAX lacks: {cure}") from error
+    if function.n_instructions() > _MOST:
+        count = function.n_instructions()
+        raise ValueError(f"model has {count} operations: give one of at most {_MOST}")
+    return function
+
+
+def _run(
+    program: list[_Instruction],
+    arrays: list[Any],
+    operations: dict[int, Callable[..., Any]],
+) -> dict[int, Any]:
+    """Run instructions on arrays; returns the nonzeros of the output by their places."""
+    work: dict[int, Any] = {}
+    out: dict[int, Any] = {}
+    for step in program:
+        if step.operation == ca.OP_INPUT:
+            work[step.result] = arrays[step.operands[0]][step.operands[1]]
+        elif step.operation == ca.OP_CONST:
+            work[step.result] = step.constant
+        elif step.operation == ca.OP_OUTPUT:
+            out[step.operands[1]] = work[step.operands[0]]
+        else:
+            given = (work[k] for k in step.operands)
+            work[step.result] = operations[step.operation](*given)
+    return out
 
 
 def _read_instruction(function: ca.Function, k: int) -> _Instruction:
