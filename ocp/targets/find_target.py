@@ -35,6 +35,9 @@ from tenscasadi.util.validate import Array, Indices
 # relative to the structure's size: inconsistency of goals with bar lengths that rounding to four
 # digits causes; larger residuals count as violations
 ROUNDED = 2e-4
+# to the typical mass: largest ratio in the metric, where motions of a heavier node, divided by the
+# root of its mass, would fall below the rank tolerance
+MASS_RATIO = 10.0
 RIGID = ("bar", "joint", "clock")
 
 
@@ -345,12 +348,16 @@ class _TargetSearch:
 def _metric(model: Model) -> Array:
     """Compute the mass metric on positions and velocities.
 
-    It is relative to the mean mass, and 1 for the clock, the duration, and pinned nodes without
-    mass.
+    It is relative to the typical mass, and 1 for the clock, the duration, and pinned nodes without
+    mass. Masses far from the typical one are limited.
     """
     mass = model.mechanism.free_mass.toarray()
-    mass = mass / np.diag(mass).mean()
-    mass += np.diag((np.diag(mass) == 0).astype(float))
+    own = np.diag(mass)
+    mass = mass / (np.exp(np.mean(np.log(own[own > 0]))) if (own > 0).any() else 1.0)
+    mass += np.diag((own == 0).astype(float))
+    if np.diag(mass).max() > MASS_RATIO or np.diag(mass).min() < 1 / MASS_RATIO:
+        values, vectors = np.linalg.eigh(mass)
+        mass = vectors * np.clip(values, 1 / MASS_RATIO, MASS_RATIO) @ vectors.T
     result = np.eye(model.nx + 1)
     result[: model.nq, : model.nq] = mass
     result[model.nq : 2 * model.nq, model.nq : 2 * model.nq] = mass

@@ -311,3 +311,22 @@ def test_free_durations_are_searched():
     found = target(model, goals, duration=(0.4, 1.7))
     assert found.met
     assert found.state[-1] == pytest.approx(1.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("masses", [(1e-3, 1.0, 1e3), (1e3, 1e-2, 1e-3), (1e-3, 1e3, 1e-3)])
+def test_goals_of_bars_with_masses_far_apart_are_met(masses):
+    structure = tc.shapes.prism(3, 0.5, 1.0).replace(bar_mass=masses)
+    model = driven(structure)
+    run = tc.simulate(
+        model,
+        0.5,
+        5e-4,
+        control=np.linspace(40.0, 200.0, 9),
+        correction=tc.Projection(),
+        compiled=False,
+    )
+    places = ocp.NodePositions({k: tuple(run.nodes[-1][k]) for k in (0, 3, 4)})
+    problem = ocp.Problem(model, 0.5, goals=[places])
+    target = find_target(problem, Scales.of(problem))
+    assert target.met
+    assert model.nodes(target.state)[[0, 3, 4]] == pytest.approx(run.nodes[-1][[0, 3, 4]], abs=3e-4)
