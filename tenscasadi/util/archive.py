@@ -12,11 +12,10 @@ from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
 
-from tenscasadi.util.validate import file_path
+from tenscasadi.util.validate import MAX_BYTES, file_path
 from tenscasadi.util.whole_file import whole_file
 
 T = TypeVar("T")
-_LIMIT = 1_000_000_000  # bytes that any file may unpack to; guards against archive bombs
 _UNREADABLE = (
     *(LookupError, ArithmeticError, RuntimeError, MemoryError, AttributeError, SyntaxError),
     *(OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error),
@@ -63,7 +62,7 @@ def write(file: BinaryIO, form: str, content: Mapping[str, Any]) -> None:
     """Write arrays by name to an open file."""
     arrays = {name: np.asarray(value) for name, value in content.items()}
     # a well compressed large file could exceed the size limit of `load`
-    large = sum(value.nbytes for value in arrays.values()) > _LIMIT
+    large = sum(value.nbytes for value in arrays.values()) > MAX_BYTES
     savez = np.savez if large else np.savez_compressed
     savez(file, allow_pickle=False, format=np.asarray(form), **arrays)
 
@@ -73,7 +72,7 @@ def compute_size_limit(path: Path) -> int:
 
     It is 1 GB, or 20 times the size of the file. Trajectories compress by less than that.
     """
-    return max(_LIMIT, 20 * path.stat().st_size)
+    return max(MAX_BYTES, 20 * path.stat().st_size)
 
 
 def load(path: str | os.PathLike[str], form: str, kind: str, build: Callable[[Fields], T]) -> T:

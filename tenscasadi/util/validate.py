@@ -26,6 +26,7 @@ MAX_REPETITIONS = 1000  # of a part of a computation, such as starts, updates or
 MAX_ITERATIONS = 200  # of a method that settles in far fewer
 MAX_COUNT = 100_000  # nodes, members, intervals or elements of a file; more would need hours
 MAX_ENTRIES = 1_000_000  # samples, runs or values of a file; more would exhaust the memory
+MAX_BYTES = 1_000_000_000  # of one array or unpacked file; more would exhaust the memory
 ROUNDING = 1e-12  # relative rounding error of a few operations
 TOLERANCE = 1e-6  # relative: accepted errors of given values, and of solutions of programs
 NEGLIGIBLE = 1e-9  # relative: smaller values and differences of computed results count as zero

@@ -21,7 +21,7 @@ from tenscasadi.exchange.source import Source
 from tenscasadi.schema.reading import SceneFileError
 from tenscasadi.structure.class_one import connectivity
 from tenscasadi.structure.structure import PARAMETERS, Structure
-from tenscasadi.util.validate import Array, Indices, finite_array, text
+from tenscasadi.util.validate import MAX_BYTES, Array, Indices, finite_array, text
 
 _BARS, _STRINGS = ("C_b", "C_b_in", "Cb_in"), ("C_s", "C_s_in", "Cs_in")
 _OF_BARS = {"m": "bar_mass"}
@@ -35,7 +35,6 @@ _OTHERS = (
 _INPUT = "data"  # struct that MOTES and TsgFEM read
 _VARIABLES = {*_BARS, *_STRINGS, *_OF_BARS, *_OF_STRINGS, *_OTHERS.split(), *tsgfem.VARIABLES}
 _STRING_NODE_MASS = 0.1  # kg, the default of MOTES
-_MOST = 125_000_000  # entries of a connectivity matrix: 1 GB
 
 
 class ParsedStructure(NamedTuple):
@@ -206,7 +205,7 @@ def _build(source: Source, variables: Variables, options: Variables) -> ParsedSt
         source.leave_out(ValueError(message))
     mass = _read_node_mass(source, variables, count, bars)
     if is_filled(variables, "P"):
-        if (max(len(bars), len(strings), 1)) * count > _MOST:
+        if (max(len(bars), len(strings), 1)) * count > MAX_BYTES // 8:
             sizes = f"{len(bars)} and {len(strings)} rows of {count}"
             raise ValueError(f"C_b and C_s have {sizes}: that is too many")
         matrices = connectivity(bars, count), connectivity(strings, count)

@@ -253,7 +253,7 @@ def test_what_unpacks_to_too_much_is_not_unpacked(
     path = tmp_path / "a.npz"
     np.savez_compressed(path, format="form 1", x=np.zeros(200_000), y=np.zeros(200_000))
     assert archive.load(path, "form 1", "thing", dict)["x"].size == 200_000
-    monkeypatch.setattr(archive, "_LIMIT", 2_000_000)
+    monkeypatch.setattr(archive, "MAX_BYTES", 2_000_000)
     monkeypatch.setattr(np.lib.format, "read_array", lambda *_, **__: pytest.fail("read"))
     with pytest.raises(
         ValueError,
@@ -265,7 +265,7 @@ def test_what_unpacks_to_too_much_is_not_unpacked(
 def test_what_was_saved_is_never_too_large_to_be_loaded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(archive, "_LIMIT", 100_000)
+    monkeypatch.setattr(archive, "MAX_BYTES", 100_000)
     path = archive.save(
         tmp_path / "a.npz", "form 1", {"x": np.zeros(200_000)}
     )  # of zeros, a compressed file would be a thousandth

@@ -220,7 +220,7 @@ def nested(depth: int) -> bytes:
     ],
 )
 def test_what_claims_more_than_it_holds_takes_no_memory(content, named, tmp_path, monkeypatch):
-    monkeypatch.setattr("tenscasadi.util.archive._LIMIT", 1_000_000)
+    monkeypatch.setattr("tenscasadi.util.archive.MAX_BYTES", 1_000_000)
     (tmp_path / "x.mat").write_bytes(mat(content))
     tracemalloc.start()
     try:
@@ -252,7 +252,7 @@ def test_what_is_left_out_is_not_believed_either(tmp_path):
 
 
 def test_what_unpacks_to_too_much_is_not_unpacked(tmp_path, monkeypatch):
-    monkeypatch.setattr("tenscasadi.util.archive._LIMIT", 1_000_000)
+    monkeypatch.setattr("tenscasadi.util.archive.MAX_BYTES", 1_000_000)
     savemat(tmp_path / "x.mat", {"a": np.zeros(10**6)}, do_compression=True)
     with pytest.raises(
         ValueError,
