@@ -14,7 +14,7 @@ from ocp.control.mpc import Mpc
 from ocp.control.mppi import Mppi
 from ocp.export import export_mpc, export_program
 from ocp.guess.initial_guess import EquilibriumGuess, InverseDynamics, TrajectoryGuess
-from ocp.io.problem_files import load_arguments, load_problem, save_problem
+from ocp.io.problem_files import load_problem, load_solve_arguments, save_problem
 from ocp.plan.plan import Plan
 from ocp.plan.robustness import Robustness
 from ocp.problem.bounds.bar_bounds import BarForceLimits, Buckling
@@ -122,7 +122,7 @@ __all__ = [
     "is_realizable",
     # files
     "load_problem",
-    "load_arguments",
+    "load_solve_arguments",
     "save_problem",
     # closed loop
     "Mpc",

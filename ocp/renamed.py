@@ -15,5 +15,6 @@ __getattr__ = find_attribute(
         "CentreOfMass": "CenterOfMass",
         "replay_wound": "replay_rest_lengths",
         "reachable": "is_realizable",
+        "load_arguments": "load_solve_arguments",
     },
 )

@@ -42,6 +42,10 @@ PRESENT_NAMES = {
     "speed": "rate",
     "seconds": "time_limit",
     "starts": "n_starts",
+    "warm": "warm_start",
+    "restart": "restart_at_saddle",
+    "changes": "max_changes",
+    "finest": "min_scale",
 }
 
 
@@ -59,7 +63,7 @@ def test_scene_files_come_back(path, tmp_path):
     data = tomllib.loads(path.read_text(encoding="utf-8"))
     again = tmp_path / "again.toml"
     if "plan" in data:
-        arguments = ocp.load_arguments(path)
+        arguments = ocp.load_solve_arguments(path)
         ocp.save_problem(arguments.pop("problem"), again, **arguments)
     elif "simulation" in data:
         tc.save_scene(tc.load_simulation(path), again)

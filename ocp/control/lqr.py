@@ -30,6 +30,7 @@ from tenscasadi.scene.strings import rest_length
 from tenscasadi.simulation.inputs.feedback import Feedback
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.read_only import ReadOnlyArrays
+from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import (
     LARGEST,
     Array,
@@ -173,12 +174,13 @@ class Tracker(ReadOnlyArrays):
         return np.asarray(np.clip(gamma - gain @ away, self.lower, self.upper))
 
 
+@rename_keywords(place="position_scale", effort="control_scale")
 def track(
     plan: PlanResult,
     *,
     decisions: int | None = None,
-    place: float | None = None,
-    effort: float | None = None,
+    position_scale: float | None = None,
+    control_scale: float | None = None,
     lower: ArrayLike | None = None,
     upper: ArrayLike | None = None,
 ) -> Tracker:
@@ -190,10 +192,10 @@ def track(
         The plan to track.
     decisions : int, optional
         Number of decisions, at equal times. Default: one per interval of the plan.
-    place : float, optional
-        Departure of a coordinate that costs as much as `effort` [m]; of velocities, 10 of it in the
-        duration. Default: 1 % of the structure's size.
-    effort : float, optional
+    position_scale : float, optional
+        Departure of a coordinate that costs as much as `control_scale` [m]; of velocities, 10 of it
+        in the duration. Default: 1 % of the structure's size.
+    control_scale : float, optional
         Departure of a force density [N/m], or of a rest length [m] if these are the controls.
         Default: a tenth of the plan's mean force density, or the change of rest lengths that
         causes it.
@@ -213,11 +215,12 @@ def track(
 
     Notes
     -----
-    The Riccati recursion minimizes Σ (δq/place)² + (δv/speed)² + (δγ/effort)² of small deviations
-    from the plan [1]_. The deviations are those of coordinates, or of distances between nodes if
-    the structure is free. Each period is divided into substeps. Each substep is linearized at its
-    midpoint and advanced by the Padé (2, 2) approximation of the matrix exponential. The
-    linearization is projected onto an orthonormal basis of the changes that bars and joints allow.
+    The Riccati recursion minimizes Σ (δq/position_scale)² + (δv/speed)² + (δγ/control_scale)² of
+    small deviations from the plan [1]_. The deviations are those of coordinates, or of distances
+    between nodes if the structure is free. Each period is divided into substeps. Each substep is
+    linearized at its midpoint and advanced by the Padé (2, 2) approximation of the matrix
+    exponential. The linearization is projected onto an orthonormal basis of the changes that bars
+    and joints allow.
 
     References
     ----------
@@ -241,14 +244,14 @@ def track(
     )
     size = (
         0.01 * float(np.linalg.norm(np.ptp(model.structure.nodes, axis=0)))
-        if place is None
-        else positive_number("place", place)
+        if position_scale is None
+        else positive_number("position_scale", position_scale)
     )
     usual = 0.1 * float(plan.force_density.mean()) or 1.0
     if not controls_force_densities(model):  # the change of tension or rest lengths that causes it
         stiffness = model.scene.structure.stiffness if controls_rest_lengths(model) else 1.0
         usual *= float(np.mean(model.scene.structure.string_lengths / stiffness))
-    force = usual if effort is None else positive_number("effort", effort)
+    force = usual if control_scale is None else positive_number("control_scale", control_scale)
     known = (0.0, np.inf) if plan.problem is None else plan.problem.control_limits
     limits = control_limits(model)(
         known[0] if lower is None else lower, known[1] if upper is None else upper

@@ -27,6 +27,7 @@ from ocp.targets.find_target import find_target
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.util.casadi_tools import ArrayFunction, symbol_kind
+from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import (
     MAX_REPETITIONS,
     Array,
@@ -62,11 +63,11 @@ class Mpc:
         Quadratic programs for each decision. 1 is the real-time iteration [1]_.
     substeps : int
         Number of steps of `RungeKutta4` in each period.
-    place : float, optional
-        Departure of a coordinate that costs as much as `effort` [m]; of velocities, 10 of it in the
-        duration. For free structures, departures are those of distances between nodes. Default: 1 %
-        of the structure's size.
-    effort : float, optional
+    position_scale : float, optional
+        Departure of a coordinate that costs as much as `control_scale` [m]; of velocities, 10 of it
+        in the duration. For free structures, departures are those of distances between nodes.
+        Default: 1 % of the structure's size.
+    control_scale : float, optional
         Departure of a force density [N/m]. Default: the mean of the plan or of the goals.
 
     Raises
@@ -102,6 +103,7 @@ class Mpc:
     (2,)
     """
 
+    @rename_keywords(place="position_scale", effort="control_scale")
     def __init__(
         self,
         problem: Problem,
@@ -111,8 +113,8 @@ class Mpc:
         plan: PlanResult | None = None,
         iterations: int = 1,
         substeps: int = 1,
-        place: float | None = None,
-        effort: float | None = None,
+        position_scale: float | None = None,
+        control_scale: float | None = None,
     ) -> None:
         instance("problem", problem, Problem, "an ocp.Problem")
         reject_phases(problem.phases, "Mpc")
@@ -132,12 +134,18 @@ class Mpc:
         self._iterations = whole_number("iterations", iterations, 1, MAX_REPETITIONS)
         self._substeps = whole_number("substeps", substeps, 1, MAX_REPETITIONS)
         scales = Scales.of(problem)
-        size = 0.01 * scales.length if place is None else positive_number("place", place)
+        size = (
+            0.01 * scales.length
+            if position_scale is None
+            else positive_number("position_scale", position_scale)
+        )
         self._departures = build_departures(self.model, size, 10 * size / scales.time)
         self._reference, strength = _build_reference(
             problem, scales, plan, self._departures, self.intervals, self.period, size
         )
-        self._effort = strength if effort is None else positive_number("effort", effort)
+        self._control_scale = (
+            strength if control_scale is None else positive_number("control_scale", control_scale)
+        )
         self._lower, self._upper = (
             np.tile(limit, self.intervals) for limit in problem.force_density_limits
         )
@@ -266,8 +274,8 @@ class Mpc:
         """Build the quadratic program about a motion.
 
         The Function (time, state, γ, before, earlier) → γ, G, g, a, b belongs to: minimize
-        ½ ‖G ΔU‖² + ½ ‖ΔU/effort‖² + gᵀ ΔU subject to a ΔU ≤ b, over changes ΔU (α · intervals) of γ.
-        If the motion under γ diverges, γ is replaced by the reference.
+        ½ ‖G ΔU‖² + ½ ‖ΔU/control_scale‖² + gᵀ ΔU subject to a ΔU ≤ b, over changes ΔU
+        (α · intervals) of γ. If the motion under γ diverges, γ is replaced by the reference.
         """
         model, count = self.model, self.intervals
         time, state, earlier = (
@@ -287,7 +295,10 @@ class Mpc:
         G = ca.vertcat(
             *(C @ effect for C, effect in zip(slopes, horizon.state_effects[2:], strict=True))
         )
-        g = G.T @ ca.vec(ca.horzcat(*reached) - wanted) + ca.vec(gamma - held) / self._effort**2
+        g = (
+            G.T @ ca.vec(ca.horzcat(*reached) - wanted)
+            + ca.vec(gamma - held) / self._control_scale**2
+        )
         a, b = self._limits.rows(horizon, time, begun)
         outputs = [gamma, *(ca.densify(value) for value in (G, g, a, b))]
         return ca.Function(
@@ -324,7 +335,7 @@ class Mpc:
         """Improve γ (intervals, α) by DAQP; keep it after a failure."""
         slack = self._slack
         H, now = G @ G.T, gamma.ravel()
-        H[np.diag_indices(len(H))] += self._effort**-2
+        H[np.diag_indices(len(H))] += self._control_scale**-2
         if slack:
             H = np.pad(H, (0, 1))
             H[-1, -1] = OVERSTEP
@@ -343,7 +354,7 @@ class Mpc:
     def _improve_symbolically(self, gamma: Any, G: Any, g: Any, a: Any, b: Any) -> Any:
         """Build γ + ΔU (α, intervals) by an interior-point method."""
         size, now = g.shape[0], ca.vec(gamma)
-        H, own = G.T @ G + ca.DM.eye(size) / self._effort**2, ca.DM.eye(size)
+        H, own = G.T @ G + ca.DM.eye(size) / self._control_scale**2, ca.DM.eye(size)
         most = np.flatnonzero(np.isfinite(self._upper)).tolist()
         A, room = (
             ca.vertcat(-own, own[most, :]),

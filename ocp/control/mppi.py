@@ -25,6 +25,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.simulation.engine.build import build_kernel
 from tenscasadi.util.casadi_tools import ArrayFunction
+from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import (
     MAX_REPETITIONS,
     Array,
@@ -73,7 +74,7 @@ class Mppi:
         Iterations for each decision.
     steps : int
         Number of steps of `RungeKutta4` in each period.
-    place : float, optional
+    position_scale : float, optional
         Distance from a goal that costs 1 [m]; of velocities, 10 of it in the duration. Default: 1 %
         of the structure's size.
     seed : int
@@ -131,6 +132,7 @@ class Mppi:
     True
     """
 
+    @rename_keywords(place="position_scale")
     def __init__(
         self,
         problem: Problem | Asked | Sequence[Asked],
@@ -143,7 +145,7 @@ class Mppi:
         temperature: float = 0.1,
         iterations: int = 1,
         steps: int = 10,
-        place: float | None = None,
+        position_scale: float | None = None,
         seed: int = 0,
         model: Model | None = None,
     ) -> None:
@@ -177,7 +179,11 @@ class Mppi:
         )
         self._initial = np.tile(np.clip(held, self._lower, self._upper), (self.intervals, 1))
         scales = Scales.of(problem)
-        size = 0.01 * scales.length if place is None else positive_number("place", place)
+        size = (
+            0.01 * scales.length
+            if position_scale is None
+            else positive_number("position_scale", position_scale)
+        )
         costs = build_horizon_costs(
             problem, scales, self.period, self.intervals, size, float(held.mean()) or 1.0
         )

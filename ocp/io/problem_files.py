@@ -44,7 +44,7 @@ def load_problem(path: str | os.PathLike[str]) -> Problem:
 
     See Also
     --------
-    load_arguments : Read the other arguments of `solve`, too.
+    load_solve_arguments : Read the other arguments of `solve`, too.
     save_problem : Write a problem.
 
     Examples
@@ -58,10 +58,10 @@ def load_problem(path: str | os.PathLike[str]) -> Problem:
     ...     ocp.load_problem(ocp.save_problem(problem, f"{folder}/prism.toml")).duration
     0.5
     """
-    return load_arguments(path)["problem"]  # type: ignore[no-any-return]
+    return load_solve_arguments(path)["problem"]  # type: ignore[no-any-return]
 
 
-def load_arguments(path: str | os.PathLike[str]) -> dict[str, Any]:
+def load_solve_arguments(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Read the arguments of `solve` from a scene file.
 
     Parameters
@@ -96,7 +96,7 @@ def load_arguments(path: str | os.PathLike[str]) -> dict[str, Any]:
     >>> problem = ocp.Problem(model, 0.5, goals=[ocp.AtRest()], bounds=[ocp.ForceDensityLimits(1.0, 200.0)])
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = ocp.save_problem(problem, f"{folder}/prism.toml", transcription=ocp.Variational(6))
-    ...     plan = ocp.solve(**ocp.load_arguments(path))
+    ...     plan = ocp.solve(**ocp.load_solve_arguments(path))
     >>> plan.transcription.intervals
     6
     """

@@ -71,7 +71,7 @@ def correct(
         moved = replace(
             program, lower=lower, upper=upper, first=solution.w, multipliers=solution.multipliers
         )
-        again = again or replace(solver, warm=True).prepared(moved)
+        again = again or replace(solver, warm_start=True).build(moved)
         solution = again(moved, monitor)
         iterations += solution.iterations
         if not solution.success:

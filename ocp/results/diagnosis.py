@@ -42,7 +42,7 @@ _STOPS = {
     "Maximum_WallTime_Exceeded": "stopped at the time limit of the solver: increase it",
     "Maximum_CpuTime_Exceeded": "stopped at the time limit: increase max_cpu_time in Ipopt(options=...)",
     TIME_UP: "stopped at the time limit, with the best so far: increase time_limit",
-    SADDLE: "stopped at a saddle: leave out restart=False, or give another guess",
+    SADDLE: "stopped at a saddle: leave out restart_at_saddle=False, or give another guess",
     STOPPED: "stopped on request, by a callback or from the keyboard, with the best so far",
 }
 

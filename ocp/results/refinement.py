@@ -48,7 +48,7 @@ def refine_until_accurate(
             f"refine needs to know how the plan was solved ({plan.not_restored}): refine solve(problem, ..., guess=plan)"
         )
     if isinstance(solver, Ipopt):
-        solver = replace(solver, warm=True)
+        solver = replace(solver, warm_start=True)
 
     def again(known: PlanResult, **changes: Any) -> PlanResult:
         changed = replace(known.transcription or transcription, **changes)

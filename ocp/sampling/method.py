@@ -209,8 +209,8 @@ class _Method:
         """Report progress, and return whether to stop."""
         if self._solver.verbose:
             sys.stdout.write(line + "\n")
-        if self._solver.watch is not None and self._solver.watch(line) is False:
-            self._stopped = "stopped on request, by Sampling(watch=...), with the best so far"
+        if self._solver.callback is not None and self._solver.callback(line) is False:
+            self._stopped = "stopped on request, by Sampling(callback=...), with the best so far"
         status = self._monitor.follow(Progress(self._iterations, np.nan, self._miss))
         self._stopped = self._stopped or _STOPS.get(status, "")
         return bool(self._stopped)

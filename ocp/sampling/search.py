@@ -133,7 +133,7 @@ class Search:
 
     def _improve(self, one: Lineage, first: int, basis: Array, scale: float) -> Lineage:
         """Return the best of samples about a lineage, itself included."""
-        sizes = scale * SplineNoise(1.0, finest=0.03).sizes(self._samples)
+        sizes = scale * SplineNoise(1.0, min_scale=0.03).sizes(self._samples)
         noise = self._random.standard_normal((self._samples, basis.shape[1], len(self._directions)))
         tried = one.knots + sizes[:, None, None] * (noise @ self._directions)
         wanted = np.clip(self._nominal + basis @ tried, *self._motions.problem.force_density_limits)

@@ -10,9 +10,11 @@ from ocp.sampling.spline_noise import SplineNoise
 from ocp.solvers.base import NamedSolver
 from tenscasadi.schema.containers import ListOf
 from tenscasadi.schema.field_types import InPython, Members
+from tenscasadi.util.renamed import rename_fields
 from tenscasadi.util.validate import MAX_ENTRIES, flag, format_value, whole_number
 
 
+@rename_fields(watch="callback")
 @dataclass(frozen=True)
 class Sampling(NamedSolver, kind="Sampling"):
     """Random search on simulated motions, then Gauss-Newton.
@@ -42,7 +44,7 @@ class Sampling(NamedSolver, kind="Sampling"):
         Number of threads. Default: one for each processor that this process may use.
     verbose : bool
         Whether to print a line for each round and iteration.
-    watch : callable, optional
+    callback : callable, optional
         Function of a line of progress. The search stops if it returns False. The plan is then the
         best so far, as after Ctrl-C.
 
@@ -86,7 +88,7 @@ class Sampling(NamedSolver, kind="Sampling"):
     attempts: int = 8
     threads: int | None = None
     verbose: bool = False
-    watch: Annotated[Callable[[str], Any] | None, InPython()] = None
+    callback: Annotated[Callable[[str], Any] | None, InPython()] = None
 
     def __post_init__(self) -> None:
         if self.groups is not None:
@@ -109,9 +111,9 @@ class Sampling(NamedSolver, kind="Sampling"):
                     self, name, whole_number(f"Sampling.{name}", getattr(self, name), 1, most)
                 )
         flag("Sampling.verbose", self.verbose)
-        if self.watch is not None and not callable(self.watch):
+        if self.callback is not None and not callable(self.callback):
             raise TypeError(
-                f"Sampling.watch is {format_value(self.watch)}: give a function of a line of text, or None"
+                f"Sampling.callback is {format_value(self.callback)}: give a function of a line of text, or None"
             )
 
 

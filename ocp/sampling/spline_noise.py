@@ -9,6 +9,7 @@ import numpy as np
 import scipy.interpolate
 from numpy.typing import ArrayLike
 
+from tenscasadi.util.renamed import rename_fields
 from tenscasadi.util.validate import (
     Array,
     as_tuple,
@@ -22,6 +23,7 @@ from tenscasadi.util.validate import (
 DEGREE = 3
 
 
+@rename_fields(finest="min_scale")
 @dataclass(frozen=True, eq=False)
 class SplineNoise:
     """Smooth random changes of force densities for `Mppi`.
@@ -37,7 +39,7 @@ class SplineNoise:
     groups : sequence of sequence of int, optional
         Groups of strings that change together, such as images under a symmetry. Fewer groups need
         fewer samples. Strings in no group do not change. Default: single strings.
-    finest : float
+    min_scale : float
         Ratio of the smallest to the largest deviation, in (0, 1]. The samples lie between them in
         equal ratios, so that some explore while others refine.
 
@@ -57,7 +59,7 @@ class SplineNoise:
     deviation: ArrayLike
     knots: int = 4
     groups: Iterable[Sequence[int]] | None = None
-    finest: float = 0.03
+    min_scale: float = 0.03
 
     def __post_init__(self) -> None:
         nonnegative(
@@ -66,9 +68,9 @@ class SplineNoise:
             "string",
         )
         object.__setattr__(self, "knots", whole_number("SplineNoise.knots", self.knots, 1))
-        if positive_number("SplineNoise.finest", self.finest) > 1:
+        if positive_number("SplineNoise.min_scale", self.min_scale) > 1:
             raise ValueError(
-                f"SplineNoise.finest is {self.finest:g}: give a share of the deviation, at most 1"
+                f"SplineNoise.min_scale is {self.min_scale:g}: give a share of the deviation, at most 1"
             )
         if self.groups is not None:
             example = "[[0, 1, 2], [3, 4, 5]]"
@@ -101,9 +103,9 @@ class SplineNoise:
         Returns
         -------
         ndarray, shape (samples,)
-            Ratios to the deviation: 0, then from 1 to `finest`.
+            Ratios to the deviation: 0, then from 1 to `min_scale`.
         """
-        return np.concatenate([[0.0], np.geomspace(self.finest, 1.0, samples - 1)[::-1]])
+        return np.concatenate([[0.0], np.geomspace(self.min_scale, 1.0, samples - 1)[::-1]])
 
     def directions(self, count: int) -> Array:
         """Compute the changes of strings by deviations of groups.

@@ -16,6 +16,7 @@ from ocp.solvers.monitor import STOPPED, Monitor, Progress
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.schema.containers import TableOf
 from tenscasadi.schema.field_types import InPython, Option
+from tenscasadi.util.renamed import RenamedAttribute, rename_fields
 from tenscasadi.util.validate import TOLERANCE, Array, format_value, positive_number
 
 HSL = ("ma27", "ma57", "ma77", "ma86", "ma97")  # linear solvers that CasADi does not bring along
@@ -42,6 +43,9 @@ NOWHERE = "Infeasible_Problem_Detected", "Restoration_Failed"  # no progress to 
 Watcher = Callable[[Progress], Any]
 
 
+@rename_fields(
+    seconds="time_limit", watch="callback", warm="warm_start", restart="restart_at_saddle"
+)
 @dataclass(frozen=True)
 class Ipopt(NamedSolver, kind="Ipopt", earlier="Fatrop"):
     """The interior-point solver IPOPT, with exact derivatives.
@@ -60,15 +64,15 @@ class Ipopt(NamedSolver, kind="Ipopt", earlier="Fatrop"):
     options : mapping
         Further IPOPT options, such as ``{"linear_solver": "spral"}``, which override the defaults
         of this class.
-    seconds : float, optional
+    time_limit : float, optional
         Time limit of one run [s]. By default there is none.
-    watch : callable, optional
+    callback : callable, optional
         Function of a `Progress`, called after each iteration, such as a
         `tenscasadi.plots.Convergence`. The solver stops if it returns False.
-    warm : bool
+    warm_start : bool
         Whether the guess is nearly a solution, such as another plan. Its duals are used if mesh and
         constraints are the same.
-    restart : bool
+    restart_at_saddle : bool
         Whether the solver restarts if it meets a saddle; else it stops there.
 
     Raises
@@ -94,7 +98,7 @@ class Ipopt(NamedSolver, kind="Ipopt", earlier="Fatrop"):
     >>> model = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()))
     >>> goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()]
     >>> seen = []
-    >>> solver = ocp.Ipopt(tolerance=1e-6, watch=seen.append)
+    >>> solver = ocp.Ipopt(tolerance=1e-6, callback=seen.append)
     >>> plan = ocp.solve(ocp.Problem(model, goals=goals, costs=[ocp.Effort()]), ocp.Variational(6), solver)
     >>> plan.success, len(seen) == plan.iterations + 1
     (True, True)
@@ -104,10 +108,10 @@ class Ipopt(NamedSolver, kind="Ipopt", earlier="Fatrop"):
     tolerance: float = 1e-8
     verbose: bool = False
     options: Annotated[Mapping[str, Any], TableOf(Option())] = field(default_factory=dict)
-    seconds: float | None = None
-    watch: Annotated[Watcher | None, InPython()] = None
-    warm: bool = False
-    restart: bool = True
+    time_limit: float | None = None
+    callback: Annotated[Watcher | None, InPython()] = None
+    warm_start: bool = False
+    restart_at_saddle: bool = True
 
     def __post_init__(self) -> None:
         check_options(
@@ -118,13 +122,13 @@ class Ipopt(NamedSolver, kind="Ipopt", earlier="Fatrop"):
             self.options,
             "{'mu_strategy': 'adaptive'}",
         )
-        if self.seconds is not None:
-            positive_number("Ipopt.seconds", self.seconds)
-        if self.watch is not None and not callable(self.watch):
+        if self.time_limit is not None:
+            positive_number("Ipopt.time_limit", self.time_limit)
+        if self.callback is not None and not callable(self.callback):
             raise TypeError(
-                f"Ipopt.watch is {format_value(self.watch)}: give a function of an ocp.Progress, or None"
+                f"Ipopt.callback is {format_value(self.callback)}: give a function of an ocp.Progress, or None"
             )
-        for name in ("warm", "restart"):
+        for name in ("warm_start", "restart_at_saddle"):
             if not isinstance(getattr(self, name), bool):
                 raise TypeError(
                     f"Ipopt.{name} is {format_value(getattr(self, name))}: give True or False"
@@ -152,7 +156,7 @@ class Ipopt(NamedSolver, kind="Ipopt", earlier="Fatrop"):
         ValueError
             If IPOPT refuses an option.
         """
-        run = self.prepared(program)
+        run = self.build(program)
         if monitor is None:
             own = Monitor()
             with own.catching_interrupts():
@@ -161,15 +165,15 @@ class Ipopt(NamedSolver, kind="Ipopt", earlier="Fatrop"):
 
     def _run(self, run: Callable[..., Solution], program: Program, monitor: Monitor) -> Solution:
         """Solve, and again from the perturbed guess after a saddle."""
-        if program.noise is None or program.multipliers is not None or self.warm:
+        if program.noise is None or program.multipliers is not None or self.warm_start:
             return run(program, monitor)
         even = run(program, monitor, leaves_saddles=True)
-        if even.status != SADDLE or not self.restart:
+        if even.status != SADDLE or not self.restart_at_saddle:
             return even
         solution = run(program.perturb_guess(), monitor)
         return solution._replace(iterations=even.iterations + solution.iterations)
 
-    def prepared(self, program: Program) -> Callable[..., Solution]:
+    def build(self, program: Program) -> Callable[..., Solution]:
         """Build the solver once for several programs.
 
         Parameters
@@ -189,9 +193,11 @@ class Ipopt(NamedSolver, kind="Ipopt", earlier="Fatrop"):
             If IPOPT refuses an option.
         """
         best = BestIterate(
-            program.problem["x"].shape[0], len(program.lower), program.objective, self.watch
+            program.problem["x"].shape[0], len(program.lower), program.objective, self.callback
         )
-        return partial(_run, self._build(program, best), best)
+        return partial(_run, self._create_solver(program, best), best)
+
+    prepared = RenamedAttribute("build")
 
     def prepare_correction(self, program: Program) -> Callable[..., Solution]:
         """Prepare solutions of programs with shifted rows.
@@ -204,11 +210,11 @@ class Ipopt(NamedSolver, kind="Ipopt", earlier="Fatrop"):
         Returns
         -------
         callable
-            Function as that of `prepared`.
+            Function as that of `build`.
         """
-        return replace(self, warm=True).prepared(program)
+        return replace(self, warm_start=True).build(program)
 
-    def _build(self, program: Program, best: BestIterate) -> ca.Function:
+    def _create_solver(self, program: Program, best: BestIterate) -> ca.Function:
         ipopt = {
             "max_iter": self.max_iterations,
             "tol": self.tolerance,
@@ -223,11 +229,11 @@ class Ipopt(NamedSolver, kind="Ipopt", earlier="Fatrop"):
             "min_refinement_steps": 0,
             # least-squares duals of a guess cost a factorization, and save no iteration
             "constr_mult_init_max": 0,
-            **({} if self.seconds is None else {"max_wall_time": self.seconds}),
-            **(WARM if self.warm else {}),
+            **({} if self.time_limit is None else {"max_wall_time": self.time_limit}),
+            **(WARM if self.warm_start else {}),
             **(
                 {"mu_init": FIRST_BARRIER_KNOWN}
-                if self.warm and program.multipliers is not None
+                if self.warm_start and program.multipliers is not None
                 else {}
             ),
             **self.options,

@@ -36,7 +36,7 @@ class Duals(Stored):
     -----
     Finite differences of plans agree with duals if both plans are on one branch of optima. With a
     symmetry, several limits share one dual: move all images of a limit together, and start from
-    `guess=plan` with ``Ipopt(warm=True)``. A plan from another guess may be a mirror image.
+    `guess=plan` with ``Ipopt(warm_start=True)``. A plan from another guess may be a mirror image.
 
     Examples
     --------

@@ -40,8 +40,8 @@ def find_rate_relaxation(
         solver,
         tolerance=max(1e-4, solver.tolerance),
         max_iterations=min(120, solver.max_iterations),
-        warm=False,
-        watch=None,
+        warm_start=False,
+        callback=None,
         options={**OPTIONS, **solver.options},
     )
     found = own.solve(relax_rates(program), monitor)

@@ -16,6 +16,7 @@ from tenscasadi.schema.field_types import Members
 from tenscasadi.schema.value import Value
 from tenscasadi.util.casadi_tools import hermite_cubic
 from tenscasadi.util.read_only import ReadOnlyArrays
+from tenscasadi.util.renamed import rename_fields
 from tenscasadi.util.validate import (
     MAX_COUNT,
     Array,
@@ -62,7 +63,7 @@ class Profile(Protocol):
         """Groups of strings with the same control."""
 
     @property
-    def changes(self) -> int | None:
+    def max_changes(self) -> int | None:
         """Maximum number of control changes; None if unlimited."""
 
 
@@ -89,6 +90,7 @@ class NamedProfile(Value):
         object.__setattr__(self, "groups", tuple(group for group in groups if group))
 
 
+@rename_fields(changes="max_changes")
 @dataclass(frozen=True)
 class PiecewiseConstant(NamedProfile, kind="PiecewiseConstant"):
     """Controls that are constant on each interval.
@@ -97,7 +99,7 @@ class PiecewiseConstant(NamedProfile, kind="PiecewiseConstant"):
     ----------
     groups : sequence of sequences of int
         Groups of strings with the same control, such as images under a symmetry.
-    changes : int, optional
+    max_changes : int, optional
         Maximum number of control changes, at nearly equal times (move blocking). By default they
         change from interval to interval.
 
@@ -111,17 +113,17 @@ class PiecewiseConstant(NamedProfile, kind="PiecewiseConstant"):
     >>> import ocp
     >>> ocp.PiecewiseConstant(groups=[(0, 1, 2), (3, 4, 5)]).groups
     ((0, 1, 2), (3, 4, 5))
-    >>> ocp.PiecewiseConstant(changes=4).changes
+    >>> ocp.PiecewiseConstant(max_changes=4).max_changes
     4
     """
 
     linear: ClassVar[bool] = False
-    changes: int | None = None
+    max_changes: int | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.changes is not None:
-            whole_number("PiecewiseConstant.changes", self.changes, 0)
+        if self.max_changes is not None:
+            whole_number("PiecewiseConstant.max_changes", self.max_changes, 0)
 
 
 @dataclass(frozen=True)
@@ -146,7 +148,7 @@ class PiecewiseLinear(NamedProfile, kind="PiecewiseLinear"):
     """
 
     linear: ClassVar[bool] = True
-    changes: ClassVar[int | None] = None
+    max_changes: ClassVar[int | None] = None
 
 
 def group_matrix(profile: Profile, strings: int) -> Array:
@@ -171,10 +173,10 @@ def spans(profile: Profile, fractions: Array) -> Indices:
 
     Controls are constant within a block.
     """
-    if profile.changes is None or profile.changes + 1 >= len(fractions):
+    if profile.max_changes is None or profile.max_changes + 1 >= len(fractions):
         return np.arange(len(fractions))
     middle = np.cumsum(fractions) - np.asarray(fractions) / 2
-    within = np.floor(middle * (profile.changes + 1) * (1 - 1e-12)).astype(np.intp)
+    within = np.floor(middle * (profile.max_changes + 1) * (1 - 1e-12)).astype(np.intp)
     return np.asarray(np.unique(within, return_inverse=True)[1])
 
 

@@ -45,7 +45,7 @@ def test_a_time_limit_stops_the_solver_with_the_best_so_far(plan, monkeypatch):
         perf_counter=lambda: clock() + (1e4 if len(seen) > 2 * plan.iterations else 0.0)
     )  # however loaded the machine is
     monkeypatch.setattr("ocp.solvers.monitor.time", late)
-    endless = ocp.Ipopt(tolerance=1e-30, max_iterations=10**6, watch=seen.append)
+    endless = ocp.Ipopt(tolerance=1e-30, max_iterations=10**6, callback=seen.append)
     stopped = ocp.solve(plan.problem, plan.transcription, endless, time_limit=1e3)
     assert stopped.success
     assert "the cost is not settled: stopped at the time limit" in stopped.message

@@ -113,7 +113,7 @@ def ensemble_calls() -> dict[str, Call]:
         "temperature": 0.1,
         "iterations": 1,
         "steps": 1,
-        "place": 0.1,
+        "position_scale": 0.1,
         "seed": 0,
     }
     derived = {"model": opened, "start": opened.initial_state, "t_end": 0.02, "step": 0.01, "scheme": tc.RungeKutta4(), "control": None, "correction": None,
@@ -241,7 +241,7 @@ def ensemble_calls() -> dict[str, Call]:
         "Mppi.control": (ocp.Mppi(**decided).control, {"time": 0.0, "state": x}),
         "SplineNoise": (
             lambda **k: ocp.Mppi(turned(), 0.05, 0.1, 4, noise=ocp.SplineNoise(**k)),
-            {"deviation": np.ones(2), "knots": 2, "groups": [[0], [1]], "finest": 0.01},
+            {"deviation": np.ones(2), "knots": 2, "groups": [[0], [1]], "min_scale": 0.01},
         ),
         "run, sampled": (
             ocp.run,

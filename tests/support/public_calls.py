@@ -289,14 +289,14 @@ def planning_calls() -> dict[str, Call]:
         "ImplicitMidpoint": (ocp.ImplicitMidpoint, mesh),
         "Variational": (ocp.Variational, mesh),
         "ocp.Collocation": (ocp.Collocation, mesh | {"degree": 2}),
-        "PiecewiseConstant": (ocp.PiecewiseConstant, {"groups": ((0, 1), (2, 3)), "changes": 3}),
+        "PiecewiseConstant": (ocp.PiecewiseConstant, {"groups": ((0, 1), (2, 3)), "max_changes": 3}),
         "PiecewiseLinear": (ocp.PiecewiseLinear, {"groups": ((0, 1), (2, 3))}),
-        "Ipopt": (ocp.Ipopt, {"max_iterations": 5, "tolerance": 1e-6, "verbose": False, "options": {"mu_init": 0.1}, "seconds": 1.0, "watch": None, "warm": False, "restart": True}),
+        "Ipopt": (ocp.Ipopt, {"max_iterations": 5, "tolerance": 1e-6, "verbose": False, "options": {"mu_init": 0.1}, "time_limit": 1.0, "callback": None, "warm_start": False, "restart_at_saddle": True}),
         "CondensedNewton": (ocp.CondensedNewton, {"max_iterations": 5, "tolerance": 1e-6, "verbose": False}),
         "Sampling": (
             ocp.Sampling,
             {"groups": [(0, 1), (2, 3)], "knots": 4, "samples": 8, "seed": 1, "rounds": 2, "iterations": 1, "attempts": 1, "threads": 1}
-            | {"verbose": False, "watch": None},
+            | {"verbose": False, "callback": None},
         ),
         "InverseDynamics": (ocp.InverseDynamics, {"path": np.array([m.structure.nodes] * 2), "noise": 0.3, "seed": 0}),
         "TrajectoryGuess": (ocp.TrajectoryGuess, {"states": np.array([x] * 4), "force_density": np.array([u] * 3), "duration": 1.0}),
@@ -310,8 +310,8 @@ def planning_calls() -> dict[str, Call]:
         "Plan.to_csv": (plan().to_csv, {"path": "plan.csv"}),
         "Plan.load": (ocp.Plan.load, {"path": "missing.npz", "problem": problem()}),
         "load_problem": (ocp.load_problem, {"path": "missing.toml"}),
-        "load_arguments": (ocp.load_arguments, {"path": "missing.toml"}),
-        "save_problem": (ocp.save_problem, {"problem": problem(), "path": "problem.toml", "tolerance": 1e-3, "seconds": 1.0, "starts": 1}),
+        "load_solve_arguments": (ocp.load_solve_arguments, {"path": "missing.toml"}),
+        "save_problem": (ocp.save_problem, {"problem": problem(), "path": "problem.toml", "tolerance": 1e-3, "time_limit": 1.0, "n_starts": 1}),
         "Plan.require_model": (plan().require_model, {"user": "a test"}),
         "Progress": (ocp.Progress, {"iteration": 1, "objective": 1.0, "infeasibility": 0.0}),
     }  # fmt: skip

@@ -98,7 +98,11 @@ BAD = {
         "time is nan",
     ),
     "track no plan": (lambda plan: ocp.track(1), TypeError, "plan"),
-    "track at no place": (lambda plan: ocp.track(plan, place=-1.0), ValueError, "place"),
+    "track at no place": (
+        lambda plan: ocp.track(plan, position_scale=-1.0),
+        ValueError,
+        "position_scale",
+    ),
 }
 
 

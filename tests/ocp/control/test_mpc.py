@@ -152,7 +152,11 @@ BAD = {
     "period zero": (lambda plan: ocp.Mpc(problem(), 0.0), ValueError, "period"),
     "intervals zero": (lambda plan: ocp.Mpc(problem(), 0.1, 0), ValueError, "intervals"),
     "plan no plan": (lambda plan: ocp.Mpc(problem(), plan=1), TypeError, "plan"),
-    "effort zero": (lambda plan: ocp.Mpc(problem(), effort=0.0), ValueError, "effort"),
+    "effort zero": (
+        lambda plan: ocp.Mpc(problem(), control_scale=0.0),
+        ValueError,
+        "control_scale",
+    ),
     "mpc along another structure": (
         lambda plan: ocp.Mpc(ocp.Problem(driven(tc.shapes.d_bar())), plan=plan),
         ValueError,

@@ -331,7 +331,7 @@ BAD = {
     "steps zero": (lambda: ocp.Mppi(folding(), steps=0), ValueError, "steps"),
     "iterations zero": (lambda: ocp.Mppi(folding(), iterations=0), ValueError, "iterations"),
     "seed no number": (lambda: ocp.Mppi(folding(), seed="a"), TypeError, "seed"),
-    "place zero": (lambda: ocp.Mppi(folding(), place=0.0), ValueError, "place"),
+    "place zero": (lambda: ocp.Mppi(folding(), position_scale=0.0), ValueError, "position_scale"),
     "noise of other strings": (
         lambda: ocp.Mppi(folding(), noise=[1.0] * 5),
         ValueError,

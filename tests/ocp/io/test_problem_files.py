@@ -195,7 +195,7 @@ def test_problems_that_come_back_have_the_same_plan(name, tmp_path):
     way = {"transcription": ocp.Variational(10), "solver": ocp.Ipopt(options={"mu_init": 0.05})}
     plan = ocp.solve(problem, **way)
     again = ocp.solve(
-        **ocp.load_arguments(ocp.save_problem(problem, tmp_path / "problem.toml", **way))
+        **ocp.load_solve_arguments(ocp.save_problem(problem, tmp_path / "problem.toml", **way))
     )
     assert np.array_equal(again.force_density, plan.force_density)
     assert np.array_equal(again.trajectory.states, plan.trajectory.states)
@@ -214,7 +214,7 @@ WAYS = [
     },
     {
         "transcription": ocp.Collocation(
-            [1.0, 2.0, 1.0], control=ocp.PiecewiseConstant(changes=1), degree=3
+            [1.0, 2.0, 1.0], control=ocp.PiecewiseConstant(max_changes=1), degree=3
         ),
         "solver": ocp.Ipopt(tolerance=1e-6),
     },
@@ -234,8 +234,8 @@ WAYS = [
         "solver": ocp.Ipopt(
             50,
             options={"linear_solver": "mumps", "mu_init": 0.1, "mehrotra_algorithm": "no"},
-            seconds=4.0,
-            warm=True,
+            time_limit=4.0,
+            warm_start=True,
         )
     },
     {"guess": ocp.TrajectoryGuess(np.arange(12.0).reshape(2, 6), np.ones((3, 4)), 0.5)},
@@ -244,7 +244,9 @@ WAYS = [
 
 @pytest.mark.parametrize("way", WAYS, ids=[" ".join(way) for way in WAYS])
 def test_how_it_is_solved_comes_back(way, tmp_path):
-    arguments = ocp.load_arguments(ocp.save_problem(reach(0.4), tmp_path / "problem.toml", **way))
+    arguments = ocp.load_solve_arguments(
+        ocp.save_problem(reach(0.4), tmp_path / "problem.toml", **way)
+    )
     assert set(arguments) == {"problem", *way}
     for name, value in way.items():
         assert repr(arguments[name]) == repr(value)
@@ -270,8 +272,8 @@ def test_what_no_file_holds_is_refused_by_name(tmp_path):
         ocp.save_problem(
             reach(0.4), tmp_path / "problem.toml", solver=ocp.Ipopt(options={"mu_init": np.ones(2)})
         )
-    with pytest.raises(ValueError, match=r"Ipopt\.watch: a function in Python: leave it out"):
-        ocp.save_problem(reach(0.4), tmp_path / "problem.toml", solver=ocp.Ipopt(watch=print))
+    with pytest.raises(ValueError, match=r"Ipopt\.callback: a function in Python: leave it out"):
+        ocp.save_problem(reach(0.4), tmp_path / "problem.toml", solver=ocp.Ipopt(callback=print))
     with pytest.raises(TypeError, match="'method': give transcription"):
         ocp.save_problem(reach(0.4), tmp_path / "problem.toml", method=1)
     with pytest.raises(TypeError, match=r"ocp\.Problem"):
@@ -281,7 +283,7 @@ def test_what_no_file_holds_is_refused_by_name(tmp_path):
 
 @pytest.mark.parametrize("name", ["prism", "d-bar", "six-bar-ball", "reach"])
 def test_the_files_to_start_from_are_planned(name):
-    plan = ocp.solve(**ocp.load_arguments(f"{FOLDER}/{name}.toml"))
+    plan = ocp.solve(**ocp.load_solve_arguments(f"{FOLDER}/{name}.toml"))
     assert plan.success, plan.message
 
 
@@ -391,7 +393,7 @@ WRONG = {  # what stands in [plan]: the key, and words of the message
         "plan.solver.options.ma97_dump_matrix",
         "leave it out",
     ),
-    "solver = { kind = 'Ipopt', watch = 1 }": ("plan.solver.watch", "is no field"),
+    "solver = { kind = 'Ipopt', callback = 1 }": ("plan.solver.callback", "is no field"),
     "n_starts = 1e9": ("plan.n_starts", "must be"),
     "tolerance = 0": ("plan.tolerance", "must be"),
     "time_limit = -3": ("plan.time_limit", "must be"),
@@ -406,7 +408,7 @@ def test_what_is_wrong_is_told_with_its_line_and_key(line, written):
     key, cure = WRONG[line]
     path = written(f"{ARM}\n[plan]\n# the next line is the 12th\n{line}\n")
     with pytest.raises(tc.SceneFileError) as caught:
-        ocp.load_arguments(path)
+        ocp.load_solve_arguments(path)
     assert (caught.value.key, caught.value.line) == (key, 12)
     assert cure in str(caught.value)
     assert "\n" not in str(caught.value)

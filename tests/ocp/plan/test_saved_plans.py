@@ -68,7 +68,7 @@ TRANSCRIPTIONS = [
 ]
 SOLVERS = [
     ocp.Ipopt(
-        50, seconds=2.0, options={"mu_strategy": "adaptive", "acceptable_tol": np.float64(1e-6)}
+        50, time_limit=2.0, options={"mu_strategy": "adaptive", "acceptable_tol": np.float64(1e-6)}
     ),
     ocp.CondensedNewton(50),
 ]
@@ -188,7 +188,7 @@ def test_what_no_file_holds_is_said_where_it_is_needed(own, tmp_path):
     transcription = ocp.MultipleShooting(
         8, scheme=OwnScheme() if own == "scheme" else tc.RungeKutta4()
     )
-    path = ocp.solve(asked, transcription, ocp.Ipopt(watch=lambda progress: True)).save(
+    path = ocp.solve(asked, transcription, ocp.Ipopt(callback=lambda progress: True)).save(
         tmp_path / "plan.npz"
     )
     said = (

@@ -23,7 +23,7 @@ def costs(**asked):
         0.4,
         3,
         steps=STEPS,
-        place=0.1,
+        position_scale=0.1,
     )
     tried = np.random.default_rng(0).uniform(2.0, 6.0, (3, COUNT, 2))
     runs = [

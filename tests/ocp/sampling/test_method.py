@@ -116,7 +116,7 @@ def test_who_watches_stops_it(interrupted):
         return len(seen) < 2
 
     plan = ocp.solve(
-        contact_problems.prism_jumps(0.4), solver=ocp.Sampling(samples=32, watch=watch)
+        contact_problems.prism_jumps(0.4), solver=ocp.Sampling(samples=32, callback=watch)
     )
     assert not plan.success
     assert ("keyboard" if interrupted else "on request") in plan.message
@@ -254,7 +254,7 @@ def test_plans_are_kept_in_files(tmp_path):
     plan = ocp.solve(
         contact_problems.prism_jumps(0.2),
         solver=ocp.Sampling(
-            samples=16, rounds=2, iterations=1, attempts=1, watch=lambda line: None
+            samples=16, rounds=2, iterations=1, attempts=1, callback=lambda line: None
         ),
     )
     again = ocp.Plan.load(plan.save(tmp_path / "plan.npz"))

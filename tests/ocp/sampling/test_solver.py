@@ -19,7 +19,7 @@ BAD = {
     ),
     "groups that are numbers": ({"groups": 3}, TypeError, r"Sampling\.groups"),
     "a flag that is none": ({"verbose": 1}, TypeError, r"Sampling\.verbose"),
-    "no function": ({"watch": "me"}, TypeError, r"Sampling\.watch"),
+    "no function": ({"callback": "me"}, TypeError, r"Sampling\.callback"),
 }
 
 

@@ -26,9 +26,9 @@ def test_fewer_knots_make_it_smoother():
 
 
 def test_samples_explore_and_refine():
-    sizes = ocp.SplineNoise(1.0, finest=0.01).sizes(6)
+    sizes = ocp.SplineNoise(1.0, min_scale=0.01).sizes(6)
     assert sizes == pytest.approx([0.0, 1.0, 10**-0.5, 0.1, 10**-1.5, 0.01])
-    assert ocp.SplineNoise(1.0, finest=1.0).sizes(3).tolist() == [0.0, 1.0, 1.0]
+    assert ocp.SplineNoise(1.0, min_scale=1.0).sizes(3).tolist() == [0.0, 1.0, 1.0]
 
 
 def test_a_group_changes_together():
@@ -46,14 +46,14 @@ BAD = {
     "a word": (lambda: ocp.SplineNoise("much"), TypeError, "SplineNoise.deviation"),
     "no knots": (lambda: ocp.SplineNoise(1.0, 0), ValueError, "SplineNoise.knots"),
     "finer than nothing": (
-        lambda: ocp.SplineNoise(1.0, finest=0.0),
+        lambda: ocp.SplineNoise(1.0, min_scale=0.0),
         ValueError,
-        "SplineNoise.finest is 0",
+        "SplineNoise.min_scale is 0",
     ),
     "finer than all": (
-        lambda: ocp.SplineNoise(1.0, finest=2.0),
+        lambda: ocp.SplineNoise(1.0, min_scale=2.0),
         ValueError,
-        "SplineNoise.finest is 2: give a share",
+        "SplineNoise.min_scale is 2: give a share",
     ),
     "groups of a number": (
         lambda: ocp.SplineNoise(1.0, groups=3),

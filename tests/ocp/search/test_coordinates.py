@@ -180,7 +180,7 @@ def test_what_a_plan_is_used_for(arm, tmp_path):
 def test_guesses_are_of_the_given_model(arm):
     problem, plan = arm
     states, forces = plan.trajectory.states, plan.force_density
-    warm = ocp.solve(problem, plan.transcription, ocp.Ipopt(warm=True), guess=plan)
+    warm = ocp.solve(problem, plan.transcription, ocp.Ipopt(warm_start=True), guess=plan)
     for found in (
         warm,
         ocp.solve(problem, guess=ocp.TrajectoryGuess(states, forces)),

@@ -76,7 +76,7 @@ CASES = {
         ocp.Problem(
             driven(PRISM), goals=RISE, bounds=[LIMITS], costs=[ocp.Effort(), ocp.Smoothness(0.01)]
         ),
-        ocp.Variational(20, control=ocp.PiecewiseConstant(changes=5)),
+        ocp.Variational(20, control=ocp.PiecewiseConstant(max_changes=5)),
     ),
     "pins of axes, loads that change": (
         ocp.Problem(

@@ -19,14 +19,14 @@ def test_progress_is_told_and_a_stop_keeps_the_best():
         seen.append(now)
         return now.iteration < 3
 
-    plan = ocp.solve(raising(), ocp.Variational(10), ocp.Ipopt(watch=watch), tolerance=1e-9)
+    plan = ocp.solve(raising(), ocp.Variational(10), ocp.Ipopt(callback=watch), tolerance=1e-9)
     assert not plan.success
     assert plan.status == "User_Requested_Stop"
     assert [now.iteration for now in seen] == [0, 1, 2, 3]
     assert min(now.infeasibility for now in seen) < seen[0].infeasibility
     assert all(now.objective > 0 for now in seen)
     assert np.all(np.isfinite(plan.force_density))
-    whole = ocp.solve(raising(), ocp.Variational(10), ocp.Ipopt(watch=lambda now: None))
+    whole = ocp.solve(raising(), ocp.Variational(10), ocp.Ipopt(callback=lambda now: None))
     assert whole.success
 
 
@@ -36,7 +36,7 @@ def begins(problem, guess=None):
     plan = ocp.solve(
         problem,
         ocp.Variational(20),
-        ocp.Ipopt(watch=lambda now: seen.append(now.iteration)),
+        ocp.Ipopt(callback=lambda now: seen.append(now.iteration)),
         guess=guess,
     )
     assert plan.success, plan.message
@@ -56,10 +56,10 @@ def test_noise_is_added_where_a_saddle_is_met_and_nowhere_else():
     at_once, noisy = begins(back, ocp.InverseDynamics(noise=0.3))
     assert (once, at_once) == (2, 1)
     assert plan.objective == pytest.approx(noisy.objective, rel=0.01)
-    stopped = ocp.solve(back, ocp.Variational(12), ocp.Ipopt(restart=False))
+    stopped = ocp.solve(back, ocp.Variational(12), ocp.Ipopt(restart_at_saddle=False))
     assert not stopped.success
     assert stopped.iterations < plan.iterations
-    assert "stopped at a saddle: leave out restart=False" in stopped.message
+    assert "stopped at a saddle: leave out restart_at_saddle=False" in stopped.message
 
 
 def test_an_interruption_keeps_the_best():
@@ -67,7 +67,7 @@ def test_an_interruption_keeps_the_best():
         if now.iteration == 2:
             raise KeyboardInterrupt
 
-    plan = ocp.solve(raising(), ocp.Variational(10), ocp.Ipopt(watch=watch))
+    plan = ocp.solve(raising(), ocp.Variational(10), ocp.Ipopt(callback=watch))
     assert plan.status == "User_Requested_Stop"
     assert plan.iterations <= 3
     assert np.all(np.isfinite(plan.trajectory.nodes))
@@ -80,7 +80,7 @@ def test_ctrl_c_keeps_the_best_and_leaves_the_keyboard_as_it_was(keyboard):
         if now.iteration == 2:  # within the solver, not within this function
             signal.raise_signal(signal.SIGINT)
 
-    plan = ocp.solve(raising(), ocp.Variational(10), ocp.Ipopt(watch=watch))
+    plan = ocp.solve(raising(), ocp.Variational(10), ocp.Ipopt(callback=watch))
     assert plan.status == "User_Requested_Stop"
     assert plan.iterations <= 3
     assert "from the keyboard" in plan.message
@@ -92,12 +92,12 @@ def test_what_a_watcher_raises_is_raised(capfd):
         raise ZeroDivisionError("a mistake of the watcher")
 
     with pytest.raises(ZeroDivisionError, match="a mistake of the watcher"):
-        ocp.solve(raising(), ocp.Variational(6), ocp.Ipopt(watch=watch))
+        ocp.solve(raising(), ocp.Variational(6), ocp.Ipopt(callback=watch))
     assert not capfd.readouterr().err
 
 
 def test_a_time_limit_stops():
-    plan = ocp.solve(raising(), ocp.Variational(10), ocp.Ipopt(seconds=1e-6))
+    plan = ocp.solve(raising(), ocp.Variational(10), ocp.Ipopt(time_limit=1e-6))
     assert "stopped at the time limit of the solver: increase it" in plan.message
     assert not plan.success
     assert plan.status == "Maximum_WallTime_Exceeded"
@@ -105,7 +105,7 @@ def test_a_time_limit_stops():
 
 def test_a_plan_as_guess_takes_fewer_iterations():
     cold = ocp.solve(raising(), ocp.Variational(12))
-    warm = ocp.solve(raising(), ocp.Variational(12), ocp.Ipopt(warm=True), guess=cold)
+    warm = ocp.solve(raising(), ocp.Variational(12), ocp.Ipopt(warm_start=True), guess=cold)
     assert warm.success
     assert warm.iterations < cold.iterations
     assert warm.objective == pytest.approx(cold.objective, rel=1e-5)
@@ -114,10 +114,18 @@ def test_a_plan_as_guess_takes_fewer_iterations():
 @pytest.mark.parametrize(
     ("make", "error", "words"),
     [
-        (lambda: ocp.Ipopt(seconds=-1.0), ValueError, "Ipopt.seconds"),
-        (lambda: ocp.Ipopt(watch=3), TypeError, "Ipopt.watch is 3: give a function"),
-        (lambda: ocp.Ipopt(warm="yes"), TypeError, "Ipopt.warm is 'yes': give True or False"),
-        (lambda: ocp.Ipopt(restart=1), TypeError, "Ipopt.restart is 1: give True or False"),
+        (lambda: ocp.Ipopt(time_limit=-1.0), ValueError, "Ipopt.time_limit"),
+        (lambda: ocp.Ipopt(callback=3), TypeError, "Ipopt.callback is 3: give a function"),
+        (
+            lambda: ocp.Ipopt(warm_start="yes"),
+            TypeError,
+            "Ipopt.warm_start is 'yes': give True or False",
+        ),
+        (
+            lambda: ocp.Ipopt(restart_at_saddle=1),
+            TypeError,
+            "Ipopt.restart_at_saddle is 1: give True or False",
+        ),
     ],
 )
 def test_wrong_values_are_refused(make, error, words):

@@ -27,5 +27,5 @@ def test_pivots_are_ordered_by_size(intervals, given, order, monkeypatch):
 
 @pytest.mark.slow
 def test_a_thousand_intervals_are_solved():
-    found = ocp.solve(folding(), ocp.Variational(1000), ocp.Ipopt(seconds=60))
+    found = ocp.solve(folding(), ocp.Variational(1000), ocp.Ipopt(time_limit=60))
     assert found.success, found.message

@@ -111,7 +111,7 @@ def test_a_start_from_multipliers_saves_most_iterations(name):
     cold = ocp.solve(problem(), WARM[name], tolerance=0.1)
     nearby = problem(to=1.16, most=10.35)
     again, other = (
-        ocp.solve(asked, WARM[name], ocp.Ipopt(warm=True), guess=cold, tolerance=0.1)
+        ocp.solve(asked, WARM[name], ocp.Ipopt(warm_start=True), guess=cold, tolerance=0.1)
         for asked in (problem(), nearby)
     )
     assert cold.success
@@ -140,7 +140,7 @@ def test_multipliers_are_saved(tmp_path):
     loaded = ocp.Plan.load(plan.save(tmp_path / "plan.npz"))
     assert loaded.duals.names == plan.duals.names
     assert np.array_equal(loaded.duals.values, plan.duals.values)
-    warm = ocp.solve(problem(), ocp.Variational(8), ocp.Ipopt(warm=True), guess=loaded)
+    warm = ocp.solve(problem(), ocp.Variational(8), ocp.Ipopt(warm_start=True), guess=loaded)
     assert warm.iterations <= 2
     none = ocp.solve(problem(), ocp.Variational(8), ocp.Ipopt(max_iterations=2))
     assert none.duals is None

@@ -93,7 +93,7 @@ def test_goals_and_bounds_of_a_free_start():
 
 def test_other_plans_start_from_what_was_found():
     first = ocp.solve(problem(), ocp.MultipleShooting(24))
-    again = ocp.solve(problem(), ocp.MultipleShooting(24), ocp.Ipopt(warm=True), guess=first)
+    again = ocp.solve(problem(), ocp.MultipleShooting(24), ocp.Ipopt(warm_start=True), guess=first)
     assert again.success
     assert again.iterations < first.iterations
 

@@ -36,7 +36,8 @@ def test_linear_force_densities(make):
 def test_few_changes(make):
     problem = raising()
     few, fewer, many = (
-        ocp.solve(problem, make(14, control=ocp.PiecewiseConstant(changes=n))) for n in (6, 3, 13)
+        ocp.solve(problem, make(14, control=ocp.PiecewiseConstant(max_changes=n)))
+        for n in (6, 3, 13)
     )
     assert few.success
     assert fewer.success
@@ -53,11 +54,11 @@ def test_few_changes(make):
 
 
 def test_goals_need_changes():
-    plan = ocp.solve(raising(), ocp.Variational(14, control=ocp.PiecewiseConstant(changes=0)))
+    plan = ocp.solve(raising(), ocp.Variational(14, control=ocp.PiecewiseConstant(max_changes=0)))
     assert not plan.success
     assert "18 rows of goals need more than 9 controls before them" in plan.message
-    with pytest.raises(ValueError, match=r"PiecewiseConstant.changes"):
-        ocp.PiecewiseConstant(changes=-1)
+    with pytest.raises(ValueError, match=r"PiecewiseConstant.max_changes"):
+        ocp.PiecewiseConstant(max_changes=-1)
 
 
 @pytest.mark.parametrize(

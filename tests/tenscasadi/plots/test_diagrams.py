@@ -23,7 +23,7 @@ def test_a_solver_is_drawn_as_it_works(tmp_path):
     plan = ocp.solve(
         ocp.Problem(model, 0.5, bounds=limits, costs=[ocp.Effort()]),
         ocp.Variational(4),
-        ocp.Ipopt(watch=watch),
+        ocp.Ipopt(callback=watch),
     )
     assert plan.success
     assert len({written for _, written in told}) == len(told) == plan.iterations + 1

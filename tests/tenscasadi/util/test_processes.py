@@ -157,7 +157,7 @@ def test_planning_takes_one():
     assert ocp.solve(
         ocp.Problem(model, goals=goals, costs=[ocp.Effort()]),
         ocp.Variational(10),
-        ocp.Ipopt(watch=lambda progress: seen.append(threads())),
+        ocp.Ipopt(callback=lambda progress: seen.append(threads())),
     ).success
     assert set(seen[0]) == {1}
     assert set(threads()) == {2}
