@@ -30,7 +30,7 @@ from ocp.targets.rigid_fit import fit_start
 from ocp.targets.row_reduction import RANK, RowFunction, reduce_rows, soft_directions
 from ocp.targets.target import Target, WaypointTarget
 from tenscasadi.dynamics.model import Model
-from tenscasadi.util.validate import Array, Indices
+from tenscasadi.util.validate import TOLERANCE, Array, Indices
 
 # relative to the structure's size: inconsistency of goals with bar lengths that rounding to four
 # digits causes; larger residuals count as violations
@@ -236,7 +236,8 @@ class _TargetSearch:
             worst = self.goals.names.index(max(named, key=lambda name: abs(weights[name])))
             size = abs(values[worst]) * self.goal.row_scale[worst]
         reasons = {name: rows.kind for rows in self.invariants for name in rows.names}
-        held = [name for name in reasons if abs(weights.get(name, 0.0)) > 1e-9]
+        least = TOLERANCE * max(map(abs, weights.values()), default=0.0)  # the solver's errors
+        held = [name for name in reasons if abs(weights.get(name, 0.0)) > least]
         reason = "the goals contradict each other: leave one out"
         if held:
             name = max(held, key=lambda name: abs(weights[name]))
