@@ -195,6 +195,7 @@ CLAIMS = (
 IN_A_BROWSER = "benchmark_viewer"
 SLOW = (  # five seconds and more
     "ball_rolls",
+    "contact_problems",
     "extremes",
     "ocp_suite",
     "ocp_tradeoff",

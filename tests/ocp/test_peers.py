@@ -70,6 +70,7 @@ def test_rockit_finds_the_same_plan():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_do_mpc_finds_the_same_plan():
     do_mpc = imported("do_mpc")

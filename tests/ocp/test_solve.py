@@ -265,6 +265,7 @@ def test_strings_in_segments_plan_too():
     assert found.replay_error < 1e-3
 
 
+@pytest.mark.slow
 def test_too_little_force_is_said(plan):
     found = raised(bounds=[ocp.ForceDensityLimits(5.0, 8.0)])
     assert not found.success

@@ -97,6 +97,7 @@ def check_steps(data: st.DataObject) -> None:
     assert error < 0.01 + 3 * claimed, run.message
 
 
+@pytest.mark.slow
 def test_steps_near_the_stability_limit_end_right_or_with_a_word() -> None:
     on_examples(check_steps, 15)
 

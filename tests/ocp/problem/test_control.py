@@ -117,6 +117,7 @@ def test_limits_of_rest_lengths_hold_exactly(plan):
     }
 
 
+@pytest.mark.slow
 def test_shooting_finds_the_same(plan):
     other = planned(transcription=ocp.MultipleShooting(24, substeps=2))
     assert other.success, other.message

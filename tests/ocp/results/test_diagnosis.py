@@ -106,6 +106,7 @@ FAILED = {
 }
 
 
+@pytest.mark.slow
 def test_long_intervals_are_no_lack_of_control():
     """Bars and momenta that coarse steps do not keep are missed, which more intervals cure."""
     turning = MODEL.state(prism(1.0).nodes, np.cross([0, 0, 6.0], prism(1.0).nodes))

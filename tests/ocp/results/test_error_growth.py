@@ -55,6 +55,7 @@ def arm():
     return ocp.solve(leaning_arm(3, 0.8), ocp.Variational(20, accuracy=1e-6))
 
 
+@pytest.mark.slow
 def test_growth_is_that_of_replays_that_start_otherwise(arm):
     """The largest ratio over the changes of the start that bars allow, by central differences in each."""
     model, T = arm.model, float(arm.time[-1])

@@ -95,6 +95,7 @@ def test_corrections_go_where_intervals_do_not(coarse):
     )
 
 
+@pytest.mark.slow
 def test_refining_does_not_advise_itself(coarse):
     plan = coarse.refine(1e-15)
     assert not plan.success

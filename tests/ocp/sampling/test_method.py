@@ -65,6 +65,7 @@ def test_seven_of_eight_seeds_find_it(height, stiffness):
     )
 
 
+@pytest.mark.slow
 def test_the_same_seed_finds_the_same_on_any_number_of_threads():
     problem = contact_problems.prism_jumps(0.2)
     first, second, other = (
@@ -133,6 +134,7 @@ def test_what_cannot_be_met_is_said():
     assert "CenterOfMass: z misses its goal by" in plan.message
 
 
+@pytest.mark.slow
 def test_a_plan_is_polished_where_it_is_a_guess():
     problem = contact_problems.prism_jumps(0.2)
     plan = ocp.solve(problem)
@@ -174,6 +176,7 @@ def test_refining_meets_the_tolerance_or_says_that_it_does_not():
     assert not fine.success
 
 
+@pytest.mark.slow
 def test_limits_that_a_bounce_breaks_between_the_nodes_of_the_mesh_are_said():
     """Whatever it does, the prism lands at 1.4 m/s: its feet go deeper than 2 mm, for less than an interval."""
     model = contact_problems.low_prism()
@@ -193,6 +196,7 @@ def test_limits_that_a_bounce_breaks_between_the_nodes_of_the_mesh_are_said():
     assert "beyond its limit of -0.002: see report()" in plan.message
 
 
+@pytest.mark.slow
 def test_strings_that_share_a_force_density_do():
     groups = ((0, 1, 2), (3, 4, 5), (6, 7, 8))
     transcription = ocp.MultipleShooting(22, control=ocp.PiecewiseConstant(groups))

@@ -136,6 +136,7 @@ def test_own_expressions_get_the_state_of_the_given_model(arm):
     assert found[0].objective > plan.objective + 1e-3
 
 
+@pytest.mark.slow
 def test_own_expressions_of_forces_of_bars(arm):
     """They are the same in both coordinates."""
     problem, plan = arm
@@ -150,6 +151,7 @@ def test_own_expressions_of_forces_of_bars(arm):
     assert found.objective > plan.objective + 0.01
 
 
+@pytest.mark.slow
 def test_forces_in_joints_are_those_of_the_given_model(arm):
     problem, plan = arm
     forces = lambda now: 1e-3 * ca.sumsqr(now.model.multiplier_function(now.state, now.control)[1])  # noqa: E731

@@ -228,6 +228,7 @@ def test_limits_that_leave_no_way_are_named():
     assert "largest violation: speed, " in plan.message
 
 
+@pytest.mark.slow
 def test_limits_that_bars_share_are_kept_by_fine_steps_of_scipy():
     """A tower of four prisms that rises: its bars, which come within 3 cm, stay 8 cm apart, and no node is too fast."""
     limits = [
@@ -390,6 +391,7 @@ def integrated(model, state, begin, end, u, v):
     return found.y[:, -1]
 
 
+@pytest.mark.slow
 def test_motions_along_which_errors_grow_are_corrected():
     """Two prisms on each other rise under their weight: fine steps under the first force densities end metres away."""
     nodes = dict.fromkeys((6, 7, 8), (None, None, 1.7))

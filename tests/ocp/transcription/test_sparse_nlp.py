@@ -35,6 +35,7 @@ ASKED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "transcription",
     METHODS,

@@ -126,6 +126,7 @@ def test_meets_the_tolerance_at_no_more_than_twice_the_cost_of_the_best(
     assert advice.work <= 2 * min(row.work for row in rows)
 
 
+@pytest.mark.slow
 def test_where_stability_bounds_the_step_implicit_schemes_are_looked_at():
     model, start = damped()
     schemes = (tc.Collocation(2, "radau"), tc.Cvodes(), tc.DormandPrince853())

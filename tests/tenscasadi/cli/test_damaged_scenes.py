@@ -93,6 +93,7 @@ def folder(tmp_path_factory):
     return inside
 
 
+@pytest.mark.slow
 def test_wrong_scene_files_give_one_line_each(folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     for slow in ("fastest_rate", "stable_step"):

@@ -75,6 +75,7 @@ def test_changes_go_before_the_file(here, capsys):
     assert found.scene.structure.bar_lengths == pytest.approx(np.full(6, 0.5))
 
 
+@pytest.mark.slow
 def test_a_new_user(here, capsys):
     new("prism", here / "p.toml", capsys)
     assert run("plan", "p.toml") == 0

@@ -275,6 +275,7 @@ def test_position_of_a_pinned_node_is_rejected() -> None:
         tc.form_find(tc.shapes.hyperbolic_paraboloid(3), positions={0: (0, None, None)})
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @drawn(
     density=st.lists(

@@ -54,6 +54,7 @@ def test_rates_and_derivatives_equal_those_of_casadi(name):
     assert jacobian == pytest.approx(slope, rel=1e-12, abs=1e-12 * abs(slope).max())
 
 
+@pytest.mark.slow
 def test_gradient_of_a_rollout_is_finite():
     model = tc.Model(SCENES["force densities"])
     function = tc.to_jax(model)

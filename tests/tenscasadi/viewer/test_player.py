@@ -88,6 +88,7 @@ def go_to(page, found, time):
     assert float(box.input_value()) == time
 
 
+@pytest.mark.slow
 def test_it_plays_pauses_and_goes_where_it_is_told(shown, motion):
     found, page = shown
     assert page.title()
@@ -181,6 +182,7 @@ def test_a_click_labels_a_string_with_its_numbers(shown, motion):
     assert page.faults == []
 
 
+@pytest.mark.slow
 def test_numbers_of_nodes_are_written_beside_them(shown, motion):
     found, page = shown
     pause(page, found)

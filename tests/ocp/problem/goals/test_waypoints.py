@@ -96,6 +96,7 @@ SHAPES = [ocp.Shape(prism(1.1).nodes), ocp.AtRest()]
 PRICED = {"bounds": [PRESTRESS], "costs": [ocp.Effort(), ocp.Duration(100.0)]}
 
 
+@pytest.mark.slow
 def test_times_of_waypoints_and_of_the_end_are_free():
     """The waypoint is met as SciPy integrates the plan, and the same waypoint at other shares of the duration costs more."""
     way = [ocp.Shape(prism(1.05).nodes)]

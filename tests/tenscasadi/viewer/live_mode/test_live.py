@@ -69,6 +69,7 @@ def pixel(motion, page, point):
     )
 
 
+@pytest.mark.slow
 def test_people_drive_pull_save_and_reset(shown, tmp_path):
     pull(*shown)  # first: keys turn the camera, too
     slide(*shown)
@@ -165,6 +166,7 @@ def test_a_motion_that_breaks_down_says_so_on_the_page_and_starts_again(open_pag
         assert page.faults == []
 
 
+@pytest.mark.slow
 def test_a_page_that_is_closed_lets_go(open_page):
     with quiet() as motion:
         page = open_page(motion.url, width=1000, height=700)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+import pytest
 from browser import wait_until
 from moving import thrown
 
@@ -17,6 +18,7 @@ def told(page):
     return page.evaluate("(document.getElementById('frames') || {}).textContent || ''")
 
 
+@pytest.mark.slow
 def test_few_frames_are_told_by_the_server_s_page_and_by_a_saved_one(open_page, tmp_path):
     saved = view(thrown(1.0), html=tmp_path / "page.html", speed=0.5)
     with view(thrown(2.0), browser=False, wait=False) as served:
