@@ -307,7 +307,9 @@ def _choose(
     names = list_names(None if scene is None else scene.modelled, kind, count)
     given = range(count) if items is None else as_tuple(field, items, "[0, 3]")
     chosen = [
-        names.index(item) if item in names else node_index(field, item, count, kind)
+        names.index(item)
+        if isinstance(item, str) and item in names
+        else node_index(field, item, count, kind)
         for item in given
     ]
     return chosen, tuple(names[k] for k in chosen)

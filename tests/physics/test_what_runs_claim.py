@@ -77,7 +77,6 @@ def check_steps(data: st.DataObject) -> None:
     run = tc.simulate(model, step * steps, step, scheme, state=start, compiled=False)
     if not run.success or ";" in run.message:
         return
-    assert step < 1.001 * tc.stable_step(model, start, scheme=scheme, safety=1.0)
     reference = tc.simulate(
         model,
         step * steps,

@@ -371,7 +371,7 @@ def test_few_intervals_are_corrected_to_the_motion_of_fine_steps(case):
     problem, given = CASES[case]
     plan = ocp.solve(
         problem,
-        replace(given, intervals=5 if given.control.changes is None else 10, accuracy=1e-8),
+        replace(given, intervals=5 if given.control.max_changes is None else 10, accuracy=1e-8),
         ocp.CondensedNewton(),
     )
     assert plan.success, plan.message

@@ -378,7 +378,12 @@ def test_long_chains_are_told_to_take_full_coordinates() -> None:
     bars, ends = [(k, k + 1) for k in range(60)], np.array([(k, 0, k % 2) for k in range(61)])
     chain = tc.Scene(tc.Structure(ends, bars, pinned=[0]), gravity=tc.Gravity())
     advice = tc.recommend(
-        chain, 0.01, 1e-3, schemes=[tc.RungeKutta4()], corrections=[None], compiled=False
+        tc.Model(chain, "reduced"),
+        0.01,
+        1e-3,
+        schemes=[tc.RungeKutta4()],
+        corrections=[None],
+        compiled=False,
     )
     assert 'Model(scene, coordinates="full") is faster' in advice.message
 

@@ -140,6 +140,11 @@ def test_a_lone_mass_and_a_net_can_be_drawn():
     assert plots.structure(tc.shapes.membrane(4, 3)).axes
 
 
+def test_node_that_is_an_array_is_refused_by_name(motion):
+    with pytest.raises((TypeError, ValueError), match="nodes"):
+        plots.node_histories(motion, [np.array([0, 2])])
+
+
 def test_node_histories(motion, swing):
     panels = plots.node_histories(motion, [2, 0]).axes
     assert [line.get_label() for line in panels[0].lines] == ["bottom[2]", "bottom[0]"]
