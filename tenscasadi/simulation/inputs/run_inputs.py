@@ -151,7 +151,7 @@ def read_inputs(
         found = read_controls(model, controls, p, end, field, shapes)
     grid = build_grid(found.edges, largest, driven.over_time, first, found.fewest)
     if driven.has_clock:
-        _check_clock(abs(first) + end, grid.step)
+        _check_clock("states" if many else "state", abs(first) + end, grid.step)
     grid, values = found.hold(grid)
     inputs = RunInputs(driven, starts, values, p, grid, first, found.feedback)
     inputs.runs  # noqa: B018  raises if the rows do not match
@@ -228,12 +228,12 @@ def _read_parameters(model: Model, given: Any) -> Array:
     return rows
 
 
-def _check_clock(latest: float, step: float) -> None:
+def _check_clock(field: str, latest: float, step: float) -> None:
     """Check that the clock resolves the steps.
 
     Raises ValueError if rounding errors dominate.
     """
     if np.spacing(latest) > 1e-6 * step:
         raise ValueError(
-            f"state: the clock runs to {latest:g} s, where steps of {step:g} s drown in rounding: start it nearer to 0"
+            f"{field}: the clock runs to {latest:g} s, where steps of {step:g} s drown in rounding: start it nearer to 0"
         )
