@@ -134,8 +134,8 @@ def main(quick: bool = False) -> list[Row]:
         "Variational": ocp.Variational(count),
         "Variational, corrected": ocp.Variational(count, accuracy=1e-9 if count > 20 else 1e-4),
         "MultipleShooting, 2 substeps": ocp.MultipleShooting(count, substeps=2),
-        "Collocation, degree 2": ocp.Collocation(count, degree=2),
-        "Collocation, degree 3, a third of the intervals": ocp.Collocation(
+        "Collocation, degree 2": ocp.DirectCollocation(count, degree=2),
+        "Collocation, degree 3, a third of the intervals": ocp.DirectCollocation(
             max(5, count // 3), degree=3
         ),
     }

@@ -95,8 +95,8 @@ def methods(intervals: int) -> dict[str, Transcription]:
         "ImplicitMidpoint": ocp.ImplicitMidpoint(intervals),
         "MultipleShooting": ocp.MultipleShooting(intervals),
         "MultipleShooting, 2 substeps": ocp.MultipleShooting(intervals, substeps=2),
-        "Collocation, degree 2": ocp.Collocation(intervals, degree=2),
-        "Collocation, degree 3": ocp.Collocation(intervals, degree=3),
+        "Collocation, degree 2": ocp.DirectCollocation(intervals, degree=2),
+        "Collocation, degree 3": ocp.DirectCollocation(intervals, degree=3),
     }
 
 

@@ -51,7 +51,7 @@ from ocp.solvers.ipopt import Ipopt
 from ocp.solvers.monitor import Progress
 from ocp.solvers.multipliers import Duals
 from ocp.targets.infeasible_goal import Certificate, InfeasibleGoalError, TargetNotFoundWarning
-from ocp.transcription.collocation import Collocation, ImplicitMidpoint
+from ocp.transcription.direct_collocation import DirectCollocation, ImplicitMidpoint
 from ocp.transcription.mesh import PiecewiseConstant, PiecewiseLinear
 from ocp.transcription.multiple_shooting import MultipleShooting
 from ocp.transcription.variational import Variational
@@ -98,7 +98,7 @@ __all__ = [
     "MultipleShooting",
     "ImplicitMidpoint",
     "Variational",
-    "Collocation",
+    "DirectCollocation",
     "PiecewiseConstant",
     "PiecewiseLinear",
     "Ipopt",

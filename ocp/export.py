@@ -40,7 +40,7 @@ def export_program(
     ----------
     problem : Problem
         Optimal control problem.
-    transcription : MultipleShooting, Collocation, ImplicitMidpoint or Variational
+    transcription : MultipleShooting, DirectCollocation, ImplicitMidpoint or Variational
         Transcription of the problem into a nonlinear program.
     folder : str or Path
         Folder of the files, which is created if necessary.

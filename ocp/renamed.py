@@ -13,6 +13,7 @@ __getattr__ = find_attribute(
         "Arrays": "TrajectoryGuess",
         "Equilibrium": "EquilibriumGuess",
         "CentreOfMass": "CenterOfMass",
+        "Collocation": "DirectCollocation",
         "replay_wound": "replay_rest_lengths",
         "reachable": "is_realizable",
         "load_arguments": "load_solve_arguments",

@@ -42,7 +42,7 @@ def solve(
     ----------
     problem : Problem
         Optimal control problem.
-    transcription : MultipleShooting, Collocation, ImplicitMidpoint or Variational, optional
+    transcription : MultipleShooting, DirectCollocation, ImplicitMidpoint or Variational, optional
         Discretization of the motion. Default, with a solver: `MultipleShooting()`, `Variational()`
         for `CondensedNewton`; without, automatic (see Notes).
     solver : Ipopt, CondensedNewton or Sampling, optional

@@ -130,7 +130,7 @@ def find_fault(draw: Callable[[Any], Any], calls: dict[str, Call]) -> str:
 HINTS: dict[str, tuple[str, ...]] = {  # fields that are asked about in place of those given
     "Structure.replace": ("bars", "strings"),
     "SupportMotion": ("SupportMotion.positions",),
-    **dict.fromkeys(tc.shapes.Shape.members, ("force_density",)),
+    **dict.fromkeys(tc.shapes.ShapeFamily.members, ("force_density",)),
     "ParameterLayout.values": ("parameters",),
     "Plan.robustness": ("Parameters",),
     "Parameters": ("Parameters",),

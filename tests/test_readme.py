@@ -17,7 +17,7 @@ from ocp.problem.goals.goal import Goal
 from tenscasadi.cli.main import COMMANDS
 from tenscasadi.cli.parser import parse
 from tenscasadi.integrators.scheme import NamedScheme
-from tenscasadi.structure.shapes import Shape
+from tenscasadi.structure.shapes import ShapeFamily
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -111,7 +111,7 @@ def test_scene_files_of_documents_run(tmp_path):
 
 def test_recipes_do_what_they_say(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    for family in (Goal, NamedScheme, Shape):  # the recipes register their classes in these
+    for family in (Goal, NamedScheme, ShapeFamily):  # the recipes register their classes in these
         monkeypatch.setattr(family, "members", dict(family.members))
     names = run_snippets((ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"), tmp_path)
     assert names["ratio"] == pytest.approx(8, rel=0.1)  # Heun's method is of order 3
@@ -120,7 +120,7 @@ def test_recipes_do_what_they_say(tmp_path, monkeypatch, capsys):
     assert np.linalg.norm(ends[5] - ends[0]) == pytest.approx(names["wanted"], abs=1e-3)
     assert names["run"].success
     assert names["again"] == names["problem"].goals[0]
-    assert Shape.members["tripod"] is names["tripod"]
+    assert ShapeFamily.members["tripod"] is names["tripod"]
     assert NamedScheme.members["Heun3"] is names["Heun3"]
     assert np.all(np.asarray(names["W"]) == -0.5)
 

@@ -18,7 +18,7 @@ from tenscasadi.drawing.shapes import MotionShapes
 from tenscasadi.drawing.style import STYLE
 from tenscasadi.drawing.view_content import Frame
 from tenscasadi.plots.canvas3d import Canvas3D
-from tenscasadi.structure.shapes import Shape
+from tenscasadi.structure.shapes import ShapeFamily
 
 DOCS = Path(__file__).resolve().parents[1]
 STIFFNESS, PRESTRESS = 1e4, 10.0  # N/m, of each string, and the least force density
@@ -46,9 +46,9 @@ HEADER = (
 
 def build_shapes() -> Iterator[tuple[str, tc.Structure]]:
     """Yield the text and the structure of each row, prestressed where the shape can be."""
-    rows = {f"`{name}`": (name, {}) for name in sorted(Shape.members)} | OTHERS
+    rows = {f"`{name}`": (name, {}) for name in sorted(ShapeFamily.members)} | OTHERS
     for text, (name, arguments) in sorted(rows.items()):
-        make = Shape.members[name]
+        make = ShapeFamily.members[name]
         given = dict(arguments)
         if "prestress" in inspect.signature(make).parameters:
             given["prestress"] = PRESTRESS

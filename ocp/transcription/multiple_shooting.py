@@ -20,7 +20,7 @@ class MultipleShooting(RungeKuttaTranscription, kind="MultipleShooting"):
 
     Besides the states at the mesh points, the stages of all steps are unknowns ("lifted" [2]_).
     Solutions are those of the scheme, and derivatives are small and exact. For high accuracy,
-    `Collocation` has fewer unknowns.
+    `DirectCollocation` has fewer unknowns.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ from tenscasadi.schema.field_types import (
 from tenscasadi.schema.reading import Item, ItemKind, Names, call, nearest
 from tenscasadi.structure.names import find_names, name_members
 from tenscasadi.structure.rigid_body import RigidBody
-from tenscasadi.structure.shapes import Shape
+from tenscasadi.structure.shapes import ShapeFamily
 from tenscasadi.structure.structure import Structure
 
 BARS = ("bar_mass", "bar_radius", "bar_stiffness", "bar_rest_length")
@@ -95,7 +95,7 @@ def find_shapes() -> dict[str, Definition]:
 
     They have their own arguments and the options of `Structure`.
     """
-    own = {name: definition(build, name, "shape") for name, build in Shape.members.items()}
+    own = {name: definition(build, name, "shape") for name, build in ShapeFamily.members.items()}
     names = {name: NODES.fields[name] for name in _NAMES}
     return {
         name: replace(shape, fields={**shape.fields, **names, **OPTIONS})
@@ -167,11 +167,11 @@ class OfStructure(FieldType):
 
 def _build_shape_schema(kinds: Schemas) -> Schema:
     """Add the schemas of all shapes to `kinds`."""
-    if "Shape" not in kinds:
+    if "NamedShape" not in kinds:
         shapes = [shape.schema(kinds, tagged=True) for shape in find_shapes().values()]
         several = {"type": "object", "discriminator": {"propertyName": "shape"}, "oneOf": shapes}
-        kinds["Shape"] = {"description": "Shape of a structure by its name.", **several}
-    return {"$ref": "#/$defs/Shape"}
+        kinds["NamedShape"] = {"description": "Shape of a structure by its name.", **several}
+    return {"$ref": "#/$defs/NamedShape"}
 
 
 Groups = Mapping[str, list[tuple[range, Item, Any]]]  # indices, items and values by property

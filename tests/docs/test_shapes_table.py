@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from shapes_table import shapes_table
 
-from tenscasadi.structure.shapes import Shape
+from tenscasadi.structure.shapes import ShapeFamily
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "shapes.md"
 
@@ -33,4 +33,4 @@ def test_the_table_of_shapes_is_current():
 
 def test_every_shape_is_in_the_table():
     told = {row[0] for row in rows(PAGE.read_text(encoding="utf-8").split("<!-- table -->")[1])}
-    assert {f"`{name}`" for name in Shape.members} <= told
+    assert {f"`{name}`" for name in ShapeFamily.members} <= told

@@ -101,4 +101,4 @@ def test_do_mpc_finds_the_same_plan():
     mpc.make_step(TARGET.start)
     assert mpc.solver_stats["success"]
     found = np.array([mpc.opt_x_num["_u", k, 0].full().ravel() for k in range(COUNT)])
-    same(ocp.solve(PROBLEM, ocp.Collocation(COUNT, degree=3)), found)
+    same(ocp.solve(PROBLEM, ocp.DirectCollocation(COUNT, degree=3)), found)

@@ -14,6 +14,7 @@ import ocp
         ("Arrays", "TrajectoryGuess"),
         ("Equilibrium", "EquilibriumGuess"),
         ("CentreOfMass", "CenterOfMass"),
+        ("Collocation", "DirectCollocation"),
         ("replay_wound", "replay_rest_lengths"),
         ("reachable", "is_realizable"),
         ("load_arguments", "load_solve_arguments"),

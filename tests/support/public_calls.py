@@ -288,7 +288,7 @@ def planning_calls() -> dict[str, Call]:
         "MultipleShooting": (ocp.MultipleShooting, mesh | {"scheme": tc.RungeKutta4(), "substeps": 1}),
         "ImplicitMidpoint": (ocp.ImplicitMidpoint, mesh),
         "Variational": (ocp.Variational, mesh),
-        "ocp.Collocation": (ocp.Collocation, mesh | {"degree": 2}),
+        "ocp.DirectCollocation": (ocp.DirectCollocation, mesh | {"degree": 2}),
         "PiecewiseConstant": (ocp.PiecewiseConstant, {"groups": ((0, 1), (2, 3)), "max_changes": 3}),
         "PiecewiseLinear": (ocp.PiecewiseLinear, {"groups": ((0, 1), (2, 3))}),
         "Ipopt": (ocp.Ipopt, {"max_iterations": 5, "tolerance": 1e-6, "verbose": False, "options": {"mu_init": 0.1}, "time_limit": 1.0, "callback": None, "warm_start": False, "restart_at_saddle": True}),
@@ -321,7 +321,7 @@ def planning_calls() -> dict[str, Call]:
 def shape_calls() -> dict[str, Call]:
     """Ready-made structures with their defaults."""
     found: dict[str, Call] = {}
-    for name, make in tc.shapes.Shape.members.items():
+    for name, make in tc.shapes.ShapeFamily.members.items():
         given = {
             k: p.default
             for k, p in inspect.signature(make).parameters.items()

@@ -10,15 +10,16 @@ from tenscasadi.structure.shapes.balls import (
 )
 from tenscasadi.structure.shapes.cantilevers import arm, michell_cantilever
 from tenscasadi.structure.shapes.domes import bicycle_wheel, geiger_dome, levy_dome
-from tenscasadi.structure.shapes.family import Shape, shape
+from tenscasadi.structure.shapes.family import ShapeFamily, shape
 from tenscasadi.structure.shapes.nets import hyperbolic_paraboloid, membrane, membrane_faces
 from tenscasadi.structure.shapes.pendulums import double_pendulum, pendulum
 from tenscasadi.structure.shapes.plane_units import d_bar, t_bar
 from tenscasadi.structure.shapes.prisms import prism
 from tenscasadi.structure.shapes.towers import prism_tower, spine
+from tenscasadi.util.renamed import find_attribute
 
 __all__ = [
-    "Shape",
+    "ShapeFamily",
     "shape",
     "pendulum",
     "double_pendulum",
@@ -40,3 +41,5 @@ __all__ = [
     "spine",
     "arm",
 ]
+
+__getattr__ = find_attribute("tenscasadi.structure.shapes", {}, {"Shape": "ShapeFamily"})

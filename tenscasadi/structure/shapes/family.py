@@ -18,14 +18,14 @@ from tenscasadi.util.validate import NEGLIGIBLE, Array, Indices, positive_number
 Groups = Mapping[str, Indices]  # pairs of nodes (members, 2) by the name of their group
 
 
-class Shape(Value):
+class ShapeFamily(Value):
     """Family of functions that build structures.
 
     The name of each function is its kind in files.
     """
 
 
-shape = Shape.maker
+shape = ShapeFamily.maker
 
 
 def build_structure(

@@ -213,7 +213,7 @@ WAYS = [
         )
     },
     {
-        "transcription": ocp.Collocation(
+        "transcription": ocp.DirectCollocation(
             [1.0, 2.0, 1.0], control=ocp.PiecewiseConstant(max_changes=1), degree=3
         ),
         "solver": ocp.Ipopt(tolerance=1e-6),

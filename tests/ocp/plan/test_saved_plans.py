@@ -64,7 +64,7 @@ TRANSCRIPTIONS = [
     ocp.MultipleShooting((1.0, 2.0, 3.0), scheme=tc.DormandPrince853()),
     ocp.ImplicitMidpoint(np.int64(5), accuracy=1e-5),
     ocp.Variational(3),
-    ocp.Collocation(4, degree=3),
+    ocp.DirectCollocation(4, degree=3),
 ]
 SOLVERS = [
     ocp.Ipopt(

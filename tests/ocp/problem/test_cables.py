@@ -35,7 +35,7 @@ def lift(model: tc.Model, *bounds: ocp.RestLengthLimits) -> ocp.Problem:
 
 @pytest.mark.parametrize("control", [tc.RestLength(), tc.Tension()])
 @pytest.mark.parametrize(
-    "transcription", [ocp.Variational(20), ocp.MultipleShooting(20), ocp.Collocation(20)]
+    "transcription", [ocp.Variational(20), ocp.MultipleShooting(20), ocp.DirectCollocation(20)]
 )
 def test_plan_of_a_cable_is_replayed(control, transcription):
     model = hung(control)

@@ -64,7 +64,7 @@ def test_the_plan_is_of_the_given_model(arm):
         (None, None),
         (None, ocp.CondensedNewton()),
         (ocp.Variational(30, accuracy=1e-5), None),
-        (ocp.Collocation(20), None),
+        (ocp.DirectCollocation(20), None),
         (ocp.ImplicitMidpoint(30), None),
     ],
     ids=["default", "CondensedNewton", "Variational", "Collocation", "ImplicitMidpoint"],

@@ -289,7 +289,7 @@ HUNG = tc.Structure(
 ANY = {
     "shooting": (ocp.MultipleShooting(20), {}),
     "midpoint": (ocp.ImplicitMidpoint(20), {}),
-    "collocation": (ocp.Collocation(10), {}),
+    "collocation": (ocp.DirectCollocation(10), {}),
     "no bars": (
         ocp.Variational(20),
         {"model": driven(HUNG), "goals": [ocp.NodePositions({0: (0.2, -0.1, 0.2)}), ocp.AtRest()]},

@@ -18,7 +18,12 @@ ASKED = {
     "bounds": [ocp.ForceDensityLimits(1, 200), ocp.TensionLimits(upper=300.0)],
     "costs": [ocp.Effort(), ocp.Smoothness(0.1), ocp.Duration(3.0)],
 }
-METHODS = [ocp.Variational(6), ocp.ImplicitMidpoint(6), ocp.MultipleShooting(6), ocp.Collocation(4)]
+METHODS = [
+    ocp.Variational(6),
+    ocp.ImplicitMidpoint(6),
+    ocp.MultipleShooting(6),
+    ocp.DirectCollocation(4),
+]
 
 
 def settled(of, u, s):

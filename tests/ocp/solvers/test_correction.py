@@ -29,7 +29,7 @@ METHODS = {
     "unequal intervals": ocp.Variational((1,) * 10 + (2,) * 5, accuracy=1e-9),
     "midpoint": ocp.ImplicitMidpoint(20, accuracy=1e-9),
     "shooting": ocp.MultipleShooting(20, accuracy=1e-9),
-    "collocation": ocp.Collocation(15, degree=2, accuracy=1e-9),
+    "collocation": ocp.DirectCollocation(15, degree=2, accuracy=1e-9),
 }
 
 

@@ -25,7 +25,7 @@ TRANSCRIPTIONS = [
     ocp.MultipleShooting(24),
     ocp.ImplicitMidpoint(40),
     ocp.Variational(40),
-    ocp.Collocation(20),
+    ocp.DirectCollocation(20),
 ]
 
 

@@ -18,7 +18,7 @@ from ocp.transcription.variables import name_intervals, name_states
 
 @pytest.mark.parametrize(
     "make",
-    [ocp.MultipleShooting, ocp.ImplicitMidpoint, ocp.Variational, ocp.Collocation],
+    [ocp.MultipleShooting, ocp.ImplicitMidpoint, ocp.Variational, ocp.DirectCollocation],
     ids=lambda kind: kind.__name__,
 )
 def test_all_find_the_same_plan(make):
@@ -44,7 +44,7 @@ def end_error(make, intervals):
         (ocp.ImplicitMidpoint, 2, (10, 20, 40)),
         (ocp.Variational, 2, (10, 20, 40)),
         (ocp.MultipleShooting, 4, (8, 12, 16)),
-        (lambda n: ocp.Collocation(n, degree=2), 4, (8, 12, 16)),
+        (lambda n: ocp.DirectCollocation(n, degree=2), 4, (8, 12, 16)),
     ],
     ids=["ImplicitMidpoint", "Variational", "MultipleShooting", "Collocation"],
 )
@@ -57,7 +57,7 @@ def test_replay_errors_fall_at_the_order(make, order, grids):
 
 @pytest.mark.parametrize(
     "transcription",
-    [ocp.ImplicitMidpoint(30), ocp.Variational(30), ocp.Collocation(15, degree=2)],
+    [ocp.ImplicitMidpoint(30), ocp.Variational(30), ocp.DirectCollocation(15, degree=2)],
     ids=lambda v: type(v).__name__,
 )
 def test_joined_and_pinned_bars(transcription):
@@ -75,7 +75,7 @@ def test_joined_and_pinned_bars(transcription):
         ocp.ImplicitMidpoint(24),
         ocp.Variational(24, accuracy=1e-7),
         ocp.Variational(24, control=ocp.PiecewiseLinear(), accuracy=1e-6),
-        ocp.Collocation(24),
+        ocp.DirectCollocation(24),
     ],
     ids=["ImplicitMidpoint", "Variational", "linear", "Collocation"],
 )
@@ -105,7 +105,7 @@ def test_supports_may_be_moved(transcription, free):
 
 @pytest.mark.parametrize(
     "make",
-    [ocp.ImplicitMidpoint, ocp.Variational, ocp.Collocation, ocp.MultipleShooting],
+    [ocp.ImplicitMidpoint, ocp.Variational, ocp.DirectCollocation, ocp.MultipleShooting],
     ids=lambda kind: kind.__name__,
 )
 def test_programs_in_full_coordinates_keep_joints(make):

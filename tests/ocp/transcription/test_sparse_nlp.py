@@ -16,11 +16,11 @@ METHODS = [
     ocp.MultipleShooting(3),
     ocp.ImplicitMidpoint(3),
     ocp.Variational(3),
-    ocp.Collocation(3, degree=2),
+    ocp.DirectCollocation(3, degree=2),
     ocp.MultipleShooting((1, 2, 1), control=LINEAR),
     ocp.ImplicitMidpoint((1, 2, 1), control=LINEAR),
     ocp.Variational((1, 2, 1), control=ocp.PiecewiseLinear(GROUPS)),
-    ocp.Collocation(3, degree=1, control=ocp.PiecewiseConstant(GROUPS)),
+    ocp.DirectCollocation(3, degree=1, control=ocp.PiecewiseConstant(GROUPS)),
 ]
 
 ASKED = {

@@ -57,9 +57,9 @@ def test_prescribed_lengths_are_met_better_than_by_jax_fdm() -> None:
 def test_self_stress_is_that_of_tnsgrt(shape: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        peer = peer_structure(load_tnsgrt(), tc.shapes.Shape.members[shape]())
+        peer = peer_structure(load_tnsgrt(), tc.shapes.ShapeFamily.members[shape]())
         peer.equilibrium()
-    s = tc.shapes.Shape.members[shape]()
+    s = tc.shapes.ShapeFamily.members[shape]()
     pre = tc.find_prestress(s, tc.Least(), minimum=1.0)
     assert pre.success, pre.message
     density = np.concatenate([pre.force_density, -pre.bar_force / s.bar_lengths])

@@ -10,10 +10,10 @@ import pytest
 from equilibrium import gamma_of, unbalanced
 
 from tenscasadi.structure import shapes
-from tenscasadi.structure.shapes.family import Shape
+from tenscasadi.structure.shapes.family import ShapeFamily
 from tenscasadi.structure.structure import Structure
 
-MEMBERS = pytest.mark.parametrize("make", Shape.members.values(), ids=Shape.members)
+MEMBERS = pytest.mark.parametrize("make", ShapeFamily.members.values(), ids=ShapeFamily.members)
 
 
 @MEMBERS
@@ -30,7 +30,11 @@ def test_keywords_reach_the_structure(make: Callable[..., Structure]) -> None:
 
 @pytest.mark.parametrize(
     "make",
-    [make for make in Shape.members.values() if "prestress" in inspect.signature(make).parameters],
+    [
+        make
+        for make in ShapeFamily.members.values()
+        if "prestress" in inspect.signature(make).parameters
+    ],
     ids=lambda make: make.__name__,
 )
 def test_prestress_is_the_smallest_force_density_in_equilibrium(
@@ -41,3 +45,8 @@ def test_prestress_is_the_smallest_force_density_in_equilibrium(
     assert unbalanced(s, gamma_of(s)) < 1e-6
     with pytest.raises(ValueError, match="prestress and rest_length are both given"):
         make(prestress=2.0, rest_length=1.0)
+
+
+def test_earlier_name_of_the_family_warns() -> None:
+    with pytest.warns(DeprecationWarning, match="use tenscasadi.structure.shapes.ShapeFamily"):
+        assert shapes.Shape is ShapeFamily

@@ -1,17 +1,17 @@
-"""Collocation at Gauss points."""
+"""Direct collocation at Gauss points."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from ocp.transcription.runge_kutta import RungeKuttaTranscription
-from tenscasadi.integrators.collocation import Collocation as GaussMethod
+from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.util.validate import Array, whole_number
 
 
 @dataclass(frozen=True)
-class Collocation(RungeKuttaTranscription, kind="Collocation"):
-    """Collocation at Gauss points.
+class DirectCollocation(RungeKuttaTranscription, kind="DirectCollocation", earlier="Collocation"):
+    """Direct collocation at Gauss points.
 
     The method has order 2·degree, and is stable for any interval. The motion of each interval is a
     polynomial that satisfies the equations of motion at `degree` points. For a given accuracy, more
@@ -52,7 +52,7 @@ class Collocation(RungeKuttaTranscription, kind="Collocation"):
     >>> model = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()))
     >>> goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()]
     >>> problem = ocp.Problem(model, goals=goals, costs=[ocp.Effort()])
-    >>> plan = ocp.solve(problem, ocp.Collocation(4, degree=2))
+    >>> plan = ocp.solve(problem, ocp.DirectCollocation(4, degree=2))
     >>> plan.success, plan.force_density.shape
     (True, (4, 2))
     """
@@ -61,20 +61,20 @@ class Collocation(RungeKuttaTranscription, kind="Collocation"):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if whole_number("Collocation.degree", self.degree, 1) > 9:
+        if whole_number("DirectCollocation.degree", self.degree, 1) > 9:
             raise ValueError(
-                f"Collocation.degree is {self.degree}: give at most 9, and more intervals"
+                f"DirectCollocation.degree is {self.degree}: give at most 9, and more intervals"
             )
 
     @property
     def coefficients(self) -> tuple[Array, Array]:
         """Coefficients of the Gauss method: A (s, s), b (s,)."""
-        return GaussMethod(self.degree).coefficients
+        return Collocation(self.degree).coefficients
 
 
 @dataclass(frozen=True)
 class ImplicitMidpoint(RungeKuttaTranscription, kind="ImplicitMidpoint"):
-    """The implicit midpoint rule: `Collocation` of degree 1.
+    """The implicit midpoint rule: `DirectCollocation` of degree 1.
 
     Parameters
     ----------
@@ -105,4 +105,4 @@ class ImplicitMidpoint(RungeKuttaTranscription, kind="ImplicitMidpoint"):
     @property
     def coefficients(self) -> tuple[Array, Array]:
         """Coefficients A (1, 1) and b (1,) of the method."""
-        return GaussMethod(1).coefficients
+        return Collocation(1).coefficients
