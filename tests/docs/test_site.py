@@ -17,15 +17,6 @@ import ocp
 import tenscasadi as tc
 
 ROOT = Path(__file__).resolve().parents[2]
-CHROMIUM = Path("/usr/bin/chromium")
-QUIET = (
-    "--no-sandbox",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-)
 
 NEEDED = ("material", "mkdocstrings", "latex2mathml", "viser")
 pytestmark = [
@@ -116,42 +107,33 @@ def test_the_gallery_names_every_example(site):
         assert f"examples/{example.name}" in text, example.name
 
 
-@pytest.mark.skipif(
-    not CHROMIUM.exists() or find_spec("playwright") is None, reason="needs chromium and playwright"
-)
 @pytest.mark.filterwarnings("default")  # those of playwright's own
-def test_pages_open_from_disk_in_a_browser(site):
-    from playwright.sync_api import sync_playwright
-
+def test_pages_open_from_disk_in_a_browser(site, browser):
     said: list[str] = []
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=str(CHROMIUM), args=list(QUIET))
-        page = browser.new_page()
-        page.on(
-            "console",
-            lambda message: (
-                said.append(message.text) if message.type in ("error", "warning") else None
-            ),
-        )
-        page.on("pageerror", lambda error: said.append(str(error)))
-        local = ("file:", "data:", "blob:")
-        page.on(
-            "request",
-            lambda request: (
-                None if request.url.startswith(local) else said.append(f"asks for {request.url}")
-            ),
-        )
-        for each in pages(site):
-            if each.name != "404.html":  # whose addresses are those of a server
-                page.goto(each.as_uri())
-                assert page.locator("h1").first.is_visible(), each
-        assert said == []
-        page.goto((site / "mathematics.html").as_uri())
-        assert page.locator("math").first.bounding_box()["height"] > 5
-        page.locator("input.md-search__input").fill("collocation")
-        page.locator(".md-search-result__link").first.wait_for()
-        assert said == []
-        page.goto((site / "viewer" / "simulate_ball.html").as_uri())
-        page.wait_for_timeout(1000)
-        assert [each for each in said if each.startswith("asks")] == []
-        browser.close()
+    page = browser.new_page()
+    page.on(
+        "console",
+        lambda message: said.append(message.text) if message.type in ("error", "warning") else None,
+    )
+    page.on("pageerror", lambda error: said.append(str(error)))
+    local = ("file:", "data:", "blob:")
+    page.on(
+        "request",
+        lambda request: (
+            None if request.url.startswith(local) else said.append(f"asks for {request.url}")
+        ),
+    )
+    for each in pages(site):
+        if each.name != "404.html":  # whose addresses are those of a server
+            page.goto(each.as_uri())
+            assert page.locator("h1").first.is_visible(), each
+    assert said == []
+    page.goto((site / "mathematics.html").as_uri())
+    assert page.locator("math").first.bounding_box()["height"] > 5
+    page.locator("input.md-search__input").fill("collocation")
+    page.locator(".md-search-result__link").first.wait_for()
+    assert said == []
+    page.goto((site / "viewer" / "simulate_ball.html").as_uri())
+    page.wait_for_timeout(1000)
+    assert [each for each in said if each.startswith("asks")] == []
+    page.close()

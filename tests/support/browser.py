@@ -39,9 +39,13 @@ def chromium() -> str | None:
     )
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    """A browser that draws in software; skips where viser, playwright or the browser is missing."""
+    """A browser that draws in software; skips where viser, playwright or the browser is missing.
+
+    It ends with its module: Playwright runs once at a time in a process, and other modules
+    start it for themselves.
+    """
     for module in ("viser", "playwright"):
         pytest.importorskip(
             module, reason=f"{module} is not installed: pip install 'tenscasadi[test]'"
