@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Annotated, Any
 
 import casadi as ca
@@ -18,7 +19,14 @@ from tenscasadi.schema.time_formula import TimeFormula
 from tenscasadi.schema.value import Value
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.renamed import rename_fields
-from tenscasadi.util.validate import NEGLIGIBLE, Array, finite_array, format_value, node_index
+from tenscasadi.util.validate import (
+    NEGLIGIBLE,
+    TOLERANCE,
+    Array,
+    finite_array,
+    format_value,
+    node_index,
+)
 
 _MOTION = Either((dict, Samples), OneOf(Samples), MOVING_POINT)
 _STEEP = 100.0  # × largest rate × offset: smaller differences are continuous
@@ -156,6 +164,38 @@ class SupportMotion(Value, kind="SupportMotion"):
                             f"{name}: {quantity} jumps by {jump:.3g} at t = {time:g} s, "
                             f"which bars and joints cannot follow: {cure}"
                         )
+
+    def check_bodies(self, structure: Structure, first: float, last: float) -> None:
+        """Check that the supports of each body keep their distances over a run.
+
+        Parameters
+        ----------
+        structure : Structure
+            Structure of the nodes.
+        first, last : float
+            Start and end of the run [s].
+
+        Raises
+        ------
+        ValueError
+            If two supports of one body move apart.
+        """
+        fixed = np.flatnonzero(structure.fixed.all(axis=1)).tolist()
+        times = probe_times(first, last)
+        moved = self.rates().call([times[None]])[0].full().reshape(3, len(times), -1)
+        place = {node: structure.nodes[node][:, None] for node in fixed}
+        place |= {node: moved[:, :, k] for k, node in enumerate(self.nodes)}
+        for k, body in enumerate(structure.bodies):
+            for a, b in combinations([node for node in fixed if node in body.nodes], 2):
+                distance = np.linalg.norm(place[a] - place[b], axis=0)
+                worst = int(np.argmax(abs(distance - distance[0])))
+                change = abs(distance[worst] - distance[0])
+                if change > TOLERANCE * distance[0]:
+                    raise ValueError(
+                        f"SupportMotion.positions: nodes {a} and {b} of bodies[{k}] move apart by "
+                        f"{change:.3g} m until t = {times[worst]:g} s: keep their distance, or "
+                        "leave one of them free"
+                    )
 
     def find_breakpoints(self, first: float, last: float) -> Array:
         """Find the jumps and kinks of the accelerations.

@@ -277,6 +277,15 @@ def test_support_motion_carries_a_body_with_it():
     np.testing.assert_allclose(run.nodes[-1], nodes + [0.1, 0.0, 0.2], atol=1e-10)
 
 
+def test_supports_that_tear_a_body_apart_are_rejected():
+    s = tc.Structure(
+        [(0, 0, 0), (1, 0, 0), (0, 1, 0)], pinned=(0, 1), bodies=[tc.RigidBody((0, 1, 2), 1.0)]
+    )
+    model = tc.Model(tc.Scene(s, supports=tc.SupportMotion({1: lambda t: (1 + t, 0, 0)})))
+    with pytest.raises(ValueError, match=r"nodes 0 and 1 of bodies\[0\] move apart by 0.1 m"):
+        tc.simulate(model, 0.1, 1e-3)
+
+
 @pytest.mark.parametrize("nodes", BODY.values(), ids=BODY)
 def test_linearization_agrees_with_finite_differences(nodes):
     """A body on damped strings, in motion."""

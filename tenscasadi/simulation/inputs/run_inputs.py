@@ -152,6 +152,8 @@ def read_inputs(
     grid = build_grid(found.edges, largest, driven.over_time, first, found.fewest)
     if driven.has_clock:
         _check_clock("states" if many else "state", abs(first) + end, grid.step)
+    if model.scene.supports is not None and model.scene.structure.bodies:
+        model.scene.supports.check_bodies(model.scene.structure, first, first + end)
     grid, values = found.hold(grid)
     inputs = RunInputs(driven, starts, values, p, grid, first, found.feedback)
     inputs.runs  # noqa: B018  raises if the rows do not match
