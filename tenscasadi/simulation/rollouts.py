@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +12,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stabilization import Correction
-from tenscasadi.simulation.engine.request import MEASURED, WORST
+from tenscasadi.simulation.engine.request import WORST
 from tenscasadi.simulation.engine.roll import Request, Runs, roll
 from tenscasadi.simulation.engine.step_code import Account
 from tenscasadi.simulation.inputs.run_inputs import read_inputs
@@ -131,7 +129,6 @@ def rollouts(  # noqa: PLR0913  the options of a batch
     steps, n = inputs.grid.steps, inputs.runs
     every = steps if save_every is None else whole_number("save_every", save_every, 1)
     workers = count_processors() if threads is None else whole_number("threads", threads, 1, 1024)
-    _check_memory(n, 1 - (-steps // every), model.nx)
     varies = inputs.controls.shape[1] > 1 or inputs.feedback is not None
     request = Request(
         inputs,
@@ -146,34 +143,6 @@ def rollouts(  # noqa: PLR0913  the options of a batch
         deadline=time.monotonic() + limit,
     )
     return _record(model, roll(request, progress), verify)
-
-
-def _check_memory(n: int, rows: int, nx: int) -> None:
-    """Check that the results fit into memory.
-
-    Raises ValueError.
-    """
-    needed = 8.0 * n * rows * (2 * nx + len(MEASURED) + 3)  # including derived arrays
-    free = _free_memory()
-    if needed > free:
-        sizes = (
-            f"{n} motions of {rows} rows take {needed / 1e9:.3g} GB, {free / 1e9:.3g} GB are free"
-        )
-        raise ValueError(
-            f"save_every: {sizes}: give a larger save_every, or fewer motions at a time"
-        )
-
-
-def _free_memory() -> float:
-    """Read the free memory in bytes; inf if unknown."""
-    try:
-        told = Path("/proc/meminfo").read_text(encoding="ascii")
-        return 1024.0 * float(told.split("MemAvailable:")[1].split()[0])
-    except (OSError, IndexError, ValueError):
-        try:
-            return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
-        except (AttributeError, ValueError, OSError):
-            return np.inf
 
 
 def _record(model: Model, runs: Runs, verify: bool) -> Rollouts:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import time
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,7 +14,7 @@ from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stabilization import Correction
 from tenscasadi.simulation.engine.build import build_kernel
 from tenscasadi.simulation.engine.kernel import Kernel, Watch
-from tenscasadi.simulation.engine.request import STOPPED, Rolled
+from tenscasadi.simulation.engine.request import MEASURED, STOPPED, Rolled
 from tenscasadi.simulation.engine.step_code import Account, Measured
 from tenscasadi.simulation.inputs.run_inputs import RunInputs
 from tenscasadi.util.compile import Compiled
@@ -115,6 +117,7 @@ def roll(request: Request, progress: bool = False) -> Runs:
 
     Raises CompileError, ValueError.
     """
+    _check_memory(request)
     inputs = request.inputs
     kernel = make_kernel(request)
     total = inputs.runs * inputs.grid.steps
@@ -133,27 +136,50 @@ def roll(request: Request, progress: bool = False) -> Runs:
             bar = stack.enter_context(tqdm(total=total, unit=" steps", unit_scale=True))
             watch = watch._replace(seen=lambda done: bar.update(done - bar.n))
         began = time.perf_counter()
-        try:
-            rolled = kernel.run(
-                inputs.starts,
-                controls,
-                intervals,
-                request.every,
-                look_every=max(1, inputs.grid.steps // 100),
-                longest=inputs.grid.longest,
-                parameters=inputs.parameters,
-                feedback=feedback,
-                threads=request.threads,
-                watch=watch,
-                compare_every=request.compare_every,
-            )
-        except MemoryError:
-            rows = f"save_every is {request.every}: {inputs.grid.steps / request.every:.2g} rows"
-            raise ValueError(
-                f"{rows} do not fit into memory, give a larger save_every or a larger step"
-            ) from None
+        rolled = kernel.run(
+            inputs.starts,
+            controls,
+            intervals,
+            request.every,
+            look_every=max(1, inputs.grid.steps // 100),
+            longest=inputs.grid.longest,
+            parameters=inputs.parameters,
+            feedback=feedback,
+            threads=request.threads,
+            watch=watch,
+            compare_every=request.compare_every,
+        )
         seconds = time.perf_counter() - began
     return Runs(request, rolled, kernel, seconds, time.monotonic() > request.deadline)
+
+
+def _check_memory(request: Request) -> None:
+    """Check that the saved rows fit into memory.
+
+    Raises ValueError.
+    """
+    inputs, every = request.inputs, request.every
+    rows = 1 - (-inputs.grid.steps // every) if every else 1
+    numbers = 2 * inputs.model.nx + len(MEASURED) + 3  # including derived arrays
+    needed, free = 8.0 * inputs.runs * rows * numbers, _free_memory()
+    if needed > free:
+        raise ValueError(
+            f"save_every is {every}: {inputs.runs * rows:.3g} rows take {needed / 1e9:.3g} GB, "
+            f"{free / 1e9:.3g} GB are free: give a larger save_every or a larger step, or fewer "
+            "motions at a time"
+        )
+
+
+def _free_memory() -> float:
+    """Read the free memory in bytes; inf if unknown."""
+    try:
+        told = Path("/proc/meminfo").read_text(encoding="ascii")
+        return 1024.0 * float(told.split("MemAvailable:")[1].split()[0])
+    except (OSError, IndexError, ValueError):
+        try:
+            return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+        except (AttributeError, ValueError, OSError):
+            return np.inf
 
 
 def make_kernel(request: Request) -> Kernel:
