@@ -65,7 +65,11 @@ class InstantFormula:
     numbers: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        used = Formula(text("InstantFormula.text", self.text)).names
+        given = text("InstantFormula.text", self.text)
+        try:
+            used = Formula(given).names
+        except FormulaError as error:
+            raise FormulaError(f"InstantFormula.text: {error}") from None
         example = "numbers by name, such as {'side': 0.4}"
         instance("InstantFormula.numbers", self.numbers, Mapping, example)
         numbers = {
