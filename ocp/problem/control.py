@@ -9,14 +9,13 @@ import numpy as np
 
 from tenscasadi.scene.strings import ForceDensity, Linear, RestLength
 
+if TYPE_CHECKING:
+    from tenscasadi.dynamics.model import Model
+
 
 def controls_force_densities(model: Model) -> bool:
     """Return whether the model is controlled by force densities."""
     return isinstance(model.scene.control, ForceDensity)
-
-
-if TYPE_CHECKING:
-    from tenscasadi.dynamics.model import Model
 
 
 def controls_rest_lengths(model: Model) -> bool:

@@ -28,8 +28,9 @@ def replay_open(
     The controls are force densities or rest lengths, applied in open loop from the initial state of
     the plan. `step` is the longest integration step [s]. By default it is a tenth of an interval,
     or less if contact with a ground requires it, of `RungeKutta4`. If elastic strings make such
-    steps unstable, it is half an interval of `Collocation`. The energy of their vibrations, which
-    move no goal, is then not judged. Raises TypeError or ValueError for an invalid scheme or step.
+    steps unstable, it is half an interval of `Collocation`. Under rest-length control with the
+    default scheme, energy is not judged: the steps need not resolve vibrations of the strings,
+    which move no goal. The error estimate judges positions. Raises TypeError or ValueError for an invalid scheme or step.
     """
     size = None if step is None else positive_number("step", step)
     start, intervals, end = plan.trajectory.states[0], np.diff(plan.time), float(plan.time[-1])

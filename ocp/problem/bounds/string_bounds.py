@@ -243,14 +243,15 @@ class TensionLimits(StringLimits, PathBound, kind="TensionLimits"):
             Tension of each string or segment of the model [N].
         """
         scene = now.model.scene
-        smooth = not scene.structure.cable_friction.any()  # strings of a cable have equal tensions
-        strings = scene.first_strings if smooth else np.arange(len(scene.modelled.strings))
+        # without friction, the strings of a cable have equal tensions
+        equal = not scene.structure.cable_friction.any()
+        strings = scene.first_strings if equal else np.arange(len(scene.modelled.strings))
         of = scene.input_of[strings]
         lower, upper = (limit[of] for limit in self.limits(scene.structure))
         lower = np.where(lower > 0, lower, -np.inf)  # γ ≥ 0 implies it already
         every = self.names_of(scene.structure)
         names = tuple(f"tension of {every[k]}" for k in of)
-        if not smooth:
+        if not equal:
             parent = scene.modelled.string_parent
             names = tuple(f"tension of string {k}" for k in parent)
         own = now.tension if len(strings) == now.tension.shape[0] else now.tension[strings.tolist()]

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import expm
 
 from ocp.problem.goals.goal import Goal
 from ocp.problem.rows import Rows
@@ -71,10 +72,7 @@ class BodyOrientation(Goal, kind="BodyOrientation"):
         if given.ndim == 2:
             return given
         x, y, z = given
-        cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-        angle = float(np.linalg.norm(given))  # sinc(a) = sin(π a)/(π a)
-        bent = np.sinc(angle / (2 * np.pi)) ** 2 / 2
-        return np.asarray(np.eye(3) + np.sinc(angle / np.pi) * cross + bent * cross @ cross)
+        return np.asarray(expm(np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])))
 
     def check(self, structure: Structure) -> None:
         """Reject a structure that the goal does not fit.
