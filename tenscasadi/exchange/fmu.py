@@ -18,7 +18,6 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.exchange.fmu_source import FMU_SOURCE
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme
-from tenscasadi.scene.strings import RestLength
 from tenscasadi.simulation.export import export_c
 from tenscasadi.util.compile import CompileError, find_compiler
 from tenscasadi.util.processes import run_program
@@ -123,11 +122,11 @@ def _compile(folder: Path, library: Path) -> None:
 
 def _list_variables(model: Model) -> Iterator[_Variable]:
     """List inputs, parameters and outputs in the order of their references."""
-    by_length = isinstance(model.scene.control, RestLength)
-    kind, unit = ("rest_length", "m") if by_length else ("force_density", "N/m")
-    p = model.parameters.nominal
-    for k, value in enumerate(model.control_at(p)):
-        yield _Variable(f"{kind}[{k}]", unit, "input", float(value))
+    p, control = model.parameters.nominal, model.scene.control
+    if control is not None:
+        quantity = control.name.replace(" ", "_")
+        for k, value in enumerate(model.control_at(p)):
+            yield _Variable(f"control.{quantity}[{k}]", control.unit, "input", float(value))
     for name, unit, value in zip(model.parameters.names, model.parameters.units, p, strict=True):
         yield _Variable(name, unit.replace("·", " ").replace("²", "2"), "parameter", float(value))
     nodes = range(len(model.structure.nodes))

@@ -70,12 +70,12 @@ def test_unit_moves_as_simulate_does(unit):
     )
     given = np.array(
         [(0.0, values[0, 3]), (1.0, values[0, 3])],
-        dtype=[("time", float), ("rest_length[3]", float)],
+        dtype=[("time", float), ("control.rest_length[3]", float)],
     )
     seen = run(
         path,
         0.3,
-        {"gravity[z]": -5.0, "stiffness scale": 1.2, "rest_length[3]": values[0, 3]},
+        {"gravity[z]": -5.0, "stiffness scale": 1.2, "control.rest_length[3]": values[0, 3]},
         given,
     )
     assert seen["time"] == pytest.approx(same.time, abs=1e-9)
@@ -90,7 +90,10 @@ def test_unit_that_diverges_reports_an_error(tmp_path):
     path = tc.export_fmu(model, tmp_path / "coarse.fmu", step=10.0)
     with pytest.raises(Exception, match="fmi2DoStep"):
         fmpy.simulate_fmu(
-            str(path), stop_time=1e4, output_interval=10.0, start_values={"rest_length[0]": 0.3}
+            str(path),
+            stop_time=1e4,
+            output_interval=10.0,
+            start_values={"control.rest_length[0]": 0.3},
         )
 
 
@@ -106,3 +109,21 @@ def test_wrong_arguments_are_named(tmp_path, monkeypatch):
     with pytest.raises(CompileError, match="install gcc"):
         tc.export_fmu(model, tmp_path / "prism.fmu")
     assert not list(tmp_path.iterdir())
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    ("control", "name", "unit"),
+    [
+        (tc.Tension(), "control.tension[0]", "N"),
+        (tc.ForceDensity(), "control.force_density[0]", "N/m"),
+        (None, None, None),
+    ],
+)
+def test_inputs_are_named_by_the_control(control, name, unit, tmp_path):
+    model = tc.Model(tc.Scene(PRISM, control=control))
+    about = fmpy.read_model_description(str(tc.export_fmu(model, tmp_path / "unit.fmu")))
+    inputs = [v for v in about.modelVariables if v.causality == "input"]
+    assert len(inputs) == model.nu
+    if name is not None:
+        assert (inputs[0].name, inputs[0].unit) == (name, unit)
