@@ -1,4 +1,4 @@
-"""Statics and design against jax-fdm and tnsgrt, in one run on the same structures.
+"""Statics and design against jax-fdm, tnsgrt and SciPy, in one run on the same structures.
 
 Each task is solved by both programs: once to warm up, then several times. Repeated calls count;
 the first call of jax-fdm compiles, and is told apart. Needs pip install 'tenscasadi[peers]'.
@@ -15,6 +15,8 @@ from statistics import median
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
+from scipy.optimize import linprog
 
 import tenscasadi as tc
 
@@ -77,6 +79,7 @@ def tasks(quick: bool) -> Iterator[Task]:
     with contextlib.suppress(ImportError):
         for stages in (2,) if quick else (3, 10):
             yield self_stress_task(stages)
+    yield sizing_task(4 if quick else 16)
 
 
 def net_tasks(cells: int) -> Iterator[Task]:
@@ -165,6 +168,57 @@ def self_stress_task(stages: int) -> Task:
 
     name = f"tower of {len(members)} members: self-stress"
     return Task(name, lambda: tc.find_prestress(tower, tc.Least(), minimum=1.0), solve, unbalanced)
+
+
+def sizing_task(nodes: int, cases: int = 5) -> Task:
+    """Build the task of least mass of a plane grid by yield, against HiGHS in SciPy."""
+    index = np.arange(nodes**2).reshape(nodes, nodes)
+    places = np.array([(i, j, 0) for i in range(nodes) for j in range(nodes)], dtype=float)
+    bars = np.concatenate([_join(index[:-1], index[1:]), _join(index[:, :-1], index[:, 1:])])
+    cross = _join(index[:-1, :-1], index[1:, 1:]), _join(index[1:, :-1], index[:-1, 1:])
+    pins = {int(k): "xyz" if k in index[:, 0] else "z" for k in index.ravel()}
+    grid = tc.Structure(places, bars, np.concatenate(cross), pinned=pins)
+    loads = np.random.default_rng(0).normal(size=(cases, nodes**2, 3)) * [1.0, 1.0, 0.0]
+    strong = tc.Material(modulus=1e30, density=1.0, strength=1.0)  # bars do not buckle
+    lengths = np.concatenate([grid.string_lengths, grid.bar_lengths])
+
+    members = np.concatenate([grid.strings, grid.bars])
+    units = (places[members[:, 1]] - places[members[:, 0]]) / lengths[:, None]
+    count, strings = len(members), len(grid.strings)
+    rows = 3 * members[:, :, None] + np.arange(3)
+    values = np.stack([-units, units], axis=1).ravel()
+    columns = np.repeat(np.arange(count), 6)
+    balance = sp.csr_array((values, (rows.ravel(), columns)), shape=(places.size, count))
+    free = ~grid.fixed.ravel()
+    each, every, own = sp.eye_array(cases), np.ones((cases, 1)), sp.eye_array(count)
+    equal = sp.hstack([sp.csr_array((cases * free.sum(), count)), sp.kron(each, balance[free])])
+    below = sp.vstack(
+        [sp.hstack([sp.kron(every, -own), sp.kron(each, sign * own)]) for sign in (1.0, -1.0)]
+    )
+    least = np.full(count * (1 + cases), -np.inf)
+    least[:count] = 0.0
+    least[count:].reshape(cases, count)[:, :strings] = 0.0
+    right = loads.reshape(cases, -1)[:, free].ravel()
+    cost = np.concatenate([lengths, np.zeros(cases * count)])
+
+    def solve() -> float:
+        bounds = np.column_stack([least, np.full(len(least), np.inf)])
+        found = linprog(
+            cost, below, np.zeros(below.shape[0]), equal, right, bounds, method="highs-ipm"
+        )
+        return float(found.fun)
+
+    exact = solve()
+    return Task(
+        f"{count} members, {cases} load cases: least mass",
+        lambda: tc.size(grid, list(loads), strong, strong).mass,
+        solve,
+        lambda mass: abs(mass / exact - 1.0),
+    )
+
+
+def _join(first: Any, second: Any) -> Any:
+    return np.column_stack([first.ravel(), second.ravel()])
 
 
 if __name__ == "__main__":

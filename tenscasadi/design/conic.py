@@ -11,6 +11,7 @@ import scipy.sparse as sp
 
 from tenscasadi.util.validate import Array
 
+_FACTORIZATION = "qdldl"  # "auto" takes 1.7 times longer for sections of 930 members, 5 load cases
 _ACCURATE = ("Solved", "AlmostSolved")
 _INFEASIBLE = ("PrimalInfeasible", "AlmostPrimalInfeasible")
 _UNBOUNDED = ("DualInfeasible", "AlmostDualInfeasible")
@@ -88,6 +89,7 @@ def solve_conic(
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.max_threads = 1
+    settings.direct_solve_method = _FACTORIZATION
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
     solution = clarabel.DefaultSolver(
         sp.csc_matrix(P), cost, sp.csc_matrix(A), b, kept, settings

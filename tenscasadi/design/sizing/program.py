@@ -1,7 +1,7 @@
 """Least mass of members as a linear program.
 
-Unknowns are the areas a and, for each load case, tensions f⁺ and compressions f⁻ of members in
-equilibrium. Any such forces within the limits are admissible (lower-bound theorem of plasticity).
+Unknowns are the areas a and, for each load case, forces f of members in equilibrium. Any such
+forces within the limits are admissible (lower-bound theorem of plasticity).
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.optimize import linprog
 
+from tenscasadi.design.conic import LinearRows, solve_conic
 from tenscasadi.design.sizing.material import Sections
 from tenscasadi.structure.equilibrium_matrix import (
     equilibrium_matrix,
@@ -19,11 +19,11 @@ from tenscasadi.structure.equilibrium_matrix import (
     member_pairs,
 )
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, Indices
+from tenscasadi.util.validate import NEGLIGIBLE, Array, Indices
 
 
 class BucklingRows(NamedTuple):
-    """Linear buckling constraints f⁻ ≤ slope · a + constant.
+    """Linear buckling constraints −f ≤ slope · a + constant.
 
     Attributes
     ----------
@@ -98,26 +98,27 @@ class SizingProgram:
 
         The units are the largest load, and the areas that it requires.
         """
-        cases, members, bars = len(self.loads), self.members, self.members - self.strings
+        cases, members = len(self.loads), self.members
         force = float(np.abs(self.loads).max(initial=0.0)) or 1.0
         units = _SizingUnits(force, force / self.sections.strength)
-        each = sp.eye_array(cases, format="csr")
-        equal = [
-            sp.kron(np.ones((cases, 1)), -self.weight @ sp.diags_array(units.area / units.force)),
-            sp.kron(each, self.balance),
-            sp.kron(each, -self.balance[:, self.strings :]),
-        ]
-        pull = sp.eye_array(members, format="csr")
-        below = [
-            sp.kron(np.ones((cases, 1)), -pull),
-            sp.kron(each, pull),
-            sp.kron(each, pull[:, self.strings :]),
-        ]
-        mass = self.sections.mass_per_area * units.area
-        cost = np.concatenate([mass / mass.max(initial=1e-300), np.zeros(cases * (members + bars))])
-        return units, _SizingRows(
-            sp.hstack(equal, format="csc"), sp.hstack(below, format="csr"), cost
+        every, each = np.ones((cases, 1)), sp.eye_array(cases, format="csr")
+        own = sp.eye_array(members, format="csr")
+        bar = sp.diags_array(np.where(np.arange(members) < self.strings, 0.0, 1.0), format="csr")
+        weight = self.weight @ sp.diags_array(units.area / units.force)
+        equal = LinearRows(
+            sp.hstack([sp.kron(every, -weight), sp.kron(each, self.balance)], format="csc"),
+            self.loads.ravel() / units.force,
         )
+        tension = sp.hstack([sp.kron(every, -own), sp.kron(each, own)])
+        compression = sp.hstack([sp.kron(every, -bar), sp.kron(each, -own)])
+        least = sp.hstack([-own, sp.csr_array((members, cases * members))])
+        below = LinearRows(
+            sp.vstack([tension, compression, least], format="csc"),
+            np.concatenate([np.zeros(2 * cases * members), -self.sections.minimum / units.area]),
+        )
+        mass = self.sections.mass_per_area * units.area
+        cost = np.concatenate([mass / mass.max(initial=1e-300), np.zeros(cases * members)])
+        return units, _SizingRows(equal, below, cost)
 
     def solve(self, rows: BucklingRows | None = None, most: Array | None = None) -> SizedForces:
         """Minimize the mass.
@@ -125,51 +126,40 @@ class SizingProgram:
         Beside the allowable stress, `rows` bound compressions by areas, and `most` (α + β,) bounds
         them by constants [N].
         """
-        cases, members, bars = len(self.loads), self.members, self.members - self.strings
+        cases, members = len(self.loads), self.members
         units, fixed = self._units, self._rows
-        pushes = members + cases * members  # the first of the compressions
-        below, limits = fixed.below, np.zeros(cases * members)
+        bars = np.arange(self.strings, members)
+        below = [fixed.below]
         if rows is not None and len(rows.members):
-            more, limit = self._buckling_rows(rows)
-            below, limits = sp.vstack([below, more]), np.concatenate([limits, limit])
-        upper = np.full(len(fixed.cost), np.inf)
+            below.append(self._buckling_rows(rows))
         if most is not None:
-            upper[pushes:] = np.tile(most[self.strings :] / units.force, cases)
-        lower = np.zeros(len(fixed.cost))
-        lower[:members] = self.sections.minimum / units.area
-        found = linprog(
-            fixed.cost,
-            below,
-            limits,
-            fixed.equal,
-            self.loads.ravel() / units.force,
-            bounds=np.column_stack([lower, upper]),
-            method="highs-ipm",
+            below.append(self._buckling_rows(BucklingRows(bars, np.zeros(len(bars)), most[bars])))
+        limits = LinearRows(
+            sp.vstack([part.A for part in below], format="csc"),
+            np.concatenate([part.b for part in below]),
         )
-        if found.status != 0:
+        found = solve_conic(fixed.cost, fixed.equal, limits)
+        if found.status != "solved":
             return SizedForces(np.inf, np.zeros(members), np.zeros((cases, members)))
-        area = found.x[:members] * units.area
-        forces = found.x[members:pushes].reshape(cases, members) * units.force
-        forces[:, self.strings :] -= found.x[pushes:].reshape(cases, bars) * units.force
+        x = np.where(np.abs(found.x) > NEGLIGIBLE, found.x, 0.0)  # beyond the solver's accuracy
+        area = x[:members] * units.area
+        forces = x[members:].reshape(cases, members) * units.force
         return SizedForces(float(self.sections.mass_per_area @ area), area, forces)
 
-    def _buckling_rows(self, rows: BucklingRows) -> tuple[Any, Array]:
+    def _buckling_rows(self, rows: BucklingRows) -> LinearRows:
         """Build the buckling rows of all cases, bar by bar.
 
-        They are f⁻ / slope − a ≤ constant / slope [in scaled units].
+        They are −f − slope · a ≤ constant [in scaled units].
         """
-        cases, members, bars = len(self.loads), self.members, self.members - self.strings
-        count = len(rows.members)
+        cases, members, count = len(self.loads), self.members, len(rows.members)
         slope = rows.slope * (self._units.area[rows.members] / self._units.force)
-        push = members + cases * members + bars * np.arange(cases)[:, None]
-        columns = [np.tile(rows.members, cases), (push + rows.members - self.strings).ravel()]
-        values = [np.full(cases * count, -1.0), np.tile(1.0 / slope, cases)]
-        index = np.tile(np.arange(cases * count), 2)
-        matrix = sp.csr_array(
-            (np.concatenate(values), (index, np.concatenate(columns))),
-            shape=(cases * count, len(self._rows.cost)),
+        of_area = sp.csr_array((-slope, (np.arange(count), rows.members)), shape=(count, members))
+        of_force = sp.csr_array(
+            (np.full(count, -1.0), (np.arange(count), rows.members)), shape=(count, members)
         )
-        return matrix, np.tile(rows.constant / self._units.force / slope, cases)
+        every, each = np.ones((cases, 1)), sp.eye_array(cases, format="csr")
+        matrix = sp.hstack([sp.kron(every, of_area), sp.kron(each, of_force)])
+        return LinearRows(matrix, np.tile(rows.constant / self._units.force, cases))
 
 
 class _SizingUnits(NamedTuple):
@@ -193,8 +183,8 @@ class _SizingRows(NamedTuple):
     The rows are those of equilibrium (`equal`) and of the allowable stress (`below`).
     """
 
-    equal: Any
-    below: Any
+    equal: LinearRows
+    below: LinearRows
     cost: Array
 
 

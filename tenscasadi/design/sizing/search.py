@@ -113,7 +113,7 @@ def _branch(program: SizingProgram, best: SizedForces) -> Design:
         return np.asarray(np.minimum(strength * most, c * most**2))
 
     queue: list[tuple[float, int, Array, Array]] = [(0.0, 0, np.zeros(program.members), largest())]
-    unknowns = program.members * (1 + 2 * len(program.loads))
+    unknowns = program.members * (1 + len(program.loads))
     for count in range(1 + _WORK // max(unknowns, 1)):
         if not queue or queue[0][0] >= best.mass * (1.0 - TOLERANCE):
             return Design(best, best.mass)
