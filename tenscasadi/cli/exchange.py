@@ -93,7 +93,7 @@ def import_file(
     length_unit : float
         NTRT: its unit of length, m (default: 1).
     ball_joints : bool
-        NTRT: rods that share a node may turn there (default).
+        NTRT: rods that share a node turn freely there (default), or form one body.
     lenient : bool
         Leave out parts that a scene cannot have, and list them.
     """

@@ -37,7 +37,8 @@ def load_ntrt(
     """Read a structure from NASA's Tensegrity Robotics Toolkit (NTRT).
 
     Its YAML files contain nodes, pair_groups, builders, substructures and bond_groups (node_node
-    and node_edge). Rods become bars of mass π r² l ρ, and rods of density 0 are pinned. Strings of
+    and node_edge). Rods become bars of mass π r² l ρ, boxes become rigid bodies with their corners as
+    additional nodes. Rods and boxes of density 0 are pinned. Strings of
     every class become elastic strings with the rest length l − pretension/stiffness. The y axis
     points up in NTRT and the z axis here: (x, y, z) becomes (x, −z, y). Strings end at nodes,
     whereas NTRT moves their ends to the surfaces of rods. Motors, contact and friction are ignored.
@@ -52,7 +53,7 @@ def load_ntrt(
         and 0.01 if the gravity is 981. Mass is in kg.
     ball_joints : bool
         Whether rods that share a node are connected there by a ball joint, of which a warning
-        tells. NTRT welds them into one rigid body. If False, they are rejected.
+        tells. If False, they form one `RigidBody`, as in NTRT, without bars.
     folder : str or PathLike, optional
         Folder that must contain the files of substructures. Default: that above the file.
     strict : bool
@@ -211,7 +212,7 @@ class _NtrtReader:
                         whole.pairs += [_read_pair(row, parts, more) for row in pairs.parts()]
 
     def _is_rod(self, pair: NtrtPair) -> bool:
-        return any(builder.is_rod and builder.tags <= pair.tags for builder in self.builders)
+        return any(builder.is_rigid and builder.tags <= pair.tags for builder in self.builders)
 
 
 def _read_pair(row: YamlEntry, parts: tuple[Assembly, Assembly], tags: frozenset[str]) -> NtrtPair:

@@ -1,24 +1,27 @@
-"""Rods and strings of NTRT: the builders of their tags, and the structure."""
+"""Rods, boxes and strings of NTRT: the builders of their tags, and the structure."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from tenscasadi.exchange.ntrt.assembly import Assembly, NtrtNode, NtrtPair
+from tenscasadi.exchange.ntrt.rigid_groups import RigidPart, combine_mass, group_parts
 from tenscasadi.exchange.ntrt.yaml_tree import YamlEntry
 from tenscasadi.exchange.source import Source
 from tenscasadi.schema.reading import SceneFileError
+from tenscasadi.structure.rigid_body import RigidBody
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import NEGLIGIBLE, Array, Indices
 
 _ROD = {"radius": 0.5, "density": 1.0}  # NTRT's defaults, in its units
+_BOX = {"width": 1.0, "height": 1.0, "density": 1.0}  # half the width, and half the height
 _STRING = {"stiffness": 1000.0, "damping": 10.0, "pretension": 0.0}
 # classes, with their parameters that only concern contact, motors and records
-_ROD_IGNORED = {"tgRodInfo": "friction roll_friction restitution"}
+_RIGID_IGNORED = dict.fromkeys(["tgRodInfo", "tgBoxInfo"], "friction roll_friction restitution")
 _STRING_IGNORED = dict.fromkeys(
     [
         "tgBasicActuatorInfo",
@@ -29,12 +32,14 @@ _STRING_IGNORED = dict.fromkeys(
     "history max_tension target_velocity min_actual_length min_rest_length rotation radius "
     "moveCablePointAToEdge moveCablePointBToEdge motor_friction motor_inertia back_drivable",
 )
-_IGNORED = {**_ROD_IGNORED, **_STRING_IGNORED}
+_IGNORED = {**_RIGID_IGNORED, **_STRING_IGNORED}
+_DEFAULTS = {"tgRodInfo": _ROD, "tgBoxInfo": _BOX}  # strings have _STRING
+_POSITIVE = ("radius", "stiffness", "width", "height")
 
 
 @dataclass(frozen=True)
 class TagBuilder:
-    """Properties of tagged rods or strings, in NTRT's units.
+    """Properties of tagged rods, boxes or strings, in NTRT's units.
 
     A class that is left out has none.
     """
@@ -43,13 +48,14 @@ class TagBuilder:
     values: dict[str, float]
 
     @property
-    def is_rod(self) -> bool:
-        """Whether it builds rods."""
+    def is_rigid(self) -> bool:
+        """Whether it builds rods or boxes."""
         return "density" in self.values
 
 
 DEFAULT_BUILDERS = (
     TagBuilder(frozenset({"rod"}), _ROD),
+    TagBuilder(frozenset({"box"}), _BOX),
     TagBuilder(frozenset({"string"}), _STRING),
 )
 
@@ -65,13 +71,13 @@ def read_builder(tags: str, entry: YamlEntry) -> TagBuilder:
     if name not in _IGNORED:
         given["class"].leave_out(f"is {name!r} for {tags}: only {classes} can be modeled")
         return TagBuilder(own, {})
-    values = dict(_ROD if name in _ROD_IGNORED else _STRING)
+    values = dict(_DEFAULTS.get(name, _STRING))
     parameters = given.get("parameters")
     for key, parameter in parameters.items(*values, *_IGNORED[name].split()) if parameters else ():
         if key in values:
             values[key] = parameter.number()
-            if values[key] < 0 or (values[key] == 0 and key in ("radius", "stiffness")):
-                least = "greater than" if key in ("radius", "stiffness") else "at least"
+            if values[key] < 0 or (values[key] == 0 and key in _POSITIVE):
+                least = "greater than" if key in _POSITIVE else "at least"
                 raise parameter.error(f"is {values[key]:g} for {tags}: it must be {least} 0")
     return TagBuilder(own, values)
 
@@ -83,23 +89,24 @@ class StructureBuilder:
         self, source: Source, whole: Assembly, builders: list[TagBuilder], ball_joints: bool
     ) -> None:
         self.source, self.builders, self.ball_joints = source, builders, ball_joints
-        self.rods: list[tuple[NtrtPair, dict[str, float]]] = []
+        self.rigid: list[tuple[NtrtPair, dict[str, float]]] = []  # rods and boxes
         self.strings: list[tuple[NtrtPair, dict[str, float]]] = []
         for part in whole.whole():
             for pair in part.pairs:
                 builder = self._select(pair, part.name)
                 if builder.values:
-                    (self.rods if builder.is_rod else self.strings).append((pair, builder.values))
-        if not self.rods and not self.strings:
+                    members = self.rigid if builder.is_rigid else self.strings
+                    members.append((pair, builder.values))
+        if not self.rigid and not self.strings:
             raise SceneFileError("it has no pairs in pair_groups or bond_groups", source.path.name)
-        used = {id(node) for pair, _ in self.rods + self.strings for node in pair.ends}
+        used = {id(node) for pair, _ in self.rigid + self.strings for node in pair.ends}
         self.nodes = [node for node in whole.all_nodes() if id(node) in used]
         self.places, self.index = _merge_nodes(self.nodes)
 
     def _select(self, pair: NtrtPair, name: str) -> TagBuilder:
         """Select the last builder whose tags the pair has.
 
-        Builders of rods take precedence. The name of the structure counts as a tag.
+        Builders of rods and boxes take precedence. The name of the structure counts as a tag.
         """
         fitting = [builder for builder in self.builders if builder.tags <= pair.tags | {name}]
         if not fitting:
@@ -108,19 +115,88 @@ class StructureBuilder:
                 f"has the tags {tags}, which no builder fits: NTRT builds nothing there, give it a builder or leave it out"
             )
             return TagBuilder(frozenset(), {})
-        return next((builder for builder in reversed(fitting) if builder.is_rod), fitting[-1])
+        return next((builder for builder in reversed(fitting) if builder.is_rigid), fitting[-1])
 
     def build(self, unit: float) -> Structure:
-        """Build the structure."""
-        bars, rods = self._read_members(self.rods)
-        lines, strings = self._read_members(self.strings)
-        self._check_joints(bars, lines)
-        lengths, spans = (
-            np.linalg.norm(self.places[pairs[:, 1]] - self.places[pairs[:, 0]], axis=1)
-            for pairs in (bars, lines)
+        """Build the structure. Lengths of the file are in `unit` [m]."""
+        nodes = unit * np.stack(
+            [self.places[:, 0], 0.0 - self.places[:, 2], self.places[:, 1]], axis=1
         )
-        fixed = rods["density"] == 0
-        density = np.where(fixed, _ROD["density"], rods["density"])
+        parts = self._read_parts(nodes, unit)
+        lines, strings = self._read_strings()
+        self._check_joints(parts, lines)
+        rest = self._rest_lengths(lines, strings)
+        bars, pinned, bodies = [], set[int](), []
+        for group in group_parts(parts, not self.ball_joints):
+            rods = [part for part in group if part.sides is None]
+            if not any(part.density for part in group):  # NTRT holds them in place
+                pinned.update(node for part in group for node in part.nodes)
+                bars += rods
+            elif len(group) == len(rods) == 1:
+                bars += rods
+            else:
+                own = list(dict.fromkeys(node for part in group for node in part.nodes))
+                corners = np.concatenate([part.corners() for part in group])
+                own += range(len(nodes), len(nodes) + len(corners))
+                nodes = np.concatenate([nodes, corners])
+                mass = combine_mass(group)
+                inertia = np.trace(mass.moments) * np.eye(3) - mass.moments
+                bodies.append((own, mass.mass, mass.center, inertia))
+        masses = [(part if part.density else replace(part, density=unit**-3)) for part in bars]
+        try:
+            return Structure(
+                nodes,
+                [part.nodes for part in bars],
+                lines,
+                bar_mass=[part.mass_properties().mass for part in masses],
+                bar_radius=[part.radius for part in bars],
+                stiffness=strings["stiffness"],  # kg/s²; damping is in kg/s
+                damping=strings["damping"],
+                rest_length=unit * rest,
+                pinned=sorted(pinned),
+                bodies=[RigidBody(*body) for body in bodies],
+            )
+        except ValueError as error:
+            raise SceneFileError(str(error), self.source.path.name) from error
+
+    def _read_parts(self, nodes: Array, unit: float) -> list[RigidPart]:
+        """Read rods and boxes; repeated ones that are not welded are left out."""
+        found: list[RigidPart] = []
+        known = set[frozenset[int]]()
+        for pair, own in self.rigid:
+            ends = self._find_ends(pair)
+            if ends is None:
+                continue
+            if self.ball_joints and frozenset(ends) in known:
+                pair.entry.leave_out("is a rod or box that is given twice: leave one out")
+                continue
+            known.add(frozenset(ends))
+            box = (unit * own["width"], unit * own["height"]) if "width" in own else None
+            density = own["density"] / unit**3  # masses are in kg for every unit of length
+            radius = unit * own.get("radius", 0.0)
+            found.append(RigidPart(ends, nodes[list(ends)], density, radius, box))
+        return found
+
+    def _read_strings(self) -> tuple[Indices, dict[str, Array]]:
+        """Read the nodes of strings, and their properties."""
+        members = [(pair, self._find_ends(pair), own) for pair, own in self.strings]
+        kept = [(pair, ends, own) for pair, ends, own in members if ends is not None]
+        self.strings = [(pair, own) for pair, _, own in kept]
+        columns = {key: np.array([own[key] for *_, own in kept], dtype=float) for key in _STRING}
+        return np.array([ends for _, ends, _ in kept], dtype=np.intp).reshape(-1, 2), columns
+
+    def _find_ends(self, pair: NtrtPair) -> tuple[int, int] | None:
+        """Find the two nodes of a pair; None, left out, if they are at one place."""
+        a, b = (self.index[id(end)] for end in pair.ends)
+        if a == b:
+            names = " and ".join(end.name for end in pair.ends)
+            pair.entry.leave_out(f"joins {names}, which are at one place")
+            return None
+        return a, b
+
+    def _rest_lengths(self, lines: Indices, strings: dict[str, Array]) -> Array:
+        """Compute rest lengths in the unit of the file, from the pretension."""
+        spans = np.linalg.norm(self.places[lines[:, 1]] - self.places[lines[:, 0]], axis=1)
         rest = spans - strings["pretension"] / strings["stiffness"]
         for k in np.flatnonzero(rest <= 0):
             pretension = (
@@ -131,68 +207,25 @@ class StructureBuilder:
                 f"{pretension}: it must be less than {most:g}, stiffness times length"
             )
             rest[k] = 0.01 * spans[k]
-        try:
-            return Structure(
-                unit * np.stack([self.places[:, 0], 0.0 - self.places[:, 2], self.places[:, 1]], 1),
-                bars,
-                lines,
-                # in kg for every unit of length; stiffness is in kg/s², and damping in kg/s
-                bar_mass=np.pi * rods["radius"] ** 2 * lengths * density,
-                bar_radius=unit * rods["radius"],
-                stiffness=strings["stiffness"],
-                damping=strings["damping"],
-                rest_length=unit * rest,
-                pinned=np.unique(bars[fixed]).tolist(),
-            )
-        except ValueError as error:
-            raise SceneFileError(str(error), self.source.path.name) from error
+        return np.asarray(rest)
 
-    def _read_members(
-        self, members: list[tuple[NtrtPair, dict[str, float]]]
-    ) -> tuple[Indices, dict[str, Array]]:
-        """Read the nodes of members, and their properties; repeated ones are left out."""
-        pairs: list[list[int]] = []
-        values: list[dict[str, float]] = []
-        is_rod = members is self.rods
-        kept = []
-        for pair, own in members:
-            ends = [self.index[id(end)] for end in pair.ends]
-            if ends[0] == ends[1]:
-                names = " and ".join(end.name for end in pair.ends)
-                pair.entry.leave_out(f"joins {names}, which are at one place")
-            elif is_rod and sorted(ends) in map(sorted, pairs):
-                pair.entry.leave_out("is a rod that is given twice: leave one out")
-            else:
-                pairs.append(ends)
-                values.append(own)
-                kept.append((pair, own))
-        members[:] = kept
-        columns = {
-            key: np.array([own[key] for own in values], dtype=float)
-            for key in (_ROD if is_rod else _STRING)
-        }
-        return np.array(pairs, dtype=np.intp).reshape(-1, 2), columns
-
-    def _check_joints(self, bars: Indices, strings: Indices) -> None:
-        """Reject strings without rods, and rods that NTRT welds together."""
+    def _check_joints(self, parts: list[RigidPart], strings: Indices) -> None:
+        """Reject strings without rods, and list joints that NTRT welds."""
         names: dict[int, list[str]] = {}
         for node in self.nodes:
             names.setdefault(self.index[id(node)], []).append(node.name)
-        name = self.source.path.name
-        ends = np.bincount(bars.ravel(), minlength=len(names))
+        held = np.array([part.nodes for part in parts], dtype=np.intp).ravel()
+        ends = np.bincount(held, minlength=len(names))
         for k in np.unique(strings)[ends[np.unique(strings)] == 0][:1].tolist():
             reason = "NTRT has nothing to fix them to"
             raise SceneFileError(
                 f"node {names[k][0]} has strings, and no rod ends there: {reason}, give it a rod",
-                name,
+                self.source.path.name,
             )
-        for k in np.flatnonzero(ends > 1).tolist():
+        for k in np.flatnonzero(ends > 1).tolist() if self.ball_joints else ():
             where = f"node {' = '.join(dict.fromkeys(names[k]))}"
             message = f"{ends[k]} rods meet at {where}: NTRT welds them into one rigid body"
-            if not self.ball_joints:
-                cure = "give ball_joints=True to let them turn freely there"
-                raise SceneFileError(f"{message}, which cannot be modeled; {cure}", name)
-            self.source.note(f"{message}, here they turn freely")
+            self.source.note(f"{message}, as ball_joints=False does; here they turn freely")
 
 
 def _merge_nodes(nodes: list[NtrtNode]) -> tuple[Array, dict[int, int]]:

@@ -96,7 +96,8 @@ def test_ntrt_comes_in(here, capsys):
         .replace("[[a, c], [b, d]]", "[[a, d]]")
         .replace("c: [5, 0, 0], ", "")
     )
-    assert main(["import", "joined.yaml", "joined.toml", "--no-ball-joints"]) == 2
+    assert main(["import", "joined.yaml", "welded.toml", "--no-ball-joints"]) == 0
+    assert len(tc.load_scene("welded.toml").structure.bodies) == 1
     capsys.readouterr()
     assert main(["import", "joined.yaml", "joined.toml", "--ball-joints"]) == 0
     assert "warning: joined.yaml was imported with 1 change" in capsys.readouterr().err
@@ -105,11 +106,11 @@ def test_ntrt_comes_in(here, capsys):
 @pytest.mark.filterwarnings("default")
 def test_lenient_import_leaves_out_unknown_entries(here, capsys):
     pytest.importorskip("yaml", reason="files of NTRT need PyYAML")
-    text = "nodes: {a: [0, 0, 0], b: [0, 10, 0]}\npair_groups: {rod: [[a, b]], box: [[a, b]]}\n"
+    text = "nodes: {a: [0, 0, 0], b: [0, 10, 0]}\npair_groups: {rod: [[a, b]], ball: [[a, b]]}\n"
     (here / "boxed.yaml").write_text(text)
     assert main(["import", "boxed.yaml", "boxed.toml"]) == 2
     assert main(["import", "boxed.yaml", "boxed.toml", "--lenient"]) == 0
-    assert "line 2, box: has the tags box, which no builder fits" in capsys.readouterr().err
+    assert "line 2, ball: has the tags ball, which no builder fits" in capsys.readouterr().err
     assert len(tc.load_scene("boxed.toml").structure.bars) == 1
 
 

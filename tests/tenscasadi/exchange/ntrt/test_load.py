@@ -230,20 +230,80 @@ def test_a_substructure_upside_down_is_turned_about(tmp_path):
         assert node == pytest.approx((flat[6 + first] + flat[6 + last]) / 2, abs=1e-9)
 
 
-def test_rods_that_meet_turn_freely_with_a_warning_or_are_rejected(tmp_path):
+def test_rods_that_meet_turn_freely_with_a_warning(tmp_path):
     corner = (
         BOX.replace("[b0, b1]", "[a0, b1]")
         .replace("    - [b0, c0]\n", "")
         .replace("    - [a0, b0]\n", "")
     )
     told = r"2 rods meet at node a0: NTRT welds them .*"
-    with pytest.raises(ValueError, match=rf"x\.yaml: {told} give ball_joints=True"):
-        load(tmp_path, corner, ball_joints=False)
     with pytest.warns(tc.InexactImportWarning, match=rf"1 change: {told} turn freely") as caught:
         jointed = load(tmp_path, corner)
     assert caught[0].filename == __file__
     assert len(jointed.bars) == 3
     assert len(jointed.nodes) == 5
+
+
+def inertia_of(body):
+    """Inertia matrix (3, 3) of a body [kg m²]."""
+    return np.diag(body.inertia) if np.ndim(body.inertia) == 1 else np.array(body.inertia)
+
+
+def test_welded_rods_form_one_body(tmp_path):
+    text = """
+nodes: {a: [0, 0, 0], b: [4, 0, 0], c: [0, 0, 6], d: [9, 1, 0], e: [9, 5, 0]}
+pair_groups: {rod: [[a, b], [a, c], [d, e]], string: [[b, d], [c, e]]}
+builders: {rod: {class: tgRodInfo, parameters: {density: 0.5, radius: 0.2}}}
+"""
+    welded = load(tmp_path, text, ball_joints=False, length_unit=0.1)
+    assert welded.bars.tolist() == [[3, 4]]
+    (body,) = welded.bodies
+    assert body.nodes == (0, 1, 2)
+    masses = np.pi * 0.04 * 0.5 * np.array([4.0, 6.0])
+    assert body.mass == pytest.approx(masses.sum())
+    assert body.center == pytest.approx((masses @ [[0.2, 0, 0], [0, -0.3, 0]]) / masses.sum())
+    # cylinders of 0.4 and 0.6 m with a radius of 0.02 m, from the file's points, about the corner
+    own = body.mass_properties(welded.nodes[:3])
+    about = own.moments + body.mass * np.outer(own.center, own.center)
+    across = masses * 0.02**2 / 4
+    along = masses * np.array([0.4, 0.6]) ** 2 / 3
+    expected = np.diag([along[0] + across[1], along[1] + across[0], across.sum()])
+    assert about == pytest.approx(expected, abs=1e-12)
+    run = tc.simulate(tc.Model(tc.Scene(welded, gravity=tc.Gravity())), t_end=0.05, step=1e-3)
+    assert run.success, run.message
+
+
+def test_welded_rods_in_a_row_form_a_thin_body(tmp_path):
+    text = """
+nodes: {a: [0, 0, 0], b: [1, 0, 0], c: [4, 0, 0]}
+pair_groups: {rod: [[a, b], [b, c]]}
+builders: {rod: {class: tgRodInfo, parameters: {density: 2, radius: 0.1}}}
+"""
+    (body,) = load(tmp_path, text, ball_joints=False).bodies
+    whole = 2 * np.pi * 0.01 * 4
+    turning = whole * (16 / 12 + 0.01 / 4)
+    assert inertia_of(body) == pytest.approx(np.diag([0, turning, turning]), abs=1e-12)
+
+
+def test_boxes_become_bodies_with_their_corners(tmp_path):
+    text = """
+nodes: {a: [0, 0, 0], b: [4, 0, 0], c: [0, 5, 0], d: [0, 9, 0]}
+pair_groups: {box: [[a, b]], rod: [[c, d]], string: [[a, c], [b, d]]}
+builders: {box: {class: tgBoxInfo, parameters: {density: 0.25, width: 0.5, height: 1.5}}}
+"""
+    boxed = load(tmp_path, text)
+    (body,) = boxed.bodies
+    mass = 0.25 * 4 * 1.0 * 3.0
+    assert body.mass == pytest.approx(mass)
+    assert body.center == pytest.approx((2, 0, 0))
+    # NTRT turns the upright box by the smallest rotation: the width is upright, the height level
+    size = np.ptp(boxed.nodes[list(body.nodes)], axis=0)
+    assert size == pytest.approx([4, 3, 1], abs=1e-12)
+    expected = mass / 12 * np.array([9 + 1, 16 + 1, 16 + 9])
+    assert inertia_of(body) == pytest.approx(np.diag(expected), abs=1e-12)
+    assert len(boxed.nodes) == 4 + 8
+    fixed = load(tmp_path, text.replace("density: 0.25", "density: 0"))
+    assert (dict(fixed.pinned), fixed.bodies) == ({0: "xyz", 1: "xyz"}, ())
 
 
 def test_rods_of_density_0_do_not_move(tmp_path):
@@ -260,7 +320,7 @@ def test_directives_and_tabs_are_read_as_ntrt_does(tmp_path):
 def test_lenient_import_lists_and_leaves_out_unknown_entries(tmp_path):
     text = BOX.replace("    - [a0, b0]\n", "    - [a0, b0]\n    - [b0, b0]\n")
     text = text.replace("  string:\n    - [a0", "  frame:\n    - [a0, c1]\n  string:\n    - [a0")
-    text += "  box:\n    class: tgBoxInfo\n    parameters: {height: 1}\ncolor: red\n"
+    text += "  ball:\n    class: tgSphereInfo\n    parameters: {radius: 1}\ncolor: red\n"
     with pytest.raises(ValueError, match="line 39, color: is not known"):
         load(tmp_path, text)
     with pytest.warns(tc.InexactImportWarning) as caught:
@@ -324,8 +384,8 @@ def test_substructures_share_attributes_across_keys(tmp_path):
         ),
         (
             "class: tgRodInfo",
-            "class: tgBoxInfo",
-            "line 23, class: is 'tgBoxInfo' for rod: only tgRodInfo, ",
+            "class: tgSphereInfo",
+            "line 23, class: is 'tgSphereInfo' for rod: only tgRodInfo, ",
         ),
         ("    class: tgRodInfo\n", "", "line 22, rod: has no class: give one of tgRodInfo"),
         (
