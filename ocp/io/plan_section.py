@@ -11,6 +11,7 @@ import numpy as np
 
 import ocp.sampling.solver  # noqa: F401  registers its solver
 from ocp.guess.initial_guess import NamedGuess
+from ocp.io.study_sections import SECTIONS as STUDIES
 from ocp.problem.bounds.bound import Bound
 from ocp.problem.costs import Cost
 from ocp.problem.expressions import AtEnd, Constraint, Integral
@@ -131,7 +132,7 @@ PLAN = definition(PlanPart, "plan")
 
 def file_schema() -> dict[str, Any]:
     """Build the JSON Schema of scene files."""
-    return scene_schema({"start": START, "simulation": SIMULATION, "plan": PLAN})
+    return scene_schema({"start": START, "simulation": SIMULATION, "plan": PLAN, **STUDIES})
 
 
 def read_plan(item: Item, simulation: Simulation) -> dict[str, Any]:

@@ -14,8 +14,6 @@ import numpy as np
 from ocp.plan.robustness import (
     STRINGS,
     Robustness,
-    check_spreads,
-    check_start,
     draw_starts,
     share_variance,
     vary_model,
@@ -27,6 +25,7 @@ from ocp.results.acceptance import RELIABLE, interpolate_replays, measure_errors
 from ocp.results.actuation import STEPS_PER_UPDATE
 from ocp.results.replay import STEPS
 from ocp.results.rest_length_schedule import compute_rest_lengths
+from ocp.results.spreads import check_variation
 from ocp.targets.find_target import find_target
 from tenscasadi.scene.strings import RestLength, rest_length
 from tenscasadi.simulation.inputs.controls import ControlProfile
@@ -49,14 +48,10 @@ def measure_robustness(
     Arguments and errors are those of `Plan.robustness`. `track` builds a `Tracker` of the plan;
     None replays it in open loop.
     """
-    spreads, place = check_spreads(parameters), check_start(start)
+    spreads, place = check_variation(parameters, start)
     whole_number("samples", samples, 1, MAX_ENTRIES)
     rng = np.random.default_rng(whole_number("seed", seed, 0))
     limit = None if tolerance is None else positive_number("tolerance", tolerance)
-    if not spreads and not any(place):
-        raise ValueError(
-            "parameters is empty and start is 0: give something that varies, such as {'bar_mass': 0.05}"
-        )
     names = tuple(spreads)
     planned, problem = plan.require_model("robustness"), plan.problem
     reject_phases(() if problem is None else problem.phases, "robustness")

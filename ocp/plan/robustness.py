@@ -14,14 +14,7 @@ from tenscasadi.integrators.stabilization import build_projection
 from tenscasadi.scene.parameters import Parameters
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.renamed import RenamedAttribute
-from tenscasadi.util.validate import (
-    Array,
-    finite_array,
-    format_value,
-    nesting,
-    positive_number,
-    text,
-)
+from tenscasadi.util.validate import Array, finite_array
 
 SHARES = (0.05, 0.5, 0.95)  # probabilities of the quantiles in a summary
 STRINGS = ("stiffness", "damping")  # quantities of the string law, without effect under given γ
@@ -168,48 +161,6 @@ class Robustness(ReadOnlyArrays):
             else "what matters  too few replays to tell: give more samples",
         ]
         return "\n".join(lines)
-
-
-def check_spreads(parameters: Any) -> dict[str, float]:
-    """Check relative parameter spreads by name.
-
-    Each must be at least 0 and less than 1. Raises TypeError or ValueError.
-    """
-    if parameters is None:
-        return {}
-    if not isinstance(parameters, Mapping):
-        raise TypeError(
-            f"parameters is {format_value(parameters)}: give spreads by name, such as {{'bar_mass': 0.05}}"
-        )
-    for name in parameters:
-        text("parameters: a name", name)
-    spreads = {
-        name: positive_number(f"parameters[{format_value(name)}]", value, zero=True)
-        for name, value in parameters.items()
-    }
-    for name, value in spreads.items():
-        if name == "rest_length":
-            raise ValueError(
-                "parameters has 'rest_length', which a plan commands: vary 'stiffness' instead"
-            )
-        if value >= 1:
-            raise ValueError(
-                f"parameters[{name!r}] is {value:g}: give a spread relative to its value, less than 1"
-            )
-    return spreads
-
-
-def check_start(start: Any) -> tuple[float, float]:
-    """Check the spreads of initial positions and velocities.
-
-    Returns them in m and m/s. Raises TypeError or ValueError.
-    """
-    if nesting(start) == 0:
-        return positive_number("start", start, zero=True), 0.0
-    pair = finite_array("start", start, (2,))
-    return positive_number("start[0]", pair[0], zero=True), positive_number(
-        "start[1]", pair[1], zero=True
-    )
 
 
 def vary_model(model: Model, names: tuple[str, ...], control: Any) -> Model:

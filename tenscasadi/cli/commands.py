@@ -218,7 +218,9 @@ def describe(
     if found.has("plan"):
         files = load_ocp().io.problem_files
         problem = files.read_arguments(found.document)["problem"]
-        report.say(f"plan          {files.describe_problem(problem)}")
+        sections = load_ocp().io.study_sections
+        lines = sections.describe_studies(sections.read_studies(found.document))
+        report.say("\n".join([f"plan          {files.describe_problem(problem)}", *lines]))
     report.say(f"C compiler    {compiler}")
     if report.output is not None:
         content = {**structure.to_fields(), "equilibrium_force_density": gamma}

@@ -20,6 +20,7 @@ COMMANDS = {
     "analyse": Command(analyse.analyze_scene),
     "simulate": Command(commands.simulate_scene, "simulation", commands.find_fields),
     "plan": Command(plan.plan_motion, "plan", plan.find_fields),
+    "control": Command(plan.control_motion, "closed_loop", plan.find_loop_fields),
     "view": Command(view.show),
     "tradeoff": Command(commands.compare_schemes),
     "export": Command(exchange.export_file),

@@ -1,20 +1,27 @@
-"""Command that plans motions."""
+"""Commands that plan motions, and run controllers."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Annotated, Any
 
 from tenscasadi.cli.loading import load_ocp, load_plots
 from tenscasadi.cli.report import FAILED, CommandReport, find_scalars
-from tenscasadi.cli.source import SCENE, find_source
+from tenscasadi.cli.source import SCENE, SceneSource, find_source
 from tenscasadi.io.document import Change
+from tenscasadi.schema.reading import SceneFileError
 from tenscasadi.util.compile import find_compiler
 
 
 def find_fields() -> Any:
     """Find the fields of [plan]."""
     return load_ocp().io.plan_section.PLAN.fields
+
+
+def find_loop_fields() -> Any:
+    """Find the fields of [closed_loop]."""
+    return load_ocp().io.study_sections.SECTIONS["closed_loop"].fields
 
 
 def plan_motion(
@@ -27,7 +34,8 @@ def plan_motion(
 
     Numbers of the file are options: `tenscasadi plan prism --to-height 1.2 --upper 200`. The plan is
     verified by a simulation in finer steps, whose distance from the goal is printed. Limits near the
-    force densities of the equilibrium make an easy problem; wide ones may take many iterations.
+    force densities of the equilibrium make an easy problem; wide ones may take many iterations. With
+    [refinement] the plan is refined, with [robustness] it is replayed under random errors.
 
     Parameters
     ----------
@@ -49,12 +57,9 @@ def plan_motion(
     ]
     found = find_source(source, [*changes, *(sugar if intervals is not None else [])])
     ocp = load_ocp()
-    arguments = ocp.io.problem_files.read_arguments(found.document)
+    arguments, studies = _read(found)
     problem = arguments["problem"]
-    try:
-        plan = ocp.solve(**arguments)
-    except ValueError as error:  # infeasible goals, contradicting limits
-        raise ValueError(f"{found.path.name}, plan: {error}") from error
+    plan = _find_plan(found, arguments, studies.refinement)
     asked = ocp.io.problem_files.describe_problem(problem)
     report.say(f"{source}: {problem.model.scene.structure!r}, {asked}", plan.summary())
     if find_compiler() is None:
@@ -72,5 +77,104 @@ def plan_motion(
             ),
         },
     )
-    code = 0 if plan.success else FAILED
-    return report.finish(code, **find_scalars(plan) | {"success": plan.success})
+    content = find_scalars(plan) | {"success": plan.success}
+    if studies.robustness is not None:
+        content["robustness"] = _study_robustness(found, plan, studies.robustness, report)
+    return report.finish(0 if plan.success else FAILED, **content)
+
+
+def control_motion(
+    source: Annotated[str, SCENE], report: CommandReport, changes: Sequence[Change]
+) -> int:
+    """Simulate a scene under the controller of [closed_loop].
+
+    The controller pursues the goals of [plan]: model predictive control, sampled motions (MPPI), or
+    feedback along a plan, which is solved first. The simulated scene may have other parameters than
+    the controller's model.
+
+    Parameters
+    ----------
+    source : str
+        Template or scene file (.toml, .json).
+    report : CommandReport
+        Text and files.
+    changes : sequence of Change
+        Changes of the scene file.
+    """
+    found = find_source(source, changes)
+    sections = load_ocp().io.study_sections
+    arguments, studies = _read(found)
+    if studies.closed_loop is None:
+        raise found.document.root.error("it has no [closed_loop]: give one with t_end, s")
+    problem = arguments["problem"]
+    with _named(found, "closed_loop"):
+        loop = studies.closed_loop.run(
+            problem, lambda: _find_plan(found, arguments, studies.refinement)
+        )
+    trajectory, slowest = loop.trajectory, float(loop.seconds.max(initial=0.0))
+    position, velocity = sections.measure_goal_error(problem, trajectory.states[-1])
+    report.say(
+        f"{source}: {problem.model.scene.structure!r}",
+        *sections.describe_studies(studies._replace(refinement=None, robustness=None)),
+        trajectory.summary(),
+        f"decisions     {len(loop.seconds)} of at most {slowest:.3g} s",
+        f"goals         it ends {position:.2g} m and {velocity:.2g} m/s from them",
+    )
+    title = f"{found.stem}: under feedback"
+    report.write(
+        f"{found.stem}-control",
+        {".npz": trajectory.save},
+        {".png": lambda path: load_plots().time_lapse(trajectory, title=title, path=path)},
+    )
+    errors = {"goal_error": position, "goal_speed_error": velocity}
+    content = find_scalars(trajectory) | errors | {"slowest_decision": slowest}
+    success = bool(trajectory.success)
+    return report.finish(0 if success else FAILED, **content | {"success": success})
+
+
+def _read(found: SceneSource) -> tuple[dict[str, Any], Any]:
+    """Read the arguments of `ocp.solve` and the studies before anything is solved."""
+    ocp = load_ocp()
+    arguments = ocp.io.problem_files.read_arguments(found.document)
+    return arguments, ocp.io.study_sections.read_studies(found.document)
+
+
+@contextmanager
+def _named(found: SceneSource, section: str) -> Iterator[None]:
+    """Name the file and the section in errors."""
+    try:
+        yield
+    except SceneFileError:
+        raise
+    except ValueError as error:  # infeasible goals, contradicting limits
+        raise ValueError(f"{found.path.name}, {section}: {error}") from error
+
+
+def _find_plan(found: SceneSource, arguments: dict[str, Any], refinement: Any) -> Any:
+    """Solve [plan], and refine the plan if a file says so."""
+    with _named(found, "plan"):
+        plan = load_ocp().solve(**arguments)
+    if refinement is None:
+        return plan
+    with _named(found, "refinement"):
+        return refinement.run(plan)
+
+
+def _study_robustness(
+    found: SceneSource, plan: Any, study: Any, report: CommandReport
+) -> dict[str, Any]:
+    """Replay the plan under random errors, and report the result.
+
+    Returns its numbers by name.
+    """
+    with _named(found, "robustness"):
+        result = study.run(plan)
+    report.say("\nrobustness", result.summary())
+    title = f"{found.stem}: errors of {len(result.error)} replays"
+    draw = {".png": lambda path: load_plots().robustness(result, title=title, path=path)}
+    report.write(f"{found.stem}-robustness", {}, draw)
+    quantiles = dict(zip(("5 %", "50 %", "95 %"), result.quantiles(), strict=True))
+    return {
+        **{name: getattr(result, name) for name in ("success_rate", "tolerance", "tracked")},
+        **{"error": quantiles, "importance": result.importance},
+    }

@@ -64,8 +64,9 @@ class CommandReport:
         for ending, write in wanted.items():
             write(folder / f"{stem}{ending}")
         names = [str(folder / f"{stem}{ending}") for ending in wanted]
-        self.say(f"\nwrote in {time.perf_counter() - began:.2f} s:", *(f"  {x}" for x in names))
-        self.content["files"] = names
+        if names:
+            self.say(f"\nwrote in {time.perf_counter() - began:.2f} s:", *(f"  {x}" for x in names))
+        self.content["files"] = [*self.content.get("files", []), *names]
 
     def finish(self, code: int, **content: Any) -> int:
         """Print the JSON object with --json.

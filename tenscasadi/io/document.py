@@ -25,6 +25,9 @@ SECTIONS = {
     "start": "Initial positions and velocities.",
     "simulation": "Duration, scheme and steps of a simulation.",
     "plan": "Optimal control problem: goals, bounds, costs, and how to solve it.",
+    "refinement": "Refinement of the plan until its replay is accurate.",
+    "robustness": "Replays of the plan under random errors.",
+    "closed_loop": "Simulation under a controller that solves the problem again and again.",
 }
 LARGEST_FILE = 16_000_000  # bytes of a file with its includes
 

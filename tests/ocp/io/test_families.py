@@ -11,6 +11,7 @@ import pytest
 import ocp
 import tenscasadi as tc
 from ocp.guess.initial_guess import NamedGuess
+from ocp.io.controllers import ControllerOptions
 from ocp.problem.bounds.bound import Bound
 from ocp.problem.costs import Cost
 from ocp.problem.goals.goal import Goal
@@ -50,7 +51,7 @@ SIMULATED = [
 ]
 MEMBERS = {
     f"{family.__name__}.{kind}": own
-    for family in (*PLANNED, *SIMULATED)
+    for family in (*PLANNED, *SIMULATED, ControllerOptions)
     for kind, own in OneOf(family).definitions.items()
 }
 

@@ -366,7 +366,7 @@ def test_invalid_input_gives_one_line(arguments, named, tmp_path, monkeypatch, c
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("command", ["simulate", "tradeoff", "info", "plan"])
+@pytest.mark.parametrize("command", ["simulate", "tradeoff", "info", "plan", "control"])
 def test_output_that_is_a_file_is_rejected_first(command, tmp_path, capsys, monkeypatch):
     for module in ("commands", "plan"):
         monkeypatch.delattr(f"tenscasadi.cli.{module}.find_source")  # nothing is built

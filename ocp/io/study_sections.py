@@ -1,0 +1,178 @@
+"""Tables [refinement], [robustness] and [closed_loop] of scene files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from ocp.control.closed_loop import ClosedLoop, run
+from ocp.io.controllers import ControllerOptions, MpcOptions
+from ocp.problem.problem import Problem
+from ocp.problem.rows import goal_rows
+from ocp.results.result import PlanResult
+from ocp.results.spreads import check_variation
+from tenscasadi.scene.parameters import Parameters
+from tenscasadi.schema.containers import TableOf
+from tenscasadi.schema.definitions import OneOf, definition
+from tenscasadi.schema.field_types import NUMBER, PER_ITEM, SPAN
+from tenscasadi.schema.reading import Document
+from tenscasadi.util.validate import MAX_ENTRIES, flag, positive_number, whole_number
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """Refinement of the plan's mesh, see `ocp.Plan.refine`.
+
+    Parameters
+    ----------
+    tolerance : float
+        Permitted distance of the replay from the goals [m], also for velocities × duration.
+    attempts : int
+        Maximum number of attempts.
+    """
+
+    tolerance: float
+    attempts: int = 5
+
+    def __post_init__(self) -> None:
+        positive_number("tolerance", self.tolerance)
+        whole_number("attempts", self.attempts, 1)
+
+    def run(self, plan: Any) -> Any:
+        """Refine a plan."""
+        return plan.refine(self.tolerance, self.attempts)
+
+
+@dataclass(frozen=True)
+class RobustnessStudy:
+    """Replays under random errors, see `ocp.Plan.robustness`.
+
+    Parameters
+    ----------
+    parameters : table
+        Relative spreads of quantities by name, such as bar_mass = 0.05.
+    start : float or (float, float)
+        Spread of the nodes' coordinates [m], and of their velocities [m/s].
+    samples : int
+        Number of replays.
+    seed : int
+        Seed of the random numbers.
+    tracked : bool
+        Whether to replay under the feedback of a time-varying LQR.
+    tolerance : float
+        Permitted distance of a replay from the goals [m]. Default: 1 % of the structure's size.
+    """
+
+    parameters: Annotated[Mapping[str, float] | None, TableOf(NUMBER)] = None
+    start: Annotated[Any, SPAN] = 0.0
+    samples: int = 1000
+    seed: int = 0
+    tracked: bool = False
+    tolerance: float | None = None
+
+    def __post_init__(self) -> None:
+        spreads, _ = check_variation(self.parameters, self.start)
+        if spreads:
+            Parameters(scale=tuple(spreads))  # rejects unknown quantities
+        whole_number("samples", self.samples, 1, MAX_ENTRIES)
+        whole_number("seed", self.seed, 0)
+        flag("tracked", self.tracked)
+        if self.tolerance is not None:
+            positive_number("tolerance", self.tolerance)
+
+    def run(self, plan: Any) -> Any:
+        """Replay a plan many times."""
+        return plan.robustness(**vars(self))
+
+
+@dataclass(frozen=True)
+class ClosedLoopRun:
+    """Simulation under a controller, see `ocp.run`.
+
+    Parameters
+    ----------
+    t_end : float
+        End of the run [s].
+    controller : table
+        Controller. Default: Mpc.
+    steps : int
+        Number of steps of RungeKutta4 in each period.
+    parameters : table
+        Values of the simulated scene's parameters. Default: those of [plan], which the controller
+        uses.
+    """
+
+    t_end: float
+    controller: Annotated[Any, OneOf(ControllerOptions)] = field(default_factory=MpcOptions)
+    steps: int = 10
+    parameters: Annotated[Mapping[str, Any] | None, TableOf(PER_ITEM)] = None
+
+    def __post_init__(self) -> None:
+        positive_number("t_end", self.t_end)
+        whole_number("steps", self.steps, 1, 1000)
+
+    def run(self, problem: Problem, find_plan: Callable[[], PlanResult]) -> ClosedLoop:
+        """Simulate the scene of a problem under the controller.
+
+        `find_plan` is called if the controller follows a plan. Raises TypeError, ValueError.
+        """
+        plant = None if self.parameters is None else problem.given["model"]
+        plan = find_plan() if self.controller.needs_plan else None
+        controller = self.controller.build(problem, plan)
+        start = problem.initial_state if plan is None else plan.trajectory.states[0]
+        return run(
+            controller, self.t_end, plant, start, steps=self.steps, parameters=self.parameters
+        )
+
+
+class Studies(NamedTuple):
+    """Computations with the plan of a scene file; None for those without a table."""
+
+    refinement: Refinement | None
+    robustness: RobustnessStudy | None
+    closed_loop: ClosedLoopRun | None
+
+
+SECTIONS = {
+    "refinement": definition(Refinement, "refinement"),
+    "robustness": definition(RobustnessStudy, "robustness"),
+    "closed_loop": definition(ClosedLoopRun, "closed_loop"),
+}
+
+
+def read_studies(document: Document) -> Studies:
+    """Read the studies of a scene file. Raises SceneFileError."""
+    items = {name: document.section(name) for name in SECTIONS}
+    return Studies(
+        **{
+            name: None if item is None else SECTIONS[name].read(item)
+            for name, item in items.items()
+        }
+    )
+
+
+def describe_studies(studies: Studies) -> list[str]:
+    """Describe each study in a line, by the fields that differ from their defaults."""
+    given = {name: own for name, own in studies._asdict().items() if own is not None}
+    fields = {name: SECTIONS[name].write(vars(own)) for name, own in given.items()}
+    texts = {
+        name: [f"{key} = {own}" for key, own in table.items()] for name, table in fields.items()
+    }
+    return [f"{name:13} {', '.join(parts)}" for name, parts in texts.items()]
+
+
+def measure_goal_error(problem: Problem, state: Any) -> tuple[float, float]:
+    """Measure how far a state is from the terminal goals.
+
+    Returns the largest residuals of positions [m] and of velocities [m/s], 0 without goals.
+    """
+    x = ca.SX.sym("x", problem.model.nx)
+    rows = goal_rows(problem.terminal_goals, problem.model, x)
+    residuals = np.abs(ca.Function("rows", [x], [rows.value])(state).full().ravel())
+    units = np.array(rows.units)
+    position, velocity = (residuals[units == unit].max(initial=0.0) for unit in ("m", "m/s"))
+    return float(position), float(velocity)
