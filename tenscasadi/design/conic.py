@@ -89,7 +89,7 @@ def solve_conic(
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.max_threads = 1
-    settings.direct_solve_method = _FACTORIZATION
+    settings.direct_solve_method = _FACTORIZATION if count else "auto"  # it cannot be empty
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
     solution = clarabel.DefaultSolver(
         sp.csc_matrix(P), cost, sp.csc_matrix(A), b, kept, settings
