@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
 from tenscasadi.scene.parameter_layout import Affine
-from tenscasadi.scene.quantities import MASSES
+from tenscasadi.scene.quantities import BODIES, MASSES, build_inertia, read_values
+from tenscasadi.structure.body_assembly import BodyAssembly
 from tenscasadi.structure.class_one import Layout
 from tenscasadi.structure.subdivision import cut_strings
 from tenscasadi.util.casadi_tools import matrix_with_pattern, sparse
@@ -169,7 +170,7 @@ def read_masses(
     bodies = structure._assembly
     own_masses = [
         *(_affine(scene, "bar_mass"), _node_masses(scene), _compute_coupled_masses(scene)),
-        *([] if bodies is None else [_constant_masses(scene, bodies.mass.tocoo().data)]),
+        *([] if bodies is None else [(body_masses := _body_masses(scene, bodies)).values]),
     ]
     given = Affine(
         np.concatenate([part.constant for part in own_masses]),
@@ -191,10 +192,9 @@ def read_masses(
     bars = [0.25 + own, 0.25 + own, 0.25 - own, 0.25 - own]  # Eq. 59
     value = np.concatenate([*bars, share[point], -sixth, -sixth, sixth, sixth])
     if bodies is not None:
-        own_mass = bodies.mass.tocoo()
-        row, column = np.append(row, own_mass.row), np.append(column, own_mass.col)
-        last = len(given.constant) - own_mass.nnz + np.arange(own_mass.nnz)
-        source, value = np.append(source, last), np.append(value, np.ones(own_mass.nnz))
+        row, column = np.append(row, body_masses.row), np.append(column, body_masses.column)
+        last = np.arange(len(given.constant))[-len(body_masses.row) :]
+        source, value = np.append(source, last), np.append(value, np.ones(len(last)))
     kept = value != 0
     code, entry = np.unique((column * n + row)[kept], return_inverse=True)
     onto_entries = sp.csr_array(
@@ -214,8 +214,47 @@ def read_masses(
     return Masses(given.then(onto_entries), pattern, free, held, bodies.spread)
 
 
-def _constant_masses(scene: Any, values: Array) -> Affine:
-    return Affine(values, sp.csr_array((len(values), len(scene.layout))))
+class _BodyEntries(NamedTuple):
+    """Entries of the mass matrix of bodies."""
+
+    row: Indices
+    column: Indices
+    values: Affine
+
+
+def _body_masses(scene: Any, bodies: BodyAssembly) -> _BodyEntries:
+    """Compute the entries of the mass matrix of bodies.
+
+    They are linear in the masses and moments of inertia, m w wᵀ + W (½ tr(I) E − I) Wᵀ.
+    """
+    own = scene.layout.quantities.keys() & set(BODIES)
+    if not own:
+        constant = bodies.mass.tocoo()
+        matrix = sp.csr_array((constant.nnz, len(scene.layout)))
+        return _BodyEntries(constant.row, constant.col, Affine(constant.data, matrix))
+    axes = build_inertia(np.eye(6))
+    second = np.trace(axes, axis1=1, axis2=2)[:, None, None] / 2 * np.eye(3) - axes  # of each entry
+    nominal = read_values(scene.structure, "body_inertia").reshape(-1, 6)
+    by_mass, by_inertia, ends = [], [], []
+    for body, (nodes, center, W), inertia in zip(
+        scene.structure.bodies, bodies.maps, nominal, strict=True
+    ):
+        entries = np.array([(W @ S @ W.T).ravel() for S in second]).T
+        mass = np.outer(center, center).ravel()
+        if body.inertia is None and "body_inertia" not in own:  # that of masses on its nodes
+            mass, entries = mass + entries @ inertia / body.mass, 0.0 * entries
+        by_mass.append(mass[:, None])
+        by_inertia.append(entries)
+        ends.append(np.array([np.repeat(nodes, len(nodes)), np.tile(nodes, len(nodes))]))
+    parts = (
+        _affine(scene, "body_mass").then(sp.block_diag(by_mass)),
+        _affine(scene, "body_inertia").then(sp.block_diag(by_inertia)),
+    )
+    row, column = np.concatenate(ends, axis=1)
+    total = Affine(
+        parts[0].constant + parts[1].constant, sp.csr_array(parts[0].matrix + parts[1].matrix)
+    )
+    return _BodyEntries(row, column, total)
 
 
 def node_weights(scene: Any) -> Affine:
@@ -227,10 +266,20 @@ def node_weights(scene: Any) -> Affine:
     ends = bars.ravel(), np.repeat(np.arange(len(bars)), 2)
     halves = sp.csr_array((np.full(bars.size, 0.5), ends), shape=(count, len(bars)))
     own, nodes = _affine(scene, "bar_mass").then(halves), _node_masses(scene)
-    constant = own.constant + nodes.constant
+    parts = [own, nodes]
     if scene.modelled.bodies:
-        constant = constant + np.asarray(scene.modelled._assembly.mass.sum(axis=1)).ravel()[:count]
-    return Affine(constant, sp.csr_array(own.matrix + nodes.matrix))
+        bodies = _body_masses(scene, scene.modelled._assembly)
+        real = np.flatnonzero(bodies.row < count)  # without auxiliary nodes
+        shape = count, len(bodies.row)
+        parts.append(
+            bodies.values.then(
+                sp.csr_array((np.ones(len(real)), (bodies.row[real], real)), shape=shape)
+            )
+        )
+    return Affine(
+        np.sum([part.constant for part in parts], axis=0),
+        sp.csr_array(sum((part.matrix for part in parts[1:]), start=parts[0].matrix)),
+    )
 
 
 def _node_masses(scene: Any) -> Affine:
@@ -255,6 +304,6 @@ def _compute_coupled_masses(scene: Any) -> Affine:
 
 
 def _affine(scene: Any, name: str) -> Affine:
-    values = getattr(scene.structure, name)
+    values = read_values(scene.structure, name)
     constant = Affine(np.asarray(values), sp.csr_array((len(values), len(scene.layout))))
     return scene.layout.quantities.get(name, constant)  # type: ignore[no-any-return]

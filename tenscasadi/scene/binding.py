@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
-from tenscasadi.scene.quantities import ELASTIC_BARS, QUANTITIES
+from tenscasadi.scene.quantities import BODIES, ELASTIC_BARS, QUANTITIES, build_inertia
 from tenscasadi.scene.strings import ForceDensity, RestLength, Tension
 from tenscasadi.structure.cables import add_compliances
 from tenscasadi.util.casadi_tools import is_expression
@@ -114,6 +114,9 @@ def fix(scene: Any, p: Array) -> Any:
     own = {name: value for name, value in items.items() if QUANTITIES[name].part == "structure"}
     for name in own.keys() & set(ELASTIC_BARS):  # rigid bars have none
         own[name] = np.where(scene.structure.elastic, own[name], getattr(scene.structure, name))
+    if bodies := own.keys() & set(BODIES):
+        mass, inertia = (own.pop(name) if name in bodies else None for name in BODIES)
+        own["bodies"] = _fix_bodies(scene.structure.bodies, mass, inertia)
     changes: dict[str, Any] = {"parameters": None, "structure": scene.structure.replace(**own)}
     on_grounds = {
         name.removeprefix("ground_"): values
@@ -134,6 +137,17 @@ def fix(scene: Any, p: Array) -> Any:
             value = value.reshape(np.shape(load.quantity))
         changes[name] = replace(load, **{load.quantity_name: value})
     return replace(scene, **changes)
+
+
+def _fix_bodies(bodies: Any, mass: Array | None, moments: Array | None) -> list[Any]:
+    """Replace masses (k,) and moments of inertia (6k,) of bodies."""
+    found = list(bodies)
+    if mass is not None:
+        found = [replace(body, mass=float(m)) for body, m in zip(found, mass, strict=True)]
+    if moments is not None:
+        own = build_inertia(moments.reshape(-1, 6))
+        found = [replace(body, inertia=each) for body, each in zip(found, own, strict=True)]
+    return found
 
 
 def _own_entries(ground: Any, k: int, values: dict[str, Any]) -> dict[str, Any]:

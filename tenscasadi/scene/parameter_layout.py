@@ -10,11 +10,27 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
-from tenscasadi.scene.quantities import ELASTIC_BARS, GROUPED, QUANTITIES
-from tenscasadi.structure.mass_checks import check_mass_ratio
+from tenscasadi.scene.quantities import (
+    BODIES,
+    ELASTIC_BARS,
+    GROUPED,
+    MOMENTS,
+    QUANTITIES,
+    build_inertia,
+    read_values,
+)
+from tenscasadi.structure.mass_checks import check_inertia, check_mass_ratio, find_second_moments
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.read_only import ReadOnlyArrays
-from tenscasadi.util.validate import SMALLEST, Array, Indices, finite_array, format_value, nesting
+from tenscasadi.util.validate import (
+    NEGLIGIBLE,
+    SMALLEST,
+    Array,
+    Indices,
+    finite_array,
+    format_value,
+    nesting,
+)
 
 if TYPE_CHECKING:
     from tenscasadi.scene.parameters import Parameters
@@ -192,6 +208,10 @@ class ParameterLayout(ReadOnlyArrays):
                     f"{where}: {name}{which} is {values[row, item]:g}{unit}: it must be {relation} 0"
                 )
         s = self.structure
+        if s is not None and "body_inertia" in self.quantities:
+            moments = self.quantities["body_inertia"].numbers(p).reshape(-1, len(s.bodies), 6)
+            nominal = read_values(s, "body_inertia").reshape(-1, 6)
+            check_inertia(where, build_inertia(moments), build_inertia(nominal))
         if s is not None and {"bar_mass", "node_mass"} & self.quantities.keys():
             masses = [
                 self.item_values(name, p, getattr(s, name)) for name in ("bar_mass", "node_mass")
@@ -263,6 +283,8 @@ def _build_block(scene: Any, parameters: Parameters, name: str) -> _ParameterBlo
             raise ValueError(
                 f"Parameters has {name!r}, but bar {bar} is rigid: give groups of elastic bars"
             )
+        if name == "body_inertia" and not scaled:
+            _reject_flat(scene.structure)
         if scaled and not own.any():
             raise ValueError(
                 f"Parameters.scale has {name!r}, whose value{key} is 0: name it without scale="
@@ -298,23 +320,22 @@ def _find_members(
         return [np.array([k]) for k in range(count)], [f"[{label}]" for label in labels]
     for g, group in enumerate(groups):
         if max(group) >= count:
-            item = QUANTITIES[name].item
             raise ValueError(
                 f"Parameters.groups[{name!r}][{g}] has index {max(group)}: "
-                f"{item}s run from 0 to {count - 1}"
+                f"{_plural(name)} run from 0 to {count - 1}"
             )
     return [np.array(group) for group in groups], [f"[{g}]" for g in range(len(groups))]
 
 
 def _read_items(scene: Any, parameters: Parameters, name: str) -> tuple[Array, list[Any]]:
     """Read values and item labels of a quantity."""
-    part, item = QUANTITIES[name].part, QUANTITIES[name].item
+    part = QUANTITIES[name].part
     source = getattr(scene, part)
     missing = "" if source is not None else f"Scene.{part} is None: give one"
     values: Any = []
     if part == "structure":
-        values = getattr(source, name)
-        missing = "" if len(values) else f"the structure has no {item}s"
+        values = read_values(source, name)
+        missing = "" if len(values) else f"the structure has no {_plural(name)}"
     elif part == "ground":
         values = [getattr(ground, name.removeprefix("ground_")) for ground in scene.grounds]
         missing = missing or (
@@ -323,6 +344,8 @@ def _read_items(scene: Any, parameters: Parameters, name: str) -> tuple[Array, l
     if missing:
         cure = ", or remove the name" if ": " in missing else ": remove the name"
         raise ValueError(f"Parameters has {name!r}, but {missing}{cure}")
+    if name == "body_inertia":
+        return values, [f"{body}, {axes}" for body in range(len(values) // 6) for axes in MOMENTS]
     if part in ("structure", "ground"):
         single = part == "ground" and len(values) == 1
         return np.array(values), [""] if single else list(range(len(values)))
@@ -337,6 +360,22 @@ def _read_items(scene: Any, parameters: Parameters, name: str) -> tuple[Array, l
     nodes = [f"{node}, " for node in range(len(values))] if values.ndim == 2 else [""]
     axes = "xyz" if values.ndim else [""]
     return values.ravel(), [node + axis for node in nodes for axis in axes]
+
+
+def _plural(name: str) -> str:
+    item = QUANTITIES[name].item
+    return "bodies" if name in BODIES else f"{item}s"
+
+
+def _reject_flat(structure: Any) -> None:
+    """Reject single moments of bodies without thickness, whose moments are not independent."""
+    inertia = build_inertia(read_values(structure, "body_inertia").reshape(-1, 6))
+    for k, moments in enumerate(find_second_moments(inertia)):
+        if moments[0] < NEGLIGIBLE * moments.sum():
+            raise ValueError(
+                f"Parameters has 'body_inertia', but bodies[{k}] has no thickness: "
+                "name it under scale=, or give an inertia with thickness"
+            )
 
 
 def _find_strict(scene: Any, name: str, count: int) -> Any:

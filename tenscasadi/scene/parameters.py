@@ -18,7 +18,11 @@ _GROUPS = TableOf(
         name: Either(
             (str,),
             Word(("all",)),
-            ListOf(ListOf(WHOLE) if own.item == "ground" else Members(cast("ItemKind", own.item))),
+            ListOf(
+                ListOf(WHOLE)
+                if own.item in ("body", "ground")
+                else Members(cast("ItemKind", own.item))
+            ),
         )
         for name, own in QUANTITIES.items()
         if own.item in GROUPED
@@ -41,13 +45,14 @@ class Parameters(Value, kind="Parameters"):
     *names : str
         Quantities in SI units, with an entry of p for each item. Strings have ``"stiffness"``,
         ``"damping"``, ``"rest_length"`` and ``"string_mass"``. Bars have ``"bar_mass"``,
-        ``"bar_stiffness"`` and ``"bar_rest_length"``. Nodes have ``"node_mass"``. Grounds have
+        ``"bar_stiffness"`` and ``"bar_rest_length"``. Nodes have ``"node_mass"``. Bodies have
+        ``"body_mass"`` and ``"body_inertia"`` (xx, yy, zz, xy, xz, yz of each body). Grounds have
         ``"ground_stiffness"``, ``"ground_damping"`` and ``"ground_friction"``. Constant loads are
         ``"gravity"`` (x, y, z), ``"pressure"`` and ``"forces"`` (x, y, z of each node).
     scale : iterable of str
         Quantities with a dimensionless factor in p, which is 1 for the values of the scene.
     groups : mapping of str to sequence of sequence of int, or to "all", optional
-        Groups of strings, bars, nodes or grounds that share an entry, by quantity. Items in no
+        Groups of strings, bars, nodes, bodies or grounds that share an entry, by quantity. Items in no
         group are constant. "all": all items share one entry, which is the default of a scale.
 
     Attributes
@@ -130,7 +135,7 @@ class Parameters(Value, kind="Parameters"):
             if QUANTITIES[name].item not in GROUPED:
                 raise ValueError(
                     f"Parameters.groups has {format_value(name)}, which cannot have groups: "
-                    "give groups of strings, bars, nodes or grounds"
+                    "give groups of strings, bars, nodes, bodies or grounds"
                 )
         read = tuple((name, _read_groups(name, value)) for name, value in (groups or {}).items())
         for attribute, value in {"names": tuple(names), "scale": scaled, "groups": read}.items():

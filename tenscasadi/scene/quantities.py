@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from tenscasadi.util.validate import Array
 
 
 class ParameterQuantity(NamedTuple):
@@ -23,6 +27,8 @@ QUANTITIES = {
     "bar_stiffness": ParameterQuantity("N/m", "bar", "positive"),
     "bar_rest_length": ParameterQuantity("m", "bar", "positive"),
     "node_mass": ParameterQuantity("kg", "node", "zero"),
+    "body_mass": ParameterQuantity("kg", "body", "positive"),
+    "body_inertia": ParameterQuantity("kg·m²", "moment", "any"),
     "gravity": ParameterQuantity("m/s²", "axis", "any", "gravity"),
     "ground_stiffness": ParameterQuantity("N/m", "ground", "positive", "ground"),
     "ground_damping": ParameterQuantity("N·s/m", "ground", "zero", "ground"),
@@ -30,6 +36,33 @@ QUANTITIES = {
     "pressure": ParameterQuantity("Pa", "pressure", "any", "pressure"),
     "forces": ParameterQuantity("N", "force", "any", "forces"),
 }
-GROUPED = "string", "bar", "node", "ground"
-MASSES = "bar_mass", "node_mass", "string_mass"
+GROUPED = "string", "bar", "node", "body", "ground"
+BODIES = "body_mass", "body_inertia"
+MASSES = "bar_mass", "node_mass", "string_mass", *BODIES
 ELASTIC_BARS = "bar_stiffness", "bar_rest_length"  # rigid bars have none
+MOMENTS = "xx", "yy", "zz", "xy", "xz", "yz"  # entries of body_inertia, six for each body
+_ROWS, _COLUMNS = (
+    np.array(["xyz".index(axis) for name in MOMENTS for axis in name]).reshape(-1, 2).T
+)
+
+
+def read_values(structure: Any, name: str) -> Array:
+    """Read the values of a quantity of a structure."""
+    if name == "body_mass":
+        return np.array([body.mass for body in structure.bodies])
+    if name == "body_inertia":
+        moments = [
+            body.mass_properties(structure.nodes[list(body.nodes)]).moments
+            for body in structure.bodies
+        ]
+        inertia = [np.trace(S) * np.eye(3) - S for S in moments]
+        return np.array([each[_ROWS, _COLUMNS] for each in inertia]).reshape(-1)
+    return np.asarray(getattr(structure, name))
+
+
+def build_inertia(moments: Array) -> Array:
+    """Build inertia matrices (…, 3, 3) from their six entries (…, 6)."""
+    inertia = np.zeros((*moments.shape[:-1], 3, 3))
+    inertia[..., _ROWS, _COLUMNS] = moments
+    inertia[..., _COLUMNS, _ROWS] = moments
+    return inertia

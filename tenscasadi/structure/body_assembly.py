@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.sparse import block_diag, csr_array
@@ -27,6 +27,26 @@ from tenscasadi.util.validate import (
 
 _MIN_HEIGHT = 1e-3  # relative height of a basic node; below, M⁻ loses more than six digits
 _PREFERENCE = 0.3  # of the largest height, from which on shared and pinned nodes are preferred
+
+
+class MassMap(NamedTuple):
+    """Map from mass m and second moments S of a body to its mass matrix.
+
+    The matrix is m w wᵀ + W S Wᵀ on the basic nodes.
+
+    Attributes
+    ----------
+    nodes : list of int
+        Basic nodes (b,).
+    center : ndarray (b,)
+        Weights w of the center of mass on them.
+    directions : ndarray (b, 3)
+        Matrix W [1/m].
+    """
+
+    nodes: list[int]
+    center: Array
+    directions: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +74,8 @@ class BodyAssembly:
         Dependent nodes.
     hosts : tuple of ndarray of int
         Nodes of the body of each auxiliary node.
+    maps : tuple of MassMap
+        Dependence of the mass matrix on mass and inertia of each body.
     """
 
     nodes: Array
@@ -64,6 +86,7 @@ class BodyAssembly:
     spread: csr_array
     dependent: Indices
     hosts: tuple[Indices, ...]
+    maps: tuple[MassMap, ...]
 
     def add_mass(self, M: Any) -> csr_array:
         """Add the mass matrix of the bodies to M (n, n)."""
@@ -107,6 +130,8 @@ class _BasicNodes:
     basic: list[int]
     auxiliary: Array  # (0 or 1, 3)
     mass: Array  # (b, b) of the basic nodes, then the auxiliary one
+    center: Array  # (b,), see `MassMap`
+    directions: Array  # (b, 3)
     others: list[int]
     weights: Array  # (others, b)
 
@@ -120,6 +145,7 @@ class _Found:
     relations: list[tuple[int, dict[int, float]]]
     mass: csr_array
     hosts: list[Indices]
+    maps: list[MassMap]
 
 
 def connected_pairs(structure: Any) -> Indices:
@@ -155,10 +181,11 @@ def assemble_bodies(structure: Any) -> BodyAssembly | None:
     auxiliary = np.concatenate([frame.auxiliary for frame in frames])
     size, fixed = count + len(auxiliary), s.fixed.all(axis=1)
     numbers = iter(range(count, size))
-    found = _Found([], [], [], csr_array((size, size)), [])
+    found = _Found([], [], [], csr_array((size, size)), [], [])
     for k, (frame, body) in enumerate(zip(frames, s.bodies, strict=True)):
         basic = [*frame.basic, *(next(numbers) for _ in frame.auxiliary)]
         found.hosts.extend(np.array(body.nodes, dtype=np.intp) for _ in frame.auxiliary)
+        found.maps.append(MassMap(basic, frame.center, frame.directions))
         ends = np.repeat(basic, len(basic)), np.tile(basic, len(basic))
         found.mass = found.mass + csr_array((frame.mass.ravel(), ends), shape=(size, size))
         for pair in combinations(basic, 2):
@@ -181,6 +208,7 @@ def assemble_bodies(structure: Any) -> BodyAssembly | None:
         _build_spread(rows, size),
         np.array(sorted(rows), dtype=np.intp),
         tuple(found.hosts),
+        tuple(found.maps),
     )
 
 
@@ -224,7 +252,16 @@ def _build_frame(k: int, body: Any, nodes: Array, preferred: Any) -> _BasicNodes
     weights = (inverse @ np.vstack([((X[others] - origin) @ Q).T, np.ones(len(others))])).T
     weights[np.abs(weights) < 1e-14 * np.abs(weights).max(initial=0.0)] = 0.0
     M = inverse @ J @ inverse.T
-    return _BasicNodes(own[basic].tolist(), auxiliary, (M + M.T) / 2, own[others].tolist(), weights)
+    center = inverse @ np.append(Q.T @ (properties.center - origin), 1.0)
+    return _BasicNodes(
+        own[basic].tolist(),
+        auxiliary,
+        (M + M.T) / 2,
+        center,
+        inverse[:, :-1] @ Q.T,
+        own[others].tolist(),
+        weights,
+    )
 
 
 def _choose_basic(k: int, X: Array, preferred: Any) -> tuple[list[int], Array, float]:

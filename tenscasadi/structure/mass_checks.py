@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from tenscasadi.util.validate import SMALLEST, Array, Indices
+from tenscasadi.util.validate import NEGLIGIBLE, SMALLEST, Array, Indices
 
 MAX_MASS_RATIO = 1e12  # between bars; above, rounding errors exceed the forces on the lighter bar
 
@@ -62,3 +62,38 @@ def check_mass_ratio(field: str, structure: Any, bar_mass: Array, node_mass: Arr
             f"{field}: bar {heavy} is {ratios[row]:.1g} times as heavy as bar {light}, with the "
             f"nodes at their ends: pin the heavy bar, or give a ratio below {MAX_MASS_RATIO:g}"
         )
+
+
+def check_inertia(field: str, inertia: Array, nominal: Array) -> None:
+    """Check that mass distributions have these inertias.
+
+    Raises ValueError for the first that is impossible.
+
+    Parameters
+    ----------
+    field : str
+        Name of the input in the message.
+    inertia : ndarray, shape (k, bodies, 3, 3)
+        Inertia matrices [kg m²].
+    nominal : ndarray, shape (bodies, 3, 3)
+        Inertia matrices of the structure. Bodies keep their thickness.
+    """
+    own, known = find_second_moments(inertia), find_second_moments(nominal)
+    thick = known > NEGLIGIBLE * known.sum(axis=-1, keepdims=True)
+    size = np.abs(own).sum(axis=-1, keepdims=True)
+    wrong = np.where(thick, own <= NEGLIGIBLE * size, np.abs(own) > NEGLIGIBLE * size)
+    for row, body in np.argwhere(wrong.any(axis=-1))[:1]:
+        moments = np.linalg.eigvalsh(inertia[row, body]).tolist()
+        raise ValueError(
+            f"{field}: body_inertia of body {body} has the principal moments {moments} kg m²: "
+            "each must be greater than 0 and less than the sum of the others"
+        )
+
+
+def find_second_moments(inertia: Array) -> Array:
+    """Compute the principal second moments (…, 3) of inertia matrices.
+
+    They are ∫ x² dm, ascending [kg m²].
+    """
+    principal = np.linalg.eigvalsh(inertia)
+    return np.asarray(principal.sum(axis=-1, keepdims=True) / 2 - principal)[..., ::-1]

@@ -26,7 +26,7 @@ from tenscasadi.scene.quantities import QUANTITIES
         (
             ("gravity",),
             {"groups": {"gravity": "all"}},
-            "give groups of strings, bars, nodes or grounds",
+            "give groups of strings, bars, nodes, bodies or grounds",
         ),
         (("stiffness",), {"groups": {"stiffness": "some"}}, "is 'some': give \"all\""),
         (("stiffness",), {"groups": {"stiffness": []}}, "give one or more groups"),

@@ -477,7 +477,10 @@ def test_what_is_wrong_is_told_with_file_line_and_cure(old, new, told, tmp_path,
             joined(bonds=EDGES.replace("[c1, c0/a0]", "[a1, a0/b0]")),
             "pairs places on one line: their first three must span a plane",
         ),
-        (joined(), "line 11, rod tall: is a rod or box that is given twice"),  # both parts at one place
+        (
+            joined(),
+            "line 11, rod tall: is a rod or box that is given twice",
+        ),  # both parts at one place
     ],
 )
 def test_wrong_substructures_and_bonds_are_told(text, told, tmp_path):
