@@ -193,8 +193,10 @@ CLAIMS = (
 
 
 IN_A_BROWSER = "benchmark_viewer"
-SLOW = (  # five seconds and more
+SLOW = (  # two seconds and more
+    "ball_on_terrain",
     "ball_rolls",
+    "ball_travels",
     "contact_problems",
     "extremes",
     "ocp_suite",
@@ -208,6 +210,7 @@ SLOW = (  # five seconds and more
     "prism_gait",
     "stiff_strings",
     "sweep_stiffness",
+    "tradeoff_prism",
 )
 NAMES = sorted(path.stem for path in EXAMPLES.glob("*.py"))
 

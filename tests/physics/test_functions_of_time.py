@@ -220,7 +220,7 @@ PLACES = st.one_of(
 )
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck))
 @given(place=PLACES)
 def test_supports_jump_with_an_error_or_not_at_all(place: Callable[[Any], Any]) -> None:
     """Refused by name; or the bar keeps its length and turns as two schemes agree that it does."""

@@ -40,6 +40,7 @@ def test_the_prism_starts_as_the_paper_says(example: ModuleType) -> None:
     np.testing.assert_allclose(masses, [0] * 6 + [0.01] * 36)  # the paper's point masses of 0.01 kg
 
 
+@pytest.mark.slow
 @of("paper_prism")
 def test_mass_on_the_ends_too_makes_segments_converge_faster(example: ModuleType) -> None:
     errors = {}

@@ -81,7 +81,7 @@ def assert_same(one, other, rtol):
 def test_runs_are_those_of_a_model_built_with_the_values(scheme, correction, rtol, coordinates):
     given, p, built = pair(prism(), ALL, coordinates)
     options = {
-        "t_end": 0.1,
+        "t_end": 0.04,
         "step": 1e-3,
         "scheme": scheme,
         "correction": correction,

@@ -39,23 +39,25 @@ def turned(
     return tc.Model(tc.Scene(structure, gravity=tc.Gravity(gravity), control=control), coordinates)
 
 
+SCHEMES = [
+    (tc.RungeKutta4(), None, 1e-11),
+    (tc.RungeKutta4(), tc.Projection(), 1e-11),
+    (tc.RungeKutta4(), tc.BarLengthCorrection(), 1e-11),
+    (tc.Rattle(), None, 1e-9),
+    (tc.Collocation(2), None, 1e-8),
+    (tc.DormandPrince54(rtol=1e-9), None, 1e-8),
+    (tc.Cvodes(rtol=1e-9, atol=1e-9), None, 1e-6),
+    (tc.Idas(rtol=1e-9, atol=1e-9), None, 1e-6),
+]
+
+
 @pytest.mark.parametrize(
-    ("scheme", "correction", "bound"),
-    [
-        (tc.RungeKutta4(), None, 1e-11),
-        (tc.RungeKutta4(), tc.Projection(), 1e-11),
-        (tc.RungeKutta4(), tc.BarLengthCorrection(), 1e-11),
-        (tc.Rattle(), None, 1e-9),
-        (tc.Collocation(2), None, 1e-8),
-        (tc.DormandPrince54(rtol=1e-9), None, 1e-8),
-        (tc.Cvodes(rtol=1e-9, atol=1e-9), None, 1e-6),
-        (tc.Idas(rtol=1e-9, atol=1e-9), None, 1e-6),
-    ],
+    ("pinned", "scheme", "correction", "bound"),
+    [({0: "z", 2: "xy"}, *scheme) for scheme in SCHEMES] + [({3: "xz"}, *SCHEMES[0])],
 )
-@pytest.mark.parametrize("pinned", [{0: "z", 2: "xy"}, {3: "xz"}])
 @pytest.mark.parametrize("coordinates", ["reduced", "full"])
 def test_what_is_turned_moves_turned(
-    scheme: Any, correction: Any, bound: float, pinned: dict[int, str], coordinates: Any
+    pinned: dict[int, str], scheme: Any, correction: Any, bound: float, coordinates: Any
 ) -> None:
     if coordinates == "reduced" and isinstance(correction, tc.BarLengthCorrection):
         with pytest.raises(ValueError, match="BarLengthCorrection moves bars one by one"):
@@ -64,7 +66,7 @@ def test_what_is_turned_moves_turned(
     plain, other = (
         tc.simulate(
             turned(pinned, turn, coordinates),
-            0.5,
+            0.3,
             2e-3,
             scheme,
             correction=correction,

@@ -202,7 +202,13 @@ BOUNDED = {
 }
 
 
-@pytest.mark.parametrize("case", BOUNDED)
+@pytest.mark.parametrize(
+    "case",
+    [
+        pytest.param(case, marks=[pytest.mark.slow] * (case == "limits that are equal, and others"))
+        for case in BOUNDED
+    ],
+)
 def test_limits_along_the_way_are_kept_at_what_ipopt_pays(case):
     problem = BOUNDED[case]
     plan = ocp.solve(problem, ocp.Variational(24), ocp.CondensedNewton())

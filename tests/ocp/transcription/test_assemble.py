@@ -104,7 +104,11 @@ def test_costs_of_rates_are_no_smaller_beside_the_tolerance_on_finer_grids():
 @pytest.mark.parametrize("control", [ocp.PiecewiseConstant(), LINEAR], ids=["constant", "linear"])
 @pytest.mark.parametrize(
     "make",
-    [ocp.ImplicitMidpoint, ocp.Variational, ocp.MultipleShooting],
+    [
+        ocp.ImplicitMidpoint,
+        ocp.Variational,
+        pytest.param(ocp.MultipleShooting, marks=pytest.mark.slow),
+    ],
     ids=lambda kind: kind.__name__,
 )
 def test_work_is_not_hidden_by_force_densities_that_jump(make, control):
@@ -132,7 +136,11 @@ def test_work_is_what_the_replay_works():
     assert work + effort == pytest.approx(plan.objective, rel=1e-3)
 
 
-@pytest.mark.parametrize("intervals", [24, (1,) * 12 + (2,) * 8], ids=["equal", "unequal"])
+@pytest.mark.parametrize(
+    "intervals",
+    [pytest.param(24, marks=pytest.mark.slow), (1,) * 12 + (2,) * 8],
+    ids=["equal", "unequal"],
+)
 def test_limits_of_velocities_hold_in_the_replay(intervals):
     quick = ocp.Constraint("speed", lambda now: ca.sumsqr(now.velocities[:, 3]), upper=0.006)
     problem = raising(bounds=[ocp.ForceDensityLimits(5.0, 100.0), quick])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import casadi as ca
 import numpy as np
@@ -68,6 +69,13 @@ def test_joined_and_pinned_bars(transcription):
     assert np.abs(found.trajectory.nodes[:, 0] - found.trajectory.nodes[0, 0]).max() == 0.0
 
 
+@cache
+def shaken_by_shooting(free, control):
+    slow = ocp.Constraint("speed", lambda now: ca.sumsqr(now.velocities[:, 5]), upper=0.01)
+    problem = shaken((0.4, 2.0), slow) if free else shaken()
+    return ocp.solve(problem, ocp.MultipleShooting(24, control=control))
+
+
 @pytest.mark.parametrize("free", [False, True], ids=["fixed duration", "free duration, slow"])
 @pytest.mark.parametrize(
     "transcription",
@@ -81,9 +89,8 @@ def test_joined_and_pinned_bars(transcription):
 )
 def test_supports_may_be_moved(transcription, free):
     """As multiple shooting knows them, and SciPy."""
-    slow = ocp.Constraint("speed", lambda now: ca.sumsqr(now.velocities[:, 5]), upper=0.01)
-    problem = shaken((0.4, 2.0), slow) if free else shaken()
-    known = ocp.solve(problem, ocp.MultipleShooting(24, control=transcription.control))
+    known = shaken_by_shooting(free, transcription.control)
+    problem = known.problem
     found = ocp.solve(problem, transcription)
     assert found.success, found.message
     assert found.objective == pytest.approx(known.objective, rel=2e-3)

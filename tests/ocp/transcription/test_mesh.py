@@ -13,7 +13,11 @@ LINEAR = ocp.PiecewiseLinear()
 
 @pytest.mark.parametrize(
     "make",
-    [ocp.MultipleShooting, ocp.ImplicitMidpoint, ocp.Variational],
+    [
+        pytest.param(ocp.MultipleShooting, marks=pytest.mark.slow),
+        ocp.ImplicitMidpoint,
+        ocp.Variational,
+    ],
     ids=lambda kind: kind.__name__,
 )
 def test_linear_force_densities(make):
@@ -30,7 +34,11 @@ def test_linear_force_densities(make):
 
 @pytest.mark.parametrize(
     "make",
-    [ocp.MultipleShooting, ocp.ImplicitMidpoint, ocp.Variational],
+    [
+        pytest.param(ocp.MultipleShooting, marks=pytest.mark.slow),
+        ocp.ImplicitMidpoint,
+        ocp.Variational,
+    ],
     ids=lambda kind: kind.__name__,
 )
 def test_few_changes(make):

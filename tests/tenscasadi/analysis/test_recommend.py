@@ -94,7 +94,7 @@ def test_meets_the_tolerance_at_no_more_than_twice_the_cost_of_the_best(
 
     explicit = [scheme for scheme in schemes if not scheme.implicit]
     fixed = [scheme for scheme in explicit if not scheme.adaptive]
-    steps = t_end / np.unique(np.geomspace(4, 4000, 28).astype(int))
+    steps = t_end / np.unique(np.geomspace(4, 4000, 16).astype(int))
     tables = [
         tc.tradeoff(
             model,
@@ -255,7 +255,7 @@ def bouncing_mass():
     return model, model.state(structure.nodes, [(0.5, 0, 0)])
 
 
-@pytest.mark.parametrize("tolerance", [1e-4, 1e-6, 1e-9])
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-9])
 @pytest.mark.parametrize("scene", [bouncing_string, bouncing_mass])
 def test_events_are_left_to_schemes_that_locate_them(scene, tolerance, monkeypatch):
     """Steps that miss events must be so short that a run takes millions of them: such runs are not made."""

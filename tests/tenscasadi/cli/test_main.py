@@ -246,6 +246,7 @@ def test_tradeoff_without_accurate_run_is_reported_and_written(tmp_path, capsys)
         "--tolerance",
         1e-15,
         "--uncompiled",
+        "--no-plots",
     ]
     assert run("tradeoff", "prism", *options, "--output", tmp_path) == 1
     out = capsys.readouterr().out
@@ -436,7 +437,10 @@ def test_fields_of_sections_are_options(tmp_path, capsys):
         (["simulate", "prism", "--t-end", "0.02"], {"message", "step", "error_estimate", "files"}),
         (["plan", "reach", "--duration", "0.9"], {"objective", "replay_error", "status", "files"}),
         (["info", "prism"], {"nodes", "fastest_rate", "mass"}),
-        (["tradeoff", "prism", "--t-end", "0.02", "--steps", "0.01", "--rtol", "1e-3"], {"rows"}),
+        (
+            ["tradeoff", "prism", "--t-end=0.02", "--steps=0.01", "--rtol=1e-3", "--uncompiled"],
+            {"rows"},
+        ),
     ],
 )
 def test_json_is_one_object(command, names, tmp_path, capsys, monkeypatch):
@@ -480,6 +484,7 @@ def test_as_a_process(tmp_path):
         "pendulum",
         "--t-end",
         "0.1",
+        "--uncompiled",
         "--output",
         str(tmp_path),
     ]

@@ -56,10 +56,10 @@ SCENES = {
     ("scheme", "step"),
     [
         (Collocation(1), 5e-3),
-        (Collocation(), 0.01),
+        (Collocation(), 0.02),
         (Collocation(3), 0.02),
-        (Collocation(2, "radau"), 5e-3),
-        (Collocation(3, "radau"), 0.01),
+        (Collocation(2, "radau"), 0.01),
+        (Collocation(3, "radau"), 0.02),
     ],
 )
 def test_order_of_collocation(scheme: Collocation, step: float) -> None:
@@ -227,15 +227,15 @@ def test_one_compiled_loop_serves_all_tolerances(
 ) -> None:
     monkeypatch.setenv("TENSCASADI_CACHE", str(tmp_path))
     model = Model(Scene(shapes.prism(stiffness=1000.0, prestress=31.0), gravity=Gravity()))
-    for degree in (2, 3):
-        start = moving(model)
+    start = moving(model)
+    for degree in (1, 2):
         runs = [
             simulate(
                 model, 0.1, 0.01, Collocation(degree, tolerance=tolerance), start, compiled=True
             )
             for tolerance in (1e-3, 1e-6, 1e-10)
         ]
-        assert len(list(tmp_path.glob("model-*"))) == degree - 1
+        assert len(list(tmp_path.glob("model-*"))) == degree
         coarse, fine, _ = (abs(run.states[-1] - runs[-1].states[-1]).max() for run in runs)
         assert 0 < fine < coarse < 1e-3
 

@@ -87,27 +87,30 @@ BUMP = NodalForce(
 
 
 @pytest.mark.parametrize(
-    "scheme", [Cvodes(1e-10, locate_events=True), Idas(1e-10, locate_events=True)]
-)
-@pytest.mark.parametrize(
-    ("scene", "options"),
+    ("scheme", "scene", "options"),
     [
-        (Scene(**FALLING), {"correction": Projection()}),
-        (Scene(**FALLING, forces=BUMP), {}),
+        (Cvodes, Scene(**FALLING), {"correction": Projection()}),
+        (Cvodes, Scene(**FALLING, forces=BUMP), {}),
+        (Idas, Scene(**FALLING, forces=BUMP), {}),
         (
+            Idas,
             Scene(**FALLING, control=RestLength()),
             {"control": np.linspace(1.0, 0.98, 60)[:, None] * PRISM.string_lengths},
         ),
-        (Scene(**FALLING, parameters=Parameters(scale=["stiffness"])), {"parameters": [1.1]}),
+        (
+            Cvodes,
+            Scene(**FALLING, parameters=Parameters(scale=["stiffness"])),
+            {"parameters": [1.1]},
+        ),
     ],
-    ids=["corrected", "table", "control", "parameter"],
+    ids=["corrected", "table", "table, Idas", "control, Idas", "parameter"],
 )
 def test_a_fall_with_friction_and_damping(
-    scene: Scene, options: dict[str, Any], scheme: Sundials
+    scheme: type[Sundials], scene: Scene, options: dict[str, Any]
 ) -> None:
     model = Model(scene)
     exact = simulate(model, 0.3, 0.005, DormandPrince853(1e-12), compiled=False, **options)
-    run = simulate(model, 0.3, 0.005, scheme, **options)
+    run = simulate(model, 0.3, 0.005, scheme(1e-10, locate_events=True), **options)
     assert run.success, run.message
     assert " trials to locate " in run.message
     assert abs(run.nodes - exact.nodes).max() < 1e-7
