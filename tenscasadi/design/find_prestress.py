@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,6 @@ from tenscasadi.design.prestress_goals import (
 from tenscasadi.design.tangent_stiffness import TangentStiffness
 from tenscasadi.statics.self_stress import self_stress
 from tenscasadi.structure.cables import reject_cables
-from tenscasadi.structure.equilibrium_matrix import equilibrium_matrix
 from tenscasadi.structure.rigid_body import reject_bodies
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.read_only import ReadOnlyArrays
@@ -54,8 +54,8 @@ class PrestressDesign(ReadOnlyArrays):
     least_stiffness : float
         Least eigenvalue of the tangent stiffness [N/m] on motions that keep rigid bars; rigid-body
         motions are left out.
-    structure : Structure
-        The structure with rest lengths for this prestress.
+    original : Structure
+        The structure as given.
     success : bool
         Whether the prestress satisfies all limits and is stable.
     message : str
@@ -73,9 +73,20 @@ class PrestressDesign(ReadOnlyArrays):
     bar_force: Array
     force_density: Array
     least_stiffness: float
-    structure: Structure
+    original: Structure
     success: bool
     message: str
+
+    @cached_property
+    def structure(self) -> Structure:
+        """The structure with rest lengths for this prestress.
+
+        Without a prestress it is the original one.
+        """
+        if not self.success and not self.force_density.any():
+            return self.original
+        bars = self.bar_force / self.original.bar_lengths
+        return set_prestress(self.original, self.force_density, -bars)
 
 
 def find_prestress(
@@ -153,6 +164,10 @@ class _PrestressSearch:
         Tangent stiffness of the structure.
     basis : csc_array (α + β, u)
         One column for each group of members that share a force density.
+    tension : csc_array (α + β, u)
+        Tensions of members per force density of a group [m].
+    balance : csc_array (free coordinates, u)
+        Unbalanced forces per force density of a group [m].
     least, most : ndarray (α,)
         Limits of tensions [N].
     cases : ndarray (cases, n, 3)
@@ -169,10 +184,9 @@ class _PrestressSearch:
     ) -> None:
         self.tangent, self.least, self.most, self.cases = tangent, least, most, cases
         structure = tangent.structure
-        strings = len(structure.strings)
-        signs = np.where(np.arange(len(tangent.lengths)) < strings, 1.0, -1.0)
         self.basis = read_force_densities(structure, None, groups).basis
-        self.balance = equilibrium_matrix(structure) @ sp.diags_array(signs) @ self.basis
+        self.tension = sp.csc_array(self.basis.multiply(tangent.lengths[:, None]))
+        self.balance = sp.csc_array(tangent.elongation.T @ self.tension)
         finite = np.concatenate([least, most[np.isfinite(most)]])
         force = float(finite.max(initial=0.0)) or float(np.abs(cases).max(initial=0.0)) or 1.0
         self.scale = force / float(tangent.lengths.mean())
@@ -222,15 +236,14 @@ class _PrestressSearch:
         `response` (α, cases) is the change of tensions under the loads [N].
         """
         strings = len(least)
-        T = sp.csc_array(sp.diags_array(self.tangent.lengths[:strings]) @ self.basis[:strings])
+        T = self.tension[:strings]
         low = least - np.minimum(response.min(axis=1, initial=0.0), 0.0)
         high = self.most - np.maximum(response.max(axis=1, initial=0.0), 0.0)
         bounded = np.flatnonzero(np.isfinite(high))
-        below = LinearRows(
-            sp.vstack([-T, T[bounded]], format="csc"), np.concatenate([-low, high[bounded]])
-        )
-        equal = LinearRows(sp.csc_array(self.balance), np.zeros(self.balance.shape[0]))
-        return PrestressProgram(self.tangent, self.basis, equal, below, self.scale)
+        A = sp.vstack([-T, T[bounded]], format="csc") if len(bounded) else -T
+        below = LinearRows(A, np.concatenate([-low, high[bounded]]))
+        equal = LinearRows(self.balance, np.zeros(self.balance.shape[0]))
+        return PrestressProgram(self.tangent, self.basis, T, equal, below, self.scale)
 
     def explain(self, status: str) -> str:
         """Explain why a program has no solution."""
@@ -267,9 +280,8 @@ class _PrestressSearch:
         message = "within all limits"
         if not stable:
             message = f"unstable within the limits, the least stiffness is {softest:.3g} N/m: add members or supports"
-        prestressed = set_prestress(structure, q[:strings], -q[strings:])
         return PrestressDesign(
-            forces[:strings], forces[strings:], q[:strings], softest, prestressed, stable, message
+            forces[:strings], forces[strings:], q[:strings], softest, structure, stable, message
         )
 
 

@@ -25,6 +25,8 @@ class PrestressProgram(NamedTuple):
         Tangent stiffness of the structure.
     basis : csc_array (α + β, u)
         One column for each group of members that share a force density.
+    tension : csc_array (α, u)
+        Tensions of strings per force density of a group [m].
     equal, below : LinearRows
         Equilibrium, and limits of tensions.
     scale : float
@@ -33,6 +35,7 @@ class PrestressProgram(NamedTuple):
 
     stiffness: TangentStiffness
     basis: sp.csc_array
+    tension: sp.csc_array
     equal: LinearRows
     below: LinearRows
     scale: float
@@ -168,7 +171,7 @@ class Even(Value, kind="Even"):
         ConicSolution
             Force densities p (u,) [N/m] and status.
         """
-        T = _string_tensions(program)
+        T = program.tension
         mean = sp.csc_array(-np.ones((T.shape[0], 1)))
         deviation = sp.hstack([T, mean], format="csc")
         equal, below = program.in_units()
@@ -209,17 +212,8 @@ class Least(Value, kind="Least"):
         ConicSolution
             Force densities p (u,) [N/m] and status.
         """
-        found = program.minimize(np.asarray(_string_tensions(program).sum(axis=0)).ravel())
+        found = program.minimize(np.asarray(program.tension.sum(axis=0)).ravel())
         return found._replace(x=program.fit(found.x, up=True))
-
-
-def _string_tensions(program: PrestressProgram) -> sp.csc_array:
-    """Build the matrix of string tensions per p.
-
-    Its shape is (α, u), and its unit m.
-    """
-    lengths = program.stiffness.structure.string_lengths
-    return sp.csc_array(sp.diags_array(lengths) @ program.basis[: len(lengths)])
 
 
 def _maximize_least(program: PrestressProgram, motions: Array) -> tuple[ConicSolution, float]:

@@ -10,12 +10,7 @@ import scipy.sparse as sp
 
 from tenscasadi.statics.self_stress import rigid_body_motions
 from tenscasadi.statics.solver.motions import softest_motions
-from tenscasadi.structure.equilibrium_matrix import (
-    balance_columns,
-    force_density_matrix,
-    free_directions,
-    member_pairs,
-)
+from tenscasadi.structure.equilibrium_matrix import free_directions, member_pairs
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.constrained_eigenproblem import SaddlePoint
 from tenscasadi.util.validate import Array
@@ -51,8 +46,16 @@ class TangentStiffness:
         bars = np.where(structure.elastic, structure.bar_stiffness, 0.0)
         self.stiffness = np.concatenate([structure.stiffness, bars])
         self.free = free_directions(structure)
-        columns = balance_columns(self.pairs, self.directions, len(structure.nodes))
-        self.elongation = sp.csr_array(columns.T @ self.free)  # (α + β, free coordinates)
+        ends = (3 * self.pairs[:, :, None] + np.arange(3)).swapaxes(1, 2).reshape(-1)
+        rows, count = np.arange(0, len(ends) + 1, 2), len(self.pairs)
+        signs = np.tile([-1.0, 1.0], 3 * count)
+        difference = sp.csr_array((signs, ends, rows), shape=(3 * count, structure.nodes.size))
+        # displacement of the second end relative to the first (3 (α + β), free coordinates)
+        self.relative = sp.csr_array(difference @ self.free)
+        along = sp.csr_array(
+            (self.directions.ravel(), np.arange(3 * count), 3 * np.arange(count + 1))
+        )
+        self.elongation = sp.csr_array(along @ self.relative)  # (α + β, free coordinates)
         self.J = sp.csr_array(self.elongation[self.rigid])
         self.rigid_body = self.free.T @ rigid_body_motions(structure)
 
@@ -64,9 +67,11 @@ class TangentStiffness:
         """
         k = self.stiffness if stiffness is None else stiffness
         along = np.where(self.stiffness > 0.0, k - q, 0.0)
-        across = sp.kron(force_density_matrix(self.structure, q), sp.eye_array(3))
-        material = self.elongation.T @ sp.diags_array(along) @ self.elongation
-        return sp.csc_array(material + self.free.T @ across @ self.free)
+        blocks = along[:, None, None] * self.directions[:, :, None] * self.directions[:, None, :]
+        blocks = blocks + q[:, None, None] * np.eye(3)
+        each = np.arange(len(q))
+        members = sp.bsr_array((blocks, each, np.arange(len(q) + 1)))
+        return sp.csc_array(self.relative.T @ sp.csr_array(members) @ self.relative)
 
     def reduce(self, motions: Array) -> tuple[Array, Array]:
         """Project the stiffness of each member onto motions.

@@ -24,7 +24,7 @@ def read_names(field: str, value: Any, count: int) -> tuple[str, ...]:
         raise ValueError(f"{field} has {len(names)} entries: give {count}, or none")
     first: dict[str, int] = {}
     for k, name in enumerate(names):
-        if re.fullmatch(r"[0-9]*", name) and name:
+        if name.isascii() and name.isdigit():
             raise ValueError(f"{field}[{k}] is {format_value(name)}, an index, too: give letters")
         if name and first.setdefault(name, k) < k:
             raise ValueError(f"{field}[{k}] is {format_value(name)} again: give unique names")

@@ -235,6 +235,10 @@ def node_pairs(
 
     The ends differ. Two members join the same nodes only if `parallel`.
     """
+    if _are_node_pairs(value, count, parallel):
+        pairs = np.array(value, dtype=np.intp)
+        pairs.flags.writeable = False
+        return pairs
     try:
         rows = [tuple(row) for row in value]
     except Exception as error:  # each kind of matrix raises its own error
@@ -262,6 +266,20 @@ def node_pairs(
         pairs[k] = a, b
     pairs.flags.writeable = False
     return pairs
+
+
+def _are_node_pairs(value: Any, count: int, parallel: bool) -> bool:
+    """Return whether an array of integers has valid node pairs.
+
+    Other values, and the reason of an error, take a loop over the items.
+    """
+    if not isinstance(value, np.ndarray) or value.dtype.kind not in "iu":
+        return False
+    if value.ndim != 2 or value.shape[1] != 2 or np.any((value < 0) | (value >= count)):
+        return False
+    ends = np.sort(value, axis=1).astype(np.intp)
+    keys = ends[:, 0] * count + ends[:, 1]
+    return not np.any(ends[:, 0] == ends[:, 1]) and (parallel or len(np.unique(keys)) == len(keys))
 
 
 def item_mask(field: str, value: Any, count: int, item: str) -> np.ndarray[Any, np.dtype[np.bool_]]:

@@ -10,6 +10,7 @@ from contextlib import suppress
 from typing import Any
 
 import numpy as np
+import scipy.linalg
 import scipy.sparse as sp
 
 from tenscasadi.statics.self_stress import idle_combinations, rigid_body_motions
@@ -51,8 +52,11 @@ def softest_motions(
         with suppress(np.linalg.LinAlgError):  # dense matrices then take more time
             return lowest_eigenpairs(K, sp.eye_array(size, format="csc"), J, left_out, count)
     T = motion_basis(J, left_out)
-    values, vectors = np.linalg.eigh(T.T @ (K @ T))
-    return values[:count], np.asarray(T @ vectors[:, :count])
+    few = T.shape[1] if count is None else min(count, T.shape[1])
+    if not few:
+        return np.zeros(0), T[:, :0]
+    values, vectors = scipy.linalg.eigh(T.T @ (K @ T), subset_by_index=(0, few - 1))
+    return values, np.asarray(T @ vectors)
 
 
 def motion_basis(J: Any, left_out: Array) -> Array:
@@ -98,7 +102,9 @@ def neutral_motions(system: NewtonSystem, point: StaticPoint, tension: Array) ->
     # members keep their lengths: only their forces and the loads contribute stiffness
     rigid = point._replace(slope=0 * point.slope, coupling=0 * point.coupling)
     K = system.tangent(rigid, tension) + system.load_tangent(point)
-    return idle_combinations(motions, K @ motions, NEGLIGIBLE * float(np.sqrt((K.data**2).sum())))
+    rounding = ROUNDING * system.stiffness_scale(point, tension)  # of forces by rest lengths
+    allowed = NEGLIGIBLE * float(np.sqrt((K.data**2).sum())) + rounding
+    return idle_combinations(motions, K @ motions, allowed)
 
 
 def find_stable_factors(
