@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 FREE = '<joint type="free"/>'
+BALL = '<joint type="ball"/>'
 INERTIAL = FREE + '<inertial pos="0.5 0 0" mass="1" diaginertia="{}"/>'
 ROD = '<geom type="capsule" size="0.01" fromto="0 0 0 1 0 0"/>'
 SITES = '<site name="a"/><site name="b" pos="1 0 0"/>'
@@ -21,7 +22,7 @@ REFUSED: dict[str, tuple[str, str]] = {
     "include elsewhere": (file(more='<include file="/etc/passwd"/>'), "line 7, <include> file: is '/etc/passwd': give a file in "),
     "include nothing": (file(more='<include file="no.xml"/>'), "line 7, <include> file: is 'no.xml': there is no such file"),
     "include itself": (file(more='<include file="scene.xml"/>'), "which does not include itself"),
-    "hinge": (file("<joint/>" + ROD + SITES), r"line 4, <joint> type: is a hinge.* ball"),
+    "hinge that slides": (file('<joint type="slide"/><joint/>' + ROD + SITES), r"line 4, <joint> type: is a hinge.* ball"),
     "damped joint": (file('<joint type="ball" damping="0.1"/>' + ROD + SITES), r"<joint> damping: is '0.1', which has no counterpart"),
     "limits": (file('<joint type="ball" range="0 1"/>' + ROD + SITES), "<joint> range: limits a joint"),
     "two joints": (file(FREE + FREE + ROD + SITES), "<joint>: follows a joint"),
@@ -58,8 +59,9 @@ REFUSED: dict[str, tuple[str, str]] = {
     "deadband": (file(tendon=STRING.replace("<spatial", '<spatial springlength="0.5 1"')), "<spatial> springlength: is '0.5 1': give one length"),
     "no length": (file(tendon=STRING.replace("<spatial", '<spatial springlength="0"')), "<spatial> springlength: is 0"),
     "polynomial": (file(tendon=STRING.replace('"1"', '"1 2"')), "<spatial> stiffness: is '1 2', a polynomial"),
-    "weld of bars": (file(world=f'<body name="other" pos="0 0 1">{FREE + ROD}</body>', more='<equality><weld body1="bar" body2="other"/></equality>'),
-                     "line 7, <weld>: fixes two bars to each other"),
+    "weld of hanging bodies": (file(BALL + ROD + SITES, world=f'<body name="other" pos="0 0 1">{BALL + ROD}</body>',
+                                    more='<equality><weld body1="bar" body2="other"/></equality>'),
+                     "line 7, <weld>: fixes two bodies that both hang"),
     "connect to nothing": (file(more='<equality><connect body1="b" anchor="0 0 0"/></equality>'), "<connect> body1: is 'b', which is no body"),
     "connect without anchor": (file(more='<equality><connect body1="bar"/></equality>'), "<connect> anchor: is not given: give 3 numbers"),
     "sites apart": (file(more='<equality><connect site1="a" site2="w"/></equality>'), "<connect>: joins sites that are apart"),

@@ -28,16 +28,22 @@ class Piece:
     slides : list of ndarray
         Unit directions in which it slides.
     anchor : ndarray or None
-        Position of its ball joint [m].
+        Position of its ball joint or hinge [m].
+    axis : ndarray or None
+        Unit direction of its hinge.
     free : bool
         Whether it moves freely.
+    welded : bool
+        Whether it consists of several that are fixed to each other by equalities.
     """
 
     element: Element
     parent: int | None = None
     slides: list[Array] = field(default_factory=list)
     anchor: Array | None = None
+    axis: Array | None = None
     free: bool = False
+    welded: bool = False
     masses: list[Mass] = field(default_factory=list)
     geoms: list[Geom] = field(default_factory=list)
 
@@ -127,11 +133,22 @@ class Bodies:
             raise element.error(f"is {name!r}, which is no site: name one", attribute)
         return self.sites[name]
 
-    def weld(self, one: int, other: int) -> None:
-        """Merge two pieces into the one with the lower index."""
+    def weld(self, one: int, other: int, element: Element) -> None:
+        """Merge two pieces into the one with the lower index.
+
+        One of them must be free, because the other keeps its joint. Raises SceneFileError.
+        """
         kept, merged = sorted((one, other))
         if kept == merged:
             return
+        first, second = self.pieces[kept], self.pieces[merged]
+        if kept and first.free and second.parent != kept:
+            for name in ("parent", "slides", "anchor", "axis", "free"):
+                setattr(first, name, getattr(second, name))
+        elif not second.free and second.parent != kept:
+            element.leave_out("fixes two bodies that both hang from joints: leave one joint out")
+            return
+        first.welded = kept > 0
         self._merged[merged] = kept
         self.pieces[kept].masses += self.pieces[merged].masses
         self.pieces[kept].geoms += self.pieces[merged].geoms
@@ -189,8 +206,8 @@ class Bodies:
     def _add_joint(self, joint: Element, frame: Pose, piece: Piece) -> None:
         kinds = ("hinge", "slide", "ball", "free")
         kind = "free" if joint.tag == "freejoint" else joint.word("type", "hinge", *kinds)
-        if kind == "hinge":
-            joint.leave_out("is a hinge: bars turn freely about their nodes, give a ball", "type")
+        if kind == "hinge" and piece.slides:
+            joint.leave_out("is a hinge of a body that slides: give a ball", "type")
             kind = "ball"
         limited = joint.flag("limited")
         if limited or (limited is None and "range" in joint.attributes and kind != "free"):
@@ -209,18 +226,26 @@ class Bodies:
                 piece.parent = 0
             piece.free = True
         elif kind == "ball":
-            origin = WORLD if self._units.is_global else frame
-            piece.anchor = origin.at(joint.numbers("pos", 3, (0, 0, 0)))
+            piece.anchor = self._joint_place(joint, frame)
         else:
             axis = frame.turn @ joint.numbers("axis", 3, (0, 0, 1))
             size = float(np.linalg.norm(axis))
-            if piece.parent == 0 and 1e-9 < size < 1e30:
+            if kind == "hinge" and 1e-9 < size < 1e30:
+                piece.anchor, piece.axis = self._joint_place(joint, frame), axis / size
+            elif kind == "hinge":
+                joint.leave_out("turns about no direction: give one", "axis")
+                piece.anchor = self._joint_place(joint, frame)
+            elif piece.parent == 0 and 1e-9 < size < 1e30:
                 piece.slides.append(axis / size)
             else:
                 joint.leave_out(
                     "slides in another body, or along no direction: give slides along directions, to bodies in the world",
                     "axis",
                 )
+
+    def _joint_place(self, joint: Element, frame: Pose) -> Array:
+        origin = WORLD if self._units.is_global else frame
+        return origin.at(joint.numbers("pos", 3, (0, 0, 0)))
 
     def _add_site(self, site: Element, frame: Pose, piece: int) -> None:
         if "name" not in site.attributes:

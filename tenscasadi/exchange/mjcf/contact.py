@@ -19,6 +19,8 @@ from tenscasadi.exchange.mjcf.body_tree import (
 )
 from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.scene import Scene
+from tenscasadi.structure.structure import Structure
+from tenscasadi.util.linear_algebra import null_space
 from tenscasadi.util.validate import Array
 
 # d: fraction of the other forces that a contact cancels; MuJoCo's minimum
@@ -48,10 +50,13 @@ def contact_weights(scene: Scene, tree: BodyTree) -> ContactWeights:
     """
     s = scene.modelled
     held, bars = find_held_directions(s), inverse_weights(s, tree) if len(s.bars) else np.zeros(0)
+    bodies = body_weights(s, tree)
     inverse = np.zeros(len(s.nodes))
     for node in range(len(s.nodes)):
         if node in tree.owner:
             inverse[node] = bars[tree.owner[node]]
+        elif node in bodies:
+            inverse[node] = bodies[node]
         elif s.node_mass[node] > 0:
             inverse[node] = (
                 len(find_free_directions(held.get(node, np.zeros((0, 3))))) / 3 / s.node_mass[node]
@@ -62,9 +67,39 @@ def contact_weights(scene: Scene, tree: BodyTree) -> ContactWeights:
         else float(np.linalg.norm(scene.gravity.acceleration)) or 9.81
     )
     moving = np.flatnonzero(inverse)
-    return ContactWeights(
-        inverse, (s.bar_mass.sum() + s.node_mass.sum()) * down / max(min(_STANDING, len(moving)), 1)
-    )
+    total = s.bar_mass.sum() + s.node_mass.sum() + sum(body.mass for body in s.bodies)
+    return ContactWeights(inverse, total * down / max(min(_STANDING, len(moving)), 1))
+
+
+def body_weights(s: Structure, tree: BodyTree) -> dict[int, float]:
+    """Compute the inverse effective mass of the body of each node [1/kg].
+
+    It is the acceleration of the center of mass per unit force, averaged over all directions. Nodes
+    of bars and pinned nodes are left out.
+    """
+    found: dict[int, float] = {}
+    for body in s.bodies:
+        own = body.mass_properties(s.nodes[list(body.nodes)])
+        nodes = [node for node in body.nodes if s.pinned.get(node) != "xyz"]
+        nodes = [node for node in nodes if node not in tree.owner and node not in found]
+        inertia = np.trace(own.moments) * np.eye(3) - own.moments
+        M = np.zeros((6, 6))  # of the velocity of the center, and the angular velocity
+        M[:3, :3], M[3:, 3:] = own.mass * np.eye(3), inertia
+        for node in nodes:
+            J = _point_velocity(s.nodes[node] - own.center)
+            M += s.node_mass[node] * J.T @ J
+        pins = [node for node in body.nodes if s.pinned.get(node) == "xyz"]
+        held = [_point_velocity(s.nodes[node] - own.center) for node in pins]
+        free = null_space(np.concatenate([np.zeros((1, 6)), *held]), 1e-9)
+        center = free[:3]
+        weight = np.trace(center @ np.linalg.solve(free.T @ M @ free, center.T)) / 3
+        found |= dict.fromkeys(nodes, float(weight))
+    return found
+
+
+def _point_velocity(arm: Array) -> Array:
+    """Build the map (3, 6) from the motion of a body to the velocity of a point."""
+    return np.hstack([np.eye(3), -np.cross(np.eye(3), arm)])
 
 
 def list_touching(ground: Ground, inverse: Array) -> list[int]:

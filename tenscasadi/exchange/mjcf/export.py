@@ -86,8 +86,8 @@ def export_mjcf(
       rejected.
     - Rigid bodies become bodies ``body0``, ``body1`` … that are free, or have a ball joint at a
       pinned node or a hinge at two of them. `connect` joins nodes that they share with each other or
-      with bars. Their principal moments of inertia are at least 0.01 of the largest. Contact of
-      bodies is rejected.
+      with bars. Their principal moments of inertia are at least 0.01 of the largest. Their nodes
+      touch the ground.
     - `connect` is soft: two ends separate by about 1e-4 of their free separation in two steps.
     - In contact, nodes are spheres with a radius of 0.001 of the mean member length. The plane is
       lower by this radius. The normal force is that of `Ground`, except for 1e-4 of the other
@@ -161,8 +161,6 @@ def _check_scene(scene: Scene) -> None:
                 f"pinned or rollers of node {corner} of a body: export_mjcf takes nodes of bodies "
                 "that are free or pinned along all axes"
             )
-    if s.bodies and scene.grounds:
-        raise ValueError("Scene.ground: export_mjcf takes no contact of bodies: leave it out")
     if s.coupled_mass.any():
         raise ValueError('Scene.ends is "consistent", which MuJoCo lacks: give "lumped"')
     for bar in np.flatnonzero(s.elastic):

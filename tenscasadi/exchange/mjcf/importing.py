@@ -33,8 +33,9 @@ def import_mjcf(path: str | os.PathLike[str], *, strict: bool = True) -> Scene:
 
     Bodies with two ends become bars, bodies with one end become point masses, bodies with three or
     more attached points that are not on a line become rigid bodies, spatial tendons
-    between two sites become strings. Ball joints, ``connect`` and ``weld`` become nodes that bars
-    share. Features without a counterpart in a scene are rejected by name, or left out.
+    between two sites become strings. Ball joints and ``connect`` become nodes that bars share. A
+    hinge becomes two shared or pinned nodes on its axis, of rigid bodies. Bodies that ``weld`` or
+    nesting fixes to each other are one body. Features without a counterpart in a scene are rejected by name, or left out.
 
     Parameters
     ----------
@@ -75,7 +76,7 @@ def import_mjcf(path: str | os.PathLike[str], *, strict: bool = True) -> Scene:
     - Only nodes touch the ground. Spheres, capsules and cylinders that end at a node give its
       distance. A contact time constant becomes the stiffness for the mean mass. Contacts between
       bodies, velocities of keys, step and solver are ignored.
-    - If not `strict`, attached points move to the nearer end of their bar. Hinges become balls, a
+    - If not `strict`, attached points move to the nearer end of their bar. Hinges that slide become balls, a
       tendon through several sites becomes a row of strings, and boxes are bars along their longest
       side. Actuators with affine forces become control by rest lengths, and tendons without
       actuator are controlled, too. Limits, friction of joints and activation dynamics are left out.
@@ -154,10 +155,7 @@ def _read_ties(
             return []
     for tie in (tie for tie in found if tie.tag == "weld"):
         one, other = (bodies.find_body(tie, name)[0] for name in ("body1", "body2"))
-        if all(bodies.pieces[k].is_bar for k in (one, other)):
-            tie.leave_out("fixes two bars to each other: give connect, which lets them turn")
-        else:
-            bodies.weld(one, other)
+        bodies.weld(one, other, tie)
     ties = []
     for tie in (tie for tie in found if tie.tag == "connect"):
         if "site1" in tie.attributes:

@@ -56,22 +56,78 @@ class PieceEnds:
         self.points: list[list[Array]] = [[] for _ in bodies.pieces]
         self._same: dict[Endpoint, Endpoint] = {}
         self._snaps: set[int] = set()
-        joints = [(k, piece) for k, piece in bodies.moving() if piece.anchor is not None]
-        attached = attached + [
-            Site(side, piece.anchor)
-            for k, piece in joints
-            for side in ([k, piece.parent] if piece.parent else [k])
+        self._anchors = {
+            k: self._list_anchors(k, piece, attached)
+            for k, piece in bodies.moving()
             if piece.anchor is not None
+        }
+        attached = attached + [
+            Site(side, place)
+            for k, places in self._anchors.items()
+            for place in places
+            for side in {k, bodies.pieces[k].parent or k}
         ]
         for site in attached:
-            if self.find(site.piece, site.place) is None:
-                self.points[site.piece].append(site.place)
+            self._add_point(site.piece, site.place)
+        for k, places in self._anchors.items():
+            for side in {k, bodies.pieces[k].parent or k} if len(places) == 2 else ():
+                self._add_point_off(side, *places)
         for k, piece in bodies.moving():
             self._complete(k, piece)
         self.pinned: set[Endpoint] = set()
         self.slides: dict[Endpoint, list[Array]] = {}
         for k, piece in bodies.moving():
             self._hang(k, piece)
+
+    def _list_anchors(self, k: int, piece: Piece, attached: list[Site]) -> list[Array]:
+        """List the points that a joint shares: that of a ball, or two on the axis of a hinge.
+
+        The second one is a site on the axis, if there is one.
+        """
+        if piece.axis is None or piece.anchor is None:
+            return [] if piece.anchor is None else [piece.anchor]
+        sides, axis, start = {k, piece.parent}, piece.axis, piece.anchor
+        sites = [site for name, site in self.bodies.sites.items() if _is_node(name)]
+        along = 0.0
+        for site in (site for site in [*sites, *attached] if site.piece in sides):
+            arm = site.place - start
+            if np.linalg.norm(arm - arm @ axis * axis) <= self.close:
+                along = max(along, float(arm @ axis), key=abs)
+        if abs(along) <= self.close:
+            along = self._extent(k, start)
+        return [start, start + along * axis]
+
+    def _extent(self, k: int, start: Array) -> float:
+        """Compute the largest distance of a piece's mass and geoms from a point [m]."""
+        piece = self.bodies.pieces[k]
+        points = [mass.center for mass in piece.masses]
+        points += [end for geom in piece.geoms if geom.rod for end in geom.rod.ends]
+        sizes = [float(np.linalg.norm(point - start)) for point in points]
+        return max((size for size in sizes if size > self.close), default=0.1)
+
+    def _add_point(self, k: int, point: Array) -> None:
+        """Add a point to a piece, unless it is there."""
+        if self.find(k, point) is None:
+            self.points[k].append(point)
+
+    def _add_point_off(self, k: int, start: Array, end: Array) -> None:
+        """Add points of a hinged piece that are off the axis."""
+        axis = (end - start) / np.linalg.norm(end - start)
+        piece = self.bodies.pieces[k]
+        for geom in piece.geoms:
+            for place in geom.rod.ends if geom.rod and geom.rod.kind != "sphere" else ():
+                self._add_point(k, place)
+        points = [*self.points[k], *(mass.center for mass in piece.masses)]
+        off = [
+            point
+            for point in points
+            if np.linalg.norm(np.cross(point - start, axis)) > 1e-3 * self._extent(k, start)
+        ]
+        across = np.eye(3)[int(np.argmin(np.abs(axis)))]
+        across = across - across @ axis * axis
+        self._add_point(
+            k, off[0] if off else start + self._extent(k, start) * across / np.linalg.norm(across)
+        )
 
     def find(self, piece: int, point: Array) -> Endpoint | None:
         """Find the endpoint of a piece at a point, or None."""
@@ -124,11 +180,15 @@ class PieceEnds:
         In an inexact import they are those ends also if there are more, and the attached points
         move to them. Raises SceneFileError.
         """
+        if piece.welded:
+            for geom in piece.geoms:
+                for place in geom.rod.ends if geom.rod and geom.rod.kind != "sphere" else ():
+                    self._add_point(k, place)
         ends = self.points[k]
         sites = [
             site.place
             for name, site in self.bodies.sites.items()
-            if site.piece == k and re.fullmatch("n[0-9]{1,9}", name)
+            if site.piece == k and _is_node(name)
         ]
         places = ends + [place for place in sites if self.find(k, place) is None]
         if self._span_plane(places) and any(mass.inertia.any() for mass in piece.masses):
@@ -195,22 +255,19 @@ class PieceEnds:
             )
         if piece.free or (piece.anchor is None and piece.parent):
             return
-        if piece.anchor is None:
-            if len(self.points[k]) >= 2:
-                kind = "bar" if len(self.points[k]) == 2 else "body"
-                piece.element.leave_out(
-                    f"is a {kind} that slides without turning: give it a ball, too, or a free joint"
-                )
-            own = Endpoint(k, 0)
-        else:
-            own = self.place(k, piece.anchor)
+        if piece.anchor is None and len(self.points[k]) >= 2:
+            kind = "bar" if len(self.points[k]) == 2 else "body"
+            piece.element.leave_out(
+                f"is a {kind} that slides without turning: give it a ball, too, or a free joint"
+            )
+        for point in self._anchors.get(k, [self.points[k][0]]):
+            own = self.place(k, point)
             if piece.parent:
-                self.join(own, self.place(piece.parent, piece.anchor))
-                return
-        if not slides:
-            self.join(own, self.place(_WORLD, self.points[k][own.end]))
-        elif rank < 3:
-            self.slides[own] = slides
+                self.join(own, self.place(piece.parent, point))
+            elif not slides:
+                self.join(own, self.place(_WORLD, self.points[k][own.end]))
+            elif rank < 3:
+                self.slides[own] = slides
 
     def read_bar(self, k: int, piece: Piece) -> tuple[float, float, Array]:
         """Compute mass, radius and end masses (2,) of a bar.
@@ -303,6 +360,11 @@ class PieceEnds:
                     "is a point whose mass is elsewhere: give a capsule or a cylinder to make it a bar"
                 )
         return float(total)
+
+
+def _is_node(site: str) -> bool:
+    """Return whether a site has the name of a node in files of `export_mjcf`."""
+    return re.fullmatch("n[0-9]{1,9}", site) is not None
 
 
 def _find_extremes(points: list[Array]) -> Array:

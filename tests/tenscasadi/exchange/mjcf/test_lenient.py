@@ -71,9 +71,10 @@ def test_a_tendon_through_three_sites_becomes_strings_in_series(tmp_path: Path) 
     assert tension == pytest.approx([1.0, 1.0])  # of a spring of 1 N/m, 1 m longer than at rest
 
 
-def test_a_hinge_at_an_end_becomes_a_ball_joint(tmp_path: Path) -> None:
-    scene, _ = read(file('<joint type="hinge" axis="0 0 1"/>' + ROD + SITES), tmp_path)
-    assert dict(scene.structure.pinned) == {0: "xyz", 2: "xyz"}
+def test_a_hinge_that_slides_becomes_a_ball_joint(tmp_path: Path) -> None:
+    joints = '<joint type="slide" axis="0 0 1"/><joint type="hinge" axis="0 0 1"/>'
+    scene, _ = read(file(joints + ROD + SITES), tmp_path)
+    assert dict(scene.structure.pinned) == {0: "xy", 2: "xyz"}
 
 
 def test_included_files_are_part_of_the_scene(tmp_path: Path) -> None:
