@@ -17,9 +17,11 @@ from ocp.guess.initial_guess import EquilibriumGuess, InverseDynamics, Trajector
 from ocp.io.problem_files import load_problem, load_solve_arguments, save_problem
 from ocp.plan.plan import Plan
 from ocp.plan.robustness import Robustness
+from ocp.problem.bounds.acceleration_bounds import NodeAccelerationLimits
 from ocp.problem.bounds.bar_bounds import BarForceLimits, Buckling
 from ocp.problem.bounds.geometric_bounds import AboveGround, BarClearance, InsideBox, Obstacle
 from ocp.problem.bounds.ground_bounds import AboveSurface
+from ocp.problem.bounds.momentum_bounds import AngularMomentumLimits, CenterOfMassVelocityLimits
 from ocp.problem.bounds.string_bounds import (
     ForceDensityLimits,
     ForceDensityRateLimits,
@@ -27,11 +29,14 @@ from ocp.problem.bounds.string_bounds import (
     RestLengthRateLimits,
     TensionLimits,
 )
+from ocp.problem.bounds.terminal_bounds import TerminalTensions
 from ocp.problem.costs import Duration, Effort, Prestress, Smoothness, Work
 from ocp.problem.expressions import AtEnd, Constraint, Integral
 from ocp.problem.goals.body_goals import BodyOrientation
 from ocp.problem.goals.goal import Shape, SoftGoal, StringLengths
+from ocp.problem.goals.momentum_goals import AngularMomentum, CenterOfMassVelocity
 from ocp.problem.goals.node_goals import AtRest, CenterOfMass, NodePositions, NodeVelocities
+from ocp.problem.goals.orientation_goals import BarOrientation, NodeTripleOrientation
 from ocp.problem.goals.periodic import Periodic
 from ocp.problem.goals.waypoints import Waypoint
 from ocp.problem.instant import Instant
@@ -66,7 +71,11 @@ __all__ = [
     "NodeVelocities",
     "Shape",
     "BodyOrientation",
+    "BarOrientation",
+    "NodeTripleOrientation",
     "CenterOfMass",
+    "CenterOfMassVelocity",
+    "AngularMomentum",
     "AtRest",
     "Periodic",
     "Waypoint",
@@ -74,11 +83,15 @@ __all__ = [
     "ForceDensityLimits",
     "ForceDensityRateLimits",
     "TensionLimits",
+    "TerminalTensions",
     "RestLengthLimits",
     "RestLengthRateLimits",
     "BarForceLimits",
     "Buckling",
     "InsideBox",
+    "CenterOfMassVelocityLimits",
+    "AngularMomentumLimits",
+    "NodeAccelerationLimits",
     "AboveGround",
     "AboveSurface",
     "BarClearance",

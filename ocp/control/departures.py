@@ -6,8 +6,8 @@ from itertools import combinations
 
 import casadi as ca
 
-from ocp.problem.rows import column_norms
 from tenscasadi.dynamics.model import Model
+from tenscasadi.util.casadi_tools import column_norms
 
 
 def build_departures(model: Model, place: float, speed: float) -> ca.Function:

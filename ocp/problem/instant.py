@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 
 from ocp.problem.control import controls_force_densities, controls_rest_lengths
-from ocp.problem.rows import column_norms
 from tenscasadi.dynamics.body_motion import body_frame
+from tenscasadi.util.casadi_tools import column_norms, sparse
 from tenscasadi.util.validate import Array, Indices, nonnegative, per_item
 
 if TYPE_CHECKING:
@@ -56,14 +56,48 @@ class Instant:
         return self.state, self.control, self.time
 
     @cached_property
+    def model_nodes(self) -> Any:
+        """Node positions 3×n [m], with the nodes inside strings last."""
+        return self.model.nodes(self.state).T
+
+    @cached_property
+    def model_velocities(self) -> Any:
+        """Node velocities 3×n [m/s], with the nodes inside strings last."""
+        return self.model.velocities(self.state).T
+
+    @cached_property
     def nodes(self) -> Any:
         """Node positions of the scene's structure, 3×n [m]."""
-        return self.model.nodes(self.state).T[:, : len(self.model.scene.structure.nodes)]
+        return self.model_nodes[:, : len(self.model.scene.structure.nodes)]
 
     @cached_property
     def velocities(self) -> Any:
         """Node velocities of the scene's structure, 3×n [m/s]."""
-        return self.model.velocities(self.state).T[:, : len(self.model.scene.structure.nodes)]
+        return self.model_velocities[:, : len(self.model.scene.structure.nodes)]
+
+    @cached_property
+    def accelerations(self) -> Any:
+        """Node accelerations of the scene's structure, 3×n [m/s²]."""
+        build = partial(_build_accelerations, self.model)
+        return self.model.keep("accelerations", build)(self.state, self.control)
+
+    @cached_property
+    def center_of_mass(self) -> Any:
+        """Center of the mass of bars, bodies, nodes and strings (3,) [m]."""
+        return ca.mtimes(self._columns[0], self._mass_fractions)
+
+    @cached_property
+    def center_of_mass_velocity(self) -> Any:
+        """Velocity of the center of mass (3,) [m/s]."""
+        return ca.mtimes(self._columns[1], self._mass_fractions)
+
+    @cached_property
+    def angular_momentum(self) -> Any:
+        """Angular momentum about the center of mass (3,) [kg m²/s]."""
+        N, V = self._columns
+        arms = N - ca.repmat(self.center_of_mass, 1, N.shape[1])
+        momenta = ca.mtimes(V, sparse(self.model.mechanism.M))
+        return ca.sum2(ca.horzcat(*map(ca.cross, ca.horzsplit(arms), ca.horzsplit(momenta))))
 
     def orientation(self, body: int) -> Any:
         """Compute the rotation matrix (3×3) of a rigid body from the structure's nodes.
@@ -170,6 +204,18 @@ class Instant:
         parts = along - self.tension / whole  # s (1 − γ/k)
         return ca.mtimes(self._gather(self.model.scene.input_of, np.ones(len(s.strings))), parts)
 
+    @cached_property
+    def _columns(self) -> tuple[Any, Any]:
+        """Columns N [m] and V [m/s] of the equation of motion."""
+        N, V, _ = self.model.unpack(self.state)
+        return N, V
+
+    @property
+    def _mass_fractions(self) -> ca.DM:
+        """Share of each column of N in the whole mass."""
+        weight = np.asarray(self.model.mechanism.M.sum(axis=1)).ravel()
+        return ca.DM(weight / weight.sum())
+
     def _gather(self, whole: Indices, weights: Array) -> ca.DM:
         """Build the matrix that sums over the segments of strings or the strings of cables.
 
@@ -180,6 +226,18 @@ class Instant:
 
     def _across(self, columns: Any, pairs: Any) -> Any:
         return columns[:, pairs[:, 1].tolist()] - columns[:, pairs[:, 0].tolist()]
+
+
+def _build_accelerations(model: Model) -> ca.Function:
+    """Build the Function (x, u) → node accelerations 3×n."""
+    now = symbolic(model)
+    rate = model.ode(now.state, now.control)
+    moved = ca.jtimes(ca.vec(now.velocities), now.state, rate)
+    return ca.Function(
+        "accelerations",
+        [now.state, now.control],
+        [ca.densify(ca.reshape(moved, *now.velocities.shape))],
+    )
 
 
 def forces_of(model: Model, states: Array, controls: Array) -> Array:

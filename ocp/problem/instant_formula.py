@@ -28,6 +28,7 @@ def _entry(quantity: str) -> Callable[[Instant, int], Any]:
 QUANTITIES: Mapping[str, tuple[ItemKind, Callable[[Instant, int], Any]]] = {
     **{axis: ("node", _component("nodes", k)) for k, axis in enumerate("xyz")},
     **{f"v{axis}": ("node", _component("velocities", k)) for k, axis in enumerate("xyz")},
+    **{f"a{axis}": ("node", _component("accelerations", k)) for k, axis in enumerate("xyz")},
     "length": ("string", _entry("lengths")),
     "tension": ("string", _entry("tension")),
     "force_density": ("string", _entry("force_density")),
@@ -42,8 +43,8 @@ class InstantFormula:
     Parameters
     ----------
     text : str
-        Arithmetic such as ``"z[tip] - 0.5 * z[3]"`` of the quantities x, y, z [m], vx, vy, vz [m/s]
-        of nodes, length [m], tension [N] and force_density [N/m] of strings, each with the name or
+        Arithmetic such as ``"z[tip] - 0.5 * z[3]"`` of the quantities x, y, z [m], vx, vy, vz [m/s],
+        ax, ay, az [m/s²] of nodes, length [m], tension [N] and force_density [N/m] of strings, each with the name or
         index of its item, and of the time t [s].
     numbers : mapping of str to float, optional
         Numbers by name; those that the formula does not name are dropped.

@@ -9,6 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ocp.problem.instant import Instant
 from tenscasadi.util.validate import Array
 
 
@@ -72,8 +73,8 @@ def goal_rows(goals: Iterable[Any], model: Any, x: Any) -> Rows:
 
     They are expressions of the symbolic state x (nx,).
     """
-    nodes, velocities = model.nodes(x).T, model.velocities(x).T
-    return stack(goal.rows(model.scene.structure, nodes, velocities) for goal in goals)
+    now = Instant(model, x, None, None)
+    return stack(goal.residuals(now) for goal in goals)
 
 
 def distance_rows(nodes: Any, pairs: Any, wanted: Array, names: tuple[str, ...]) -> Rows:
@@ -90,8 +91,3 @@ def distance_rows(nodes: Any, pairs: Any, wanted: Array, names: tuple[str, ...])
         ("m",) * len(names),
         quadratic=(squared - target**2) / ca.DM(scale),
     )
-
-
-def column_norms(vectors: Any) -> Any:
-    """Compute the norms (m,) of the columns of 3×m vectors."""
-    return ca.sqrt(ca.sum1(vectors * vectors)).T

@@ -57,9 +57,16 @@ class Scales:
 
     @property
     def units(self) -> dict[str, float]:
-        """Scales of the units m, m/s, m²/s and s."""
+        """Scales of units by their names."""
         speed = self.length / self.time
-        return {"m": self.length, "m/s": speed, "m²/s": self.length * speed, "s": self.time}
+        return {
+            "m": self.length,
+            "m/s": speed,
+            "m/s²": speed / self.time,
+            "m²/s": self.length * speed,
+            "kg m²/s": self.mass * self.length * speed,
+            "s": self.time,
+        }
 
 
 def control_scale(problem: Problem, strength: float) -> Array:

@@ -94,6 +94,11 @@ def scale_and_multiply(Z: Any, weights: Any, C: Any) -> Any:
     )
 
 
+def column_norms(vectors: Any) -> Any:
+    """Compute the norms (m,) of the columns of 3×m vectors."""
+    return ca.sqrt(ca.sum1(vectors * vectors)).T
+
+
 def matrix_with_pattern(sparsity: ca.Sparsity, values: Any) -> Any:
     """Build a matrix from its sparsity and nonzeros (nnz).
 

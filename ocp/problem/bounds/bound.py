@@ -32,7 +32,7 @@ class Limit(NamedTuple):
     names : tuple of str
         Name of each quantity.
     unit : str
-        "N", "N/m", "N/(m s)", "m", "m/s", or "" for user-defined expressions.
+        "N", "N/m", "N/(m s)", "m", "m/s", "m/s²", "kg m²/s", or "" for user-defined expressions.
     """
 
     value: Any

@@ -13,16 +13,15 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import casadi as ca
 import numpy as np
 
+from ocp.problem.bounds.axis_limits import AxisLimits
 from ocp.problem.bounds.bound import Bound, Limit, PathBound
-from ocp.problem.rows import column_norms
 from tenscasadi.schema.containers import ListOf
-from tenscasadi.schema.field_types import POINT, VECTOR, Members
+from tenscasadi.schema.field_types import VECTOR, Members
 from tenscasadi.structure.structure import Structure
+from tenscasadi.util.casadi_tools import column_norms
 from tenscasadi.util.renamed import rename_fields
 from tenscasadi.util.validate import (
-    Array,
     as_tuple,
-    coordinates,
     finite_array,
     format_value,
     node_index,
@@ -34,14 +33,13 @@ from tenscasadi.util.validate import (
 if TYPE_CHECKING:
     from ocp.problem.instant import Instant
 
-Corner = Sequence[float | None]
 # fraction of a bar's length over which clipping to its ends is rounded off, for continuous
 # derivatives
 ROUNDING = 0.02
 
 
 @dataclass(frozen=True, eq=False)
-class InsideBox(PathBound, kind="InsideBox"):
+class InsideBox(AxisLimits, kind="InsideBox"):
     """Nodes inside an axis-aligned box.
 
     The limits hold at the end of every interval, and not for pinned coordinates. The start has to
@@ -74,40 +72,12 @@ class InsideBox(PathBound, kind="InsideBox"):
     (None, None, 1.2)
     """
 
-    lower: Annotated[Corner, POINT] = (None, None, None)
-    upper: Annotated[Corner, POINT] = (None, None, None)
     nodes: Annotated[Iterable[int] | None, Members("node")] = None
 
-    ends: ClassVar[tuple[str, ...]] = ("end",)
-
     def __post_init__(self) -> None:
-        name = type(self).__name__
-        for field in ("lower", "upper"):
-            object.__setattr__(
-                self, field, coordinates(f"{name}.{field}", getattr(self, field), "an open side")
-            )
-        lower, upper = self.corners()
-        if np.all(np.isinf(np.concatenate([lower, upper]))):
-            raise ValueError(f"{name}.lower and .upper are open on all sides: give at least one")
-        if np.any(lower >= upper):
-            axis = int(np.argmax(lower >= upper))
-            raise ValueError(
-                f"{name}.lower is {lower[axis]:g} and .upper {upper[axis]:g} along {'xyz'[axis]}: give lower < upper"
-            )
-        object.__setattr__(self, "nodes", _listed(f"{name}.nodes", self.nodes, "[0, 1]"))
-
-    def corners(self) -> tuple[Array, Array]:
-        """Return both corners of the box.
-
-        Returns
-        -------
-        lower : numpy.ndarray, shape (3,)
-            Smallest coordinates [m]; −inf on open sides.
-        upper : numpy.ndarray, shape (3,)
-            Largest coordinates [m]; inf on open sides.
-        """
-        lower = np.array([-np.inf if value is None else value for value in self.lower])
-        return lower, np.array([np.inf if value is None else value for value in self.upper])
+        super().__post_init__()
+        nodes = _listed(f"{type(self).__name__}.nodes", self.nodes, "[0, 1]")
+        object.__setattr__(self, "nodes", nodes)
 
     def check(self, structure: Structure) -> None:
         """Check that the bound can apply to a structure.

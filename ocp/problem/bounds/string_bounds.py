@@ -198,34 +198,8 @@ class ForceDensityRateLimits(RateBound, kind="ForceDensityRateLimits"):
 
 
 @dataclass(frozen=True, eq=False)
-class TensionLimits(StringLimits, PathBound, kind="TensionLimits"):
-    """Limits of the tension γ s of each string.
-
-    They hold at both ends of every interval. If a string is modeled in segments, they hold in each
-    segment. A cable has one limit, see `tenscasadi.Structure.cable_of`. Under tension control
-    (``control=Tension()``), they are bounds on decision variables.
-
-    Parameters
-    ----------
-    lower : float or array_like, shape (nu,), optional
-        Smallest tension [N], ≥ 0: one number, or one for each cable and lone string. None for no
-        limit but γ ≥ 0.
-    upper : float or array_like, shape (nu,), optional
-        Largest tension [N]: one number, or one for each cable and lone string. None or inf for no
-        limit.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If both are None, or if a limit is negative or not a number. In a `Problem`: if the number
-        of limits differs from that of strings, or if ``lower`` is above ``upper``.
-
-    Examples
-    --------
-    >>> import ocp
-    >>> ocp.TensionLimits(upper=12.0).lower is None
-    True
-    """
+class TensionBound(StringLimits, PathBound):
+    """Base class of limits of tensions at the ends of intervals."""
 
     per_cable: ClassVar[bool] = True
 
@@ -256,6 +230,37 @@ class TensionLimits(StringLimits, PathBound, kind="TensionLimits"):
             names = tuple(f"tension of string {k}" for k in parent)
         own = now.tension if len(strings) == now.tension.shape[0] else now.tension[strings.tolist()]
         return drop_infinite(Limit(own, lower, upper, names, "N"))
+
+
+@dataclass(frozen=True, eq=False)
+class TensionLimits(TensionBound, kind="TensionLimits"):
+    """Limits of the tension γ s of each string.
+
+    They hold at both ends of every interval. If a string is modeled in segments, they hold in each
+    segment. A cable has one limit, see `tenscasadi.Structure.cable_of`. Under tension control
+    (``control=Tension()``), they are bounds on decision variables.
+
+    Parameters
+    ----------
+    lower : float or array_like, shape (nu,), optional
+        Smallest tension [N], ≥ 0: one number, or one for each cable and lone string. None for no
+        limit but γ ≥ 0.
+    upper : float or array_like, shape (nu,), optional
+        Largest tension [N]: one number, or one for each cable and lone string. None or inf for no
+        limit.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If both are None, or if a limit is negative or not a number. In a `Problem`: if the number
+        of limits differs from that of strings, or if ``lower`` is above ``upper``.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> ocp.TensionLimits(upper=12.0).lower is None
+    True
+    """
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,22 +8,15 @@ from typing import Annotated, Any
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import expm
 
 from ocp.problem.goals.goal import Goal
+from ocp.problem.goals.rotation import read_rotation, rotation_matrix
 from ocp.problem.rows import Rows
 from tenscasadi.dynamics.body_motion import find_body
 from tenscasadi.schema.field_types import Numbers
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.linear_algebra import fit_rotation
-from tenscasadi.util.validate import (
-    TOLERANCE,
-    Array,
-    finite_array,
-    format_value,
-    nesting,
-    whole_number,
-)
+from tenscasadi.util.validate import Array, whole_number
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,24 +48,13 @@ class BodyOrientation(Goal, kind="BodyOrientation"):
 
     def __post_init__(self) -> None:
         whole_number("BodyOrientation.body", self.body, 0)
-        shape = (3,) if nesting(self.rotation) < 2 else (3, 3)
-        given = finite_array("BodyOrientation.rotation", self.rotation, shape)
+        given = read_rotation("BodyOrientation.rotation", self.rotation)
         object.__setattr__(self, "rotation", given)
-        R = self.matrix
-        if np.abs(R @ R.T - np.eye(3)).max() > TOLERANCE or np.linalg.det(R) < 0.0:
-            raise ValueError(
-                f"BodyOrientation.rotation is {format_value(given.tolist())}: give a rotation "
-                "matrix, which is orthonormal with determinant 1, or a rotation vector [rad]"
-            )
 
     @property
     def matrix(self) -> Array:
         """Rotation matrix (3, 3)."""
-        given = np.asarray(self.rotation)
-        if given.ndim == 2:
-            return given
-        x, y, z = given
-        return np.asarray(expm(np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])))
+        return rotation_matrix(self.rotation)
 
     def check(self, structure: Structure) -> None:
         """Reject a structure that the goal does not fit.

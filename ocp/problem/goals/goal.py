@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ocp.problem.costs import Cost, CostAt, TerminalCost, check_weight
-from ocp.problem.rows import Rows, distance_rows, goal_rows
+from ocp.problem.rows import Rows, distance_rows
 from tenscasadi.io.structure_section import OfStructure
 from tenscasadi.schema.containers import Either, MapOf
 from tenscasadi.schema.field_types import NUMBER, PER_ITEM, POINTS
@@ -77,6 +77,13 @@ class Goal(Value):
         Both are 3×n [m, m/s].
         """
         raise NotImplementedError
+
+    def residuals(self, now: Instant) -> Rows:
+        """Build the residuals at an instant.
+
+        By default, they are `rows` of the nodes and velocities.
+        """
+        return self.rows(now.model.scene.structure, now.model_nodes, now.model_velocities)
 
     def places(self, structure: Structure) -> list[tuple[int, int, float]]:
         """List the coordinates that the goal prescribes.
@@ -202,6 +209,21 @@ class SoftGoal(Goal, TerminalCost, kind="SoftGoal"):
         """
         return self.goal.rows(structure, nodes, velocities)
 
+    def residuals(self, now: Instant) -> Rows:
+        """Build the residuals of the goal at an instant.
+
+        Parameters
+        ----------
+        now : Instant
+            Symbolic instant.
+
+        Returns
+        -------
+        Rows
+            Named residuals, zero if the goal is satisfied.
+        """
+        return self.goal.residuals(now)
+
     def terminal(self, end: Instant) -> Any:
         """Build the penalty at an instant.
 
@@ -215,7 +237,7 @@ class SoftGoal(Goal, TerminalCost, kind="SoftGoal"):
         casadi.SX or casadi.MX
             weight · Σ residual², a scalar.
         """
-        return self.weight * ca.sumsqr(goal_rows([self.goal], end.model, end.state).value)
+        return self.weight * ca.sumsqr(self.goal.residuals(end).value)
 
 
 def soft_goals(costs: Iterable[Cost]) -> Iterator[tuple[float, SoftGoal]]:

@@ -16,7 +16,14 @@ def test_scales_are_those_of_the_structure_and_the_longest_duration():
     assert scales.length == pytest.approx(np.linalg.norm(np.ptp(model.structure.nodes, axis=0)))
     assert scales.mass == pytest.approx(3.0)
     assert scales.units == pytest.approx(
-        {"m": scales.length, "m/s": scales.length / 2, "m²/s": scales.length**2 / 2, "s": 2.0}
+        {
+            "m": scales.length,
+            "m/s": scales.length / 2,
+            "m/s²": scales.length / 4,
+            "m²/s": scales.length**2 / 2,
+            "kg m²/s": 3.0 * scales.length**2 / 2,
+            "s": 2.0,
+        }
     )
     assert scales.state == pytest.approx(np.repeat([scales.length, scales.length / 2], model.nq))
 

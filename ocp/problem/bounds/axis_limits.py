@@ -1,0 +1,61 @@
+"""Limits along the coordinate axes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+
+from ocp.problem.bounds.bound import Limit, PathBound, drop_infinite
+from tenscasadi.schema.field_types import POINT
+from tenscasadi.util.validate import Array, coordinates
+
+Corner = Sequence[float | None]
+
+
+@dataclass(frozen=True, eq=False)
+class AxisLimits(PathBound):
+    """Base class of lower and upper limits along x, y and z.
+
+    They limit functions of the state, at the end of every interval.
+    """
+
+    lower: Annotated[Corner, POINT] = (None, None, None)
+    upper: Annotated[Corner, POINT] = (None, None, None)
+
+    ends: ClassVar[tuple[str, ...]] = ("end",)
+
+    def __post_init__(self) -> None:
+        name = type(self).__name__
+        for field in ("lower", "upper"):
+            object.__setattr__(
+                self, field, coordinates(f"{name}.{field}", getattr(self, field), "an open side")
+            )
+        lower, upper = self.corners()
+        if np.all(np.isinf(np.concatenate([lower, upper]))):
+            raise ValueError(f"{name}.lower and .upper are open on all sides: give at least one")
+        if np.any(lower >= upper):
+            axis = int(np.argmax(lower >= upper))
+            raise ValueError(
+                f"{name}.lower is {lower[axis]:g} and .upper {upper[axis]:g} along {'xyz'[axis]}: give lower < upper"
+            )
+
+    def corners(self) -> tuple[Array, Array]:
+        """Return both corners of the box.
+
+        Returns
+        -------
+        lower : numpy.ndarray, shape (3,)
+            Lower limits; −inf on open sides.
+        upper : numpy.ndarray, shape (3,)
+            Upper limits; inf on open sides.
+        """
+        lower = np.array([-np.inf if value is None else value for value in self.lower])
+        return lower, np.array([np.inf if value is None else value for value in self.upper])
+
+    def limit_vector(self, vector: Any, quantity: str, unit: str) -> Limit:
+        """Build the limits of a vector (3,) along the axes that have one."""
+        names = tuple(f"{quantity} along {axis}" for axis in "xyz")
+        return drop_infinite(Limit(vector, *self.corners(), names, unit))

@@ -1,0 +1,168 @@
+"""Goals of the velocity of the center of mass and of the angular momentum."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+
+from ocp.problem.goals.goal import Goal
+from ocp.problem.rows import Rows
+from tenscasadi.schema.field_types import POINT
+from tenscasadi.util.validate import Array, coordinates
+
+if TYPE_CHECKING:
+    from ocp.problem.instant import Instant
+    from tenscasadi.dynamics.model import Model
+
+
+@dataclass(frozen=True, eq=False)
+class CenterOfMassVelocity(Goal, kind="CenterOfMassVelocity"):
+    """Velocity of the center of mass at the end.
+
+    The mass is that of bars, bodies, nodes and strings, pinned or not.
+
+    Parameters
+    ----------
+    velocity : sequence of float or None, length 3
+        Velocity (vx, vy, vz) [m/s], with None for a free axis.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the velocity is not three numbers or None, or if all are None.
+
+    See Also
+    --------
+    CenterOfMass : Position of the center of mass.
+    CenterOfMassVelocityLimits : Limits along the whole plan.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> ocp.CenterOfMassVelocity((0.0, None, 2.0)).velocity
+    (0.0, None, 2.0)
+    """
+
+    velocity: Annotated[Sequence[float | None], POINT]
+
+    def __post_init__(self) -> None:
+        field = "CenterOfMassVelocity.velocity"
+        velocity = coordinates(field, self.velocity, "an axis that is free", some=True)
+        object.__setattr__(self, "velocity", velocity)
+
+    def residuals(self, now: Instant) -> Rows:
+        """Build the velocity minus the desired one.
+
+        Parameters
+        ----------
+        now : Instant
+            Symbolic instant.
+
+        Returns
+        -------
+        Rows
+            Named residuals [m/s], zero if the goal is satisfied.
+        """
+        return _rows("CenterOfMassVelocity: {}", now.center_of_mass_velocity, self.velocity, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class AngularMomentum(Goal, kind="AngularMomentum"):
+    """Angular momentum about the center of mass at the end.
+
+    Parameters
+    ----------
+    momentum : sequence of float or None, length 3
+        Angular momentum about x, y and z [kg m²/s], with None for a free axis.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the momentum is not three numbers or None, or if all are None. In a `Problem`: if the
+        whole mass is in one point.
+
+    See Also
+    --------
+    AngularMomentumLimits : Limits along the whole plan.
+
+    Notes
+    -----
+    Residuals are divided by the mass m and the radius of gyration r of the model's initial nodes,
+    m r² = Σ M (n − c)·(n − c). They are then speeds [m/s], with the tolerance of other speeds.
+
+    Examples
+    --------
+    >>> import ocp
+    >>> ocp.AngularMomentum((None, None, 0.05)).momentum
+    (None, None, 0.05)
+    """
+
+    momentum: Annotated[Sequence[float | None], POINT]
+
+    def __post_init__(self) -> None:
+        field = "AngularMomentum.momentum"
+        momentum = coordinates(field, self.momentum, "an axis that is free", some=True)
+        object.__setattr__(self, "momentum", momentum)
+
+    def bind(self, model: Model, start: Array | None) -> Goal:
+        """Bind the goal to a model and its initial state.
+
+        Parameters
+        ----------
+        model : Model
+            The model of the problem.
+        start : ndarray of shape (nx,), optional
+            Initial state; None if it is free.
+
+        Returns
+        -------
+        Goal
+            The same goal.
+
+        Raises
+        ------
+        ValueError
+            If the whole mass is in one point.
+        """
+        if not _momentum_of_unit_speed(model):
+            raise ValueError(
+                "AngularMomentum: the whole mass is in one point, which has no angular momentum: "
+                "leave the goal out"
+            )
+        return self
+
+    def residuals(self, now: Instant) -> Rows:
+        """Build the angular momentum minus the desired one.
+
+        Parameters
+        ----------
+        now : Instant
+            Symbolic instant.
+
+        Returns
+        -------
+        Rows
+            Named residuals, divided by mass and radius of gyration [m/s].
+        """
+        name = "AngularMomentum: {}, divided by mass and radius of gyration"
+        scale = _momentum_of_unit_speed(now.model)
+        return _rows(name, now.angular_momentum, self.momentum, scale)
+
+
+def _rows(name: str, vector: Any, wanted: Sequence[float | None], scale: float) -> Rows:
+    """Build the scaled residuals [m/s] of a vector (3,), along the axes with a goal."""
+    axes = [axis for axis in range(3) if wanted[axis] is not None]
+    value = (vector[axes] - np.array([wanted[axis] for axis in axes])) / scale
+    return Rows(value, tuple(name.format("xyz"[axis]) for axis in axes), ("m/s",) * len(axes))
+
+
+def _momentum_of_unit_speed(model: Model) -> float:
+    """Compute mass × radius of gyration [kg m] in the initial nodes."""
+    M, N = model.mechanism.M, model.mechanism.N
+    weight = np.asarray(M.sum(axis=1)).ravel()
+    arms = N - (N @ weight / weight.sum())[:, None]
+    square = float(np.sum(arms * np.asarray(M @ arms.T).T))  # mass × (radius of gyration)²
+    return float(np.sqrt(max(square, 0.0) * weight.sum()))
