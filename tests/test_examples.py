@@ -51,6 +51,32 @@ def two_motors(plan: Any) -> None:
     np.testing.assert_allclose(tension[:, :3], tension[:, 3:6], rtol=1e-9)  # along each cable
 
 
+def swing_up(plan: Any) -> None:
+    assert plan.success, plan.message
+    nodes = plan.replay().nodes
+    np.testing.assert_allclose(nodes[-1, 2], (0, 0, 2), atol=1e-3)
+    assert nodes[:, 1, 0].min() < -0.3  # it swings to one side, then to the other
+    assert nodes[:, 1, 0].max() > 0.3
+
+
+def standing_balance(result: Any) -> None:
+    plan, motion = result
+    assert plan.success, plan.message
+    assert plan.tracked
+    assert plan.error_growth > 1e6
+    side = np.abs(motion.nodes[:, 1:4, 0])
+    assert side.max() < 0.1
+    assert side[-1].max() < 1e-4
+
+
+def catch_prism(plan: Any) -> None:
+    assert plan.success, plan.message
+    replay = plan.replay()
+    np.testing.assert_allclose(replay.nodes[-1, :6].mean(axis=0), (0.2, 0, 1.2), atol=1e-2)
+    assert np.abs(replay.velocities[-1]).max() < 1e-2
+    assert np.linalg.norm(replay.velocities[0, :6].mean(axis=0)) > 1.8
+
+
 def plan_landing(plan: Any) -> None:
     assert plan.success, plan.message
     replay = plan.replay()
@@ -175,6 +201,9 @@ CLAIMS = (
     double_pendulum,
     plan_prism,
     plate_on_strings,
+    swing_up,
+    standing_balance,
+    catch_prism,
     plan_landing,
     ball_rolls,
     ball_on_terrain,
@@ -197,6 +226,7 @@ SLOW = (  # two seconds and more
     "ball_on_terrain",
     "ball_rolls",
     "ball_travels",
+    "catch_prism",
     "contact_problems",
     "extremes",
     "ocp_suite",
@@ -208,8 +238,10 @@ SLOW = (  # two seconds and more
     "plan_growth",
     "plan_landing",
     "prism_gait",
+    "standing_balance",
     "stiff_strings",
     "sweep_stiffness",
+    "swing_up",
     "tradeoff_prism",
 )
 NAMES = sorted(path.stem for path in EXAMPLES.glob("*.py"))

@@ -20,6 +20,8 @@ FROM_MAIN = (
     "plan_prism",
     "dbar_folds",
     "plan_landing",
+    "swing_up",
+    "catch_prism",
     "ball_on_terrain",
     "arm_reaches",
 )  # examples whose result is worth watching
