@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from tenscasadi.design.conic import LinearRows
-from tenscasadi.design.force_densities import Groups, read_force_densities, set_prestress
+from tenscasadi.design.force_densities import Groups, read_basis, set_prestress
 from tenscasadi.design.prestress_goals import (
     Even,
     Least,
@@ -22,8 +22,7 @@ from tenscasadi.design.prestress_goals import (
 )
 from tenscasadi.design.tangent_stiffness import TangentStiffness
 from tenscasadi.statics.self_stress import self_stress
-from tenscasadi.structure.cables import reject_cables
-from tenscasadi.structure.rigid_body import reject_bodies
+from tenscasadi.structure.cables import reject_cable_friction
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import (
@@ -113,7 +112,8 @@ def find_prestress(
     maximum : array_like, shape (α,), optional
         Largest tension of strings [N], or one number for all.
     groups : sequence of sequence of int, optional
-        Groups of members that share their force density: strings first, then bars.
+        Groups of members that share their force density: strings first, then bars. Strings of
+        cables have one tension, and are in no group.
 
     Returns
     -------
@@ -138,8 +138,7 @@ def find_prestress(
     (True, 20.659)
     """
     instance("structure", structure, Structure, "a tenscasadi.Structure")
-    reject_cables(structure, "find_prestress")
-    reject_bodies(structure, "find_prestress")
+    reject_cable_friction(structure, "find_prestress")
     instance("goal", goal, (Stiffest, Even, Least), "Stiffest(), Even() or Least()")
     count = len(structure.strings)
     least = nonnegative("minimum", per_item("minimum", minimum, count), "string")
@@ -162,9 +161,10 @@ class _PrestressSearch:
     ----------
     tangent : TangentStiffness
         Tangent stiffness of the structure.
-    basis : csc_array (α + β, u)
-        One column for each group of members that share a force density.
-    tension : csc_array (α + β, u)
+    basis : csc_array (μ, u)
+        One column for each group of members that share a force density, for each cable, and for
+        each bar of a body.
+    tension : csc_array (μ, u)
         Tensions of members per force density of a group [m].
     balance : csc_array (free coordinates, u)
         Unbalanced forces per force density of a group [m].
@@ -184,7 +184,9 @@ class _PrestressSearch:
     ) -> None:
         self.tangent, self.least, self.most, self.cases = tangent, least, most, cases
         structure = tangent.structure
-        self.basis = read_force_densities(structure, None, groups).basis
+        self.basis = sp.block_diag(
+            [read_basis(structure, groups), sp.eye_array(tangent.held)], format="csc"
+        )
         self.tension = sp.csc_array(self.basis.multiply(tangent.lengths[:, None]))
         self.balance = sp.csc_array(tangent.elongation.T @ self.tension)
         finite = np.concatenate([least, most[np.isfinite(most)]])
@@ -264,7 +266,8 @@ class _PrestressSearch:
     def report(self, q: Array) -> PrestressDesign:
         """Build the result for force densities q (α + β,)."""
         structure, strings = self.tangent.structure, len(self.least)
-        forces = q * self.tangent.lengths
+        members = strings + len(structure.bars)
+        forces = (q * self.tangent.lengths)[:members]
         if (
             np.abs(forces[:strings]).max(initial=0.0)
             <= TOLERANCE * self.scale * self.tangent.lengths.mean()

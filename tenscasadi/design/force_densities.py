@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
+from tenscasadi.structure.cables import density_basis
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, Indices, as_tuple, node_index, real_array
 
@@ -63,6 +64,37 @@ def read_force_densities(structure: Structure, given: Any, groups: Groups | None
     lower = np.full(count, -np.inf)
     lower[columns[unknown < strings]] = 0.0
     return ForceDensities(np.where(np.isnan(values), 0.0, values), basis, lower)
+
+
+def read_basis(structure: Structure, groups: Groups | None) -> Any:
+    """Build the force densities of all members per unknown.
+
+    There is an unknown for each cable, and for each group of other members.
+
+    Returns
+    -------
+    csc_array, shape (α + β, u)
+        One column for each unknown. A cable has one tension, so that the force densities of its
+        strings are inverse to their lengths.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a group is wrong, or has strings of a cable.
+    """
+    basis = read_force_densities(structure, None, groups).basis
+    if not structure.cables:
+        return basis
+    own = np.unique(np.concatenate(structure.cables)).astype(np.intp)
+    columns = np.unique(basis[own].indices)
+    if len(shared := np.flatnonzero(np.asarray(basis[:, columns].sum(axis=0)).ravel() > 1.0)):
+        string = basis[:, columns[shared[:1]]].indices[0]
+        raise ValueError(
+            f"groups has string {string}, and strings of a cable: leave these out, as a cable has one tension"
+        )
+    cables = structure.cable_of[[cable[0] for cable in structure.cables]]
+    others = np.setdiff1d(np.arange(basis.shape[1]), columns)
+    return sp.hstack([basis[:, others], density_basis(structure)[:, cables]], format="csc")
 
 
 def _share_values(label: Indices, values: Array) -> Array:

@@ -23,8 +23,9 @@ class PrestressProgram(NamedTuple):
     ----------
     stiffness : TangentStiffness
         Tangent stiffness of the structure.
-    basis : csc_array (α + β, u)
-        One column for each group of members that share a force density.
+    basis : csc_array (μ, u)
+        One column for each group of members that share a force density, for each cable, and for
+        each bar of a body.
     tension : csc_array (α, u)
         Tensions of strings per force density of a group [m].
     equal, below : LinearRows
@@ -134,9 +135,11 @@ class Stiffest(Value, kind="Stiffest"):
             enough = (
                 bound - NEGLIGIBLE * max(abs(bound), program.scale) if seen.shape[1] else np.inf
             )
-            if not len(values) or values[0] >= enough:
+            more = extend_basis(seen, np.asarray(motions[:, values < bound]))
+            # without further motions, the next program is the last one
+            if not len(values) or values[0] >= enough or more.shape[1] == seen.shape[1]:
                 return found._replace(x=program.fit(found.x, up=False))
-            seen = extend_basis(seen, np.asarray(motions[:, values < bound]))
+            seen = more
             found, bound = _maximize_least(program, seen)
         return found._replace(status="failed")
 

@@ -10,6 +10,7 @@ import scipy.sparse as sp
 
 from tenscasadi.statics.self_stress import rigid_body_motions
 from tenscasadi.statics.solver.motions import softest_motions
+from tenscasadi.structure.cables import add_compliances, find_units
 from tenscasadi.structure.equilibrium_matrix import free_directions, member_pairs
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.constrained_eigenproblem import SaddlePoint
@@ -19,17 +20,23 @@ from tenscasadi.util.validate import Array
 class TangentStiffness:
     """Tangent stiffness of a structure on its free directions.
 
-    K(q) = Σ (k − q) u uᵀ + q I over strings and elastic bars, and q I over rigid bars, each between
-    the ends of the member. u is the direction of the member, k its stiffness, q its force density.
+    K(q) = Σ k e eᵀ + Σ q (I − u uᵀ) over springs, and q I over rigid bars, each between the ends of
+    the member. u is the direction of a member, q its force density, k the stiffness and e the
+    elongation of a spring. A spring is a string, a cable as a whole, or an elastic bar. Massless
+    rigid bars hold the nodes of bodies.
 
     Attributes
     ----------
     structure : Structure
         The structure in its nodes.
-    lengths : ndarray (α + β,)
-        Lengths of members [m].
-    stiffness : ndarray (α + β,)
-        Stiffness k of members [N/m]; 0 for rigid bars, which are constraints J v = 0.
+    lengths : ndarray (μ,)
+        Lengths of members [m]: α strings, β bars, and the bars of bodies.
+    unit : ndarray of int (μ,)
+        Unit of each member: cables and lone strings, then bars.
+    stiffness : ndarray (units,)
+        Stiffness k of units [N/m]; 0 for rigid bars, which are constraints J v = 0.
+    elongation : csr_array (μ, free coordinates)
+        Elongation of members per displacement.
     J : csr_array (rigid bars, free coordinates)
         Elongation of rigid bars per displacement.
     rigid_body : ndarray (free coordinates, r)
@@ -38,57 +45,88 @@ class TangentStiffness:
 
     def __init__(self, structure: Structure) -> None:
         self.structure = structure
-        self.pairs = member_pairs(structure)
+        held = np.zeros((0, 2), dtype=np.intp)
+        if structure._assembly is not None:
+            bars = structure._assembly.bars
+            held = bars[(bars < len(structure.nodes)).all(axis=1)]
+        self.pairs = np.concatenate([member_pairs(structure), held])
         vectors = structure.nodes[self.pairs[:, 1]] - structure.nodes[self.pairs[:, 0]]
         self.lengths = np.linalg.norm(vectors, axis=1)
         self.directions = vectors / self.lengths[:, None]
-        self.rigid = len(structure.strings) + np.flatnonzero(~structure.elastic)
-        bars = np.where(structure.elastic, structure.bar_stiffness, 0.0)
-        self.stiffness = np.concatenate([structure.stiffness, bars])
-        self.free = free_directions(structure)
+        own = find_units(structure)
+        inputs = int(own.max(initial=-1)) + 1 - len(structure.bars)
+        self.unit = np.append(own, inputs + len(structure.bars) + np.arange(len(held)))
+        strings = structure.stiffness
+        if structure.cables:
+            strings = add_compliances(structure.cable_of, strings)
+        elastic = np.where(structure.elastic, structure.bar_stiffness, 0.0)
+        self.stiffness = np.concatenate([strings, elastic, np.zeros(len(held))])
+        self.free = free_directions(structure, rigid=False)
         ends = (3 * self.pairs[:, :, None] + np.arange(3)).swapaxes(1, 2).reshape(-1)
         rows, count = np.arange(0, len(ends) + 1, 2), len(self.pairs)
         signs = np.tile([-1.0, 1.0], 3 * count)
         difference = sp.csr_array((signs, ends, rows), shape=(3 * count, structure.nodes.size))
-        # displacement of the second end relative to the first (3 (α + β), free coordinates)
+        # displacement of the second end relative to the first (3 μ, free coordinates)
         self.relative = sp.csr_array(difference @ self.free)
         along = sp.csr_array(
             (self.directions.ravel(), np.arange(3 * count), 3 * np.arange(count + 1))
         )
-        self.elongation = sp.csr_array(along @ self.relative)  # (α + β, free coordinates)
-        self.J = sp.csr_array(self.elongation[self.rigid])
+        self.elongation = sp.csr_array(along @ self.relative)
+        self._springs = self._add_units(self.elongation)
+        rigid = np.append(~structure.elastic, np.ones(len(held), dtype=bool))
+        self._rigid = inputs + np.flatnonzero(rigid)
+        self.J = sp.csr_array(self._springs[self._rigid])
         self.rigid_body = self.free.T @ rigid_body_motions(structure)
+
+    @property
+    def held(self) -> int:
+        """Number of massless bars of bodies."""
+        return len(self.pairs) - len(self.structure.strings) - len(self.structure.bars)
+
+    def _add_units(self, rows: Any) -> sp.csr_array:
+        """Sum the rows (μ, ·) of the strings of each cable."""
+        if not self.structure.cables:
+            return rows
+        each = np.arange(len(self.unit))
+        sums = sp.csr_array((np.ones(len(each)), (self.unit, each)))
+        return sp.csr_array(sums @ rows)
 
     def at(self, q: Array, stiffness: Array | None = None) -> Any:
         """Compute the tangent stiffness K for given force densities.
 
-        K (free coordinates, free coordinates) and q (α + β,) are in N/m. `stiffness` replaces that
-        of all members.
+        K (free coordinates, free coordinates) and q (μ,) are in N/m. `stiffness` replaces that of
+        all units.
         """
         k = self.stiffness if stiffness is None else stiffness
-        along = np.where(self.stiffness > 0.0, k - q, 0.0)
-        blocks = along[:, None, None] * self.directions[:, :, None] * self.directions[:, None, :]
-        blocks = blocks + q[:, None, None] * np.eye(3)
-        each = np.arange(len(q))
-        members = sp.bsr_array((blocks, each, np.arange(len(q) + 1)))
-        return sp.csc_array(self.relative.T @ sp.csr_array(members) @ self.relative)
+        k = np.where(self.stiffness > 0.0, k, 0.0)
+        along = np.where(self.stiffness > 0.0, 1.0, 0.0)[self.unit] * q
+        blocks = q[:, None, None] * np.eye(3) - along[:, None, None] * (
+            self.directions[:, :, None] * self.directions[:, None, :]
+        )
+        members = sp.bsr_array((blocks, np.arange(len(q)), np.arange(len(q) + 1)))
+        geometric = self.relative.T @ sp.csr_array(members) @ self.relative
+        material = self._springs.T @ sp.csr_array(self._springs.multiply(k[:, None]))
+        return sp.csc_array(material + geometric)
 
     def reduce(self, motions: Array) -> tuple[Array, Array]:
-        """Project the stiffness of each member onto motions.
+        """Project the stiffness of units and members onto motions.
 
         The motions are columns (free coordinates, r).
 
         Returns
         -------
-        tuple of ndarray (α + β, r, r)
-            Material stiffness per member stiffness k, and geometric stiffness per force density.
+        tuple of ndarray (units, r, r) and ndarray (μ, r, r)
+            Material stiffness of units per stiffness k, and geometric stiffness of members per
+            force density.
         """
         moved = (self.free @ motions).reshape(len(self.structure.nodes), 3, motions.shape[1])
         change = moved[self.pairs[:, 1]] - moved[self.pairs[:, 0]]
         along = np.einsum("ki,kij->kj", self.directions, change)
-        material = along[:, :, None] * along[:, None, :]
-        springs = self.stiffness[:, None, None] > 0.0
-        return material, np.einsum("kdi,kdj->kij", change, change) - material * springs
+        along = along * (self.stiffness > 0.0)[self.unit, None]
+        longer = self._springs @ motions
+        material = longer[:, :, None] * longer[:, None, :]
+        geometric = np.einsum("kdi,kdj->kij", change, change)
+        return material, geometric - along[:, :, None] * along[:, None, :]
 
     def softest(
         self, q: Array, count: int | None = None, stiffness: Array | None = None
@@ -109,7 +147,7 @@ class TangentStiffness:
         return int(self.J.shape[1] - np.linalg.matrix_rank(held, tol=1e-9))
 
     def tension_change(self, q: Array, loads: Array) -> Array:
-        """Compute the change of tensions (α + β, cases) [N].
+        """Compute the change of tensions (μ, cases) [N].
 
         It is the linear response to loads (cases, n, 3) about the state with force densities q.
         Raises LinAlgError if K is singular.
@@ -119,9 +157,9 @@ class TangentStiffness:
         forces = self.free.T @ loads.reshape(len(loads), -1).T
         held = sp.vstack([self.J, sp.csr_array(self.rigid_body.T)], format="csr")
         motion, pull = SaddlePoint(self.at(q), held).solve(forces)
-        change = self.stiffness[:, None] * (self.elongation @ motion)
-        change[self.rigid] = pull[: len(self.rigid)]
-        return np.asarray(change)
+        change = self.stiffness[:, None] * (self._springs @ motion)
+        change[self._rigid] = pull[: len(self._rigid)]
+        return np.asarray(change[self.unit])
 
 
 def extend_basis(basis: Array, more: Array) -> Array:

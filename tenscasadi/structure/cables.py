@@ -124,6 +124,15 @@ def add_compliances(cable_of: Indices, stiffness: Array) -> Array:
         return np.asarray(1 / np.bincount(cable_of, weights=1 / stiffness))
 
 
+def find_units(structure: Any) -> Indices:
+    """Find the unit of each string and bar (α + β,).
+
+    Units are the cables and lone strings as in `Structure.cable_of`, then the bars.
+    """
+    inputs = int(structure.cable_of.max(initial=-1)) + 1
+    return np.append(structure.cable_of, inputs + np.arange(len(structure.bars)))
+
+
 def pair_strings(cables: Cables) -> Indices:
     """List the pairs (k, 2) of strings in one cable, each pair once."""
     pairs = [pair for cable in cables for pair in combinations(cable, 2)]
@@ -141,9 +150,7 @@ def density_basis(structure: Any) -> Any:
         lengths.
     """
     alpha, bars = len(structure.strings), len(structure.bars)
-    columns = np.append(
-        structure.cable_of, structure.cable_of.max(initial=-1) + 1 + np.arange(bars)
-    )
+    columns = find_units(structure)
     values = np.ones(alpha + bars)
     for cable in structure.cables:
         own = 1.0 / structure.string_lengths[list(cable)]
@@ -158,6 +165,15 @@ def reject_cables(structure: Any, user: str) -> None:
         raise ValueError(
             f"Structure.cables has {len(structure.cables)} cables, which {user} does not take: "
             "give structure.replace(cables=())"
+        )
+
+
+def reject_cable_friction(structure: Any, user: str) -> None:
+    """Raise ValueError if a cable has friction, which a function does not take."""
+    for cable in np.flatnonzero(structure.cable_friction):
+        raise ValueError(
+            f"cable_friction of cable {cable} is {structure.cable_friction[cable]:g}, which {user} "
+            "does not take: give structure.replace(cable_friction=0.0)"
         )
 
 

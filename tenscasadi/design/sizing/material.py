@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from tenscasadi.schema.value import Value
+from tenscasadi.structure.cables import find_units
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, positive_number
+from tenscasadi.util.validate import Array, Indices, positive_number
 
 
 @dataclass(frozen=True)
@@ -42,25 +43,28 @@ class Material(Value, kind="Material"):
 
 
 class Sections(NamedTuple):
-    """Material and shape of the sections of all members.
+    """Material and shape of the sections of all units.
 
-    Strings come first, then bars.
+    Cables and lone strings come first, then bars. A cable has one section.
 
     Attributes
     ----------
-    lengths : ndarray (α + β,)
+    unit : ndarray of int (α + β,)
+        Unit of each string and bar.
+    lengths : ndarray (units,)
         Lengths [m].
-    modulus, density, strength : ndarray (α + β,)
+    modulus, density, strength : ndarray (units,)
         Properties of the materials, in SI units.
-    buckling : ndarray (α + β,)
+    buckling : ndarray (units,)
         Coefficient c of the Euler load c · area² [N/m⁴]; inf for strings, which carry no
         compression.
-    minimum : ndarray (α + β,)
+    minimum : ndarray (units,)
         Least areas [m²].
-    solidity : ndarray (α + β,)
+    solidity : ndarray (units,)
         Area relative to that of a solid section of the same outer radius.
     """
 
+    unit: Indices
     lengths: Array
     modulus: Array
     density: Array
@@ -71,27 +75,27 @@ class Sections(NamedTuple):
 
     @property
     def mass_per_area(self) -> Array:
-        """Mass of each member per area [kg/m²]."""
+        """Mass of each unit per area [kg/m²]."""
         return self.density * self.lengths
 
     def needed_for_yield(self, force: Array) -> Array:
         """Compute the areas required by the allowable stress [m²].
 
-        They have the shape (..., α + β) of the forces [N].
+        They have the shape (..., units) of the forces [N].
         """
         return np.asarray(np.abs(force) / self.strength)
 
     def needed_for_buckling(self, force: Array) -> Array:
         """Compute the areas required by Euler buckling [m²].
 
-        They have the shape (..., α + β) of the forces [N].
+        They have the shape (..., units) of the forces [N].
         """
         return np.asarray(np.sqrt(np.maximum(-force, 0.0) / self.buckling))
 
     def needed(self, forces: Array) -> Array:
         """Compute the areas required by several states [m²].
 
-        Forces [N] have the shape (states, α + β), areas (α + β,). Areas are not below the minimum.
+        Forces [N] have the shape (states, units), areas (units,). Areas are not below the minimum.
         """
         both = np.maximum(self.needed_for_yield(forces), self.needed_for_buckling(forces))
         return np.asarray(np.maximum(both.max(axis=0, initial=0.0), self.minimum))
@@ -104,14 +108,18 @@ class Sections(NamedTuple):
 def build_sections(
     structure: Structure, string: Material | None, bar: Material | None, tube: float, minimum: Array
 ) -> Sections:
-    """Build the sections of all members.
+    """Build the sections of all units.
 
-    `tube` is the ratio of the inner to the outer radius of bars. Their second moment of area is
-    κ area², with κ = (1 + tube²) / (4π (1 − tube²)). Their Euler load is π² modulus κ area² /
-    length².
+    `minimum` (α + β,) are the least areas of strings and bars [m²]. `tube` is the ratio of the
+    inner to the outer radius of bars. Their second moment of area is κ area², with κ = (1 + tube²)
+    / (4π (1 − tube²)). Their Euler load is π² modulus κ area² / length².
     """
-    strings, bars = len(structure.strings), len(structure.bars)
-    lengths = np.concatenate([structure.string_lengths, structure.bar_lengths])
+    unit, bars = find_units(structure), len(structure.bars)
+    own = np.concatenate([structure.string_lengths, structure.bar_lengths])
+    lengths = np.asarray(np.bincount(unit, weights=own), dtype=float)
+    strings = len(lengths) - bars
+    least = np.zeros(len(lengths))
+    np.maximum.at(least, unit, minimum)
 
     def spread(name: str) -> Array:
         own = [1.0 if each is None else getattr(each, name) for each in (string, bar)]
@@ -123,5 +131,5 @@ def build_sections(
     buckling[:strings] = np.inf
     solidity = np.repeat([1.0, 1.0 - tube**2], [strings, bars])
     return Sections(
-        lengths, modulus, spread("density"), spread("strength"), buckling, minimum, solidity
+        unit, lengths, modulus, spread("density"), spread("strength"), buckling, least, solidity
     )

@@ -47,9 +47,9 @@ class SizedForces(NamedTuple):
     ----------
     mass : float
         Objective [kg]; inf if there is no solution.
-    area : ndarray (α + β,)
+    area : ndarray (members,)
         Areas [m²].
-    force : ndarray (cases, α + β)
+    force : ndarray (cases, members)
         Forces [N], positive in tension.
     """
 
@@ -61,13 +61,17 @@ class SizedForces(NamedTuple):
 class SizingProgram:
     """Linear program of a structure under load cases.
 
+    The members are the cables and lone strings, then the bars.
+
     Attributes
     ----------
     sections : Sections
         Sections of the members.
-    balance : csc_array (free coordinates, α + β)
+    strings, members : int
+        Number of cables and lone strings, and of members.
+    balance : csc_array (free coordinates, members)
         Nodal loads that balance a unit tension of each member.
-    weight : csc_array (free coordinates, α + β)
+    weight : csc_array (free coordinates, members)
         Weights of members per area [N/m²].
     loads : ndarray (cases, free coordinates)
         Loads [N].
@@ -77,11 +81,14 @@ class SizingProgram:
         self, structure: Structure, sections: Sections, cases: Array, gravity: Array | None
     ) -> None:
         self.sections = sections
-        self.strings, self.members = len(structure.strings), len(sections.lengths)
-        signs = np.where(np.arange(self.members) < self.strings, 1.0, -1.0)
-        self.balance = sp.csc_array(
-            equilibrium_matrix(structure) @ sp.diags_array(signs / sections.lengths)
-        )
+        self.members = len(sections.lengths)
+        self.strings = self.members - len(structure.bars)
+        per_force = np.concatenate([1.0 / structure.string_lengths, -1.0 / structure.bar_lengths])
+        each = np.arange(len(sections.unit))
+        tensions = sp.csc_array(
+            (per_force, (each, sections.unit)), shape=(len(each), self.members)
+        )  # λ > 0 is compression
+        self.balance = sp.csc_array(equilibrium_matrix(structure) @ tensions)
         free = free_directions(structure)
         self.loads = cases.reshape(len(cases), structure.nodes.size) @ free
         acceleration = np.zeros(3) if gravity is None else gravity
@@ -123,7 +130,7 @@ class SizingProgram:
     def solve(self, rows: BucklingRows | None = None, most: Array | None = None) -> SizedForces:
         """Minimize the mass.
 
-        Beside the allowable stress, `rows` bound compressions by areas, and `most` (α + β,) bounds
+        Beside the allowable stress, `rows` bound compressions by areas, and `most` (members,) bounds
         them by constants [N].
         """
         cases, members = len(self.loads), self.members
@@ -169,7 +176,7 @@ class _SizingUnits(NamedTuple):
     ----------
     force : float
         Unit of forces [N].
-    area : ndarray (α + β,)
+    area : ndarray (members,)
         Area of each member that this force requires [m²].
     """
 
@@ -189,15 +196,15 @@ class _SizingRows(NamedTuple):
 
 
 def _end_weights(structure: Structure, sections: Sections, gravity: Array) -> Any:
-    """Build the nodal weights (3n, α + β) per area.
+    """Build the nodal weights (3n, members) per area.
 
-    One half of a member's weight acts at each end.
+    One half of the weight of a string or bar acts at each end.
     """
     pairs = member_pairs(structure)
-    half = 0.5 * sections.mass_per_area[:, None] * gravity
+    lengths = np.concatenate([structure.string_lengths, structure.bar_lengths])
+    half = 0.5 * (sections.density[sections.unit] * lengths)[:, None] * gravity
     rows = 3 * pairs[:, :, None] + np.arange(3)
     values = np.stack([half, half], axis=1)
-    columns = np.repeat(np.arange(len(pairs)), 6)
-    return sp.csc_array(
-        (values.ravel(), (rows.ravel(), columns)), shape=(structure.nodes.size, len(pairs))
-    )
+    columns = np.repeat(sections.unit, 6)
+    shape = (structure.nodes.size, len(sections.lengths))
+    return sp.csc_array((values.ravel(), (rows.ravel(), columns)), shape=shape)

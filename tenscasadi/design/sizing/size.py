@@ -23,7 +23,7 @@ from tenscasadi.design.sizing.sized import Sized, report_failure, report_section
 from tenscasadi.design.sizing.stable import StableSizing
 from tenscasadi.design.tangent_stiffness import TangentStiffness
 from tenscasadi.scene.loads import Gravity
-from tenscasadi.structure.cables import reject_cables
+from tenscasadi.structure.cables import reject_cable_friction
 from tenscasadi.structure.rigid_body import reject_bodies
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import (
@@ -53,7 +53,7 @@ def size(
     """Find the sections of least mass for all load cases.
 
     The allowable stress limits strings and bars. Bars are also limited by the Euler load of their
-    own length, with hinged ends. Parallel bars do not brace each other.
+    own length, with hinged ends. Parallel bars do not brace each other. A cable has one section.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def size(
         Inner over outer radius of bars, at least 0 and below 1.
     self_weight : Gravity, optional
         Gravity that adds the weight of the members to each case, one half at each end. The weight
-        of point masses is not added: it belongs to the load cases.
+        of point masses and bodies is not added: it belongs to the load cases.
     minimum_area : array_like, shape (α + β,)
         Least areas [m²], or one number for all.
     prestress : array_like, shape (α + β,), optional
@@ -110,16 +110,17 @@ def size(
     (8.858, ('yield', 'buckling'))
     """
     instance("structure", structure, Structure, "a tenscasadi.Structure")
-    reject_cables(structure, "size")
-    reject_bodies(structure, "size")
+    reject_cable_friction(structure, "size")
     sections = _read_sections(structure, string, bar, tube, minimum_area)
     flag("stable", stable)
+    if stable:
+        reject_bodies(structure, "size(stable=True)")
     cases = read_load_cases(load_cases, structure)
     if self_weight is not None:
         instance("self_weight", self_weight, Gravity, "a tenscasadi.Gravity, or None")
     gravity = None if self_weight is None else np.array(self_weight.at(0.0)).ravel()
     program = SizingProgram(structure, sections, cases, gravity)
-    given = _read_prestress(program, prestress)
+    given = _read_prestress(structure, program, prestress)
     design = find_least_mass(program)
     if not np.isfinite(design.best.mass):
         return report_failure(structure, cases, _explain(program))
@@ -178,8 +179,10 @@ def _read_sections(
     return build_sections(structure, string, bar, ratio, minimum)
 
 
-def _read_prestress(program: SizingProgram, prestress: ArrayLike | None) -> Array | None:
-    """Read the prestress (α + β,) [N].
+def _read_prestress(
+    structure: Structure, program: SizingProgram, prestress: ArrayLike | None
+) -> Array | None:
+    """Read the prestress of the members of a program [N].
 
     It is zero for (), and None if it is to be optimized. Raises TypeError, ValueError.
     """
@@ -187,9 +190,17 @@ def _read_prestress(program: SizingProgram, prestress: ArrayLike | None) -> Arra
         return None
     if np.size(prestress) == 0:
         return np.zeros(program.members)
-    forces = finite_array("prestress", prestress, (program.members,))
+    unit = program.sections.unit
+    given = finite_array("prestress", prestress, (len(unit),))
+    forces = given[np.unique(unit, return_index=True)[1]]
+    largest = float(np.abs(given).max(initial=0.0))
+    for cable in structure.cables:
+        if np.ptp(given[list(cable)]) > NEGLIGIBLE * largest:
+            raise ValueError(
+                f"prestress of strings {list(cable)} is {given[list(cable)].round(3).tolist()} N: give one value, as they are one cable"
+            )
     left = float(np.abs(program.balance @ forces).max(initial=0.0))
-    if left > NEGLIGIBLE * np.abs(forces).max(initial=0.0):
+    if left > NEGLIGIBLE * largest:
         raise ValueError(
             f"prestress leaves {left:.3g} N unbalanced: give forces in equilibrium, such as those of find_prestress"
         )

@@ -105,10 +105,13 @@ def report_sections(
     design: tuple[Array, Array, Array],
     message: str,
 ) -> Sized:
-    """Build the result from areas, forces and prestress."""
-    area, force, own = design
-    sections, strings = program.sections, program.strings
-    masses = sections.mass_per_area * area
+    """Build the result from areas, forces and prestress of the members of a program."""
+    sections, strings = program.sections, len(structure.strings)
+    unit = sections.unit
+    reasons = _find_reasons(sections, design[0], np.vstack([design[1], design[2]]))
+    area, force, own = design[0][unit], design[1][:, unit], design[2][unit]
+    lengths = np.concatenate([structure.string_lengths, structure.bar_lengths])
+    masses = sections.density[unit] * lengths * area
     largest = float(np.abs(force).max(initial=0.0))
     slack = np.flatnonzero(force[:, :strings].min(axis=0, initial=0.0) < -TOLERANCE * largest)
     if len(slack):
@@ -119,13 +122,13 @@ def report_sections(
         float(masses.sum()),
         masses,
         area,
-        sections.outer_radius(area),
+        sections.outer_radius(design[0])[unit],
         force,
         own,
-        _find_reasons(sections, area, np.vstack([force, own])),
+        tuple(reasons[k] for k in unit),
         _build_structure(structure, program, area, own),
         loads,
-        program.nodal_weight(area),
+        program.nodal_weight(design[0]),
     )
 
 
@@ -151,17 +154,20 @@ def _build_structure(
 
     Bars without force get a billionth of the largest area, because each bar must have a mass.
     """
-    sections, strings = program.sections, program.strings
+    sections, strings = program.sections, len(structure.strings)
     kept = np.maximum(area, NEGLIGIBLE * (area.max(initial=0.0) or 1.0))
-    stiffness = sections.modulus / sections.lengths
+    lengths = np.concatenate([structure.string_lengths, structure.bar_lengths])
+    stiffness = sections.modulus[sections.unit] / lengths
+    mass = sections.density[sections.unit] * lengths
+    outer = np.sqrt(kept / (np.pi * sections.solidity[sections.unit]))
     sized = structure.replace(
         stiffness=(stiffness * area)[:strings],
-        string_mass=(sections.mass_per_area * area)[:strings],
-        bar_mass=(sections.mass_per_area * kept)[strings:],
-        bar_radius=sections.outer_radius(kept)[strings:],
+        string_mass=(mass * area)[:strings],
+        bar_mass=(mass * kept)[strings:],
+        bar_radius=outer[strings:],
         bar_stiffness=(stiffness * kept)[strings:],
         rest_length=structure.string_lengths,
         bar_rest_length=structure.bar_lengths,
     )
-    q = own / sections.lengths
+    q = own / lengths
     return set_prestress(sized, q[:strings], -q[strings:])

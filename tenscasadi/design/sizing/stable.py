@@ -76,6 +76,9 @@ class StableSizing:
         self, program: SizingProgram, tangent: TangentStiffness, given: Array | None
     ) -> None:
         self.program, self.tangent, self.given = program, tangent, given
+        each = np.arange(len(tangent.lengths))
+        # force densities of strings and bars per force of a member of the program
+        self._densities = sp.csr_array((1.0 / tangent.lengths, (each, tangent.unit)))
         self._seen = np.zeros((tangent.free.shape[1], 0))
         self._factor = _FACTOR
 
@@ -140,7 +143,7 @@ class StableSizing:
             k = sections.modulus * found[0] / sections.lengths
             known = self._seen.shape[1]
             for state in states:
-                q = (found[1] + state.at(found[0])) / sections.lengths
+                q = self._densities @ (found[1] + state.at(found[0]))
                 values, motions = self.tangent.softest(q, _MODES, k)
                 unstable = motions[:, values < -_ROUNDING * k.max(initial=0.0)]
                 self._seen = extend_basis(self._seen, unstable)
@@ -168,7 +171,7 @@ class StableSizing:
         if self._seen.shape[1]:
             material, geometric = self.tangent.reduce(self._seen)
             by_area = _triangles(material * (sections.modulus / sections.lengths)[:, None, None])
-            by_force = _triangles(geometric / sections.lengths[:, None, None])
+            by_force = _triangles(geometric) @ self._densities.toarray()
             cones = [
                 LinearRows(
                     -_beside(by_area * (unit / force) + by_force @ each.slope, by_force),

@@ -201,3 +201,77 @@ def test_unstable_prestress_is_no_success() -> None:
 def test_wrong_input_is_named(given, message: str) -> None:
     with pytest.raises((TypeError, ValueError), match=message):
         tc.find_prestress(tc.shapes.prism(), **given)
+
+
+def plate_on_strings(cables=()) -> tc.Structure:
+    """Twelve strings hold a triangular plate from above and below."""
+    angle = np.deg2rad([90, 210, 330])
+    around = [
+        np.column_stack([r * np.cos(angle + turn), r * np.sin(angle + turn), np.full(3, z)])
+        for r, turn, z in ((0.4, 0.0, 0.0), (0.8, np.pi / 3, 1.0), (0.8, np.pi / 3, -1.0))
+    ]
+    strings = [(k, 3 + k) for k in range(3)] + [(0, 5), (1, 3), (2, 4)]
+    strings += [(a, b + 3) for a, b in strings]
+    plate = tc.RigidBody((0, 1, 2), mass=3.0, inertia=(0.1, 0.1, 0.2))
+    return tc.Structure(
+        np.vstack(around),
+        strings=strings,
+        pinned=range(3, 9),
+        stiffness=2000.0,
+        bodies=[plate],
+        cables=cables,
+    )
+
+
+@pytest.mark.parametrize("goal", [tc.Stiffest(), tc.Even(), tc.Least()])
+@pytest.mark.parametrize(
+    "s",
+    [
+        tc.shapes.prism(stiffness=1e3, cables=[[0, 1]]),
+        plate_on_strings(),
+        plate_on_strings(cables=[[0, 3], [1, 4], [2, 5]]),
+    ],
+    ids=["prism", "plate", "plate on cables"],
+)
+def test_prestress_of_cables_and_bodies(goal, s: tc.Structure) -> None:
+    pre = tc.find_prestress(s, goal, minimum=5.0, maximum=60.0)
+    assert pre.success, pre.message
+    for cable in s.cables:
+        np.testing.assert_allclose(pre.tension[list(cable)], pre.tension[cable[0]])
+    st = tc.stability(pre.structure)
+    assert st.residual < 1e-6 * pre.tension.max()
+    assert pre.least_stiffness == pytest.approx(st.eigenvalues[0], rel=1e-6)
+    eq = tc.find_equilibrium(tc.Scene(pre.structure))
+    assert eq.success, eq.message
+    np.testing.assert_allclose(eq.tension, pre.tension, rtol=1e-6)
+
+
+def test_prestress_keeps_strings_of_a_loaded_plate_taut() -> None:
+    s = plate_on_strings()
+    load = np.zeros((9, 3))
+    load[0] = (1.0, 0.5, -3.0)
+    pre = tc.find_prestress(s, tc.Least(), [load], minimum=0.5)
+    assert pre.success, pre.message
+    eq = tc.find_equilibrium(tc.Scene(pre.structure, forces=tc.NodalForce(load)))
+    assert eq.tension.min() == pytest.approx(0.5, abs=1e-3)
+
+
+def test_groups_with_strings_of_a_cable_are_rejected() -> None:
+    s = tc.shapes.prism(cables=[[0, 1]])
+    with pytest.raises(ValueError, match="groups has string 0, and strings of a cable"):
+        tc.find_prestress(s, tc.Least(), minimum=1.0, groups=[[0, 2]])
+
+
+def test_friction_of_cables_is_rejected() -> None:
+    s = tc.shapes.prism(cables=[[0, 1]], cable_friction=0.1)
+    with pytest.raises(
+        ValueError, match=r"cable_friction of cable 0 is 0\.1, which find_prestress"
+    ):
+        tc.find_prestress(s, tc.Least(), minimum=1.0)
+
+
+def test_stiffest_without_any_stiffness_fails_at_once() -> None:
+    s = tc.shapes.prism(stiffness=1e3, cables=[[0, 1, 2], [3, 4, 5]])
+    pre = tc.find_prestress(s, tc.Stiffest(), maximum=50.0)
+    assert not pre.success
+    assert "unstable within the limits" in pre.message

@@ -354,6 +354,49 @@ def test_materials_are_positive(field: str, value: float) -> None:
         tc.Material(**{"modulus": 1.0, "density": 1.0, "strength": 1.0, field: value})
 
 
+def test_cable_has_one_force_and_one_section() -> None:
+    line = tc.Structure(
+        [(-1, 0, 0), (0, 0, -0.75), (1, 0, 0)],
+        strings=[(0, 1), (1, 2)],
+        node_mass=[0, 2.0, 0],
+        pinned=[0, 2],
+        cables=[[0, 1]],
+    )
+    load = np.zeros((3, 3))
+    load[1, 2] = -1200.0
+    sized = tc.size(line, [load], ALUMINUM, minimum_area=[0.0, 1e-6])
+    assert sized.success, sized.message
+    np.testing.assert_allclose(sized.force, 1000.0)
+    np.testing.assert_allclose(sized.area, 1000.0 / 110e6)
+    assert sized.governs == ("yield", "yield")
+    assert sized.mass == pytest.approx(2700.0 * 2.5 * 1000.0 / 110e6)
+    eq = tc.find_equilibrium(tc.Scene(sized.structure, forces=tc.NodalForce(load)))
+    np.testing.assert_allclose(eq.tension, 1000.0, rtol=1e-2)
+    load[1, 0] = 300.0  # along the cable, which slides
+    sliding = tc.size(line, [load], ALUMINUM)
+    assert not sliding.success
+    assert tc.size(line.replace(cables=()), [load], ALUMINUM).success
+    with pytest.raises(ValueError, match="give one value, as they are one cable"):
+        tc.size(line, [load], ALUMINUM, prestress=[1.0, 2.0])
+
+
+def test_plate_is_sized_by_its_load() -> None:
+    nodes = [(1, 0, 0), (-1, 1, 0), (-1, -1, 0)]
+    s = tc.Structure(
+        [*nodes, *((x, y, 2) for x, y, _ in nodes)],
+        strings=[(0, 3), (1, 4), (2, 5)],
+        pinned=[3, 4, 5],
+        bodies=[tc.RigidBody((0, 1, 2), mass=1.0)],
+    )
+    load = np.zeros((6, 3))
+    load[0, 2], load[1, 2] = -100.0, -60.0
+    sized = tc.size(s, [load], ALUMINUM)
+    assert sized.success, sized.message
+    np.testing.assert_allclose(sized.force, [[100.0, 60.0, 0.0]], atol=1e-6)
+    with pytest.raises(ValueError, match=r"size\(stable=True\) does not take"):
+        tc.size(s, [load], ALUMINUM, stable=True)
+
+
 @settings(max_examples=15, deadline=None)
 @drawn(
     load=st.lists(st.floats(-1e6, 1e6, allow_subnormal=False), min_size=6, max_size=6),
