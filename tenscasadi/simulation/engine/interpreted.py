@@ -53,7 +53,7 @@ class StepRows(NamedTuple):
 class Interpreted:
     """Backend that calls CasADi's virtual machine.
 
-    A call of the step Function takes `chunk` steps of one run, or one step of several.
+    A call of the step Function takes up to `chunk` steps of one run, or one step of several.
     """
 
     lanes = 0
@@ -61,7 +61,7 @@ class Interpreted:
 
     def __init__(self, program: KernelFunctions) -> None:
         functions, self.sizes = dict(program.functions), program.sizes
-        self.chunk = 32  # a call from Python costs as much as a step of a ball
+        self.chunk = 32  # most steps of a call: one from Python costs as much as a step of a ball
         if program.adaptive and program.tableau is not None:
             self.chunk = 1
             control = ErrorControl(*(functions.pop(name) for name in ErrorControl._fields))
@@ -105,7 +105,7 @@ class Interpreted:
             code = self._control_error(loop, length)
             return StepRows(loop.z[None], None, code)
         n, q = len(loop.z), loop.q
-        steps = self.chunk if n == 1 and most >= self.chunk else 1
+        steps = min(self.chunk, most) if n == 1 else 1
         every, places = q["correct_every"], loop.step + 1 + np.arange(steps)
         flags = (places % every == 0) if every else np.zeros(steps)
         rows = [
