@@ -143,7 +143,8 @@ def _worth(plan: PlanResult) -> tuple[bool, bool, float]:
 def _try(search: _PlanSearch, attempt: Attempt) -> tuple[PlanResult, Target | None]:
     """Run one attempt and its acceptance test.
 
-    If its optimum misses the goals, a second run imposes the rows of a target near its end.
+    If dependent goal rows are active at its optimum, a second run imposes those rows that are
+    independent near its end.
     Returns the plan, and the target from which the next attempt starts.
     """
     task = search.task
@@ -151,10 +152,12 @@ def _try(search: _PlanSearch, attempt: Attempt) -> tuple[PlanResult, Target | No
     plan = _record(task, attempt, outcome)
     other = _find_other_target(task, plan, outcome)
     if other is not None:
-        before, own = outcome.iterations, attempt._replace(guess=replace(plan, duals=None))
-        task = task._replace(target=other)
-        outcome, target = run_attempt(task, own)
-        outcome = outcome._replace(iterations=before + outcome.iterations)
+        again = task._replace(target=other)
+        found, reached = run_attempt(again, attempt._replace(guess=replace(plan, duals=None)))
+        count = outcome.iterations + found.iterations
+        if found.success:
+            task, outcome, target = again, found, reached
+        outcome = outcome._replace(iterations=count)
         plan = _record(task, attempt, outcome)
 
     def replay(plan: PlanResult, tracked: bool) -> Trajectory:
@@ -170,18 +173,18 @@ def _try(search: _PlanSearch, attempt: Attempt) -> tuple[PlanResult, Target | No
 
 
 def _find_other_target(task: PlanningTask, plan: PlanResult, found: Outcome) -> Target | None:
-    """Find the target near the end of an optimum that misses the goals.
+    """Find the target near the end of an optimum with active dependent rows.
 
-    Rows that are redundant at one target need not be so at other ends. For instance, a bar
-    perpendicular to its direction at the target can still rotate. Returns None if the optimum meets
-    the goals, or if no other target is found.
+    The imposed rows are then not the independent ones there, see `Target.dependent`. Returns None
+    if the optimum meets the goals, or if no other target is found.
     """
     target, problem, duration = task.target, task.problem, float(plan.time[-1])
     if target is None or not target.met or not found.success or found.duals is None:
         return None
     state_at = interpolate_plan(plan)
     residuals = target.begin_at(found.states[0]).measure(state_at).distances(duration)
-    if residuals.max(initial=0.0) <= task.tolerance or task.monitor.status():
+    limit = 0.5 * target.residual * task.scales.length
+    if residuals.max(initial=0.0) <= limit or task.monitor.status():
         return None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", TargetNotFoundWarning)

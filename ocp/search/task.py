@@ -64,7 +64,7 @@ def prepare(
     scales = Scales.of(problem)
     if problem.phases:
         return PlanningTask(problem, None, scales, tolerance, monitor)
-    target = find_target(problem, scales, near)
+    target = find_target(problem, scales, near).permit(0.5 * tolerance / scales.length)
     if not problem.free_start:
         check_start(problem)
         check_end(problem, target)

@@ -24,7 +24,8 @@ class Duals(Stored):
     ----------
     names : tuple of str
         Names of the m duals: path constraints and the motion, then goals, then the n unknowns of
-        the program.
+        the program. Goals that bars or momenta meet near the target are also inequalities, such as
+        "goal, AtRest: node 1 y".
     values : ndarray, shape (m,)
         Duals λ of J + Σ λ c, in units of J per unit of the constraint c (N/m, N, m, m/s). Goals
         count only in the directions that bars and momenta leave free. Duals of the motion have the

@@ -3,9 +3,8 @@
 Let A be the gradients of the invariants at the target and Z a basis of null(A). A goal with
 gradient H can be changed in range(H Z) only. If the other combinations of its rows are imposed, the
 constraint gradients of the optimal control problem are linearly dependent and solvers fail. Near
-the target these combinations are satisfied; elsewhere they need not be, so that a plan with another
-end is found again from a target there (`ocp.search.find_plan`). Singular lengths are replaced by
-rows of the shape.
+the target the motion itself satisfies these combinations; elsewhere it need not, so that goals in
+them are also inequalities (`Target.dependent`). Singular lengths are replaced by rows of the shape.
 """
 
 from __future__ import annotations

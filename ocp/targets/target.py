@@ -11,8 +11,10 @@ import numpy as np
 import scipy.linalg
 
 from ocp.targets.row_reduction import Reduction
-from tenscasadi.util.validate import Array
+from tenscasadi.util.validate import TOLERANCE, Array, Indices
 
+DETERMINED = 1e-6  # squared sine to the imposed combinations below which they determine a row
+MAX_RESIDUAL = 5e-3  # largest residual of dependent goal rows, relative to their scale
 StateAt = Callable[[float], Array]  # fraction of the duration → state (nx,), or states (n, nx)
 
 
@@ -78,6 +80,8 @@ class Target:
         Targets of waypoints.
     free_start : FreeStartRows or None
         Rows of a free start, near which `start` is.
+    residual : float
+        Permitted residual of dependent goal rows, relative to their scale.
     """
 
     start: Array
@@ -93,6 +97,7 @@ class Target:
     met: bool = True
     waypoints: tuple[WaypointTarget, ...] = ()
     free_start: FreeStartRows | None = None
+    residual: float = MAX_RESIDUAL
 
     @property
     def count(self) -> int:
@@ -114,6 +119,16 @@ class Target:
         return ca.Function(
             "goal", [x], [ca.mtimes(ca.DM(self.weights), self.single(x))], ["x"], ["rows"]
         )
+
+    @property
+    def dependent(self) -> Indices:
+        """Goal rows that the imposed combinations do not determine.
+
+        Near the target the invariants of the motion meet them. Elsewhere they need not: a bar
+        perpendicular to its direction at the target can still rotate.
+        """
+        basis = np.linalg.qr(self.weights.T)[0][: len(self.names)]
+        return np.flatnonzero(1.0 - (basis * basis).sum(axis=1) > DETERMINED)
 
     def measure(self, state_at: StateAt) -> GoalResiduals:
         """Compute the residuals of goals and waypoints.
@@ -140,6 +155,12 @@ class Target:
         return replace(
             self, weights=kept @ self.weights, reduction=self.reduction.keep(kept, reason)
         )
+
+    def permit(self, residual: float) -> Target:
+        """Limit the residual of dependent goal rows, also of waypoints."""
+        own = float(np.clip(residual, TOLERANCE, MAX_RESIDUAL))
+        waypoints = tuple(one._replace(target=one.target.permit(own)) for one in self.waypoints)
+        return replace(self, residual=own, waypoints=waypoints)
 
     def begin_at(self, start: Array) -> Target:
         """Build the target for a given start.

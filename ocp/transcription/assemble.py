@@ -222,11 +222,21 @@ def build_end_blocks(v: Variables) -> list[Block]:
 def _build_goal_blocks(
     target: Target, function: ca.Function, index: Indices, name: str, kind: Kind
 ) -> list[Block]:
-    """Build the independent combinations of the rows of a target."""
-    if not target.count:
-        return []
-    names = tuple(f"{name}, combination {k}" for k in range(target.count))
-    return [Block(function, index, names, combination=target.weights, kind=kind)]
+    """Build the independent combinations of the rows of a target.
+
+    Dependent goal rows are inequalities. Where invariants meet them, they are inactive, so that the
+    gradients of active rows remain independent.
+    """
+    blocks = []
+    if target.count:
+        names = tuple(f"{name}, combination {k}" for k in range(target.count))
+        blocks.append(Block(function, index, names, combination=target.weights, kind=kind))
+    if len(rows := target.dependent):
+        z, most = symbol_kind(function).sym("z", function.size1_in(0)), target.residual
+        own = ca.Function("dependent", [z], [function(z)[rows.tolist()]])
+        names = tuple(f"{name}, {target.names[k]}" for k in rows)
+        blocks.append(Block(own, index, names, -most, most, kind="dependent"))
+    return blocks
 
 
 def _build_bound(v: Variables, rows: ScaledRows, end: str) -> Block:

@@ -21,7 +21,7 @@ from tenscasadi.util.casadi_tools import symbol_kind
 from tenscasadi.util.validate import Array, Indices
 
 Kind = Literal[
-    "start", "stage", "defect", "path", "rate", "waypoint", "end", "periodic", "cost"
+    "start", "stage", "defect", "path", "rate", "waypoint", "end", "dependent", "periodic", "cost"
 ]  # origin of the rows of a block
 
 

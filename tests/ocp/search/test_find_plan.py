@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 import pytest
 from planning import driven, raising
@@ -48,6 +49,25 @@ def test_bars_come_to_rest_at_right_angles_to_the_target(solver):
     ]
     distances = [abs(model.nodes(end) - plan.trajectory.nodes[-1]).max() for end in ends]
     assert distances[1] < 1e-3 < distances[0]  # next attempts start from the end of the plan
+
+
+def test_a_goal_that_fixes_a_free_duration_is_met():
+    """Supports come back after 1 s, where their velocity vanishes: bars meet no goal at other times."""
+    low = tc.shapes.prism(pinned=[0, 1, 2])
+    feet = {
+        k: lambda t, place=tuple(low.nodes[k]): (
+            *place[:2],
+            place[2] + 0.05 * ca.sin(np.pi * t) ** 2,
+        )
+        for k in range(3)
+    }
+    model = driven(low, supports=tc.SupportMotion(feet))
+    goals = [ocp.NodePositions({k: tuple(low.nodes[k]) for k in (4, 5)}), ocp.AtRest()]
+    bounds = [ocp.ForceDensityLimits(1.0, 200.0)]
+    problem = ocp.Problem(model, (0.5, 2.0), goals=goals, bounds=bounds, costs=[ocp.Effort()])
+    plan = ocp.solve(problem, ocp.Variational(30))
+    assert plan.success, plan.message
+    assert np.abs(plan.trajectory.nodes[-1][4:] - low.nodes[4:]).max() < 0.01
 
 
 def test_interruption_before_the_solver_begins_blames_no_limit():
