@@ -31,6 +31,7 @@ from tenscasadi.simulation.inputs.feedback import Feedback
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.renamed import rename_keywords
+from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import (
     LARGEST,
     Array,
@@ -275,7 +276,9 @@ def track(
             )
     except (scipy.linalg.LinAlgError, ValueError):
         told = f"departures along the motion{'' if plan.success else ' of a plan that failed'} grow too fast for gains to be found"
-        raise ValueError(f"decisions is {count}: {told}, give more decisions") from None
+        raise add_address(
+            ValueError(f"decisions is {count}: {told}, give more decisions")
+        ) from None
     hold = Hold(rest.state, rest.force_density, gains[count]) if rest.state is not None else None
     return Tracker(model, time, states, gamma, gains[:count], *own, hold, rest.message)
 

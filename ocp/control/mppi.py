@@ -26,6 +26,7 @@ from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.simulation.engine.build import build_kernel
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.renamed import rename_keywords
+from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import (
     MAX_REPETITIONS,
     Array,
@@ -256,8 +257,11 @@ class Mppi:
             return nonnegative("noise", per_item("noise", given, self.model.nu), "string")
         unlimited = np.flatnonzero(np.isinf(self._upper))
         if unlimited.size:
-            raise ValueError(
-                f"noise is None, and string {unlimited[0]} has no upper limit: give noise=, N/m, or the problem a ForceDensityLimits(lower, upper)"
+            raise add_address(
+                ValueError(
+                    f"noise is None, and string {unlimited[0]} has no upper limit: "
+                    "give noise=, N/m, or the problem a ForceDensityLimits(lower, upper)"
+                )
             )
         return np.asarray(0.1 * (self._upper - self._lower))
 

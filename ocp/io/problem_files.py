@@ -14,6 +14,7 @@ from tenscasadi.scene.scene import Scene
 from tenscasadi.schema.reading import Document, NotWritten
 from tenscasadi.simulation.declared import Simulation
 from tenscasadi.simulation.simulation_files import START, read_simulation
+from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import file_path, instance
 
 
@@ -168,7 +169,7 @@ def save_problem(problem: Problem, path: str | os.PathLike[str], **solve_argumen
     try:
         tables = {**write_scene(problem.model.scene), "plan": write_plan(problem, solve_arguments)}
     except NotWritten as error:
-        raise ValueError(f"problem cannot be written, {error}") from None
+        raise add_address(ValueError(f"problem cannot be written, {error}")) from None
     return write_document(target, tables)
 
 

@@ -26,6 +26,7 @@ from tenscasadi.io.document import read_tables
 from tenscasadi.scene.samples import sample_functions
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.archive import Fields
+from tenscasadi.util.troubleshooting import add_address, describe_address
 from tenscasadi.util.validate import flag, instance, positive_number, whole_number
 from tenscasadi.util.viewable import Viewable
 
@@ -130,7 +131,7 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
             A few lines of text.
         """
         tension = self.tension()
-        return (
+        lines = (
             f"{self.message}\n"
             f"solver        {self.status}, {self.iterations} iterations, {self.seconds:.3g} s\n"
             f"plan          {self.time[-1]:g} s in {len(self.time) - 1} intervals, objective {self.objective:.6g}\n"
@@ -138,6 +139,7 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
             f"tension       {tension.min():.4g} … {tension.max():.4g} N\n"
             f"replay        ends {self.replay_error:.2g} m and {self.replay_speed_error:.2g} m/s from the goal"
         )
+        return "\n".join([lines, *describe_address(self.message)])
 
     def replay(
         self,
@@ -196,8 +198,10 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
         elif self.problem is not None:
             model = self.problem.with_parameters(parameters).model
         else:
-            raise ValueError(
-                f"parameters need the problem, which the plan does not hold ({self.not_restored}): give Plan.load(path, problem=...)"
+            raise add_address(
+                ValueError(
+                    f"parameters need the problem, which the plan does not hold ({self.not_restored}): give Plan.load(path, problem=...)"
+                )
             )
         return replay_open(self, model, scheme, step)
 
@@ -217,8 +221,10 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
             If the problem is unknown.
         """
         if self.problem is None:
-            raise ValueError(
-                f"report needs the problem, which the plan does not hold ({self.not_restored}): give Plan.load(path, problem=...)"
+            raise add_address(
+                ValueError(
+                    f"report needs the problem, which the plan does not hold ({self.not_restored}): give Plan.load(path, problem=...)"
+                )
             )
         return report_of(
             self.problem, self.time, self.trajectory.states, self.control, self.replay(), self.duals

@@ -14,6 +14,7 @@ from tenscasadi.integrators.stabilization import build_projection
 from tenscasadi.scene.parameters import Parameters
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.renamed import RenamedAttribute
+from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import Array, finite_array
 
 SHARES = (0.05, 0.5, 0.95)  # probabilities of the quantiles in a summary
@@ -170,8 +171,10 @@ def vary_model(model: Model, names: tuple[str, ...], control: Any) -> Model:
     parameters.
     """
     if model.np:
-        raise ValueError(
-            "robustness varies the values of the scene: plan with a model whose scene has no parameters="
+        raise add_address(
+            ValueError(
+                "robustness varies the values of the scene: plan with a model whose scene has no parameters="
+            )
         )
     parameters = Parameters(scale=names) if names else None
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tenscasadi.scene.strings import ForceDensity, Linear, RestLength
+from tenscasadi.util.troubleshooting import add_address
 
 if TYPE_CHECKING:
     from tenscasadi.dynamics.model import Model
@@ -72,8 +73,10 @@ def check_control(model: Model) -> None:
     """Raise ValueError if the strings cannot be controlled."""
     control = model.scene.control
     if control is None:
-        raise ValueError(
-            f"Problem.model has the control {control}: give a model of Scene(..., control=ForceDensity()), Tension() or RestLength()"
+        raise add_address(
+            ValueError(
+                f"Problem.model has the control {control}: give a model of Scene(..., control=ForceDensity()), Tension() or RestLength()"
+            )
         )
     limp = np.flatnonzero(model.scene.structure.stiffness == 0)
     if controls_rest_lengths(model) and limp.size:

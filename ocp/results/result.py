@@ -23,6 +23,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.schema.stored import Stored
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.structure import Structure
+from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import Array
 
 
@@ -111,8 +112,8 @@ class PlanResult(PlannedForces, Stored):
         """
         if self.model is None:
             missing = "which its file does not hold: it is of an older version, or the scene has functions of time"
-            raise ValueError(
-                f"{user} needs the model, {missing}; give Plan.load(path, problem=...)"
+            raise add_address(
+                ValueError(f"{user} needs the model, {missing}; give Plan.load(path, problem=...)")
             )
         return self.model
 

@@ -19,6 +19,7 @@ from ocp.targets.find_target import find_target
 from ocp.targets.infeasible_goal import Certificate, InfeasibleGoalError
 from ocp.targets.target import StateAt, Target
 from ocp.transcription.mesh import Profile, group_matrix
+from tenscasadi.util.troubleshooting import add_address
 
 Method = Solver | CondensedNewton | Sampling
 
@@ -96,8 +97,10 @@ def check_start(problem: Problem) -> None:
     """
     conflict = find_conflict(problem, np.asarray(problem.start), "start")
     if conflict is not None:
-        raise ValueError(
-            f"Problem.bounds leave no controls at the start: {conflict.message}: widen one, or start elsewhere"
+        raise add_address(
+            ValueError(
+                f"Problem.bounds leave no controls at the start: {conflict.message}: widen one, or start elsewhere"
+            )
         )
 
 

@@ -30,6 +30,7 @@ from ocp.targets.rigid_fit import fit_start
 from ocp.targets.row_reduction import RANK, RowFunction, reduce_rows, soft_directions
 from ocp.targets.target import Target, WaypointTarget
 from tenscasadi.dynamics.model import Model
+from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import TOLERANCE, Array, Indices
 
 # relative to the structure's size: inconsistency of goals with bar lengths that rounding to four
@@ -242,10 +243,12 @@ class _TargetSearch:
         if held:
             name = max(held, key=lambda name: abs(weights[name]))
             reason = f"{name}{_CURES[reasons[name]]}"
-        raise InfeasibleGoalError(
-            f"{self.goals.names[worst]} misses its goal by {size:.3g} "
-            f"{self.goals.units[worst]} at best, as {reason}",
-            proof,
+        raise add_address(
+            InfeasibleGoalError(
+                f"{self.goals.names[worst]} misses its goal by {size:.3g} "
+                f"{self.goals.units[worst]} at best, as {reason}",
+                proof,
+            )
         )
 
     def _prove(self, y: Array) -> Any:

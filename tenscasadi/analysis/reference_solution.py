@@ -26,6 +26,7 @@ from tenscasadi.simulation.inputs.run_inputs import read_inputs
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.renamed import rename_keywords
+from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import Array, finite_array, positive_number
 
 _FINER = 4  # refinement factor between pairs of solutions
@@ -212,9 +213,11 @@ def reference_solution(
         else f"the solutions diverge, the last: {pairs.fault}"
     )
     why += f"; the time limit of {time_limit:g} s expired" if pairs.late else ""
-    raise NoReferenceError(
-        f"no reference up to t_end = {t_end:g} s: {why}; give a smaller t_end (chaotic and unstable motions lose all digits), "
-        "a larger max_difference or max_instructions, or remove slack and impact events by Smooth(width)"
+    raise add_address(
+        NoReferenceError(
+            f"no reference up to t_end = {t_end:g} s: {why}; give a smaller t_end (chaotic and unstable motions lose all digits), "
+            "a larger max_difference or max_instructions, or remove slack and impact events by Smooth(width)"
+        )
     )
 
 

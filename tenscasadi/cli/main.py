@@ -13,6 +13,7 @@ from tenscasadi.cli import analyse, commands, exchange, plan, texts, view
 from tenscasadi.cli.parser import Command, parse
 from tenscasadi.cli.report import BAD_INPUT, FAILED, INTERRUPTED
 from tenscasadi.util.compile import CompileError
+from tenscasadi.util.troubleshooting import append_address, find_address
 
 COMMANDS = {
     "new": Command(texts.print_template),
@@ -73,9 +74,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         fault = f"{error.filename}: {error.strerror}" if named else str(error)  # type: ignore[union-attr]
     except KeyboardInterrupt:
         code, fault = INTERRUPTED, "interrupted"
-    _tell(fault or "not enough memory")
+    _tell(append_address(fault) or "not enough memory")
     if "--json" in words:
-        print(json.dumps({"success": False, "message": fault}))
+        address = find_address(fault)
+        see = {"see": address} if address else {}
+        print(json.dumps({"success": False, "message": fault, **see}))
     return code
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from tenscasadi.drawing.style import STYLE
 from tenscasadi.structure.structure import Structure
+from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import Array, Indices
 
 MOST_FRAMES = 3000  # of a page or a film
@@ -284,7 +285,9 @@ def choose_frame_times(content: ViewContent, speed: float, frames_per_second: in
     duration = content.end - content.start
     steps = max(round(duration / speed * frames_per_second), int(duration > 0))
     if steps >= MOST_FRAMES:
-        raise ValueError(
-            f"speed is {speed:g}: {duration:g} s would take {steps + 1} frames, give a speed of at least {speed * (steps + 1) / MOST_FRAMES:.2g}"
+        raise add_address(
+            ValueError(
+                f"speed is {speed:g}: {duration:g} s would take {steps + 1} frames, give a speed of at least {speed * (steps + 1) / MOST_FRAMES:.2g}"
+            )
         )
     return np.linspace(content.start, content.end, steps + 1)

@@ -24,6 +24,7 @@ from tenscasadi.structure.mass_checks import check_mass_ratio
 from tenscasadi.util.casadi_tools import symbol_kind
 from tenscasadi.util.read_only import read_only
 from tenscasadi.util.renamed import RenamedAttribute
+from tenscasadi.util.troubleshooting import append_address
 from tenscasadi.util.validate import Array, finite_array
 
 if TYPE_CHECKING:
@@ -85,7 +86,8 @@ class StateSpace(NodeCoordinates):
         self.functions: dict[Any, Any] = {}  # see `keep`
         self.redundancy = find_redundancy(self.mechanism)
         if self.redundancy:
-            warnings.warn(self.redundancy, RedundantConstraints, stacklevel=3)
+            message = append_address(self.redundancy)
+            warnings.warn(message, RedundantConstraints, stacklevel=3)
 
     # --- numbers ---
 

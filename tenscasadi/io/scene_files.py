@@ -12,6 +12,7 @@ from tenscasadi.io.structure_section import StructureSection
 from tenscasadi.scene.scene import Scene
 from tenscasadi.schema.definitions import definition
 from tenscasadi.schema.reading import Document, Item, NotWritten
+from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import file_path, format_value
 
 SCENE = definition(Scene)
@@ -101,7 +102,7 @@ def save_scene(scene: Any, path: str | os.PathLike[str]) -> Path:
     try:
         tables = write_tables(scene)
     except NotWritten as error:
-        raise ValueError(f"scene cannot be written, {error}") from None
+        raise add_address(ValueError(f"scene cannot be written, {error}")) from None
     return write_document(target, tables)
 
 

@@ -19,6 +19,7 @@ from tenscasadi.schema.time_formula import TimeFormula
 from tenscasadi.schema.value import Value
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.renamed import rename_fields
+from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import (
     NEGLIGIBLE,
     TOLERANCE,
@@ -160,9 +161,11 @@ class SupportMotion(Value, kind="SupportMotion"):
                     near = [abs(side[k + 1].full()).max() for side in (before, after)]
                     smooth = _STEEP * offset * max(sizes[k + 1], *near)
                     if jump > max(NEGLIGIBLE * sizes[k], smooth):
-                        raise ValueError(
-                            f"{name}: {quantity} jumps by {jump:.3g} at t = {time:g} s, "
-                            f"which bars and joints cannot follow: {cure}"
+                        raise add_address(
+                            ValueError(
+                                f"{name}: {quantity} jumps by {jump:.3g} at t = {time:g} s, "
+                                f"which bars and joints cannot follow: {cure}"
+                            )
                         )
 
     def check_bodies(self, structure: Structure, first: float, last: float) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 from tenscasadi.scene.breakpoints import find_breakpoints, probe_times
 from tenscasadi.schema.field_types import POINTS, TIMES
 from tenscasadi.schema.value import Value
+from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import Array, finite_array, format_value
 
 _CASADI = (ca.SX, ca.MX, ca.DM)
@@ -34,8 +35,10 @@ def express(field: str, function: Callable[[Any], Any], time: Any) -> Any:
             found = function(time)
         except Exception as error:  # user code can raise anything
             fault = re.sub(r"\S+:\d+: ", "", str(error))  # without CasADi's own file and line
-            raise ValueError(
-                f"{field} raised {type(error).__name__}({fault}) on a CasADi time: {CURE}"
+            raise add_address(
+                ValueError(
+                    f"{field} raised {type(error).__name__}({fault}) on a CasADi time: {CURE}"
+                )
             ) from error
         try:
             if isinstance(found, _CASADI):
@@ -44,9 +47,11 @@ def express(field: str, function: Callable[[Any], Any], time: Any) -> Any:
                 return ca.vertcat(*map(_convert_row, found))
             return ca.DM(found)
         except Exception as error:  # CasADi's message lists all types that it accepts
-            raise ValueError(
-                f"{field} returns {format_value(found)} on a CasADi time: "
-                f"give numbers and expressions of it; {CURE}"
+            raise add_address(
+                ValueError(
+                    f"{field} returns {format_value(found)} on a CasADi time: "
+                    f"give numbers and expressions of it; {CURE}"
+                )
             ) from error
 
 
@@ -91,9 +96,11 @@ def check_over_run(
     for k, kind in zip(range(traced.n_out()), kinds, strict=False):
         bad = ~np.isfinite(values_at(traced, some, k)).all(axis=1)
         if bad.any():
-            raise ValueError(
-                f"{field}{kind} is not finite at t = {some[bad.argmax()]:g} s: "
-                f"give finite values over the whole run; {CURE}"
+            raise add_address(
+                ValueError(
+                    f"{field}{kind} is not finite at t = {some[bad.argmax()]:g} s: "
+                    f"give finite values over the whole run; {CURE}"
+                )
             )
     for time in times[::1000].tolist():
         try:
@@ -102,9 +109,11 @@ def check_over_run(
             return  # a function for CasADi symbols only
         value = traced.call([time])[0].full().T.ravel()
         if not is_same(number, value):
-            raise ValueError(
-                f"{field} is {number} for the number t = {time:g} and {value} for a CasADi time: "
-                f"give the same at each call; {CURE}"
+            raise add_address(
+                ValueError(
+                    f"{field} is {number} for the number t = {time:g} and {value} for a CasADi time: "
+                    f"give the same at each call; {CURE}"
+                )
             )
 
 

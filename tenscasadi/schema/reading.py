@@ -10,6 +10,7 @@ from typing import Any, Literal, NamedTuple, TypeVar
 
 from tenscasadi.schema.formulas import Formula
 from tenscasadi.schema.text import Key, find_line
+from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import LARGEST, format_value
 
 T = TypeVar("T")
@@ -52,6 +53,7 @@ class SceneFileError(ValueError):
         super().__init__(f"{place}: " + " ".join(message.split()))
         self.file, self.line, self.key = file, line, key
         self.message = message
+        add_address(self)
 
     def __reduce__(self) -> Any:
         return type(self), (self.message, self.file, self.line, self.key)
@@ -83,7 +85,9 @@ class Names:
             word = int(word)
         if isinstance(word, str):
             cure = nearest(word, named) if named else f"give an index of a {which}"
-            raise ValueError(f"names {which} {format_value(word)}, which is not there: {cure}")
+            raise add_address(
+                ValueError(f"names {which} {format_value(word)}, which is not there: {cure}")
+            )
         if isinstance(word, bool) or not isinstance(word, int):
             raise ValueError(f"is {format_value(word)}: give the name or index of a {which}")
         if not 0 <= word < count:

@@ -17,6 +17,7 @@ from tenscasadi.schema.stored import array_fields, check_indices
 from tenscasadi.simulation.scene_result import SceneResult, format_largest
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.tables import Quantity, Tabular
+from tenscasadi.util.troubleshooting import describe_address
 from tenscasadi.util.validate import LARGEST, Array, Indices
 from tenscasadi.util.viewable import Viewable
 
@@ -228,7 +229,7 @@ class Trajectory(
             )
         if self.tension.size:
             lines.append(f"tension       {self.tension.min():.4g} … {self.tension.max():.4g} N")
-        return "\n".join(lines)
+        return "\n".join([*lines, *describe_address(self.message)])
 
     def _quantities(self) -> Iterable[Quantity]:
         kinetic, elastic, gravitational = self.energy_parts.T

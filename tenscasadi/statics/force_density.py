@@ -16,6 +16,7 @@ from tenscasadi.structure.cables import density_basis
 from tenscasadi.structure.equilibrium_matrix import equilibrium_matrix, free_directions
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.renamed import rename_keywords
+from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import (
     NEGLIGIBLE,
     Array,
@@ -113,10 +114,12 @@ def equilibrium_force_density(
         size = np.linalg.norm((directions @ unbalanced).reshape(-1, 3), axis=1)
         worst, bounds = int(np.argmax(size)), least[~either]
         bound = f"of at least {bounds.min():g} N/m " if bounds.size else ""
-        raise EquilibriumError(
-            f"no force densities {bound}hold the structure: {residual:.3g} N stay unbalanced at best, most at node {worst} "
-            f"({size[worst]:.3g} N); change the nodes, the loads, what is pinned, or add strings",
-            residual,
+        raise add_address(
+            EquilibriumError(
+                f"no force densities {bound}hold the structure: {residual:.3g} N stay unbalanced at best, most at node {worst} "
+                f"({size[worst]:.3g} N); change the nodes, the loads, what is pinned, or add strings",
+                residual,
+            )
         )
     if gamma is None:
         raise EquilibriumError(

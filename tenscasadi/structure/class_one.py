@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import csr_array, diags_array, issparse
 
+from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import ROUNDING, SMALLEST, Array, Indices, finite_array, per_item
 
 Matrix = Any  # ndarray, or csr_array on request
@@ -117,9 +118,11 @@ def member_lengths(field: str, nodes: Array, pairs: Indices, item: str) -> Array
     lengths = np.linalg.norm(nodes[pairs[:, 1]] - nodes[pairs[:, 0]], axis=1)
     for i in np.flatnonzero(lengths < max(ROUNDING * np.abs(nodes).max(), SMALLEST)):
         a, b = pairs[i]
-        raise ValueError(
-            f"{field}: {item} {i} joins nodes {a} and {b}, which lie {lengths[i]:g} m apart: "
-            f"move one or remove the {item}"
+        raise add_address(
+            ValueError(
+                f"{field}: {item} {i} joins nodes {a} and {b}, which lie {lengths[i]:g} m apart: "
+                f"move one or remove the {item}"
+            )
         )
     return np.asarray(lengths)
 
@@ -328,8 +331,10 @@ def _read_joints(
                 f"give 0, because P ties nodes {ends[0]} and {ends[1]}"
             )
         if error[c] > tolerance:
-            raise ValueError(
-                f"P: N P differs from D by {error[c]:g} in column {c}: move nodes of N or correct D"
+            raise add_address(
+                ValueError(
+                    f"P: N P differs from D by {error[c]:g} in column {c}: move nodes of N or correct D"
+                )
             )
         if len(ends) == 2:
             ties.append((int(ends[0]), int(ends[1])))

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import NEGLIGIBLE, SMALLEST, Array, Indices
 
 MAX_MASS_RATIO = 1e12  # between bars; above, rounding errors exceed the forces on the lighter bar
@@ -31,8 +32,10 @@ def check_node_masses(node_mass: Array, fixed: Any, held: Any, heavy_strings: In
             "give it a mass, pin it in all axes, or give its strings a string_mass, "
             "which the scene lumps there with ends='lumped'"
         )
-        raise ValueError(
-            f"node_mass of node {node} is {node_mass[node]:g} and no bar ends there: {cure}"
+        raise add_address(
+            ValueError(
+                f"node_mass of node {node} is {node_mass[node]:g} and no bar ends there: {cure}"
+            )
         )
 
 

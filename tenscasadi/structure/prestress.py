@@ -9,6 +9,7 @@ import numpy as np
 
 from tenscasadi.structure.cables import wrap_angles
 from tenscasadi.structure.equilibrium_matrix import balance_bars
+from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import (
     TOLERANCE,
     Array,
@@ -53,9 +54,11 @@ def find_rest_lengths(
     either = item_mask("compression_strings", compression_strings, len(gamma), "string")
     nonnegative("force_density", np.where(either, 0.0, gamma), "string")
     for i in np.flatnonzero((gamma != 0.0) & (gamma >= k)):
-        raise ValueError(
-            f"force_density of string {i} is {gamma[i]:g} N/m: "
-            f"it must be below its stiffness, {k[i]:g} N/m"
+        raise add_address(
+            ValueError(
+                f"force_density of string {i} is {gamma[i]:g} N/m: "
+                f"it must be below its stiffness, {k[i]:g} N/m"
+            )
         )
     for i in np.flatnonzero((gamma < 0.0) & (k == 0.0)):
         raise ValueError(

@@ -35,6 +35,7 @@ from tenscasadi.structure.rigid_body import RigidBody, move_bodies, read_bodies
 from tenscasadi.structure.subdivision import average_segments, divide_strings
 from tenscasadi.util.read_only import ReadOnlyArrays, read_only
 from tenscasadi.util.renamed import rename_keywords
+from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import (
     SMALLEST,
     Array,
@@ -436,8 +437,7 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         """Divide strings into segments (Sect. 5).
 
         A segment with fraction f of the length has k/f, c/f and rest length ρ f. New nodes follow
-        the existing ones, string by string. Segments are ordered from the string's first node to
-        its second.
+        the existing ones, string by string. Segments run from the string's first node to its second.
 
         Parameters
         ----------
@@ -490,15 +490,15 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         return f"Structure({parts}{cables}, {len(self.pinned)} pinned{bodies})"
 
     def __setattr__(self, name: str, value: Any) -> None:
-        raise AttributeError(f"a Structure is immutable: use structure.replace({name}=...)")
+        message = f"a Structure is immutable: use structure.replace({name}=...)"
+        raise add_address(AttributeError(message))
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "pinned": dict(self.pinned), "rollers": dict(self.rollers)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        super().__setstate__(
-            {**state, **{name: MappingProxyType(state[name]) for name in ("pinned", "rollers")}}
-        )  # a mapping proxy cannot be pickled
+        maps = {name: MappingProxyType(state[name]) for name in ("pinned", "rollers")}
+        super().__setstate__({**state, **maps})  # a mapping proxy cannot be pickled
 
     def _finish(self, **attributes: Any) -> Structure:
         """Set derived attributes of a new structure and freeze it."""

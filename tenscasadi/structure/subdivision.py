@@ -11,6 +11,7 @@ from scipy.sparse import csr_array
 
 from tenscasadi.structure.class_one import extend_layout
 from tenscasadi.structure.names import extend_names, name_segments
+from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import (
     MAX_COUNT,
     Array,
@@ -69,8 +70,10 @@ def divide_strings(structure: Any, segments: Any, ends: Any, fractions: Any) -> 
             f"segments of string {string} is {counts[string]}: give 1, because a cable slides"
         )
     for i in np.flatnonzero((np.array(counts) > 1) & (s.string_mass == 0.0)):
-        raise ValueError(
-            f"string_mass of string {i} is 0: give a mass, which the nodes between segments need"
+        raise add_address(
+            ValueError(
+                f"string_mass of string {i} is 0: give a mass, which the nodes between segments need"
+            )
         )
     nodes, strings, spread = cut_strings(s.nodes, s.strings, shares, ends != "interior")
     fields = {

@@ -12,6 +12,7 @@ from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
 
+from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import MAX_BYTES, file_path
 from tenscasadi.util.whole_file import whole_file
 
@@ -87,10 +88,10 @@ def load(path: str | os.PathLike[str], form: str, kind: str, build: Callable[[Fi
     except FileNotFoundError:
         raise
     except (OSError, MemoryError) as error:
-        raise ValueError(f"{rejection}: it cannot be read ({error})") from None
+        raise add_address(ValueError(f"{rejection}: it cannot be read ({error})")) from None
     except _UNREADABLE:  # NumPy's message would advise to allow pickles
         reason = "it is damaged, or tenscasadi did not save it"
-        raise ValueError(f"{rejection}: it cannot be read, {reason}") from None
+        raise add_address(ValueError(f"{rejection}: it cannot be read, {reason}")) from None
     if str(content.pop("format", "")) != form:
         raise ValueError(f"{rejection}: its field 'format' is not {form!r}")
     try:
@@ -122,7 +123,7 @@ def _read(path: Path, only: str = "") -> Fields:
         size, most = sum(info.file_size for info in wanted.values()), compute_size_limit(path)
         if size > most:
             limit = f"the limit of {most / 1e9:.3g} GB for a file of its size"
-            raise MemoryError(f"it unpacks to {size / 1e9:.3g} GB, above {limit}")
+            raise add_address(MemoryError(f"it unpacks to {size / 1e9:.3g} GB, above {limit}"))
         return Fields({name: _read_array(packed, name, info) for name, info in wanted.items()})
 
 

@@ -24,6 +24,7 @@ import numpy as np
 
 from tenscasadi.util.library_cache import SUFFIX, CompileError, cache_folder, load_library
 from tenscasadi.util.processes import run_program
+from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import format_value, instance
 
 __all__ = [
@@ -143,7 +144,7 @@ def compile_function(
         )
     compiler = find_compiler()
     if compiler is None:
-        raise CompileError(_NO_COMPILER)
+        raise add_address(CompileError(_NO_COMPILER))
     try:
         source = _generate_c(function, single)
     except RuntimeError as error:
@@ -170,7 +171,7 @@ def compile_library(
     """
     compiler = find_compiler()
     if compiler is None:
-        raise CompileError(_NO_COMPILER)
+        raise add_address(CompileError(_NO_COMPILER))
     return _load(
         compiler, None, source, name, suffix, lambda library: ctypes.CDLL(str(library)), build
     )
@@ -254,7 +255,9 @@ def _run(command: list[str], folder: Path | None = None, time_limit: float = np.
         raise CompileError(f"{command[0]} cannot be run: {error}") from None
     except subprocess.TimeoutExpired:
         cure = f"set {_TIME_LIMIT} to wait longer, CC to another compiler, or give compiled=False"
-        raise CompileTimeout(f"{command[0]} did not end within {seconds:g} s: {cure}") from None
+        raise add_address(
+            CompileTimeout(f"{command[0]} did not end within {seconds:g} s: {cure}")
+        ) from None
     if done.returncode:
         raise CompileError(
             f"{shlex.join(command)} failed with code {done.returncode}:\n{done.stderr.strip()}"

@@ -23,6 +23,7 @@ from scipy.sparse import csc_array
 from tenscasadi.exchange.source import DEEPEST, Source
 from tenscasadi.schema.reading import SceneFileError
 from tenscasadi.util.archive import compute_size_limit
+from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import file_path
 from tenscasadi.util.whole_file import whole_file
 
@@ -96,7 +97,7 @@ def _read_variables(whole: bytes, limit: int) -> Iterator[tuple[str, Any]]:
             left -= told
             if left < 0:
                 most = f"{limit / 1e9:.3g} GB, the limit for a file of its size"
-                raise ValueError(f"it unpacks to more than {most}")
+                raise add_address(ValueError(f"it unpacks to more than {most}"))
             unpacking = zlib.decompressobj()
             unpacked = unpacking.decompress(content, told + 8)
             if not unpacking.eof:

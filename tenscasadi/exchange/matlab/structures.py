@@ -21,6 +21,7 @@ from tenscasadi.exchange.source import Source
 from tenscasadi.schema.reading import SceneFileError
 from tenscasadi.structure.class_one import connectivity
 from tenscasadi.structure.structure import PARAMETERS, Structure
+from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import MAX_BYTES, Array, Indices, finite_array, text
 
 _BARS, _STRINGS = ("C_b", "C_b_in", "Cb_in"), ("C_s", "C_s_in", "Cs_in")
@@ -160,7 +161,7 @@ def _choose(source: Source, variables: Variables, name: str | None) -> str | Non
         if not _describes(variables):
             needed = "which is N with C_b, C_s or C, in a struct or outside"
             held = ", ".join(variables) or "nothing"
-            raise ValueError(f"it holds no structure, {needed}: it holds {held}")
+            raise add_address(ValueError(f"it holds no structure, {needed}: it holds {held}"))
         return None
     chosen = _INPUT if _INPUT in structs else structs[0]
     if any(

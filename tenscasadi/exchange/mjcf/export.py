@@ -19,6 +19,7 @@ from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Smooth
 from tenscasadi.structure.structure import Structure
+from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import (
     Array,
     choice,
@@ -138,10 +139,12 @@ def _check_scene(scene: Scene) -> None:
     }
     for name, cure in others.items():
         if getattr(scene, name) is not None:
-            raise ValueError(f"Scene.{name} has no counterpart in MJCF: {cure}")
+            raise add_address(ValueError(f"Scene.{name} has no counterpart in MJCF: {cure}"))
     if scene.structure.cable_friction.any():
-        raise ValueError(
-            "Structure.cable_friction has no counterpart in MJCF: give structure.replace(cable_friction=0.0)"
+        raise add_address(
+            ValueError(
+                "Structure.cable_friction has no counterpart in MJCF: give structure.replace(cable_friction=0.0)"
+            )
         )
     if scene.gravity is not None and scene.gravity.varies:
         raise ValueError(
@@ -201,7 +204,9 @@ def _check_velocities(s: Structure, given: ArrayLike) -> Array:
         / s.bar_lengths
     )
     for bar in np.flatnonzero(abs(apart) > 1e-6 * abs(V).max(initial=0.0)):
-        raise ValueError(
-            f"velocities stretch bar {bar} by {apart[bar]:g} m/s: give velocities that keep its length, such as model.velocities(x)"
+        raise add_address(
+            ValueError(
+                f"velocities stretch bar {bar} by {apart[bar]:g} m/s: give velocities that keep its length, such as model.velocities(x)"
+            )
         )
     return V

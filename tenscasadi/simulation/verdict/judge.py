@@ -215,31 +215,33 @@ def _check_errors(runs: Runs, found: StepErrors) -> tuple[Doubts, Array]:
     text = [""] * len(share)
     if large.any():
         worst = int(np.nanargmax(share))
-        cause, cure = _explain_error(runs, worst, found.factor[worst], finer[worst])
         for k in np.flatnonzero(large).tolist():
-            text[k] = f"; {cause} (position error about {found.error[k]:.1g} m): {cure}"
+            text[k] = "; " + _explain_error(
+                runs, worst, found.error[k], found.factor[worst], finer[worst]
+            )
     return Doubts(text, share > failed), finer
 
 
-def _explain_error(runs: Runs, k: int, factor: float, finer: float) -> tuple[str, str]:
-    """Find the cause and the cure of a step-size error.
+def _explain_error(runs: Runs, k: int, error: float, factor: float, finer: float) -> str:
+    """Find the cause and the cure of a step-size error [m].
 
     The cure is a smaller step or tolerance. Half the step reduces the error by `factor`, and steps
     `finer` times as fine are sufficient.
     """
     scheme, model = runs.request.scheme, runs.request.inputs.model
     if scheme.adaptive:
-        rtol = getattr(scheme, "rtol", 0.0)
-        cure = f"try {type(scheme).__name__}(rtol={max(rtol / finer / 10, 1e-14):.1g})"
-        return f"the tolerance rtol={rtol:g} is too large", cure
+        rtol, name = getattr(scheme, "rtol", 0.0), type(scheme).__name__
+        smaller = max(rtol / finer / 10, 1e-14)
+        return f"the tolerance rtol={rtol:g} is too large (position error about {error:.1g} m): try {name}(rtol={smaller:.1g})"
     step = describe_steps(runs, k).step
     limit, when = find_stable_step(model, scheme, sample_run(runs, k))
     if step > limit:
-        return describe_limit(scheme, step, limit, when), f"try step={0.9 * limit:.2g}"
+        cause = describe_limit(scheme, step, limit, when)
+        return f"{cause} (position error about {error:.1g} m): try step={0.9 * limit:.2g}"
     if factor > 2 or build_switching(model) is None:
-        return f"the step {step:g} s is too large", f"try step={step / finer:.2g}"
+        return f"the step {step:g} s is too large (position error about {error:.1g} m): try step={step / finer:.2g}"
     events = "strings go slack or taut" + (", or contacts change," if model.scene.grounds else "")
     return (
-        f"{events} within steps of {step:g} s",
-        f"try DormandPrince853(rtol=1e-6), which ends its steps there, or step={step / finer:.2g}",
+        f"{events} within steps of {step:g} s (position error about {error:.1g} m): "
+        f"try DormandPrince853(rtol=1e-6), which ends its steps there, or step={step / finer:.2g}"
     )

@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 from urllib.parse import urlsplit
 
+from tenscasadi.util.troubleshooting import add_address, append_address
 from tenscasadi.util.validate import format_value, instance, whole_number
 from tenscasadi.viewer.web.frames import add_frame_rate
 from tenscasadi.viewer.web.hover import add_hover
@@ -44,8 +45,8 @@ def import_viser() -> Any:
         import viser
         import viser.infra
     except ImportError as error:
-        raise ImportError(
-            f"the viewer needs viser ({error}): pip install 'tenscasadi[view]'"
+        raise add_address(
+            ImportError(f"the viewer needs viser ({error}): pip install 'tenscasadi[view]'")
         ) from error
     return viser
 
@@ -93,7 +94,10 @@ def start_server(host: str = LOOPBACK, port: int | None = None) -> Any:
         free = _find_port(host, port)
         if not local:
             warnings.warn(
-                f"host is {host}: other machines can see this viewer and use its controls, without a password; {LOOPBACK} is for this machine alone",
+                append_address(
+                    f"host is {host}: other machines can see this viewer and use its controls, "
+                    f"without a password; {LOOPBACK} is for this machine alone"
+                ),
                 OpenToNetwork,
                 stacklevel=2,
             )
@@ -178,8 +182,10 @@ def _find_port(host: str, port: int | None) -> int:
         except OSError as error:
             reason = error
     if port is not None:
-        raise OSError(
-            f"port {port} of {host} is not available ({reason}): give another one, or None for a free one"
+        raise add_address(
+            OSError(
+                f"port {port} of {host} is not available ({reason}): give another one, or None for a free one"
+            )
         )
     raise OSError(
         f"host is {format_value(host)}: none of its ports {_PORTS[0]} to {_PORTS[-1]} is available ({reason})"
