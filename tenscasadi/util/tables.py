@@ -26,7 +26,7 @@ class Quantity(NamedTuple):
     name : str
         Name in labeled arrays, such as "tension".
     column : str
-        Template of the names of columns, with places for the index of the item and the axis and the
+        Template of the names of columns, with places for the label of the item and the axis and the
         unit at the end, as in "node {} {} (m)".
     values : ndarray, shape (rows, ...)
         Values, whose further dimensions are `dims`.
@@ -45,15 +45,25 @@ class Quantity(NamedTuple):
         found = re.search(r"\(([^()]*)\)$", self.column)
         return found[1] if found else ""
 
-    def columns(self) -> dict[str, Array]:
-        """Split the values into columns (rows,) with names."""
-        values = np.asarray(self.values)
-        labels = [
-            "xyz"[:size] if name == "axis" else range(size)
-            for name, size in zip(self.dims, values.shape[1:], strict=True)
+    def label_items(self, names: Mapping[str, Sequence[str]]) -> list[list[Any]]:
+        """List the labels of the items of each dimension.
+
+        Items have their name, or their index if they have none.
+        """
+        sizes = zip(self.dims, np.shape(self.values)[1:], strict=True)
+        given = {"axis": "xyz", **names}
+        return [
+            [given[name][k] or str(k) for k in range(size)] if given.get(name) else [*range(size)]
+            for name, size in sizes
         ]
-        names = [self.column.format(*items) for items in itertools.product(*labels)]
-        return dict(zip(names, values.reshape(len(values), len(names)).T, strict=True))
+
+    def columns(self, names: Mapping[str, Sequence[str]]) -> dict[str, Array]:
+        """Split the values into columns (rows,) with names, by the names of items."""
+        values = np.asarray(self.values)
+        titles = [
+            self.column.format(*items) for items in itertools.product(*self.label_items(names))
+        ]
+        return dict(zip(titles, values.reshape(len(values), len(titles)).T, strict=True))
 
 
 class Tabular:
@@ -72,13 +82,14 @@ class Tabular:
         return {
             name: column
             for quantity in self._quantities()
-            for name, column in quantity.columns().items()
+            for name, column in quantity.columns(self._labels()).items()
         }
 
     def to_csv(self, path: str | os.PathLike[str]) -> Path:
         """Write the table as comma-separated values.
 
-        The first line has names with units. Numbers read back are equal to the last bit.
+        The first line has names with units; nodes and strings have their names, or indices if they
+        have none. Numbers read back are equal to the last bit.
 
         Parameters
         ----------
@@ -159,8 +170,6 @@ class Tabular:
         for quantity in others:
             dims = (time.name, *quantity.dims)
             variables[quantity.name] = (dims, np.array(quantity.values), {"units": quantity.unit})
-            for name, size in zip(quantity.dims, np.shape(quantity.values)[1:], strict=True):
-                given = self._labels().get(name, ())
-                labels = [given[k] or str(k) for k in range(size)] if given else range(size)
-                coordinates[name] = list("xyz"[:size] if name == "axis" else labels)
+            labels = quantity.label_items(self._labels())
+            coordinates |= dict(zip(quantity.dims, labels, strict=True))
         return xr.Dataset(variables, coordinates)

@@ -12,6 +12,8 @@ from public_calls import plan
 
 import tenscasadi as tc
 
+STRINGS = tc.shapes.prism().string_names
+
 
 @pytest.fixture(scope="module")
 def run():
@@ -33,14 +35,18 @@ def read(path):
 
 def test_a_trajectory_comes_back_to_the_last_bit(run, tmp_path):
     names, table = read(run.to_csv(tmp_path / "run.csv"))
-    assert names[:4] == ["time (s)", "node 0 x (m)", "node 0 y (m)", "node 0 z (m)"]
+    assert names[:4] == ["time (s)", *(f"node bottom[0] {axis} (m)" for axis in "xyz")]
     assert len(set(names)) == len(names) == table.shape[1]
     assert np.array_equal(table[:, 0], run.time)
     assert np.array_equal(table[:, 1:19].reshape(-1, 6, 3), run.nodes)
-    assert np.array_equal(table[:, names.index("node 5 velocity z (m/s)")], run.velocities[:, 5, 2])
-    assert np.array_equal(table[:, names.index("string 8 tension (N)")], run.tension[:, 8])
     assert np.array_equal(
-        table[:, names.index("string 0 force density (N/m)")], run.force_density[:, 0]
+        table[:, names.index("node top[2] velocity z (m/s)")], run.velocities[:, 5, 2]
+    )
+    assert np.array_equal(
+        table[:, names.index("string vertical[2] tension (N)")], run.tension[:, 8]
+    )
+    assert np.array_equal(
+        table[:, names.index("string bottom[0] force density (N/m)")], run.force_density[:, 0]
     )
     assert np.array_equal(table[:, names.index("gravitational energy (J)")], run.energy_parts[:, 2])
     assert np.array_equal(table[:, names.index("control 8")], run.control[:, 8])
@@ -56,7 +62,7 @@ def test_pandas_reads_the_file_as_it_is_given_the_table(run, tmp_path):
     table = run.to_pandas()
     assert table.index.name == "time (s)"
     assert table.shape == (6, 18 + 18 + 9 + 9 + 7 + 9)
-    assert table.loc[run.time[3], "node 1 y (m)"] == run.nodes[3, 1, 1]
+    assert table.loc[run.time[3], "node bottom[1] y (m)"] == run.nodes[3, 1, 1]
     again = pd.read_csv(run.to_csv(tmp_path / "run.csv"), index_col=0)
     pd.testing.assert_frame_equal(again, table, rtol=1e-14)  # its own reader may be one bit off
     table.iloc[:] = 0.0  # a copy
@@ -82,14 +88,18 @@ def test_a_table_that_cannot_be_written_leaves_no_file(run, tmp_path):
 def test_a_plan_tells_what_is_held_from_each_node_of_the_mesh_on(tmp_path):
     found = plan()
     names, table = read(found.to_csv(tmp_path / "plan.csv"))
-    held = [names.index(f"string {k} force density (N/m)") for k in range(9)]
+    held = [names.index(f"string {name} force density (N/m)") for name in STRINGS]
     assert np.array_equal(table[:, 0], found.time)
     assert np.array_equal(table[:-1, held], found.force_density)
     assert np.array_equal(table[-1, held], found.force_density[-1])
-    assert np.array_equal(table[:, names.index("node 4 x (m)")], found.trajectory.nodes[:, 4, 0])
-    assert np.array_equal(table[:-1, names.index("string 2 tension (N)")], found.tension()[:, 2])
     assert np.array_equal(
-        table[:-1, names.index("string 2 rest length (m)")], found.rest_lengths()[:, 2]
+        table[:, names.index("node top[1] x (m)")], found.trajectory.nodes[:, 4, 0]
+    )
+    assert np.array_equal(
+        table[:-1, names.index("string bottom[2] tension (N)")], found.tension()[:, 2]
+    )
+    assert np.array_equal(
+        table[:-1, names.index("string bottom[2] rest length (m)")], found.rest_lengths()[:, 2]
     )
 
 
@@ -99,7 +109,10 @@ def test_a_plan_whose_strings_are_too_soft_has_no_rest_lengths():
     soft = replace(found, structure=found.structure.replace(stiffness=1.0))
     assert not [name for name in soft.to_pandas() if "rest length" in name]
     linear = replace(found, force_density=np.vstack([found.force_density, found.force_density[:1]]))
-    assert linear.to_pandas()["string 3 force density (N/m)"].iloc[-1] == found.force_density[0, 3]
+    assert (
+        linear.to_pandas()["string top[0] force density (N/m)"].iloc[-1]
+        == found.force_density[0, 3]
+    )
 
 
 def test_xarray_has_dimensions_names_and_units(run):
@@ -131,3 +144,26 @@ def test_missing_xarray_is_named_with_its_install_command(run, monkeypatch):
         ImportError, match=r"to_xarray requires xarray: pip install 'tenscasadi\[exchange\]'"
     ):
         run.to_xarray()
+
+
+def test_columns_have_the_names_of_nodes_and_strings(tmp_path):
+    mast = tc.Structure(
+        [[0, 0, 0], [0, 0, 1], [1, 0, 0], [-1, 0, 0]],
+        bars=[[0, 1]],
+        strings=[[1, 2], [1, 3]],
+        pinned=[0, 2, 3],
+        stiffness=100.0,
+        node_names=["foot", "top", "", "west"],
+        string_names=["left", "right"],
+    )
+    run = tc.simulate(tc.Model(tc.Scene(mast)), 0.01, 1e-3, compiled=False)
+    path = run.to_csv(tmp_path / "run.csv")
+    names = path.read_text(encoding="utf-8").partition("\n")[0].split(",")
+    assert names[:4] == ["time (s)", "node foot x (m)", "node foot y (m)", "node foot z (m)"]
+    for name in ("node top velocity z (m/s)", "node 2 x (m)", "string right tension (N)"):
+        assert name in names
+    assert len(set(names)) == len(names)
+    pandas = pytest.importorskip("pandas")
+    table = run.to_pandas()
+    assert isinstance(table, pandas.DataFrame)
+    assert table["node top z (m)"].tolist() == run.nodes[:, 1, 2].tolist()
