@@ -140,7 +140,7 @@ def test_message_omits_terminal_codes(here, capsys):
 
 
 def test_there_are_ten_templates_or_more():
-    assert len(TEMPLATES) >= 10
+    assert len(TEMPLATES) >= 16
 
 
 @pytest.mark.parametrize("name", ["jump", "swing-up", "net", "dome", "tower", "crawling"])
@@ -163,3 +163,19 @@ def test_swing_up_template_has_a_plan():
     tip = plan.replay().nodes[:, 1, 2]
     assert tip[0] < -0.99
     assert tip[-1] == pytest.approx(1.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("name", ["d-bar-column", "sweep", "identification"])
+def test_templates_without_plan_simulate_well(name):
+    run = find_source(name).simulation().run(compiled=False)
+    assert run.success
+    assert run.message.startswith("finished")
+    assert "; " not in run.message  # no doubts
+    assert np.ptp(run.nodes, axis=0).max() > 5e-3
+
+
+def test_mpc_template_reaches_its_target_with_another_mass(here, capsys):
+    assert run("control", "mpc", "--mass", 1.2, "--no-plots") == 0
+    motion = tc.Trajectory.load("mpc-control.npz")
+    assert motion.scene.structure.bar_mass.tolist() == [1.2]
+    assert motion.nodes[-1, 1, :2] == pytest.approx([0.4, 0.2], abs=0.03)
