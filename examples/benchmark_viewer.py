@@ -96,21 +96,21 @@ def many_rows(seconds: float) -> tc.Trajectory:
 class Demand(NamedTuple):
     """Opening, dragging and page of a long motion.
 
-    Wall and processor seconds until the first frame, frames a second and processor ms of each while
-    the time is dragged, MB of a page of 1000 frames.
+    Wall seconds and processor seconds by part until the first frame, frames a second and processor
+    ms of each by part while the time is dragged, MB of a page of 1000 frames.
     """
 
     rows: int
     opening: float
-    opening_cost: float
+    opening_cost: dict[str, float]
     frames: float
-    cost: float
+    cost: dict[str, float]
     megabytes: float
 
 
 def demand(browser: Any, motion: tc.Trajectory, seconds: float) -> Demand:
     """Measure a motion from the call of `view` on."""
-    before, began = processor_seconds(os.getpid()), time.perf_counter()
+    before, began = processor_parts(os.getpid()), time.perf_counter()
     page = browser.new_page(viewport=SIZE)
     page.set_default_timeout(120_000)
     page.add_init_script(COUNT)
@@ -118,12 +118,12 @@ def demand(browser: Any, motion: tc.Trajectory, seconds: float) -> Demand:
         page.goto(served.url)
         page.wait_for_function("window.drawn > 0")
         opening = time.perf_counter() - began
-        opening_cost = processor_seconds(os.getpid()) - before
+        opening_cost = subtract(processor_parts(os.getpid()), before)
         player: Any = served.player
         player.play(False)
         page.wait_for_timeout(2000)
         spent, first, began, shown = (
-            processor_seconds(os.getpid()),
+            processor_parts(os.getpid()),
             page.evaluate("window.drawn"),
             time.perf_counter(),
             0,
@@ -133,7 +133,8 @@ def demand(browser: Any, motion: tc.Trajectory, seconds: float) -> Demand:
             shown += 1
             page.wait_for_timeout(max(0.0, 1000 * (shown / 30 - passed)))
         drawn = page.evaluate("window.drawn") - first
-        cost = 1000 * (processor_seconds(os.getpid()) - spent) / max(drawn, 1)
+        parts = subtract(processor_parts(os.getpid()), spent)
+        cost = {part: 1000 * seconds / max(drawn, 1) for part, seconds in parts.items()}
     page.close()
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "page.html"
@@ -142,22 +143,46 @@ def demand(browser: Any, motion: tc.Trajectory, seconds: float) -> Demand:
     return Demand(len(motion.time), opening, opening_cost, drawn / passed, cost, size)
 
 
+def subtract(after: dict[str, float], before: dict[str, float]) -> dict[str, float]:
+    return {part: seconds - before.get(part, 0.0) for part, seconds in after.items()}
+
+
 def processor_seconds(parent: int) -> float:
-    """Processor time of all processes below one so far; NaN where the system does not tell."""
+    """Processor time of all processes of the browser so far; NaN where the system does not tell."""
+    parts = processor_parts(parent)
+    return sum(seconds for part, seconds in parts.items() if len(parts) == 1 or part != "Python")
+
+
+def part_of(process: int, parent: int) -> str:
+    """Part that a process has in a picture: our Python, the page's scripts, or the drawing."""
+    if process == parent:
+        return "Python"
+    command = Path(f"/proc/{process}/cmdline").read_text()
+    kinds = {"--type=gpu-process": "drawing", "--type=renderer": "page"}
+    return next((part for word, part in kinds.items() if word in command), "browser")
+
+
+def processor_parts(parent: int) -> dict[str, float]:
+    """Processor time of all processes below one so far by part.
+
+    NaN where the system does not tell.
+    """
     if not Path("/proc/self/stat").exists():
-        return float("nan")
-    below, total = {parent}, 0
+        return {"Python": float("nan")}
+    below, total = {parent}, dict.fromkeys(("Python", "page", "drawing", "browser"), 0.0)
     for path in sorted(
         Path("/proc").glob("[0-9]*/stat"), key=lambda path: int(path.parent.name)
     ):  # children after their parents
+        process = int(path.parent.name)
         try:
             fields = path.read_text().rpartition(")")[2].split()
+            if process in below or int(fields[1]) in below:
+                below.add(process)
+                ticks = int(fields[11]) + int(fields[12])
+                total[part_of(process, parent)] += ticks / os.sysconf("SC_CLK_TCK")
         except OSError:  # it has ended
             continue
-        if int(fields[1]) in below:
-            below.add(int(path.parent.name))
-            total += int(fields[11]) + int(fields[12])
-    return total / os.sysconf("SC_CLK_TCK")
+    return total
 
 
 def frames(browser: Any, url: str, seconds: float) -> tuple[float, float, float]:
@@ -240,9 +265,12 @@ def main(quick: bool = False) -> list[Row]:
     with open_browser() as browser:
         found = demand(browser, motion, 1.0 if quick else SECONDS)
     print(
-        f"{len(motion.bars)} bars, {found.rows} rows: opened in {found.opening:.1f} s ({found.opening_cost:.1f} s of processor time), "
-        f"dragged at {found.frames:.0f} frames/s ({found.cost:.0f} ms each), page of 1000 frames {found.megabytes:.2f} MB"
+        f"{len(motion.bars)} bars, {found.rows} rows: opened in {found.opening:.1f} s, dragged at {found.frames:.0f} frames/s, "
+        f"page of 1000 frames {found.megabytes:.2f} MB"
     )
+    for part, seconds in found.opening_cost.items():
+        told = f"{seconds:6.2f} s of processor time to open, {found.cost[part]:5.0f} ms for a frame"
+        print(f"{part:8s} {told}")
     return rows
 
 
