@@ -92,10 +92,12 @@ def find_compiler() -> tuple[str, ...] | None:
 
     The environment variable CC comes first, then cc, gcc and clang.
     """
+    windows = sys.platform == "win32"  # whose paths have backslashes
     try:
-        named = shlex.split(os.environ.get("CC", ""), posix=os.name != "nt")
+        words = shlex.split(os.environ.get("CC", ""), posix=not windows)
     except ValueError:  # unbalanced quotes
-        named = []
+        words = []
+    named = [word.strip('"') for word in words] if windows else words
     for command in (named, ["cc"], ["gcc"], ["clang"]):
         program = shutil.which(command[0]) if command else None
         if program:
@@ -203,8 +205,9 @@ def _load(
             raise CompileError(f"{library} is not in the cache")
         code = result.with_name(f"code{suffix}")
         code.write_text(source, encoding="utf-8")
-        position = [] if sys.platform == "win32" else ["-fPIC"]
-        files = ["-shared", "-o", str(result), str(code), "-lm"]
+        # on Windows all code is relocatable, and the C library has the mathematics
+        position, libraries = ([], []) if sys.platform == "win32" else (["-fPIC"], ["-lm"])
+        files = ["-shared", "-o", str(result), str(code), *libraries]
         _run([*compiler, *options, *position, *files], result.parent)
 
     try:

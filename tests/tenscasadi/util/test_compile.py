@@ -700,3 +700,55 @@ def test_how_a_process_prints_numbers_does_not_change_its_code() -> None:
         assert compiled._generate_c(function) == before
     finally:
         ca.DM.set_precision(6)
+
+
+@pytest.mark.parametrize(
+    ("platform", "named", "command"),
+    [
+        (
+            "win32",
+            r'"C:\Program Files\LLVM\bin\clang.exe" -m64',
+            (r"C:\Program Files\LLVM\bin\clang.exe", "-m64"),
+        ),
+        ("win32", r"C:\mingw\bin\gcc.exe", (r"C:\mingw\bin\gcc.exe",)),
+        ("darwin", "'/Applications/My Tools/clang' -arch arm64", None),
+        ("linux", "'unbalanced", ("cc",)),
+    ],
+)
+def test_the_compiler_that_cc_names_is_found_on_each_system(platform, named, command, monkeypatch):
+    monkeypatch.setattr(sys, "platform", platform)
+    monkeypatch.setenv("CC", named)
+    monkeypatch.setattr(compiled.shutil, "which", lambda program: program)
+    expected = command or ("/Applications/My Tools/clang", "-arch", "arm64")
+    assert find_compiler() == expected
+
+
+@pytest.mark.parametrize(
+    ("platform", "present", "absent"),
+    [("win32", (), ("-fPIC", "-lm")), ("darwin", ("-fPIC", "-lm"), ())],
+)
+def test_options_of_the_compiler_fit_the_system(platform, present, absent, monkeypatch):
+    commands: list[list[str]] = []
+
+    def run(command: list[str], *_: Any, **__: Any) -> str:
+        commands.append(command)
+        if "-shared" in command:
+            raise CompileError("there is no such compiler here")
+        return ""
+
+    monkeypatch.setattr(compiled, "find_compiler", lambda: (f"cc for {platform}",))
+    monkeypatch.setattr(compiled, "_run", run)
+    monkeypatch.setattr(sys, "platform", platform)
+    with pytest.raises(CompileError, match="no such compiler"):
+        compile_function(function(f"for_{platform}"))
+    (build,) = [command for command in commands if "-shared" in command]
+    assert set(present) <= set(build)
+    assert not set(absent) & set(build)
+
+
+def test_the_cache_is_trusted_on_windows_if_it_can_be_written(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "platform", "win32")
+    monkeypatch.delattr(os, "getuid", raising=False)  # as there
+    assert library_cache._explain_distrust(tmp_path) == ""
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    assert "cannot be written" in library_cache._explain_distrust(tmp_path)
