@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+import ocp
 import tenscasadi
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -59,3 +60,23 @@ def test_each_extra_for_users_is_in_the_installation_page(project):
     page = (ROOT / "docs/index.md").read_text(encoding="utf-8")
     developers = {"fmu", "peers", "rockit", "release", "do-mpc"}
     assert set(project["optional-dependencies"]) - developers == used_extras(page)
+
+
+def test_release_notes_name_old_and_new_names():
+    text = (ROOT / "docs/release_notes.md").read_text(encoding="utf-8")
+    before, table, after = re.split(r"\| 0\.1 \| 0\.2 \|\n|\n## Changed", text)
+    rows = [line.split("|")[1:3] for line in table.splitlines() if "`" in line]
+    packages = {"tc": tenscasadi, "ocp": ocp}
+
+    def find_names(text):
+        return re.findall(r"`(tc|ocp)\.(\w+)", text)
+
+    now = find_names(before + after) + [pair for _, new in rows for pair in find_names(new)]
+    old = [pair for words, _ in rows for pair in find_names(words)]
+    assert len(now) > 20
+    assert [name for package, name in now if name not in packages[package].__all__] == []
+    assert len(old) > 10
+    for package, name in old:
+        assert name not in packages[package].__all__
+        with pytest.warns(DeprecationWarning, match=name):
+            assert getattr(packages[package], name) is not None
