@@ -147,7 +147,6 @@ def test_unsupported_uses_say_so(tmp_path):
         lambda: tc.form_find(s),
         lambda: tc.size(s, string=tc.Material(2e11, 7800.0, 3e8), stable=True),
         lambda: tc.save_mat(s, folder),
-        lambda: tc.export_mjcf(tc.Scene(s, ground=tc.Ground()), folder),
     ):
         with pytest.raises(ValueError, match="bodies"):
             use()
