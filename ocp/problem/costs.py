@@ -264,7 +264,9 @@ class Smoothness(ControlCost, kind="Smoothness"):
 
 @dataclass(frozen=True, eq=False)
 class Prestress(ControlCost, kind="Prestress"):
-    """Cost weight · ∫ Σ (γ − level)² dt.
+    """Cost of force densities that differ from a level.
+
+    It is weight · ∫ Σ (γ − level)² dt, with the sum over strings.
 
     Parameters
     ----------
@@ -334,9 +336,9 @@ class Prestress(ControlCost, kind="Prestress"):
 
 @dataclass(frozen=True)
 class Duration(TerminalCost, kind="Duration"):
-    """Cost weight · T of the duration T [s].
+    """Cost of a long duration.
 
-    It requires a free duration, ``Problem(duration=(shortest, longest))``. Other costs or limits of
+    It is weight · T, with the duration T [s]. It requires a free duration, ``Problem(duration=(shortest, longest))``. Other costs or limits of
     forces should make short durations expensive or infeasible.
 
     Parameters

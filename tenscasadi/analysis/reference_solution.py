@@ -37,7 +37,7 @@ _ROUNDING = 1e-10  # × extent: smaller differences stop decreasing because of r
 
 
 class NoReferenceError(ValueError):
-    """Error for a reference whose two solutions disagree.
+    """Error for a reference solution whose two schemes disagree.
 
     The motion is chaotic, unstable or too stiff for errors to be measured.
     """
@@ -113,31 +113,30 @@ def reference_solution(
     model : Model
         The model.
     t_end : float
-        Duration of the motion, s.
+        Duration of the motion [s].
     state : array_like (nx,), optional
-        Start; None: the model's initial state.
+        Initial state. Default: that of the model.
     control : array_like or callable, optional
         Control input, as for `simulate`.
     max_difference : float, optional
-        Largest distance of the two solutions that is accepted, m; None: 1e-7 of the structure's
-        size.
+        Largest accepted distance of the two solutions [m]. Default: 1e-7 of the structure's size.
     target_difference : float, optional
-        Distance of the two solutions at which refinement ends, m; None: 1e-12 of the structure's
-        size.
+        Distance of the two solutions at which refinement ends [m]. Default: 1e-12 of the
+        structure's size.
     compiled : bool, optional
         Whether to run as machine code, as for `simulate`.
     max_instructions : float
-        Instructions that a solution may take; without machine code a tenth of them.
+        Largest number of instructions of one solution; a tenth of it without machine code.
     parameters : array_like, shape (np,), or mapping, optional
-        Values of the model's parameters, see `ParameterLayout.values`; nominal if None.
+        Values of the model's parameters, see `ParameterLayout.values`. Default: nominal values.
     time_limit : float, optional
-        Wall time that the solutions may take together, s; the best pair by then counts. None: no
+        Limit of the wall time of all solutions [s]. The best pair by then counts. Default: no
         limit.
 
     Returns
     -------
     ReferenceSolution
-        Nodes at the end, m, and their error.
+        Final positions of the nodes and their error [m].
 
     Raises
     ------

@@ -77,17 +77,17 @@ def tradeoff(
         A model, or several by name that share their scene's nodes and differ in fidelity: segments,
         lumping, slack, elastic bars, coordinates.
     t_end : float
-        Duration of each run, s.
+        Duration of each run [s].
     schemes : sequence of schemes
         Integration schemes, such as `RungeKutta4()`.
     steps : sequence of float
-        Largest steps, s. A scheme that controls its error takes its own, up to a twentieth of
-        `t_end`, and is run once.
+        Largest steps [s]. A scheme with error control chooses its own steps, up to a twentieth of
+        `t_end`, and runs once.
     reference : ReferenceSolution or str, optional
-        End that position errors are measured against, or the name of the model that `reference_solution`
-        solves for it; None: the first model.
+        Exact final positions, or the name of the model for which `reference_solution` computes
+        them. Default: the first model.
     state : array_like (nx,) or callable, optional
-        Start, or a function that gives it for a model; None: each model's initial state.
+        Initial state, or a function that computes it for a model. Default: that of each model.
     control : array_like or callable, optional
         Control input, as for `simulate`.
     corrections : sequence of corrections
@@ -95,11 +95,11 @@ def tradeoff(
     compiled : sequence
         Ways to run, each as for `simulate`: None, True, False or `Single()`.
     repeats : int
-        Timed runs, whose median counts.
+        Number of timed runs, of which the median counts.
     progress : bool
         Whether to show a progress bar.
     parameters : array_like, shape (np,), or mapping, optional
-        Values of the models' parameters, see `ParameterLayout.values`; nominal if None.
+        Values of the models' parameters, see `ParameterLayout.values`. Default: nominal values.
 
     Returns
     -------

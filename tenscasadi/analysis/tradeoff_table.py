@@ -92,10 +92,10 @@ class TradeoffRow:
 
     @property
     def work(self) -> float:
-        """Instructions of the whole run.
+        """Number of instructions that the whole run executes.
 
-        The cost does not depend on other loads of the machine. It is NaN for implicit schemes,
-        whose instructions are not known.
+        Unlike the wall time, it does not depend on the machine and its load. It is NaN for implicit
+        schemes, whose number of iterations is not known beforehand.
         """
         return float(self.instructions) * self.steps if self.instructions else float("nan")
 
@@ -287,7 +287,7 @@ class Tradeoff:
         Parameters
         ----------
         path : path-like, optional
-            File to save it to; its suffix says the format.
+            File to save the figure to. Its suffix selects the format.
         title : str
             Title of the diagram.
 

@@ -40,7 +40,7 @@ from tenscasadi.util.validate import (
 
 @dataclass(frozen=True, eq=False)
 class PrestressDesign(ReadOnlyArrays):
-    """Prestress of a structure.
+    """Prestress that `find_prestress` has found.
 
     Attributes
     ----------

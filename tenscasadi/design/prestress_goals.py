@@ -95,7 +95,7 @@ class PrestressGoal(Protocol):
 
 @dataclass(frozen=True)
 class Stiffest(Value, kind="Stiffest"):
-    """Largest stiffness of the softest motion.
+    """Goal of `find_prestress`: the largest stiffness of the softest motion.
 
     It maximizes the least eigenvalue of the tangent stiffness on motions that keep rigid bars: a
     semidefinite program.
@@ -146,7 +146,7 @@ class Stiffest(Value, kind="Stiffest"):
 
 @dataclass(frozen=True)
 class Even(Value, kind="Even"):
-    """Most uniform string tensions.
+    """Goal of `find_prestress`: the most uniform string tensions.
 
     It minimizes the sum of squared deviations of the string tensions from their mean: a quadratic
     program.
@@ -162,7 +162,7 @@ class Even(Value, kind="Even"):
     needs_minimum = True
 
     def solve(self, program: PrestressProgram) -> ConicSolution:
-        """Find force densities of least deviations from the mean tension.
+        """Minimize the deviations of string tensions from their mean.
 
         Parameters
         ----------
@@ -190,7 +190,9 @@ class Even(Value, kind="Even"):
 
 @dataclass(frozen=True)
 class Least(Value, kind="Least"):
-    """Least sum of string tensions: a linear program.
+    """Goal of `find_prestress`: the least sum of string tensions.
+
+    It is found by a linear program.
 
     Examples
     --------

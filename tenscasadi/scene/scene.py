@@ -226,7 +226,7 @@ class Scene(Value, Viewable, kind="Scene"):
 
     @property
     def switching_inputs(self) -> Indices:
-        """Indices of `first_strings` with slack events."""
+        """Inputs whose strings can go slack, as indices of `first_strings`."""
         return np.unique(self.modelled.cable_of[self.switching_strings])
 
     @property

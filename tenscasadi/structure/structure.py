@@ -235,7 +235,7 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         return structure._finish(**read_derived(derived, structure)) if derived else structure
 
     def to_fields(self) -> dict[str, Any]:
-        """Collect the keywords and the derived attributes."""
+        """Collect the keywords from which `from_fields` builds the structure again."""
         own = {name: getattr(self, name) for name in PARAMETERS}
         plain, derived = write_derived(Structure(**own)), write_derived(self)
         own |= {name: dict(own[name]) for name in ("pinned", "rollers")}
@@ -323,8 +323,8 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         Returns
         -------
         csr_array, shape (n, n)
-            M [kg], without the masses of strings that `subdivide` has not assigned to nodes. Bodies
-            whose nodes lie in a plane, but not their mass, have an auxiliary row each at the end.
+            M [kg], without the masses of strings that `subdivide` has not assigned to nodes. A body
+            with coplanar nodes whose mass is not in their plane adds an auxiliary row at the end.
         """
         n = len(self.nodes)
         M = bar_mass_matrix(self.bars, self.bar_inertia, self.bar_mass, n)
