@@ -14,12 +14,12 @@ import scipy.sparse as sp
 from tenscasadi.dynamics.linearization import EquationDerivatives, displacements
 from tenscasadi.dynamics.model import Model
 from tenscasadi.dynamics.operating_point import OperatingPoint, split_point
-from tenscasadi.statics.solver.motions import DENSE
-from tenscasadi.util.constrained_eigenproblem import (
+from tenscasadi.statics.solver.constrained_eigenproblem import (
     SaddlePoint,
     fastest_rate,
     lowest_eigenpairs,
 )
+from tenscasadi.statics.solver.motions import DENSE
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import NEGLIGIBLE, Array, finite_array, instance, whole_number
 

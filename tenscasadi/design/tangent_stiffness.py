@@ -9,11 +9,11 @@ import numpy as np
 import scipy.sparse as sp
 
 from tenscasadi.statics.self_stress import rigid_body_motions
+from tenscasadi.statics.solver.constrained_eigenproblem import SaddlePoint
 from tenscasadi.statics.solver.motions import softest_motions
 from tenscasadi.structure.cables import add_compliances, find_units
 from tenscasadi.structure.equilibrium_matrix import free_directions, member_pairs
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.constrained_eigenproblem import SaddlePoint
 from tenscasadi.util.validate import Array
 
 

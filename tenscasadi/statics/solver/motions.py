@@ -14,9 +14,9 @@ import scipy.linalg
 import scipy.sparse as sp
 
 from tenscasadi.statics.self_stress import idle_combinations, rigid_body_motions
+from tenscasadi.statics.solver.constrained_eigenproblem import lowest_eigenpairs
 from tenscasadi.statics.solver.newton_system import NewtonFactors, NewtonSystem
 from tenscasadi.statics.solver.static_equations import StaticPoint
-from tenscasadi.util.constrained_eigenproblem import lowest_eigenpairs
 from tenscasadi.util.linear_algebra import null_space
 from tenscasadi.util.validate import NEGLIGIBLE, ROUNDING, Array
 

@@ -15,8 +15,8 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
+from tenscasadi.statics.solver.sparse_pattern import MatrixEntries, SparsePattern, join_entries
 from tenscasadi.statics.solver.static_equations import StaticEquations, StaticPoint
-from tenscasadi.util.sparse_pattern import MatrixEntries, SparsePattern, join_entries
 from tenscasadi.util.validate import ROUNDING, Array, Indices
 
 COMPLIANCE = 1e-8  # of rigid bars, relative to 1/stiffness: keeps pivots of redundant bars nonzero
