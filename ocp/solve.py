@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from concurrent.futures import Executor
 from typing import Any
 
@@ -15,7 +16,7 @@ from ocp.search.multistart import find_best_plan
 from ocp.search.task import Method
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.ipopt import Ipopt
-from ocp.solvers.monitor import Monitor, write_line
+from ocp.solvers.monitor import Monitor, Progress, write_line
 from ocp.transcription.base import Transcription
 from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import MAX_REPETITIONS, flag, instance, positive_number, whole_number
@@ -34,7 +35,7 @@ def solve(
     executor: Executor | None = None,
     tracked: bool = False,
     parameters: Any = None,
-    progress: bool | None = None,
+    progress: bool | Callable[[Progress], object] | None = None,
 ) -> Plan:
     """Find a plan for an optimal control problem.
 
@@ -49,8 +50,9 @@ def solve(
         Solver of the nonlinear program, or search by samples. Default, with a transcription:
         `Ipopt()`; without, automatic.
     guess : InverseDynamics, EquilibriumGuess, TrajectoryGuess or Plan, optional
-        Initial guess. A plan of the same mesh and constraints also provides initial duals (see
-        `Ipopt`).
+        Initial guess. A plan also provides the first method, with a warm start: give it for the
+        same problem with other goals, limits or parameters. A plan of the same mesh and constraints
+        also provides initial duals (see `Ipopt`).
         `Sampling` searches if the guess leads to no plan. Default: `InverseDynamics()`.
     tolerance : float, optional
         Largest distance of the replay from the goals [m]; velocities: m per duration. Default: 1 %
@@ -71,9 +73,11 @@ def solve(
         Values of the parameters of the problem's model, see `Problem.with_parameters`. Default:
         those of the problem. They are constants of the plan. New values need no new code, except
         for `Sampling`.
-    progress : bool, optional
+    progress : bool or callable, optional
         Whether a line on standard error shows the progress of a plan that takes longer than two
-        seconds. Default: if standard error is a terminal.
+        seconds. Default: if standard error is a terminal. A function of a `Progress` is called
+        after each iteration of every method, except for starts in an executor, and stops the search
+        if it returns False. `tenscasadi.plots.Convergence` draws a chart, also live in a notebook.
 
     Returns
     -------
@@ -141,7 +145,8 @@ def solve(
             "an ocp.Ipopt, ocp.CondensedNewton or ocp.Sampling",
         )
     flag("tracked", tracked)
-    if progress is not None:
+    watch = progress if callable(progress) else None
+    if progress is not None and watch is None:
         flag("progress", progress)
     count = whole_number("n_starts", n_starts, 1, MAX_REPETITIONS)
     if executor is not None:
@@ -150,8 +155,8 @@ def solve(
         if value is not None:
             positive_number(name, value)
     problem = problem if parameters is None else problem.with_parameters(parameters)
-    shown = sys.stderr.isatty() if progress is None else progress
-    monitor = Monitor(time_limit, write_line if shown else None)
+    shown = sys.stderr.isatty() if progress is None else progress is True
+    monitor = Monitor(time_limit, write_line if shown else None, watch)
     options = transcription, solver, guess, tolerance
     if count == 1:
         return Plan.of(find_plan(problem, *options, monitor=monitor, tracked=tracked))

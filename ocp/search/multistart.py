@@ -40,7 +40,7 @@ def find_best_plan(
         for k, one in enumerate(each):
             if plans and monitor.status():
                 break
-            part = Monitor(None if np.isinf(monitor.left) else monitor.left / (count - k))
+            part = monitor.limit(None if np.isinf(monitor.left) else monitor.left / (count - k))
             plans.append(find_plan(*one, monitor=part, tracked=tracked))
             monitor.interrupted |= part.interrupted
     else:

@@ -324,11 +324,11 @@ class BestIterate(ca.Callback):
         try:
             if self._watch is not None and self._watch(now) is False:
                 self.status = STOPPED
+            self.status = self.status or self._monitor.follow(now)
         except KeyboardInterrupt:
             self.status = STOPPED
         except Exception as error:  # noqa: BLE001  # raised again once the solver has stopped, which would make a failure of it
             self.error, self.status = error, STOPPED
-        self.status = self.status or self._monitor.follow(now)
         if not self.status and self._leaving is not None and _has_negative_curvature(self._leaving):
             self.status = SADDLE
         np.frombuffer(res[0])[:] = float(bool(self.status))

@@ -50,6 +50,9 @@ class Monitor:
         Wall time of the search [s]. By default there is no limit.
     show : callable, optional
         Function of a line of text, called at most twice a second. None: nothing is shown.
+    watch : callable, optional
+        Function of a `Progress`, called after each iteration. If it returns False, it requests a
+        stop.
 
     Attributes
     ----------
@@ -60,12 +63,20 @@ class Monitor:
     """
 
     def __init__(
-        self, time_limit: float | None = None, show: Callable[[str], object] | None = None
+        self,
+        time_limit: float | None = None,
+        show: Callable[[str], object] | None = None,
+        watch: Callable[[Progress], object] | None = None,
     ) -> None:
         self.began = time.perf_counter()
         self.deadline = math.inf if time_limit is None else self.began + time_limit
         self.interrupted, self.phase = False, ""
         self._show, self._next_line = show, self.began + 2.0  # s
+        self._watch = watch
+
+    def limit(self, time_limit: float | None) -> Monitor:
+        """Build a monitor of a part of the search, with a time limit [s] of its own."""
+        return Monitor(time_limit, self._show, self._watch)
 
     @property
     def elapsed(self) -> float:
@@ -93,6 +104,8 @@ class Monitor:
                 f"{self.phase}: iteration {now.iteration}, violation {now.infeasibility:.1e}, "
                 f"objective {now.objective:.5g}, {self.elapsed:.0f} s{left}"
             )
+        if self._watch is not None and self._watch(now) is False:
+            self._stop()
         return self.status()
 
     @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
@@ -19,6 +20,7 @@ from tenscasadi.util.validate import (
     real_array,
     text,
 )
+from tenscasadi.util.viewable import in_notebook
 
 Points = Sequence[tuple[float, float]]
 _MARKERS = "osD^vPX"
@@ -178,7 +180,9 @@ class Iteration(Protocol):
 class Convergence:
     """Chart of objective and violation over the iterations of a solver.
 
-    It is a callback of a solver: ``ocp.Ipopt(callback=plots.Convergence("solver.png"))``.
+    Give it to `ocp.solve`: ``ocp.solve(problem, progress=plots.Convergence())``. In a notebook, the
+    chart appears below the cell and follows the solver. Several attempts of a search follow one
+    another.
 
     Parameters
     ----------
@@ -207,15 +211,26 @@ class Convergence:
         self._every = positive_number("every", every)
         self._iterations: list[Iteration] = []
         self._drawn = -float("inf")
+        self._display: Any = None  # the chart's place in a notebook
 
     def __call__(self, now: Iteration) -> None:
         """Record an iteration, and draw all if it is time."""
         if not all(hasattr(now, name) for name in ("iteration", "objective", "infeasibility")):
             raise TypeError(f"now is {format_value(now)}: give an ocp.Progress")
         self._iterations.append(now)
-        if self._path is not None and time.monotonic() - self._drawn > self._every:
-            save_figure(self.figure(), self._path)
+        if time.monotonic() - self._drawn > self._every and (self._path or in_notebook()):
+            self._draw()
             self._drawn = time.monotonic()
+
+    def _draw(self) -> None:
+        """Write the file, or replace the chart in the notebook."""
+        figure = self.figure()
+        if self._path is not None:
+            save_figure(figure, self._path)
+        elif self._display is None:
+            self._display = sys.modules["IPython"].display.display(figure, display_id=True)
+        else:
+            self._display.update(figure)
 
     def figure(self) -> Figure:
         """Draw the objective and the largest violation so far.
@@ -230,7 +245,7 @@ class Convergence:
             last = self._iterations[-1]
             title = f"iteration {last.iteration}: objective {last.objective:.4g}, largest violation {last.infeasibility:.2g}"
         figure, (above, below) = make_panels(2, "iteration", title, margin=0.05)
-        count = [one.iteration for one in self._iterations]
+        count = range(len(self._iterations))
         above.plot(count, [one.objective for one in self._iterations], ".-", lw=1.2)
         below.plot(count, [one.infeasibility for one in self._iterations], ".-", lw=1.2)
         above.set_ylabel("objective")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from base64 import b64encode
 from html import escape
 from io import BytesIO
@@ -50,3 +51,10 @@ class Viewable:
         source = f"data:image/png;base64,{b64encode(file.getvalue()).decode()}"
         caption = escape(repr(self))
         return f'<figure><img src="{source}" alt=""><figcaption>{caption}</figcaption></figure>'
+
+
+def in_notebook() -> bool:
+    """Return whether this runs in a notebook."""
+    python = sys.modules.get("IPython")
+    shell = python.get_ipython() if python is not None else None
+    return shell is not None and hasattr(shell, "kernel")

@@ -15,12 +15,13 @@ from tenscasadi.drawing.view_content import ViewContent
 from tenscasadi.scene.ground import Grounds
 from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import choice, file_path, flag, positive_number, text
+from tenscasadi.util.viewable import in_notebook
 from tenscasadi.util.whole_file import whole_file
 from tenscasadi.viewer.canvas import Canvas
 from tenscasadi.viewer.player import Player
 from tenscasadi.viewer.web.page import add_panel, record_page
 from tenscasadi.viewer.web.server import LOOPBACK, address, start_server
-from tenscasadi.viewer.web.serving import check_serving, in_notebook, open_and_wait, stop
+from tenscasadi.viewer.web.serving import check_serving, open_and_wait, stop
 
 FilePath = str | os.PathLike[str]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -330,3 +331,46 @@ def test_plans_whose_replay_misses_the_tolerance_are_no_success(plan):
         assert ocp.solve(problem, ocp.MultipleShooting(12), tolerance=tolerance).success is met
     with pytest.raises(ValueError, match="tolerance"):
         ocp.solve(problem, tolerance=0.0)
+
+
+@pytest.mark.parametrize("solver", [None, ocp.CondensedNewton(), ocp.Sampling()], ids=repr)
+def test_progress_is_a_function_that_can_stop_any_method(solver):
+    seen = []
+
+    def watch(now):
+        seen.append(now)
+        return False
+
+    plan = ocp.solve(raising(), solver=solver, progress=watch)
+    assert 1 <= len(seen) <= 3
+    if isinstance(solver, ocp.Sampling):  # its first samples may meet the goals
+        assert plan.iterations <= 1
+    else:
+        assert not plan.success
+        assert "stopped" in plan.message
+
+
+def test_errors_of_the_progress_function_are_raised():
+    def fail(now):
+        raise RuntimeError("mine")
+
+    with pytest.raises(RuntimeError, match="mine"):
+        ocp.solve(raising(), progress=fail)
+
+
+def test_progress_of_all_starts_is_seen():
+    seen = []
+    plan = ocp.solve(raising(), n_starts=2, progress=seen.append)
+    assert plan.success
+    assert len(seen) > plan.iterations
+
+
+def test_plan_as_guess_repeats_its_method_with_a_warm_start():
+    first = ocp.solve(raising(), ocp.Variational(24), ocp.Ipopt())
+    assert first.success
+    other = replace(first.problem, bounds=[ocp.ForceDensityLimits(1.0, 180.0)])
+    cold, warm = ocp.solve(other), ocp.solve(other, guess=first)
+    assert warm.success
+    assert len(warm.time) == 25
+    assert warm.iterations < cold.iterations
+    assert warm.objective == pytest.approx(cold.objective, rel=1e-3)

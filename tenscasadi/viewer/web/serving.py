@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 from tenscasadi.util.validate import flag
+from tenscasadi.util.viewable import in_notebook
 from tenscasadi.viewer.web.server import silence_viser
 
 
@@ -38,13 +39,6 @@ def stop(server: Any) -> None:
     """Stop a server silently."""
     with silence_viser():
         server.stop()
-
-
-def in_notebook() -> bool:
-    """Return whether this runs in a notebook."""
-    python = sys.modules.get("IPython")
-    shell = python.get_ipython() if python is not None else None
-    return shell is not None and hasattr(shell, "kernel")
 
 
 def _has_display() -> bool:

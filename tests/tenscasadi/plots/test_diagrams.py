@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -31,6 +34,22 @@ def test_a_solver_is_drawn_as_it_works(tmp_path):
     assert np.array_equal(above, [(now.iteration, now.objective) for now, _ in told])
     assert np.array_equal(below, [(now.iteration, now.infeasibility) for now, _ in told])
     assert above[-1, 1] == pytest.approx(plan.objective, rel=1e-6)
+
+
+def test_chart_follows_the_automatic_method_in_a_notebook(monkeypatch):
+    shown = []
+    place = SimpleNamespace(update=shown.append)
+    display = SimpleNamespace(display=lambda figure, display_id: shown.append(figure) or place)
+    shell = SimpleNamespace(kernel=None)
+    notebook = SimpleNamespace(display=display, get_ipython=lambda: shell, version_info=(8, 24))
+    monkeypatch.setitem(sys.modules, "IPython", notebook)
+    model = tc.Model(tc.Scene(tc.shapes.prism(), control=tc.ForceDensity()))
+    limits = [ocp.ForceDensityLimits(1.0, 50.0)]
+    problem = ocp.Problem(model, 0.5, bounds=limits, costs=[ocp.Effort()])
+    plan = ocp.solve(problem, progress=Convergence(every=1e-9))
+    assert plan.success
+    assert len(shown) > plan.iterations
+    assert len(shown[-1].axes[0].lines[0].get_xydata()) == len(shown)
 
 
 def test_no_file_and_no_iteration_are_fine():
