@@ -343,11 +343,8 @@ def test_progress_is_a_function_that_can_stop_any_method(solver):
 
     plan = ocp.solve(raising(), solver=solver, progress=watch)
     assert 1 <= len(seen) <= 3
-    if isinstance(solver, ocp.Sampling):  # its first samples may meet the goals
-        assert plan.iterations <= 1
-    else:
-        assert not plan.success
-        assert "stopped" in plan.message
+    assert plan.iterations <= 1  # the best iterate may already meet the goals
+    assert plan.success or "stopped" in plan.message
 
 
 def test_errors_of_the_progress_function_are_raised():
