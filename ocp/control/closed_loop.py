@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Protocol, runtime_checkable
 
 import casadi as ca
 import numpy as np
+from tqdm import tqdm
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
@@ -24,6 +25,7 @@ from tenscasadi.util.validate import (
     Array,
     call_user_function,
     finite_array,
+    flag,
     format_value,
     instance,
     positive_number,
@@ -89,6 +91,7 @@ def run(
     steps: int = 10,
     disturbance: Callable[[float, Array], Array] | None = None,
     parameters: Any = None,
+    progress: bool = False,
 ) -> ClosedLoop:
     """Simulate a model under a controller.
 
@@ -114,11 +117,14 @@ def run(
     parameters : array_like, shape (np,), or mapping of str to array_like, optional
         Values of the plant's parameters, see `tenscasadi.ParameterLayout.values`. Default: the
         nominal ones.
+    progress : bool
+        Whether to show a progress bar.
 
     Returns
     -------
     ClosedLoop
-        Motion. If it diverges, it ends there, and its trajectory has `success` False.
+        Motion. If it diverges, or after Ctrl-C, it ends there, and its trajectory has `success`
+        False.
 
     Raises
     ------
@@ -156,6 +162,7 @@ def run(
     _check_plant(plant, controller.model)
     plant = plant.with_parameters(parameters)
     n = whole_number("steps", steps, 1, 1000)
+    flag("progress", progress)
     if disturbance is not None and not callable(disturbance):
         raise TypeError(
             f"disturbance is {format_value(disturbance)}: give a function (time, x) -> x, or None"
@@ -166,10 +173,59 @@ def run(
             f"t_end is {t_end:g}: that takes {ratio:.1g} decisions of {period:g} s, give at most {MAX_ENTRIES:g}"
         )
     ends = np.append(period * np.arange(max(1, np.ceil(ratio - 1e-9))), t_end)
-    chain = RungeKutta4().step(plant.ode).mapaccum(n)
-    project = build_projection(plant, 2)
     x = _find_start(plant, state)
-    states, controls, seconds = [x[None]], [], []
+    periods = _run_periods(controller, plant, x, ends, n, disturbance)
+    states, controls, seconds, interrupted = [x[None]], [], [], False
+    try:
+        for part, u, waited in tqdm(
+            periods, total=len(ends) - 1, unit=" decisions", disable=not progress
+        ):
+            seconds.append(waited)
+            if part is not None:
+                states.append(part)
+                controls.append(np.repeat(u[None], n, axis=0))
+    except KeyboardInterrupt:
+        interrupted = True
+    rows = np.concatenate(states)
+    done = len(controls) == len(ends) - 1
+    held = np.concatenate([*controls, controls[-1][-1:]]) if controls else np.zeros((1, plant.nu))
+    times = np.interp(np.arange(len(rows)) / n, np.arange(len(ends)), ends)
+    cause = "interrupted" if interrupted else "diverged"
+    reason = "from the keyboard" if interrupted else "the state is not finite"
+    message = (
+        f"finished {len(controls)} decisions"
+        if done
+        else f"{cause} after t = {times[-1]:g} s: {reason}"
+    )
+    trajectory = record_trajectory(
+        plant,
+        times,
+        rows,
+        held,
+        step=period / n,
+        message=message,
+        success=done,
+        seconds=sum(seconds),
+        interrupted=interrupted,
+    )
+    return ClosedLoop(trajectory, np.array(seconds))
+
+
+def _run_periods(
+    controller: Controller,
+    plant: Model,
+    x: Array,
+    ends: Array,
+    steps: int,
+    disturbance: Callable[[float, Array], Array] | None,
+) -> Iterator[tuple[Array | None, Array, float]]:
+    """Simulate period after period.
+
+    Yields the states (steps, nx), None after a divergence, the force densities (α,), and the wall
+    time of the decision [s].
+    """
+    chain = RungeKutta4().step(plant.ode).mapaccum(steps)
+    project = build_projection(plant, 2)
     for now, after in pairwise(ends):
         if disturbance is not None:
             pushed = call_user_function(
@@ -183,35 +239,16 @@ def run(
         seen = _observe(controller.model, plant, x, now)
         began = clock.perf_counter()
         decided = controller.control(now, seen)
-        seconds.append(clock.perf_counter() - began)
+        waited = clock.perf_counter() - began
         u = finite_array("controller.control(time, state)", decided, (plant.nu,))
-        part = np.asarray(chain(x, ca.repmat(ca.DM(u), 1, n), (after - now) / n).full()).T
+        held = ca.repmat(ca.DM(u), 1, steps)
+        part = np.asarray(chain(x, held, (after - now) / steps).full()).T
         if not np.all(np.abs(part) <= LARGEST):
-            break
+            yield None, u, waited
+            return
         x = np.asarray(project(part[-1]).full()).ravel()
         part[-1] = x
-        states.append(part)
-        controls.append(np.repeat(u[None], n, axis=0))
-    rows = np.concatenate(states)
-    done = len(controls) == len(ends) - 1
-    held = np.concatenate([*controls, controls[-1][-1:]]) if controls else np.zeros((1, plant.nu))
-    times = np.interp(np.arange(len(rows)) / n, np.arange(len(ends)), ends)
-    message = (
-        f"finished {len(controls)} decisions"
-        if done
-        else f"diverged after t = {times[-1]:g} s: the state is not finite"
-    )
-    trajectory = record_trajectory(
-        plant,
-        times,
-        rows,
-        held,
-        step=period / n,
-        message=message,
-        success=done,
-        seconds=sum(seconds),
-    )
-    return ClosedLoop(trajectory, np.array(seconds))
+        yield part, u, waited
 
 
 def _check_plant(plant: Any, believed: Model) -> None:

@@ -115,17 +115,26 @@ class ClosedLoopRun:
         positive_number("t_end", self.t_end)
         whole_number("steps", self.steps, 1, 1000)
 
-    def run(self, problem: Problem, find_plan: Callable[[], PlanResult]) -> ClosedLoop:
+    def run(
+        self, problem: Problem, find_plan: Callable[[], PlanResult], progress: bool = False
+    ) -> ClosedLoop:
         """Simulate the scene of a problem under the controller.
 
-        `find_plan` is called if the controller follows a plan. Raises TypeError, ValueError.
+        `find_plan` is called if the controller follows a plan. With `progress` a bar is shown.
+        Raises TypeError, ValueError.
         """
         plant = None if self.parameters is None else problem.given["model"]
         plan = find_plan() if self.controller.needs_plan else None
         controller = self.controller.build(problem, plan)
         start = problem.initial_state if plan is None else plan.trajectory.states[0]
         return run(
-            controller, self.t_end, plant, start, steps=self.steps, parameters=self.parameters
+            controller,
+            self.t_end,
+            plant,
+            start,
+            steps=self.steps,
+            parameters=self.parameters,
+            progress=progress,
         )
 
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Annotated, Any
 
 from tenscasadi.cli.loading import load_ocp, load_plots
-from tenscasadi.cli.report import FAILED, CommandReport, find_scalars
+from tenscasadi.cli.report import FAILED, INTERRUPTED, CommandReport, find_scalars
 from tenscasadi.cli.source import SCENE, SceneSource, find_source
 from tenscasadi.io.document import Change
 from tenscasadi.schema.reading import SceneFileError
@@ -90,7 +91,7 @@ def control_motion(
 
     The controller pursues the goals of [plan]: model predictive control, sampled motions (MPPI), or
     feedback along a plan, which is solved first. The simulated scene may have other parameters than
-    the controller's model.
+    the controller's model. Ctrl-C ends the run and keeps the rows that there are.
 
     Parameters
     ----------
@@ -109,7 +110,9 @@ def control_motion(
     problem = arguments["problem"]
     with _named(found, "closed_loop"):
         loop = studies.closed_loop.run(
-            problem, lambda: _find_plan(found, arguments, studies.refinement)
+            problem,
+            lambda: _find_plan(found, arguments, studies.refinement),
+            progress=sys.stderr.isatty() and not report.quiet,
         )
     trajectory, slowest = loop.trajectory, float(loop.seconds.max(initial=0.0))
     position, velocity = sections.measure_goal_error(problem, trajectory.states[-1])
@@ -128,8 +131,8 @@ def control_motion(
     )
     errors = {"goal_error": position, "goal_speed_error": velocity}
     content = find_scalars(trajectory) | errors | {"slowest_decision": slowest}
-    success = bool(trajectory.success)
-    return report.finish(0 if success else FAILED, **content | {"success": success})
+    code = INTERRUPTED if trajectory.interrupted else 0 if trajectory.success else FAILED
+    return report.finish(code, **content | {"success": trajectory.success})
 
 
 def _read(found: SceneSource) -> tuple[dict[str, Any], Any]:

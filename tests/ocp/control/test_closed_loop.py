@@ -148,3 +148,21 @@ def test_bad_arguments_are_refused_by_name(plan, name):
     make, error, message = BAD[name]
     with pytest.raises(error, match=message):
         make(plan)
+
+
+def test_an_interrupted_run_keeps_what_there_is(capsys):
+    count = []
+
+    def decide(time, x):
+        count.append(time)
+        if len(count) == 4:
+            raise KeyboardInterrupt
+        return np.full(MODEL.nu, 20.0)
+
+    loop = ocp.run(Own(decide), 1.0, progress=True)
+    assert loop.trajectory.interrupted
+    assert not loop.trajectory.success
+    assert loop.trajectory.message == "interrupted after t = 0.15 s: from the keyboard"
+    assert loop.trajectory.time[-1] == pytest.approx(0.15)
+    assert len(loop.seconds) == 3
+    assert "3/20" in capsys.readouterr().err
