@@ -19,6 +19,7 @@ from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853
 from tenscasadi.integrators.stabilization import BarLengthCorrection, Projection, build_projection
 from tenscasadi.integrators.sundials import Cvodes, Idas
 from tenscasadi.io.scene_files import load_scene, save_scene
+from tenscasadi.scene.bar_contact import BarContact
 from tenscasadi.scene.control_function import ControlFunction
 from tenscasadi.scene.ground import Ground, Terrain
 from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
@@ -177,6 +178,7 @@ __all__ = [
     "Linear",
     "Smooth",
     "Gravity",
+    "BarContact",
     "Ground",
     "Terrain",
     "Pressure",

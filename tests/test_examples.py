@@ -77,6 +77,12 @@ def catch_prism(plan: Any) -> None:
     assert np.linalg.norm(replay.velocities[0, :6].mean(axis=0)) > 1.8
 
 
+def bars_touch(distances: Any) -> None:
+    assert distances["no contact"].min() < 0.03
+    assert distances["contact"].min() > 0.078  # of radii of 0.04 m
+    assert np.ptp(distances["contact"][:50] - distances["no contact"][:50]) < 1e-9  # before
+
+
 def plan_landing(plan: Any) -> None:
     assert plan.success, plan.message
     replay = plan.replay()
@@ -195,6 +201,7 @@ def identify_prism(found: Any) -> None:
 
 
 CLAIMS = (
+    bars_touch,
     identify_prism,
     extremes,
     simulate_ball,
@@ -204,6 +211,7 @@ CLAIMS = (
     swing_up,
     standing_balance,
     catch_prism,
+    two_motors,
     plan_landing,
     ball_rolls,
     ball_on_terrain,
@@ -227,6 +235,7 @@ SLOW = (  # two seconds and more
     "ball_rolls",
     "ball_travels",
     "catch_prism",
+    "bars_touch",
     "contact_problems",
     "extremes",
     "ocp_suite",

@@ -30,6 +30,7 @@ PICTURES = {
     "plate_on_strings": ("plate_on_strings",),
     "dbar_folds": ("dbar_folds",),
     "two_motors": ("two_motors",),
+    "bars_touch": ("bars_touch",),
     "arm_reaches": ("arm_reaches",),
     "swing_up": ("swing_up",),
     "standing_balance": ("standing_balance",),

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ocp.problem.rows import Rows
 from tenscasadi.dynamics.mechanism import Mechanism
 from tenscasadi.dynamics.model import Model
+from tenscasadi.scene.scene import Scene
 from tenscasadi.structure.body_assembly import connected_pairs
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.casadi_tools import sparse
@@ -47,6 +48,7 @@ def invariants(
         and scene.pressure is None
         and scene.forces is None
         and not scene.over_time
+        and not _exchange_momentum(scene)
     ):
         gravity = np.zeros(3) if scene.gravity is None else np.array(scene.gravity.acceleration)
         rows = [
@@ -57,6 +59,16 @@ def invariants(
         groups.append(Rows(ca.vertcat(*values), sum(names, ()), sum(units, ()), "momentum"))
         groups += _plane(N, V, N0, V0, gravity)
     return [group for group in groups if group.names]
+
+
+def _exchange_momentum(scene: Scene) -> bool:
+    """Return whether bars in contact exchange momentum with others, or with fixed ones."""
+    if scene.bar_contact is None:
+        return False
+    s = scene.structure
+    touching = s.bars[scene.bar_contact.select_pairs(s)]
+    fixed = np.asarray(s.fixed.all(axis=1))[touching].all(axis=2)
+    return len(bodies(s, np.zeros(3))) > 1 or bool(fixed.any())
 
 
 def _numbers(model: Model, start: Array) -> tuple[Array, Array]:

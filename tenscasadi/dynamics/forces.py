@@ -10,11 +10,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import casadi as ca
 import numpy as np
 
+from tenscasadi.dynamics.bar_contacts import BarContacts
+from tenscasadi.dynamics.force_element import ForceElement, NodeMotion, spread
 from tenscasadi.scene.binding import bind
 from tenscasadi.scene.cables import CableRows
 from tenscasadi.scene.strings import ForceDensity, Linear, RestLength, Smooth, StringLaw
@@ -26,53 +28,6 @@ if TYPE_CHECKING:
     from tenscasadi.scene.ground import Surface
     from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
     from tenscasadi.scene.scene import Scene
-
-
-class NodeMotion(NamedTuple):
-    """Motion of the columns of a mechanism at an instant."""
-
-    N: Any  # 3×n [m]
-    V: Any  # 3×n [m/s]
-    time: Any  # [s]
-
-
-class ForceElement:
-    """Feature of a scene that exerts forces on nodes.
-
-    Attributes
-    ----------
-    name : str
-        Name of its term in `Model.describe`.
-    switch_count : int
-        Number k of its switches, which are slack strings and contacts. In a mode, a row (1×k) of 1
-        and 0, the forces are smooth. Without a mode they follow from the motion.
-    """
-
-    name: ClassVar[str]
-    switch_count: int = 0
-
-    def forces(self, at: NodeMotion) -> Any:
-        """Compute the forces (3×n) [N]."""
-        raise NotImplementedError
-
-    def energy(self, N: Any) -> Any:
-        """Compute the potential energy [J]."""
-        return ca.DM(0)
-
-    def power(self, at: NodeMotion, stored: bool) -> Any:
-        """Compute the power of the forces [W].
-
-        If `stored`, the rate of change of `energy` is left out.
-        """
-        power = ca.sum2(ca.sum1(self.forces(at) * at.V))
-        if not stored:
-            return power
-        n: Any = type(at.N).sym("n", at.N.shape)
-        return power + ca.substitute(ca.jtimes(self.energy(n), n, at.V), n, at.N)
-
-    def switches(self, at: NodeMotion) -> Any:
-        """Compute switching functions (1×k) [m], positive in mode 1."""
-        return ca.DM(1, 0)
 
 
 def build_elements(scene: Scene, mech: Mechanism, w: Any, mode: Any = None) -> list[ForceElement]:
@@ -87,7 +42,7 @@ def build_elements(scene: Scene, mech: Mechanism, w: Any, mode: Any = None) -> l
     w : casadi column, shape (nu + np,)
         Control, followed by the parameters.
     mode : casadi row, shape (1, k), optional
-        Fixed mode of all switches: strings first, then contacts, ground by ground.
+        Fixed mode of all switches: strings first, then contacts, ground by ground, then bars.
 
     Returns
     -------
@@ -103,6 +58,8 @@ def build_elements(scene: Scene, mech: Mechanism, w: Any, mode: Any = None) -> l
     if scene.gravity is not None:
         found.append(Weights(scene.gravity, mech))
     found += [Contacts(ground, mech) for ground in scene.grounds]
+    if scene.bar_contact is not None:
+        found.append(BarContacts(scene.bar_contact, scene.modelled, mech))
     if scene.pressure is not None:
         found.append(PressureForces(scene.pressure, mech))
     if scene.forces is not None:
@@ -410,7 +367,7 @@ class Contacts(ForceElement):
         """Compute the contact forces (3×n) [N]."""
         columns = self.columns
         W = self.surface.forces(at.N[:, columns], at.V[:, columns], self.mode)
-        return _spread(self.mech, W, columns)
+        return spread(self.mech, W, columns)
 
     def energy(self, N: Any) -> Any:
         """Compute the energy of the ground's springs [J]."""
@@ -432,7 +389,7 @@ class PressureForces(ForceElement):
     def forces(self, at: NodeMotion) -> Any:
         """Compute the forces (3×n) [N]."""
         first = self.mech.first.tolist()
-        return _spread(self.mech, self.pressure.forces(at.N[:, first], at.time), first)
+        return spread(self.mech, self.pressure.forces(at.N[:, first], at.time), first)
 
 
 @dataclass(frozen=True, eq=False)
@@ -450,19 +407,11 @@ class NodalForces(ForceElement):
         for node, bar in (self.load.bars or {}).items():
             ends = self.mech.bar_ends[bar]
             columns[node] = ends[self.mech.physical[ends] == node][0]
-        return _spread(self.mech, W, columns.tolist())
+        return spread(self.mech, W, columns.tolist())
 
 
 def _columns(row: Any, which: Indices) -> Any:
     return row if row.shape[1] == 1 else row[:, which.tolist()]
-
-
-def _spread(mech: Mechanism, W: Any, columns: list[int]) -> Any:
-    """Assign forces (3×m) on some columns to 3×n."""
-    count, n = len(columns), mech.N.shape[1]
-    if columns == list(range(n)):
-        return W
-    return ca.mtimes(W, ca.DM.triplet(list(range(count)), columns, ca.DM.ones(count), count, n))
 
 
 def is_damped(scene: Scene) -> bool:
@@ -477,10 +426,10 @@ def is_damped(scene: Scene) -> bool:
 
 
 def has_friction(scene: Scene) -> bool:
-    """Return whether any ground has damping or friction, or any cable friction."""
+    """Return whether any contact has damping or friction, or any cable friction."""
     return (
         scene.has_parameter("ground_damping")
-        or any(not ground.conservative for ground in scene.grounds)
+        or any(not law.conservative for law in scene.contact_laws)
         or has_cable_friction(scene)
     )
 

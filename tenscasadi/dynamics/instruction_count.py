@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 
 from tenscasadi.dynamics import forces
+from tenscasadi.dynamics.force_element import NodeMotion
 
 if TYPE_CHECKING:
     from tenscasadi.dynamics.state_space import StateSpace
@@ -47,7 +48,7 @@ def count_terms(space: StateSpace, ode: ca.Function, advice: str) -> TermCounts:
     x, u = space.symbols(not space.mechanism.large)
     mech = space.with_masses(u, inverse=False)
     N, V, time = space.unpack(x)
-    at, built = forces.NodeMotion(N, V, time), {}
+    at, built = NodeMotion(N, V, time), {}
     for element in forces.build_elements(scene, mech, u):
         name = element.name
         if isinstance(element, forces.StringForces):

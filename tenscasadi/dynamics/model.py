@@ -11,6 +11,7 @@ import casadi as ca
 from tenscasadi.dynamics import forces
 from tenscasadi.dynamics.coordinates import choose_coordinates, compare_coordinates, scene_mechanism
 from tenscasadi.dynamics.equation_of_motion import forward_dynamics, joint_forces
+from tenscasadi.dynamics.force_element import NodeMotion
 from tenscasadi.dynamics.instruction_count import TermCounts, count_terms
 from tenscasadi.dynamics.mechanism import BarLength, Coordinates, Multipliers
 from tenscasadi.dynamics.observations import Observations
@@ -231,7 +232,7 @@ class Model(Value, Observations, kind="Model"):
         x, u = self.symbols(not self.mechanism.large)
         N, V, time = self.unpack(x)
         mech, w = self.with_masses(u, inverse=False), self.add_schedule(u, time)
-        elements, at = forces.build_elements(self.scene, mech, w), forces.NodeMotion(N, V, time)
+        elements, at = forces.build_elements(self.scene, mech, w), NodeMotion(N, V, time)
         power: Any = sum((e.power(at, self.schedule is None) for e in elements), start=ca.DM(0))
         if self._supports is not None:  # their reactions do work, too
             total = ca.mtimes(forward_dynamics(self, N, V, u, time)[0], sparse(mech.M))

@@ -13,6 +13,7 @@ import casadi as ca
 
 from tenscasadi.dynamics import forces
 from tenscasadi.dynamics.equation_of_motion import forward_dynamics
+from tenscasadi.dynamics.force_element import NodeMotion
 from tenscasadi.util.casadi_tools import hermite_cubic, sparse
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ def build_switching(model: Model) -> ca.Function | None:
     x, u = model.symbols(not mech.large)
     N, V, time = model.unpack(x)
     elements = forces.build_elements(scene, mech, model.add_schedule(u, time))
-    at = forces.NodeMotion(N, V, time)
+    at = NodeMotion(N, V, time)
     rows = [element.switches(at) for element in elements if element.switch_count]
     return ca.Function(
         "switching", [x, u], ca.cse([ca.densify(ca.horzcat(*rows).T)]), ["x", "u"], ["g"]

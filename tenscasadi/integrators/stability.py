@@ -175,16 +175,16 @@ def _numbers(matrix: Any) -> Array:
 
 
 def _contact(model: Model, parameters: Any) -> tuple[Any, float, float]:
-    """Return the grounds, the lightest mass [kg] and the weight [N]."""
+    """Return the contact laws, the lightest mass [kg] and the weight [N]."""
     p = model.parameters.values(parameters)
     scene = fix(model.scene, p) if model.np else model.scene
-    if not scene.grounds:
+    if not scene.contact_laws:
         return (), 0.0, 0.0
     mass = float(
         np.sum(_numbers(model.with_masses(ca.DM(model.stack_inputs(None, p)), inverse=False).M))
     )
     pull = 0.0 if scene.gravity is None else float(ca.norm_2(scene.gravity.at(0.0)))
-    return scene.grounds, lightest_mass(model, p), mass * pull
+    return scene.contact_laws, lightest_mass(model, p), mass * pull
 
 
 def _jacobian(model: Model, x: Any, w: Any) -> Array:

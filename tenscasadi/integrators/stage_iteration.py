@@ -13,6 +13,8 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.dynamics import forces
+from tenscasadi.dynamics.bar_contacts import BarContacts
+from tenscasadi.dynamics.force_element import ForceElement, NodeMotion
 from tenscasadi.integrators.events import (
     build_mode_ode,
     build_switching,
@@ -20,7 +22,8 @@ from tenscasadi.integrators.events import (
     split_mode,
 )
 from tenscasadi.scene.binding import bind, with_fields
-from tenscasadi.scene.ground import Contact, Surface, along, compute_slip
+from tenscasadi.scene.contact_law import Contact, along, compute_slip
+from tenscasadi.scene.ground import Surface
 from tenscasadi.scene.strings import Smooth
 from tenscasadi.util.casadi_tools import call_as_sx, constant_row, sparse
 from tenscasadi.util.validate import Array
@@ -158,7 +161,7 @@ def _lead(model: Model, u: Any) -> Any:
     grounds = [
         ca.repmat(ca.densify(one.surface.damping / one.surface.stiffness), one.switch_count, 1)
         for one in forces.build_elements(model.scene, model.mechanism, u)
-        if isinstance(one, forces.Contacts)
+        if isinstance(one, (forces.Contacts, BarContacts))
     ]
     switching = ca.reshape(lead[first.tolist()], clamped.shape[0], 1)  # a column, even if empty
     return ca.vertcat(switching * clamped, *grounds)
@@ -178,10 +181,10 @@ def _solver(model: Model) -> ca.Function:
         u, mech = model.add_schedule(u, time), model.with_masses(u, inverse=False)
         M = sparse(mech.free_mass)
 
-        at = forces.NodeMotion(N, V, time)
+        at = NodeMotion(N, V, time)
         elements = forces.build_elements(model.scene, mech, u, mode)
 
-        def slopes(elements: list[forces.ForceElement]) -> Any:
+        def slopes(elements: list[ForceElement]) -> Any:
             F = forces.sum_forces(elements, mech, at)
             return ca.jacobian(mech.generalized_forces(F), x)
 
@@ -238,16 +241,16 @@ class _Dragging(Surface):
         return self.frictionless.forces(N, V, touching) - slip * ca.repmat(self.drag, 3, 1)
 
 
-def _without_friction(element: forces.ForceElement) -> forces.ForceElement:
+def _without_friction(element: ForceElement) -> ForceElement:
     if not isinstance(element, forces.Contacts):
         return element
     return replace(element, surface=with_fields(element.surface, friction=None))
 
 
 def _drag_slopes(
-    slopes: Callable[[list[forces.ForceElement]], Any],
-    elements: list[forces.ForceElement],
-    at: forces.NodeMotion,
+    slopes: Callable[[list[ForceElement]], Any],
+    elements: list[ForceElement],
+    at: NodeMotion,
     moved: Any,
 ) -> Any:
     """Compute `slopes` of the elements with linearized friction.
@@ -256,7 +259,7 @@ def _drag_slopes(
     derivative. Friction of a sliding node hardly changes, so Newton's method would step past rest
     and back.
     """
-    linear: list[forces.ForceElement] = []
+    linear: list[ForceElement] = []
     held: list[tuple[Any, Any]] = []
     for k, element in enumerate(elements):
         if not isinstance(element, forces.Contacts) or element.surface.friction is None:

@@ -6,14 +6,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
 
+from tenscasadi.scene.contact_law import Contact, compute_slip, find_switching, press, times
 from tenscasadi.schema.field_types import PAIR, TABLE, VECTOR, Members
 from tenscasadi.schema.value import Value
-from tenscasadi.util.casadi_tools import is_expression
 from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import (
     Array,
@@ -25,14 +25,6 @@ from tenscasadi.util.validate import (
     positive_number,
     whole_number,
 )
-
-
-class Contact(NamedTuple):
-    """Penetration depths and directions of normal forces."""
-
-    depth: Any  # 1×n [m], negative above the surface
-    outward: Any  # −∂depth/∂n, 3×n, or 3×1 if it is the same for all nodes
-    steepness: Any  # length of `outward`, 1×n, or None if it is 1
 
 
 class Surface(Value, ABC, implied="Ground"):
@@ -90,13 +82,8 @@ class Surface(Value, ABC, implied="Ground"):
             Forces W [N].
         """
         contact = self.contact(N)
-        depth, outward, _ = contact
-        push = self.stiffness * depth
-        if is_expression(self.damping) or self.damping:
-            push = push - self.damping * along(outward, V)
-            push = ca.fmax(push, 0) if touching is None else push
-        push = ca.if_else(depth > 0, push, 0) if touching is None else touching * push  # 1×n
-        W = times(outward, push)
+        push = press(self, contact, V, touching)
+        W = times(contact.outward, push)
         if self.friction is not None:
             slip, steepness = compute_slip(contact, V)
             normal_force = push if steepness is None else push * steepness
@@ -140,8 +127,7 @@ class Surface(Value, ABC, implied="Ground"):
 
         Nodes N and velocities V are 3×n.
         """
-        depth, outward, _ = self.contact(N)
-        return ca.fmin(depth, depth - self.damping / self.stiffness * along(outward, V))
+        return find_switching(self, self.contact(N), V)
 
     def _check_fields(self, **others: Any) -> None:
         """Check the common fields of surfaces, and set `others`."""
@@ -158,27 +144,6 @@ class Surface(Value, ABC, implied="Ground"):
         }
         for field, value in checked.items():
             object.__setattr__(self, field, value)
-
-
-def along(outward: Any, V: Any) -> Any:
-    """Compute the components (1×n) of V (3×n) along `outward`."""
-    return ca.mtimes(outward.T, V) if outward.shape[1] == 1 else ca.sum1(outward * V)
-
-
-def times(outward: Any, row: Any) -> Any:
-    """Multiply columns of `outward` by a row (1×n)."""
-    return ca.mtimes(outward, row) if outward.shape[1] == 1 else outward * ca.repmat(row, 3, 1)
-
-
-def compute_slip(contact: Contact, V: Any) -> tuple[Any, Any]:
-    """Compute the slip velocities (3×n) along a surface [m/s].
-
-    Also return the ratio (1×n) of the normal force to k d − c v, None if it is 1.
-    """
-    _, outward, steepness = contact
-    if steepness is None:
-        return V - times(outward, along(outward, V)), None
-    return V - times(outward, along(outward, V) / steepness**2), steepness
 
 
 def _distinct(field: str, nodes: Any) -> tuple[int, ...]:

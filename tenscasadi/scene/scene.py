@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 
+from tenscasadi.scene.bar_contact import BarContact
 from tenscasadi.scene.ground import Surface, read_grounds
 from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
 from tenscasadi.scene.parameter_layout import EMPTY, ParameterLayout, build_layout
@@ -59,6 +60,8 @@ class Scene(Value, Viewable, kind="Scene"):
         Fractions of a string's length that its segments have. Default: equal.
     parameters : Parameters, optional
         Quantities whose values each run can set. Default: all are constant.
+    bar_contact : BarContact, optional
+        Contact of bars with each other. Default: bars pass through each other.
 
     Raises
     ------
@@ -94,6 +97,7 @@ class Scene(Value, Viewable, kind="Scene"):
     supports: SupportMotion | None = None
     fractions: Sequence[float] | None = None
     parameters: Parameters | None = None
+    bar_contact: BarContact | None = None
 
     def __post_init__(self) -> None:
         instance("Scene.structure", self.structure, Structure, "a tenscasadi.Structure")
@@ -102,6 +106,7 @@ class Scene(Value, Viewable, kind="Scene"):
             "pressure": Pressure,
             "forces": NodalForce,
             "supports": SupportMotion,
+            "bar_contact": BarContact,
         }.items():
             value = getattr(self, name)
             if value is not None:
@@ -123,6 +128,8 @@ class Scene(Value, Viewable, kind="Scene"):
             self.forces.check(len(self.structure.nodes), self.structure.bars)
         if self.supports is not None:
             self.supports.check(self.structure)
+        if self.bar_contact is not None:
+            self.bar_contact.check(self.structure)
         if self.parameters is not None:
             instance(
                 "Scene.parameters",
@@ -275,6 +282,11 @@ class Scene(Value, Viewable, kind="Scene"):
     def grounds(self) -> tuple[Surface, ...]:
         """All grounds."""
         return read_grounds(self.ground)
+
+    @property
+    def contact_laws(self) -> tuple[Surface | BarContact, ...]:
+        """Laws of all contacts: grounds, then that of bars."""
+        return (*self.grounds, *([] if self.bar_contact is None else [self.bar_contact]))
 
     @property
     def has_clock(self) -> bool:

@@ -172,6 +172,7 @@ def dynamics_calls() -> dict[str, Call]:
         "Smooth": (tc.Smooth, {"width": 0.01}),
         "Gravity": (tc.Gravity, {"acceleration": (0.0, 0.0, -9.81)}),
         "Ground": (tc.Ground, {"stiffness": 10.0, "damping": 1.0, "friction": 0.4, "height": 0.0}),
+        "BarContact": (tc.BarContact, {"pairs": [(0, 1)], "stiffness": 10.0, "damping": 1.0}),
         "Pressure": (tc.Pressure, {"faces": [(0, 1, 2)], "difference": 5.0}),
         "Gravity, table": (tc.Gravity, {"acceleration": [(0.0, 0.0, -9.81), (0.0, 0.0, 0.0)], "times": np.array([0.0, 1.0])}),
         "Gravity, function": (tc.Gravity, {"acceleration": lambda t: [0, 0, t], "breakpoints": [0.5]}),

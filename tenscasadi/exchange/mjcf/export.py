@@ -134,6 +134,7 @@ def _check_scene(scene: Scene) -> None:
     others = {
         "pressure": "leave it out",
         "forces": "leave them out, and give them to MuJoCo through data.xfrc_applied",
+        "bar_contact": "leave it out",
         "supports": "leave it out, the nodes are pinned where they are",
         "parameters": "leave it out, the file has the values of the structure",
     }

@@ -240,7 +240,9 @@ def _explain_error(runs: Runs, k: int, error: float, factor: float, finer: float
         return f"{cause} (position error about {error:.1g} m): try step={0.9 * limit:.2g}"
     if factor > 2 or build_switching(model) is None:
         return f"the step {step:g} s is too large (position error about {error:.1g} m): try step={step / finer:.2g}"
-    events = "strings go slack or taut" + (", or contacts change," if model.scene.grounds else "")
+    events = "strings go slack or taut" + (
+        ", or contacts change," if model.scene.contact_laws else ""
+    )
     return (
         f"{events} within steps of {step:g} s (position error about {error:.1g} m): "
         f"try DormandPrince853(rtol=1e-6), which ends its steps there, or step={step / finer:.2g}"

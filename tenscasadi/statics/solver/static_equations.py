@@ -17,10 +17,10 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from tenscasadi.dynamics.force_element import NodeMotion
 from tenscasadi.dynamics.forces import (
     Contacts,
     ElasticBars,
-    NodeMotion,
     StringForces,
     build_elements,
 )
@@ -165,7 +165,7 @@ class StaticEquations:
     @property
     def follows(self) -> bool:
         """Whether loads depend on the nodes."""
-        return bool(self.scene.grounds) or self.scene.pressure is not None
+        return bool(self.scene.contact_laws) or self.scene.pressure is not None
 
     def place_supports(self, nodes: Array, time: float) -> Array:
         """Move supports to their positions at a time.

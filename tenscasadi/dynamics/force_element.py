@@ -1,0 +1,65 @@
+"""Base of features that exert forces on nodes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+
+import casadi as ca
+
+if TYPE_CHECKING:
+    from tenscasadi.dynamics.mechanism import Mechanism
+
+
+class NodeMotion(NamedTuple):
+    """Motion of the columns of a mechanism at an instant."""
+
+    N: Any  # 3×n [m]
+    V: Any  # 3×n [m/s]
+    time: Any  # [s]
+
+
+class ForceElement:
+    """Feature of a scene that exerts forces on nodes.
+
+    Attributes
+    ----------
+    name : str
+        Name of its term in `Model.describe`.
+    switch_count : int
+        Number k of its switches, which are slack strings and contacts. In a mode, a row (1×k) of 1
+        and 0, the forces are smooth. Without a mode they follow from the motion.
+    """
+
+    name: ClassVar[str]
+    switch_count: int = 0
+
+    def forces(self, at: NodeMotion) -> Any:
+        """Compute the forces (3×n) [N]."""
+        raise NotImplementedError
+
+    def energy(self, N: Any) -> Any:
+        """Compute the potential energy [J]."""
+        return ca.DM(0)
+
+    def power(self, at: NodeMotion, stored: bool) -> Any:
+        """Compute the power of the forces [W].
+
+        If `stored`, the rate of change of `energy` is left out.
+        """
+        power = ca.sum2(ca.sum1(self.forces(at) * at.V))
+        if not stored:
+            return power
+        n: Any = type(at.N).sym("n", at.N.shape)
+        return power + ca.substitute(ca.jtimes(self.energy(n), n, at.V), n, at.N)
+
+    def switches(self, at: NodeMotion) -> Any:
+        """Compute switching functions (1×k) [m], positive in mode 1."""
+        return ca.DM(1, 0)
+
+
+def spread(mech: Mechanism, W: Any, columns: list[int]) -> Any:
+    """Assign forces (3×m) on some columns to 3×n."""
+    count, n = len(columns), mech.N.shape[1]
+    if columns == list(range(n)):
+        return W
+    return ca.mtimes(W, ca.DM.triplet(list(range(count)), columns, ca.DM.ones(count), count, n))

@@ -1,0 +1,61 @@
+"""Closest points of pairs of line segments."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import casadi as ca
+
+from tenscasadi.scene.contact_law import Contact
+
+# of the sine² of the angle between two bars, so that parallel bars have closest points
+_PARALLEL = 1e-12
+
+
+class Segments(NamedTuple):
+    """Ends (3×m) of pairs of line segments."""
+
+    a: Any
+    b: Any
+    c: Any
+    d: Any
+
+
+def find_closest_points(at: Segments) -> tuple[Any, Any]:
+    """Find the closest points of segments a–b and c–d.
+
+    Returns their positions (1×m) along both segments, from 0 at a and c to 1 at b and d. The first
+    one is that of the lines, clamped. The others follow from it one after the other, clamped.
+    """
+    first, second, between = at.b - at.a, at.d - at.c, at.a - at.c
+    A, E, B = (ca.sum1(x * y) for x, y in ((first, first), (second, second), (first, second)))
+    C, F = ca.sum1(first * between), ca.sum1(second * between)
+    s = _clamp((B * F - C * E) / ((1 + _PARALLEL) * A * E - B * B))
+    t = _clamp((B * s + F) / E)
+    return _clamp((B * t - C) / A), t
+
+
+def find_contact(at: Segments, radii: Any) -> tuple[Contact, list[Any]]:
+    """Find depths and directions of the forces on the first bars.
+
+    Parameters
+    ----------
+    at : Segments
+        Axes of the bars [m].
+    radii : casadi row, shape (1, m)
+        Sums of the radii [m].
+
+    Returns
+    -------
+    tuple
+        Contact, and the weights (1×m) of the four ends in the vector between the closest points.
+    """
+    s, t = find_closest_points(at)
+    weights = [1 - s, s, t - 1, -t]
+    gap = sum(end * ca.repmat(weight, 3, 1) for end, weight in zip(at, weights, strict=True))
+    distance = ca.sqrt(ca.sum1(gap * gap) + (1e-9 * radii) ** 2)  # no NaN where axes cross
+    return Contact(radii - distance, gap / ca.repmat(distance, 3, 1), None), weights
+
+
+def _clamp(value: Any) -> Any:
+    return ca.fmin(ca.fmax(value, 0), 1)

@@ -1,0 +1,55 @@
+"""Penalty law of contacts: normal force, switching function and slip."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import casadi as ca
+
+
+class Contact(NamedTuple):
+    """Penetration depths and directions of normal forces."""
+
+    depth: Any  # 1×n [m], negative above the surface
+    outward: Any  # −∂depth/∂n, 3×n, or 3×1 if it is the same for all nodes
+    steepness: Any  # length of `outward`, 1×n, or None if it is 1
+
+
+def press(law: Any, contact: Contact, V: Any, touching: Any = None) -> Any:
+    """Compute the normal forces k d − c v (1×n) [N], at least 0.
+
+    `law` has stiffness and damping, and V (3×n) [m/s] are velocities of what touches.
+    """
+    depth, outward, _ = contact
+    push = law.stiffness * depth
+    if isinstance(law.damping, ca.SX | ca.MX | ca.DM) or law.damping:  # a parameter, or not 0
+        push = push - law.damping * along(outward, V)
+        push = ca.fmax(push, 0) if touching is None else push
+    return ca.if_else(depth > 0, push, 0) if touching is None else touching * push
+
+
+def find_switching(law: Any, contact: Contact, V: Any) -> Any:
+    """Compute the switching functions (1×n) of a contact [m], positive in contact."""
+    depth, outward, _ = contact
+    return ca.fmin(depth, depth - law.damping / law.stiffness * along(outward, V))
+
+
+def along(outward: Any, V: Any) -> Any:
+    """Compute the components (1×n) of V (3×n) along `outward`."""
+    return ca.mtimes(outward.T, V) if outward.shape[1] == 1 else ca.sum1(outward * V)
+
+
+def times(outward: Any, row: Any) -> Any:
+    """Multiply columns of `outward` by a row (1×n)."""
+    return ca.mtimes(outward, row) if outward.shape[1] == 1 else outward * ca.repmat(row, 3, 1)
+
+
+def compute_slip(contact: Contact, V: Any) -> tuple[Any, Any]:
+    """Compute the slip velocities (3×n) along a surface [m/s].
+
+    Also return the ratio (1×n) of the normal force to k d − c v, None if it is 1.
+    """
+    _, outward, steepness = contact
+    if steepness is None:
+        return V - times(outward, along(outward, V)), None
+    return V - times(outward, along(outward, V) / steepness**2), steepness
