@@ -89,7 +89,18 @@ class BarContact(Value, kind="BarContact"):
         return self.damping == 0
 
     def check(self, structure: Any) -> None:
-        """Check the pairs against the bars of a structure. Raises ValueError."""
+        """Check the pairs against the bars of a structure.
+
+        Parameters
+        ----------
+        structure : Structure
+            Bars and their radii.
+
+        Raises
+        ------
+        ValueError
+            If there is no such pair, its bars share a node, or both have no radius.
+        """
         bars, radius = structure.bars, structure.bar_radius
         for k, pair in enumerate(self.pairs or ()):
             where = f"BarContact.pairs[{k}] is {tuple(pair)}"
@@ -111,7 +122,18 @@ class BarContact(Value, kind="BarContact"):
             )
 
     def select_pairs(self, structure: Any) -> Indices:
-        """Select the pairs (m, 2) of bars that can touch."""
+        """Select the pairs of bars that can touch.
+
+        Parameters
+        ----------
+        structure : Structure
+            Bars.
+
+        Returns
+        -------
+        ndarray of int, shape (m, 2)
+            The given pairs, or all whose bars share no node.
+        """
         if self.pairs is not None:
             return np.array(self.pairs, dtype=np.intp)
         ends = [set(bar) for bar in structure.bars.tolist()]
