@@ -15,7 +15,7 @@ from tenscasadi.exchange.matlab.save import save_mat
 from tenscasadi.exchange.mjcf import export_mjcf
 from tenscasadi.exchange.readers import READERS
 from tenscasadi.exchange.vtk import export_vtk
-from tenscasadi.io.document import ENDINGS
+from tenscasadi.io.document import ENDINGS, SECTIONS
 from tenscasadi.io.scene_files import save_scene
 from tenscasadi.simulation.motions import Rollouts
 from tenscasadi.simulation.trajectory import Trajectory
@@ -66,8 +66,8 @@ def export_file(source: Annotated[str, FILE], out: Annotated[Path, FILE]) -> int
         raise ValueError(f"OUT is {out}, the file that is read: give another")
     write(found.scene(), out)
     print(f"wrote {out}")
-    parts = ("scene", "start", "simulation", "plan")[out.suffix.lower() != ".mat" :]
-    if left := [f"[{name}]" for name in parts if found.has(name)]:
+    written = {"structure"} if out.suffix.lower() == ".mat" else {"structure", "scene"}
+    if left := [f"[{name}]" for name in SECTIONS if name not in written and found.has(name)]:
         print(f"tenscasadi: left out: {', '.join(left)}", file=sys.stderr)
     return 0
 

@@ -51,6 +51,9 @@ def test_export_lists_sections_left_out(here, capsys):
     assert capsys.readouterr().err == "tenscasadi: left out: [scene], [simulation]\n"
     assert main(["export", "out.toml", "out.xml"]) == 0
     assert capsys.readouterr().err == ""
+    assert main(["export", "mpc", "mpc.toml"]) == 0
+    left = "[plan], [refinement], [robustness], [closed_loop]"
+    assert capsys.readouterr().err == f"tenscasadi: left out: {left}\n"
 
 
 def test_imported_scene_is_simulated_with_t_end(here, capsys):
