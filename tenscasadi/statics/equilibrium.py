@@ -21,6 +21,7 @@ from tenscasadi.statics.solver.relaxation import relax
 from tenscasadi.statics.solver.settling import settle
 from tenscasadi.statics.solver.static_equations import Conditions, StaticEquations
 from tenscasadi.statics.solver.trust_region import SearchResult
+from tenscasadi.statics.stuck_cables import find_sliding, read_sliding
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.kept import keep
 from tenscasadi.util.read_only import ReadOnlyArrays
@@ -172,6 +173,10 @@ def find_equilibrium(
     Friction opposes the slip since the start. It is at most μ times the normal force. A sticking
     contact slips by about a millionth of the structure's size.
 
+    Cables with friction slip no further than needed from the rest lengths of their strings: T₁ ≤ T₂
+    exp(μ θ) over each node, and equal where they slip. `scene` of the result has strings in place
+    of cables, with the rest lengths after the slip.
+
     Examples
     --------
     A weight between two strings of 45°:
@@ -185,6 +190,10 @@ def find_equilibrium(
     """
     instance("scene", scene, (Scene, Model), "a tenscasadi.Scene or Model")
     bare = scene if isinstance(scene, Scene) else scene.scene
+    if bare.structure.cable_friction.any():
+        fixed = read_sliding(bare, control, parameters)
+        sliding: Equilibrium = find_sliding(fixed, find_equilibrium, start)
+        return sliding
     nodes, given = read_problem(scene, start, control, parameters)
     system = newton_system(bare)
     rest = settle(system, nodes, given)

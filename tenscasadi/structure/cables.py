@@ -96,10 +96,14 @@ def find_directions(
     )
 
 
-def wrap_angles(structure: Any, cable: Sequence[int]) -> Array:
-    """Compute the angles (q − 1,) between the directions of travel of a cable [rad]."""
+def wrap_angles(structure: Any, cable: Sequence[int], nodes: Array | None = None) -> Array:
+    """Compute the angles (q − 1,) between the directions of travel of a cable [rad].
+
+    `nodes` (n, 3) [m] replace those of the structure.
+    """
+    places = structure.nodes if nodes is None else nodes
     path = np.array(find_directions(structure.strings, cable))
-    vectors = structure.nodes[path[:, 1]] - structure.nodes[path[:, 0]]
+    vectors = places[path[:, 1]] - places[path[:, 0]]
     across = np.linalg.norm(np.cross(vectors[:-1], vectors[1:]), axis=1)
     along = np.einsum("ij,ij->i", vectors[:-1], vectors[1:])
     return np.asarray(np.arctan2(across, along))
@@ -164,7 +168,7 @@ def reject_cables(structure: Any, user: str) -> None:
     if structure.cables:
         raise ValueError(
             f"Structure.cables has {len(structure.cables)} cables, which {user} does not take: "
-            "give structure.replace(cables=())"
+            "give structure.replace(cables=(), cable_friction=0.0)"
         )
 
 

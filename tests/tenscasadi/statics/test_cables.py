@@ -180,6 +180,9 @@ def test_form_finding_rejects_cables():
         tc.form_find(laced())
 
 
-def test_statics_rejects_friction_of_cables():
-    with pytest.raises(ValueError, match="statics takes cables without friction"):
-        tc.find_equilibrium(tc.Scene(sliding(cable_friction=0.1), gravity=GRAVITY))
+def test_functions_other_than_find_equilibrium_reject_friction_of_cables():
+    scene = tc.Scene(sliding(cable_friction=0.1), gravity=GRAVITY)
+    with pytest.raises(ValueError, match="which only find_equilibrium takes: give its result"):
+        tc.stability(scene)
+    with pytest.raises(ValueError, match="which only find_equilibrium takes: give its result"):
+        tc.load_path(scene, np.zeros((3, 3)))

@@ -1,0 +1,188 @@
+"""Equilibria with friction of cables, which slip no further than needed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tenscasadi.scene.binding import fix
+from tenscasadi.scene.scene import Scene
+from tenscasadi.structure.cables import wrap_angles
+from tenscasadi.structure.structure import Structure
+from tenscasadi.util.validate import NEGLIGIBLE, Array, Indices
+
+_ACCURACY = 1e-8  # of the ratios of tensions; equilibria are found to 1e-10
+_STEP = 1e-5  # relative change of rest lengths for derivatives of tensions
+_LARGEST_STEP = 0.3  # of a slip per iteration, relative to the rest lengths on both sides
+_ITERATIONS = 50  # of Newton's method, which settles in about ten
+_SMALLEST_SHARE = 1e-4  # of a Newton step, before the search ends
+
+
+class _Contacts(NamedTuple):
+    """Nodes that cables slide over.
+
+    Attributes
+    ----------
+    cable : ndarray of int (c,)
+        Cable at each node.
+    before, after : ndarray of int (c,)
+        Strings on both sides.
+    """
+
+    cable: Indices
+    before: Indices
+    after: Indices
+
+
+def read_sliding(scene: Scene, control: Any, parameters: Any) -> Scene:
+    """Read a scene of cables with friction, with constant parameters.
+
+    Raises ValueError if their rest lengths are no property of the structure.
+    """
+    if scene.control is not None or control is not None:
+        raise ValueError(
+            f"Scene.control is {scene.control}, and statics of cables with friction takes the rest lengths of the structure: give control=None"
+        )
+    fixed: Scene = fix(scene, scene.layout.values(parameters))
+    return fixed
+
+
+def find_sliding(scene: Scene, search: Callable[[Scene, Any], Any], start: Any) -> Any:
+    """Find an equilibrium in which cables slip no further than needed.
+
+    Each string of a cable holds its rest length by friction. Where the tensions of two strings
+    differ by more than the factor exp(μ θ), the cable slips over the node between them until they
+    differ by this factor. Newton's method finds the slips, with derivatives by differences. A node
+    sticks again where its slip would turn back.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene with rest lengths and without parameters.
+    search : callable
+        Function of a scene without cables and a start that finds its equilibrium.
+    start : object
+        Start of the first search.
+
+    Returns
+    -------
+    Equilibrium
+        Equilibrium of the scene with cables that stick at their final rest lengths.
+    """
+    contacts = _list_contacts(scene.structure)
+    slip, side = np.zeros((2, len(contacts.cable)))  # side: sign of the slip, 0 where it sticks
+    found = search(_stick(scene, contacts, slip), start)
+    for _ in range(_ITERATIONS):
+        if not found.success:
+            return found
+        excess, largest = _excess(scene, found), float(found.tension.max(initial=0.0))
+        for k, sign in enumerate((1.0, -1.0)):
+            side[(side == 0.0) & (excess[k] > _ACCURACY * largest)] = sign
+        error = _select(excess, side)
+        if np.abs(error).max(initial=0.0) <= _ACCURACY * largest:
+            return found
+
+        def slide(moved: Array, begin: Any = found) -> Any:
+            return search(_stick(scene, contacts, moved), begin)
+
+        room = _room(_rest_lengths(scene, contacts, slip), contacts)
+        step = _find_step(lambda moved: _excess(scene, slide(moved)), slip, side, error, room)
+        share = min(1.0, _LARGEST_STEP / float((np.abs(step) / room).max(initial=_LARGEST_STEP)))
+        while share > _SMALLEST_SHARE:
+            moved = slip + share * step
+            onward = np.where(side * moved < 0.0, 0.0, side)
+            moved[onward == 0.0] = 0.0
+            trial = slide(moved)
+            wrong = _violation(_excess(scene, trial), onward)
+            if trial.success and wrong < (1.0 - 0.1 * share) * _violation(excess, side):
+                break
+            share *= 0.5
+        else:
+            break
+        found, slip, side = trial, moved, onward
+    cable = contacts.cable[side != 0.0][int(np.argmax(np.abs(error)))]
+    return replace(
+        found,
+        success=False,
+        message=f"no equilibrium: cable {cable} slips on without end: raise cable_friction, or change supports or loads",
+    )
+
+
+def _find_step(
+    excess: Callable[[Array], Array], slip: Array, side: Array, error: Array, room: Array
+) -> Array:
+    """Find the Newton step (c,) of the slips.
+
+    `excess` is a function of the slips, with `error` at the slipping nodes now. The step is zero if
+    the slips do not change the tensions.
+    """
+    slipping = np.flatnonzero(side)
+    slopes = np.zeros((len(slipping), len(slipping)))
+    for k, contact in enumerate(slipping):
+        change = np.zeros(len(slip))
+        change[contact] = side[contact] * _STEP * room[contact]
+        slopes[:, k] = (_select(excess(slip + change), side) - error) / change[contact]
+    step = np.zeros(len(slip))
+    found = -np.linalg.lstsq(slopes, error, rcond=NEGLIGIBLE)[0]
+    if np.abs(slopes @ found + error).max() <= 0.5 * np.abs(error).max():
+        step[slipping] = found
+    return step
+
+
+def _list_contacts(structure: Structure) -> _Contacts:
+    rows = [
+        (k, cable[i], cable[i + 1])
+        for k, cable in enumerate(structure.cables)
+        for i in range(len(cable) - 1)
+    ]
+    return _Contacts(*np.array(rows, dtype=np.intp).reshape(-1, 3).T)
+
+
+def _rest_lengths(scene: Scene, contacts: _Contacts, slip: Array) -> Array:
+    """Compute the rest lengths (α,) after slips (c,) [m].
+
+    A positive slip lengthens the string before the node.
+    """
+    lengths = np.array(scene.structure.rest_length)
+    np.add.at(lengths, contacts.before, slip)
+    np.subtract.at(lengths, contacts.after, slip)
+    return lengths
+
+
+def _room(lengths: Array, contacts: _Contacts) -> Array:
+    """Compute the length (c,) that can slip at each node [m]."""
+    return np.asarray(np.minimum(lengths[contacts.before], lengths[contacts.after]))
+
+
+def _stick(scene: Scene, contacts: _Contacts, slip: Array) -> Scene:
+    """Build the scene with each string at its own rest length."""
+    lengths = _rest_lengths(scene, contacts, slip)
+    strings = scene.structure.replace(cables=(), cable_friction=0.0, rest_length=lengths)
+    return replace(scene, structure=strings)
+
+
+def _excess(scene: Scene, found: Any) -> Array:
+    """Compute the excess of tension before, and after, each node (2, c) [N].
+
+    It is T₁ − exp(μ θ) T₂. The cable sticks if neither is positive.
+    """
+    structure = scene.modelled
+    contacts = _list_contacts(structure)
+    angles = [wrap_angles(structure, cable, found.nodes) for cable in structure.cables]
+    factor = np.exp(structure.cable_friction[contacts.cable] * np.concatenate(angles))
+    first, second = found.tension[contacts.before], found.tension[contacts.after]
+    return np.array([first - factor * second, second - factor * first])
+
+
+def _violation(excess: Array, side: Array) -> float:
+    """Compute the norm of the violated conditions of sticking and of slip."""
+    stuck = np.maximum(excess.max(axis=0), 0.0)[side == 0.0]
+    return float(np.linalg.norm(np.concatenate([stuck, _select(excess, side)])))
+
+
+def _select(excess: Array, side: Array) -> Array:
+    """Select the excess on the side of the slip, where a cable slips."""
+    return np.asarray(np.where(side > 0.0, excess[0], excess[1])[side != 0.0])
