@@ -8,6 +8,7 @@ names the field, the value and the cure.
 
 from __future__ import annotations
 
+from ocp.acados import export_acados
 from ocp.control.closed_loop import ClosedLoop, run
 from ocp.control.lqr import Tracker, track
 from ocp.control.mpc import Mpc
@@ -148,4 +149,5 @@ __all__ = [
     # C code
     "export_program",
     "export_mpc",
+    "export_acados",
 ]

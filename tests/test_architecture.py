@@ -43,7 +43,7 @@ OCP = (
     "io",
     "plan",
     "solve",
-    {"export", "renamed"},
+    {"acados", "export", "renamed"},
 )
 
 OPEN_TO_OCP = {*_MODEL, "statics", "drawing"}

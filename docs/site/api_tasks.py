@@ -73,7 +73,7 @@ TASKS = {
     "feedback": Task(
         "Control in closed loop",
         "Controllers, and simulation under a controller.",
-        "ocp.control ocp.sampling.spline_noise ocp.export.export_mpc",
+        "ocp.control ocp.sampling.spline_noise ocp.export.export_mpc ocp.acados.export_acados",
     ),
     "files": Task(
         "Read and write files",

@@ -13,9 +13,11 @@ from ocp.control.departures import build_departures
 from ocp.control.holding import find_rest
 from ocp.control.mpc_constraints import Horizon, HorizonLimits
 from ocp.guess.inverse_dynamics import inverse_dynamics
+from ocp.problem.bounds.bound import PathBound, RateBound
 from ocp.problem.control import require_force_densities
 from ocp.problem.goals.periodic import Periodic
 from ocp.problem.goals.waypoints import Waypoint
+from ocp.problem.path_constraints import ScaledRows, scaled_rows
 from ocp.problem.phase import reject_phases
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
@@ -128,7 +130,7 @@ class Mpc:
                 raise ValueError(
                     "plan is of another structure than the problem: give one whose model has the same nodes and strings"
                 )
-        self.model: Model = problem.model
+        self.problem, self.model = problem, problem.model
         self.period = positive_number("period", period)
         self.intervals = whole_number("intervals", intervals, 1, MAX_REPETITIONS)
         self._iterations = whole_number("iterations", iterations, 1, MAX_REPETITIONS)
@@ -150,6 +152,7 @@ class Mpc:
             np.tile(limit, self.intervals) for limit in problem.force_density_limits
         )
         self._limits = HorizonLimits(problem, scales, strength, self.period)
+        self._scales, self._strength = scales, strength
         self._steps = self._build_shift(), self._build_program()
         self._array_steps = tuple(ArrayFunction(step) for step in self._steps)
         unknowns, rows = (self._steps[1].size1_out(name) for name in ("g", "b"))
@@ -195,6 +198,21 @@ class Mpc:
         )
         self._last = _MpcDecision(time, gamma, state)
         return np.array(gamma[0])
+
+    @property
+    def formulation(self) -> Formulation:
+        """Costs and limits of the predictive control problem."""
+        x = symbol_kind(self._departures).sym("x", self.model.nx)
+        limits = scaled_rows(self.problem, PathBound, self._scales, self._strength)
+        rates = scaled_rows(self.problem, RateBound, self._scales, self._strength)
+        return Formulation(
+            ca.Function("output", [x], [self._departures(x)[0]]),
+            self._reference,
+            self._control_scale,
+            self._substeps,
+            limits,
+            [name for rows in rates for name in rows.names],
+        )
 
     def reset(self) -> None:
         """Forget the last decision before another run."""
@@ -368,6 +386,34 @@ class Mpc:
             gamma
             + ca.reshape(ca.if_else(is_finite(change), change, ca.DM.zeros(size)), *gamma.shape)
         )
+
+
+class Formulation(NamedTuple):
+    """Predictive control problem of an `Mpc`.
+
+    Attributes
+    ----------
+    output : casadi.Function
+        Function x → scaled output, whose squares are minimized.
+    reference : casadi.Function
+        Function time → references of the output (·, N) at the ends of the intervals, and of the
+        force densities (α, N) in them [N/m].
+    control_scale : float
+        Scale of departures of force densities [N/m].
+    substeps : int
+        Number of Runge-Kutta steps in each period.
+    limits : list of ScaledRows
+        Limits of functions of one instant, except those of force densities.
+    rates : list of str
+        Names of limited rates.
+    """
+
+    output: ca.Function
+    reference: ca.Function
+    control_scale: float
+    substeps: int
+    limits: list[ScaledRows]
+    rates: list[str]
 
 
 class _MpcDecision(NamedTuple):

@@ -214,6 +214,7 @@ def planning_calls() -> dict[str, Call]:
                 "guess": None,
             },
         ),
+        "export_acados": (ocp.export_acados, {"mpc": mpc(), "folder": "acados"}),
         "export_mpc": (ocp.export_mpc, {"mpc": mpc(), "folder": "c"}),
     }
 
