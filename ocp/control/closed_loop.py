@@ -191,7 +191,7 @@ def run(
     held = np.concatenate([*controls, controls[-1][-1:]]) if controls else np.zeros((1, plant.nu))
     times = np.interp(np.arange(len(rows)) / n, np.arange(len(ends)), ends)
     cause = "interrupted" if interrupted else "diverged"
-    reason = "from the keyboard" if interrupted else "the state is not finite"
+    reason = "the trajectory ends there" if interrupted else "the state is not finite"
     message = (
         f"finished {len(controls)} decisions"
         if done

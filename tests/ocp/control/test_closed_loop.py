@@ -162,7 +162,7 @@ def test_an_interrupted_run_keeps_what_there_is(capsys):
     loop = ocp.run(Own(decide), 1.0, progress=True)
     assert loop.trajectory.interrupted
     assert not loop.trajectory.success
-    assert loop.trajectory.message == "interrupted after t = 0.15 s: from the keyboard"
+    assert loop.trajectory.message == "interrupted after t = 0.15 s: the trajectory ends there"
     assert loop.trajectory.time[-1] == pytest.approx(0.15)
     assert len(loop.seconds) == 3
     assert "3/20" in capsys.readouterr().err
