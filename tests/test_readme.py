@@ -147,7 +147,7 @@ def test_two_commands_do_all_set_up():
 
 
 COMMAND = re.compile(
-    r"(?<![\w/.])(?:\.venv/bin/)?tenscasadi (?:plan|simulate|tradeoff|info|new|view|export) [^`\n>]+"
+    r"(?<![\w/.])(?:\.venv/bin/)?tenscasadi (?:plan|control|simulate|tradeoff|info|new|view|export) [^`\n>]+"
 )
 SHELL = "\n".join(
     block for name in DOCUMENTS for block in blocks("sh", (ROOT / name).read_text(encoding="utf-8"))
