@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import pickle
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -170,6 +171,18 @@ def test_a_wall_for_one_node_lets_the_others_pass() -> None:
     assert run.nodes[-1, 1] == pytest.approx([0.5 - back, 1, 0], abs=1e-6)
 
 
+@cache
+def slide(field: bool, scheme: Any) -> tc.Trajectory:
+    """A bar that slides down a slope onto a floor."""
+    grounds = [
+        slope(25.0, field, damping=200.0, friction=0.3, slip_speed=0.05),
+        tc.Ground(damping=200.0, friction=0.5, slip_speed=0.05),
+    ]
+    bar = tc.Structure([(0.3, 0, 0.3), (0.5, 0.3, 0.35)], bars=[(0, 1)])
+    scene = tc.Scene(bar, gravity=tc.Gravity(), ground=grounds)
+    return fly(scene, 0.8, 5e-4, [(-1, 0, -1)] * 2, scheme=scheme, correction=None)[1]
+
+
 @pytest.mark.parametrize(
     "scheme",
     [
@@ -181,16 +194,7 @@ def test_a_wall_for_one_node_lets_the_others_pass() -> None:
 )
 @pytest.mark.parametrize("field", [False, True])
 def test_all_schemes_slide_alike_over_slope_and_floor(scheme: Any, field: bool) -> None:
-    grounds = [
-        slope(25.0, field, damping=200.0, friction=0.3, slip_speed=0.05),
-        tc.Ground(damping=200.0, friction=0.5, slip_speed=0.05),
-    ]
-    bar = tc.Structure([(0.3, 0, 0.3), (0.5, 0.3, 0.35)], bars=[(0, 1)])
-    scene = tc.Scene(bar, gravity=tc.Gravity(), ground=grounds)
-    near, exact = (
-        fly(scene, 0.8, 5e-4, [(-1, 0, -1)] * 2, scheme=each, correction=None)[1]
-        for each in (scheme, tc.DormandPrince853(rtol=1e-10))
-    )
+    near, exact = (slide(field, own) for own in (scheme, tc.DormandPrince853(rtol=1e-10)))
     located = isinstance(
         scheme, (tc.DormandPrince54, tc.Cvodes)
     )  # fixed steps pass the moments of contact

@@ -67,7 +67,7 @@ def test_prism_figures(example: ModuleType, tmp_path: Path) -> None:
 
 
 @of("paper_dbar")
-@pytest.mark.parametrize("coordinates", ["reduced", "full"])
+@pytest.mark.parametrize("coordinates", ["reduced", pytest.param("full", marks=pytest.mark.slow)])
 def test_the_dbar_passes_its_folds(example: ModuleType, coordinates: str) -> None:
     model = tc.Model(tc.Scene(example.d_bar()), coordinates=coordinates)
     errors = []
@@ -155,6 +155,7 @@ def test_the_lander_is_in_equilibrium_and_falls_flat(example: ModuleType) -> Non
     np.testing.assert_allclose(run.tension[falling], run.tension[0, 0], rtol=1e-6)
 
 
+@pytest.mark.slow
 @of("paper_lander")
 def test_the_first_rebound_of_the_lander(example: ModuleType) -> None:
     run, height = example.drop(example.ball(), 1.7)

@@ -65,7 +65,7 @@ def test_the_plan_is_of_the_given_model(arm):
         (None, ocp.CondensedNewton()),
         (ocp.Variational(30, accuracy=1e-5), None),
         (ocp.DirectCollocation(20), None),
-        (ocp.ImplicitMidpoint(30), None),
+        pytest.param(ocp.ImplicitMidpoint(30), None, marks=pytest.mark.slow),
     ],
     ids=["default", "CondensedNewton", "Variational", "Collocation", "ImplicitMidpoint"],
 )

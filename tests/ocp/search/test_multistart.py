@@ -51,9 +51,10 @@ class Backwards(Executor):
 
 
 def test_what_finishes_first_does_not_matter():
-    assert np.array_equal(solved(Backwards()).start_objectives, solved().start_objectives)
+    expected = solved().start_objectives
+    assert np.array_equal(solved(Backwards()).start_objectives, expected)
     with ThreadPoolExecutor(2) as threads:
-        assert np.array_equal(solved(threads).start_objectives, solved().start_objectives)
+        assert np.array_equal(solved(threads).start_objectives, expected)
 
 
 def test_processes_solve_starts():

@@ -37,7 +37,11 @@ def fastest(plan):
     return np.abs(np.diff(plan.force_density, axis=0)).max() / np.diff(plan.time)[0]
 
 
-@pytest.mark.parametrize("problem", [leaning, winding], ids=["force densities", "rest lengths"])
+@pytest.mark.parametrize(
+    "problem",
+    [leaning, pytest.param(winding, marks=pytest.mark.slow)],
+    ids=["force densities", "rest lengths"],
+)
 def test_what_is_told_suffices(problem):
     slow = 0.03
     none = ocp.solve(problem(slow))

@@ -94,7 +94,11 @@ def test_rows_are_found_by_kind():
 
 @pytest.mark.parametrize(
     "make",
-    [ocp.MultipleShooting, ocp.ImplicitMidpoint, ocp.Variational],
+    [
+        pytest.param(ocp.MultipleShooting, marks=pytest.mark.slow),
+        ocp.ImplicitMidpoint,
+        ocp.Variational,
+    ],
     ids=lambda kind: kind.__name__,
 )
 def test_large_structures_have_the_same_derivatives(make, monkeypatch):

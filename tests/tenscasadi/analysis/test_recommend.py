@@ -182,6 +182,7 @@ def test_stiff_scenes_are_given_implicit_schemes(segments, tolerance):
     )
 
 
+@pytest.mark.slow
 def test_single_precision_is_recommended_within_its_floor():
     model, start = pendulum()
     advice = tc.recommend(

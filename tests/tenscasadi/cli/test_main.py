@@ -248,7 +248,7 @@ def test_tradeoff_without_accurate_run_is_reported_and_written(tmp_path, capsys)
         "--uncompiled",
         "--no-plots",
     ]
-    assert run("tradeoff", "prism", *options, "--output", tmp_path) == 1
+    assert run("tradeoff", "pendulum", *options, "--output", tmp_path) == 1
     out = capsys.readouterr().out
     assert "tolerance is 1e-15 m: the " in out
     assert len(tc.Tradeoff.load(written(out)[0]).rows) == 10
@@ -438,7 +438,7 @@ def test_fields_of_sections_are_options(tmp_path, capsys):
         (["plan", "reach", "--duration", "0.9"], {"objective", "replay_error", "status", "files"}),
         (["info", "prism"], {"nodes", "fastest_rate", "mass"}),
         (
-            ["tradeoff", "prism", "--t-end=0.02", "--steps=0.01", "--rtol=1e-3", "--uncompiled"],
+            ["tradeoff", "pendulum", "--t-end=0.02", "--steps=0.01", "--rtol=1e-3", "--uncompiled"],
             {"rows"},
         ),
     ],

@@ -17,8 +17,10 @@ SCENES = {
     "ground": tc.Scene(PRISM, gravity=tc.Gravity(), ground=GROUND),
     "rest lengths": tc.Scene(PRISM, control=tc.RestLength(), slack=tc.Smooth(1e-3)),
     "parameters": tc.Scene(PRISM, parameters=tc.Parameters("stiffness", scale=["bar_mass"])),
-    "wind": tc.Scene(PRISM, forces=tc.NodalForce(lambda t: np.ones((6, 3)) * np.sin(t))),
-    "joints": tc.Scene(tc.shapes.d_bar(pinned=[0], prestress=20.0, stiffness=100.0)),
+    "joints, wind": tc.Scene(
+        tc.shapes.d_bar(pinned=[0], prestress=20.0, stiffness=100.0),
+        forces=tc.NodalForce(lambda t: np.ones((4, 3)) * np.sin(t)),
+    ),
 }
 
 

@@ -228,16 +228,13 @@ def test_one_compiled_loop_serves_all_tolerances(
     monkeypatch.setenv("TENSCASADI_CACHE", str(tmp_path))
     model = Model(Scene(shapes.prism(stiffness=1000.0, prestress=31.0), gravity=Gravity()))
     start = moving(model)
-    for degree in (1, 2):
-        runs = [
-            simulate(
-                model, 0.1, 0.01, Collocation(degree, tolerance=tolerance), start, compiled=True
-            )
-            for tolerance in (1e-3, 1e-6, 1e-10)
-        ]
-        assert len(list(tmp_path.glob("model-*"))) == degree
-        coarse, fine, _ = (abs(run.states[-1] - runs[-1].states[-1]).max() for run in runs)
-        assert 0 < fine < coarse < 1e-3
+    runs = [
+        simulate(model, 0.1, 0.01, Collocation(2, tolerance=tolerance), start, compiled=True)
+        for tolerance in (1e-3, 1e-6, 1e-10)
+    ]
+    assert len(list(tmp_path.glob("model-*"))) == 1
+    coarse, fine, _ = (abs(run.states[-1] - runs[-1].states[-1]).max() for run in runs)
+    assert 0 < fine < coarse < 1e-3
 
 
 def test_work_is_collocated_too() -> None:
@@ -258,7 +255,7 @@ def stiff_prism(damping: float) -> tuple[Model, Any]:
 
 
 @needs_compiler
-@pytest.mark.parametrize("damping", [0.0, 1e3])
+@pytest.mark.parametrize("damping", [0.0, pytest.param(1e3, marks=pytest.mark.slow)])
 def test_stiff_strings_at_the_pace_of_the_visible_motion(damping: float) -> None:
     """k = 1e7 N/m, five segments: to 1e-6 m in ten steps of 16 sweeps, where explicit schemes need thousands; damped or not."""
     model, start = stiff_prism(damping)

@@ -91,7 +91,6 @@ BUMP = NodalForce(
     [
         (Cvodes, Scene(**FALLING), {"correction": Projection()}),
         (Cvodes, Scene(**FALLING, forces=BUMP), {}),
-        (Idas, Scene(**FALLING, forces=BUMP), {}),
         (
             Idas,
             Scene(**FALLING, control=RestLength()),
@@ -103,7 +102,7 @@ BUMP = NodalForce(
             {"parameters": [1.1]},
         ),
     ],
-    ids=["corrected", "table", "table, Idas", "control, Idas", "parameter"],
+    ids=["corrected", "table", "control, Idas", "parameter"],
 )
 def test_a_fall_with_friction_and_damping(
     scheme: type[Sundials], scene: Scene, options: dict[str, Any]

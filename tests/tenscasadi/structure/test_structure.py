@@ -164,7 +164,7 @@ def keywords(draw: st.DrawFn) -> dict[str, Any]:
     return found
 
 
-@settings(max_examples=250, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(keywords())
 def test_anything_is_refused_or_gives_a_sound_structure(found: dict[str, Any]) -> None:
     try:
