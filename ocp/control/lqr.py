@@ -19,7 +19,7 @@ from ocp.problem.control import (
     controls_rest_lengths,
 )
 from ocp.problem.path_constraints import control_limits
-from ocp.results.result import PlanResult
+from ocp.results.result import STEPS, PlanResult
 from ocp.transcription.mesh import profile_at
 from tenscasadi.dynamics.linear_steps import riccati_gains, transitions
 from tenscasadi.dynamics.linearization import tangents
@@ -42,7 +42,6 @@ from tenscasadi.util.validate import (
 )
 
 MAX_SUBSTEPS = 50  # of a decision, for its derivatives
-BETWEEN = 4  # steps from a mesh point of the plan to a decision after it
 
 
 class Hold(NamedTuple):
@@ -337,11 +336,11 @@ def _planned(plan: PlanResult, model: Model, time: Array) -> Array:
     )
     advance = RungeKutta4().step(model.ode).map(len(time))
     x = ca.DM(plan.trajectory.states[k].T)
-    for part in range(BETWEEN):
+    for part in range(STEPS):
         x = advance(
             x,
-            profile_at(plan.control, nodes, nodes[k] + (part + 0.5) / BETWEEN * since).T,
-            since[None] / BETWEEN,
+            profile_at(plan.control, nodes, nodes[k] + (part + 0.5) / STEPS * since).T,
+            since[None] / STEPS,
         )
     states = np.asarray(x.full()).T
     states[-1] = plan.trajectory.states[-1]

@@ -11,8 +11,9 @@ from ocp.problem.bounds.bound import PathBound, RateBound
 from ocp.problem.path_constraints import ScaledRows, scaled_rows
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
+from tenscasadi.util.validate import TOLERANCE
 
-NO_LIMIT = 1e6  # scaled distance that stands for no limit
+NO_LIMIT = 1 / TOLERANCE  # scaled distance that stands for no limit
 
 
 class Horizon(NamedTuple):

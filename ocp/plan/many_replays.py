@@ -23,8 +23,8 @@ from ocp.problem.phase import reject_phases
 from ocp.problem.scaling import Scales
 from ocp.results.acceptance import RELIABLE, interpolate_replays, measure_errors
 from ocp.results.actuation import STEPS_PER_UPDATE
-from ocp.results.replay import STEPS
 from ocp.results.rest_length_schedule import compute_rest_lengths
+from ocp.results.result import STEPS
 from ocp.results.spreads import check_variation
 from ocp.targets.find_target import find_target
 from tenscasadi.scene.strings import RestLength, rest_length

@@ -15,9 +15,8 @@ import scipy.optimize
 from ocp.problem.bounds.bound import PathBound, PathConstraint
 from ocp.problem.path_constraints import path_constraints
 from ocp.problem.problem import Problem
+from ocp.problem.rows import RESOLUTION
 from tenscasadi.util.validate import Array
-
-CLEAR = 1e-3  # relative violation; smaller contradictions are left to the solver
 
 
 class Conflict(NamedTuple):
@@ -93,7 +92,7 @@ def find_conflict(
         b_ub=b,
         bounds=np.vstack([np.column_stack([lower, upper]), [0.0, np.inf]]),
     )
-    if best.x is None or best.x[-1] < CLEAR:
+    if best.x is None or best.x[-1] < RESOLUTION:
         return None
     excess = A @ best.x[:-1] - b
     k = int(np.argmax(excess))

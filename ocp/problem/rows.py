@@ -12,6 +12,11 @@ import numpy as np
 from ocp.problem.instant import Instant
 from tenscasadi.util.validate import Array
 
+# Relative resolution of plans. Smaller differences of lengths are rounding, which projections
+# remove. Smaller contradictions are left to the solver. With singular values below it, for rows of
+# norm 1, two solutions are closer than this.
+RESOLUTION = 1e-3
+
 
 @dataclass(frozen=True, eq=False)
 class Rows:

@@ -16,6 +16,8 @@ from tenscasadi.util.validate import Array
 if TYPE_CHECKING:
     from ocp.problem.problem import Problem
 
+UNBOUNDED = 100.0  # scaled size that no bounded state or unknown of a plan reaches
+
 
 @dataclass(frozen=True, eq=False)
 class Scales:

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ocp.problem.goals.goal import LENGTH_TOLERANCE, Goal, check_bar_lengths
+from ocp.problem.goals.goal import Goal, check_bar_lengths
 from ocp.problem.reading import read_items
+from ocp.problem.rows import RESOLUTION
 from tenscasadi.integrators.stabilization import build_projection
 from tenscasadi.io.structure_section import OfStructure
 from tenscasadi.schema.field_types import STATE
@@ -98,7 +99,7 @@ def _read_state(model: Model, field: str, given: ArrayLike | None) -> Array:
     check_bar_lengths(f"{field} makes", nodes, s)
     bars, rates = (Z[s.bars[:, 1]] - Z[s.bars[:, 0]] for Z in (nodes, velocities))
     stretch = abs(np.sum(bars * rates, axis=1)) / s.bar_lengths
-    bad = np.flatnonzero(stretch > LENGTH_TOLERANCE * np.linalg.norm(velocities, axis=1).max())
+    bad = np.flatnonzero(stretch > RESOLUTION * np.linalg.norm(velocities, axis=1).max())
     if bad.size:
         i = int(bad[0])
         raise ValueError(

@@ -12,6 +12,7 @@ from ocp.problem.bounds.bound import PathBound, RateBound
 from ocp.problem.limit_conflict import find_conflict
 from ocp.problem.path_constraints import path_constraints
 from ocp.problem.problem import Problem
+from ocp.problem.scaling import UNBOUNDED
 from ocp.results.result import PlanResult
 from ocp.solvers.base import Solution
 from ocp.solvers.ipopt import SADDLE
@@ -23,8 +24,6 @@ from ocp.transcription.sparse_nlp import Program
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stability import fastest_rate
 from tenscasadi.util.validate import TOLERANCE, Array
-
-RUNAWAY = 1e2  # scaled size from which an unknown without limits counts as unbounded
 
 _ROOM = "increase the duration, widen the limits, or move the goal closer"
 _CAUSES = {
@@ -263,8 +262,8 @@ def _find_runaway(program: Program, solution: Solution) -> str:
     controls = ("force density of string", "rest length of string")
     of_controls = size * [name.startswith(controls) for name in program.w_names]
     # A large control makes other unknowns large.
-    worst = int(np.argmax(of_controls if of_controls.max(initial=0.0) >= RUNAWAY else size))
-    if size[worst] < RUNAWAY:
+    worst = int(np.argmax(of_controls if of_controls.max(initial=0.0) >= UNBOUNDED else size))
+    if size[worst] < UNBOUNDED:
         return ""
     grown = solution.last[worst] * program.w_scale[worst]
     return f"{program.w_names[worst]} grows to {grown:.2g} without a limit: give it one, or a cost"

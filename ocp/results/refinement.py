@@ -9,8 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ocp.results.replay import STEPS
-from ocp.results.result import PlanResult
+from ocp.results.result import STEPS, PlanResult
 from ocp.sampling.solver import Sampling
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.ipopt import Ipopt
@@ -20,7 +19,6 @@ from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.stabilization import build_projection
 from tenscasadi.util.validate import ROUNDING, Array
 
-LOST = 1e6  # error of a diverging replay, in units of the tolerance
 MOST_PARTS = 4  # maximum number of parts of an interval in one refinement
 FAR = float(
     MOST_PARTS**4
@@ -107,7 +105,7 @@ def _finer_mesh(plan: PlanResult, tolerance: float) -> dict[str, Any]:
     error, known = plan.worst_error, plan.transcription
     if known is not None and plan.problem is not None and plan.problem.phases:
         return {"intervals": tuple(np.repeat(known.fractions, 2).tolist())}
-    too_large = error / tolerance if np.isfinite(error) else LOST
+    too_large = error / tolerance if np.isfinite(error) else FAR
     model = plan.require_model("refine")
     lengths = finer(model, plan.time, plan.trajectory.states, plan.control, too_large)
     given = None if known is None else known.accuracy

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ocp.problem.control import controls_rest_lengths
-from ocp.results.result import PlanResult
+from ocp.results.result import STEPS, PlanResult
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.collocation import Collocation
 from tenscasadi.integrators.runge_kutta import RungeKutta4
@@ -16,7 +16,6 @@ from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import Array, positive_number
 
-STEPS = 10  # integration steps and rest-length updates in each interval of a plan
 STIFF_STEPS = 2  # integration steps of an implicit scheme
 
 

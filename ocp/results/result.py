@@ -26,6 +26,8 @@ from tenscasadi.structure.structure import Structure
 from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import Array
 
+STEPS = 10  # integration steps and rest-length updates in each interval of a plan
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PlanResult(PlannedForces, Stored):

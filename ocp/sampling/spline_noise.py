@@ -20,8 +20,6 @@ from tenscasadi.util.validate import (
     whole_number,
 )
 
-DEGREE = 3
-
 
 @rename_fields(finest="min_scale")
 @dataclass(frozen=True, eq=False)
@@ -156,8 +154,6 @@ class SplineNoise:
         times = np.linspace(0.0, max(intervals - 1, 1), knots)
         if knots == 1:
             return np.ones((intervals, 1))
-        spline = scipy.interpolate.make_interp_spline(
-            times, np.eye(knots), k=min(DEGREE, knots - 1)
-        )
+        spline = scipy.interpolate.make_interp_spline(times, np.eye(knots), k=min(3, knots - 1))
         rows = np.asarray(spline(np.arange(intervals)))
         return np.asarray(rows / np.linalg.norm(rows, axis=1, keepdims=True))

@@ -25,6 +25,7 @@ from ocp.problem.costs import Smoothness
 from ocp.problem.expressions import AtEnd, Constraint, Integral
 from ocp.problem.instant import forces_of
 from ocp.problem.problem import Problem
+from ocp.problem.rows import RESOLUTION
 from ocp.results.diagnosis import build_interpolant
 from ocp.results.report import violated_limits
 from ocp.solvers.base import Outcome
@@ -33,7 +34,6 @@ from tenscasadi.util.validate import Array
 
 # Their values differ between the controls: of expressions, and of the change of the control.
 _DIFFERENT = Smoothness, Constraint, Integral, AtEnd
-LARGEST_SHARE = 0.999  # of the stiffness: the largest force density, as rest lengths are positive
 # × RMS force density: error of the force densities between the nodes of the rest lengths, which
 # falls with the square of their number
 FORCE_ERROR = 0.1
@@ -61,7 +61,7 @@ def build_force_density_problem(problem: Problem) -> Problem | None:
         else bound
         for bound in problem.bounds
     ]
-    bounds.append(ForceDensityLimits(upper=LARGEST_SHARE * stiffness))
+    bounds.append(ForceDensityLimits(upper=(1 - RESOLUTION) * stiffness))
     model = build_force_density_model(problem.model)
     return replace(problem, model=model, bounds=bounds)
 

@@ -15,12 +15,12 @@ import numpy as np
 import scipy.optimize
 import scipy.sparse as sp
 
+from ocp.problem.rows import RESOLUTION
+from ocp.problem.scaling import UNBOUNDED
 from ocp.targets.infeasible_goal import Certificate
-from ocp.targets.row_reduction import RANK, RowFunction
+from ocp.targets.row_reduction import RowFunction
 from tenscasadi.util.linear_algebra import null_space
 from tenscasadi.util.validate import Array, Indices
-
-RADIUS = 100.0  # bound on scaled states: no coordinate is more structure sizes away
 
 
 class QuadraticRows(NamedTuple):
@@ -100,14 +100,14 @@ def prove_infeasible(
     rest = linear.at(known)[0]
     if np.abs(rest).max(initial=0.0) > tolerance:
         slope = linear.A.T @ rest
-        least = np.minimum(*(slope * np.clip(side, -RADIUS, RADIUS) for side in box)).sum()
+        least = np.minimum(*(slope * np.clip(side, -UNBOUNDED, UNBOUNDED) for side in box)).sum()
         return _certificate(linear, rest, rest @ linear.c + least, "linear")
     timed = np.isfinite(box).all(axis=0)
     linear = linear.select(np.flatnonzero(~linear.A[:, timed].any(axis=1)))
     bent = rows.select(np.flatnonzero(~rows.affine & ~rows.A[:, timed].any(axis=1)))
     if not bent.names:
         return None
-    Z = null_space(np.vstack([linear.A, np.eye(len(z))[timed]]), RANK)
+    Z = null_space(np.vstack([linear.A, np.eye(len(z))[timed]]), RESOLUTION)
 
     def residual(s: Array) -> tuple[Array, Array]:
         value, J = bent.at(known + Z @ s)
@@ -126,7 +126,7 @@ def prove_infeasible(
     steep = values > 1e-6 * np.abs(values).max(initial=1e-300)
     slope = np.abs(vectors.T @ (J.T @ weights))
     falls = (slope[steep] ** 2 / values[steep]).sum() / 2
-    falls += (RADIUS * slope[~steep] - RADIUS**2 * np.minimum(values[~steep], 0.0)).sum()
+    falls += (UNBOUNDED * slope[~steep] - UNBOUNDED**2 * np.minimum(values[~steep], 0.0)).sum()
     return _certificate(bent, weights, weights @ weights - falls, "convex")
 
 
@@ -137,7 +137,7 @@ def solve_affine(rows: QuadraticRows, box: Array) -> Array:
     """
     if np.isfinite(box).any() and len(rows.c):
         return np.asarray(scipy.optimize.lsq_linear(rows.A, -rows.c, box, tol=1e-14).x)
-    return np.asarray(np.linalg.lstsq(rows.A, -rows.c, rcond=RANK)[0])
+    return np.asarray(np.linalg.lstsq(rows.A, -rows.c, rcond=RESOLUTION)[0])
 
 
 def _certificate(

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
-from ocp.targets.row_reduction import RANK
+from ocp.problem.rows import RESOLUTION
 from tenscasadi.structure.body_assembly import connected_pairs
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, Indices
@@ -52,7 +52,7 @@ def find_distance_rows(
         if _rank(weights) < _rank(others):
             pairs, apart, weights = every, more, others
     norms = np.linalg.norm(weights, axis=1, keepdims=True)
-    weights = (weights / np.maximum(norms, 1e-12))[norms.ravel() > RANK * norms.max()]
+    weights = (weights / np.maximum(norms, 1e-12))[norms.ravel() > RESOLUTION * norms.max()]
     ends = sp.csr_array(
         (np.tile([1.0, -1.0], len(pairs)), (np.repeat(np.arange(len(pairs)), 2), pairs.ravel())),
         shape=(len(pairs), len(nodes)),
@@ -72,4 +72,4 @@ def _differentiate(nodes: Array, moved: Array, pairs: Indices) -> tuple[Array, A
 
 def _rank(weights: Array) -> int:
     values = np.linalg.svd(weights, compute_uv=False)
-    return int(np.sum(values > RANK * values[0]))
+    return int(np.sum(values > RESOLUTION * values[0]))

@@ -18,7 +18,7 @@ import scipy.sparse as sp
 
 from ocp.problem.goals.goal import Goal
 from ocp.problem.problem import Problem
-from ocp.problem.rows import Rows, goal_rows
+from ocp.problem.rows import RESOLUTION, Rows, goal_rows
 from ocp.problem.scaling import Scales
 from ocp.targets.certificate import prove_infeasible, read_quadratic
 from ocp.targets.distance_rows import find_distance_rows, list_neighbors, squared_distances
@@ -27,7 +27,7 @@ from ocp.targets.gauss_newton import NEARLY_SINGULAR, GaussNewton
 from ocp.targets.infeasible_goal import InfeasibleGoalError, TargetNotFoundWarning
 from ocp.targets.invariants import invariants
 from ocp.targets.rigid_fit import fit_start
-from ocp.targets.row_reduction import RANK, RowFunction, reduce_rows, soft_directions
+from ocp.targets.row_reduction import RowFunction, reduce_rows, soft_directions
 from ocp.targets.target import Target, WaypointTarget
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.troubleshooting import add_address
@@ -333,7 +333,7 @@ class _TargetSearch:
         by_y = ca.DM(ca.Function("moves", [self.y], [placed])(y)).sparse()
         moves = sp.csr_array(sp.csr_array(by_y) * (self.scale / self.scales.length))
         # clock and duration do not change distances
-        directions = directions[:, np.linalg.norm(moves @ directions, axis=0) > RANK]
+        directions = directions[:, np.linalg.norm(moves @ directions, axis=0) > RESOLUTION]
         if not directions.shape[1]:
             return np.zeros((0, 0)), np.zeros((0, len(y))), np.zeros((0, 2), dtype=np.intp)
         return find_distance_rows(

@@ -11,12 +11,12 @@ import numpy as np
 import scipy.optimize
 import scipy.sparse as sp
 
-from ocp.targets.row_reduction import RANK, RowFunction, soft_directions
+from ocp.problem.rows import RESOLUTION
+from ocp.targets.row_reduction import RowFunction, soft_directions
 from tenscasadi.util.linear_algebra import find_blocks
-from tenscasadi.util.validate import ROUNDING, Array
+from tenscasadi.util.validate import MAX_ITERATIONS, ROUNDING, Array
 
 STRIDE = 0.1  # relative to the structure's size: largest relative displacement of nodes in a step
-STEPS = 100
 NEARLY_SINGULAR = 3e-2  # rank tolerance below which a quadratic equation replaces Newton's step
 # a step that leaves less than this fraction of the residual is accepted without alternatives
 QUICK = 0.9
@@ -27,7 +27,7 @@ CRAWL, PATIENCE = (
 # evaluations of the quadratic from a start; without a root it takes up to 600, which took two
 # thirds of the time of plans of thrown structures
 MAX_TRIALS = 20
-STARTS = 4  # directions of largest curvature for which both roots of the quadratic are tried
+STARTS = 8  # starting points of a local search
 
 
 class GaussNewton:
@@ -57,7 +57,7 @@ class GaussNewton:
         The first `goals` rows are minimized; the others are zero at y.
         """
         crawling = 0
-        for _ in range(STEPS):
+        for _ in range(MAX_ITERATIONS):
             best, least = None, rows.size(y)
             if least < ROUNDING or crawling == PATIENCE:
                 break
@@ -73,12 +73,12 @@ class GaussNewton:
             y = best
         kept, before = rows.select(slice(goals, len(rows.row_scale))), np.inf
         for _ in range(
-            STEPS
+            MAX_ITERATIONS
         ):  # rigid rows come last, so that the goal's residual shows the violation
             size = kept.size(y)
             if size < ROUNDING or size > CRAWL * before:
                 break
-            y, before = self._moved(y, self._step(kept, y, RANK)), size
+            y, before = self._moved(y, self._step(kept, y, RESOLUTION)), size
         return y
 
     def _trials(self, rows: RowFunction, y: Array) -> Iterator[Array]:
@@ -86,7 +86,7 @@ class GaussNewton:
 
         They are along regular directions, along all directions, and along those of second order.
         """
-        for step in self._steps(rows, y, NEARLY_SINGULAR, RANK):
+        for step in self._steps(rows, y, NEARLY_SINGULAR, RESOLUTION):
             yield from self._shortened(rows, y, step, follow=False)
         soft = self._soft_step(rows, y)
         if soft is not None:
@@ -180,7 +180,7 @@ class GaussNewton:
         reach = np.sqrt(2 * np.abs(c).max() / max(np.abs(K).max(), 1e-12))
         starts = [
             sign * reach * axis
-            for axis in np.eye(directions.shape[1])[-STARTS:]
+            for axis in np.eye(directions.shape[1])[-STARTS // 2 :]  # of largest curvature
             for sign in (1.0, -1.0)
         ]
         tried = [

@@ -9,10 +9,9 @@ import numpy as np
 import scipy.optimize
 from scipy.spatial.transform import Rotation
 
+from ocp.targets.gauss_newton import STARTS
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array
-
-STARTS = 8  # rotations from which the fit starts
 
 
 def fit_start(model: Model, goals: Iterable[Any], state: Array) -> Iterator[Array]:

@@ -20,13 +20,10 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
 
+from ocp.problem.rows import RESOLUTION
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.linear_algebra import compute_block_svd, null_space
 from tenscasadi.util.validate import Array, Indices
-
-# smallest singular value that counts, for rows of norm 1: below it a row has two solutions closer
-# than the resolution of a plan
-RANK = 1e-3
 
 
 class RowFunction:
@@ -195,21 +192,21 @@ def reduce_rows(
     norms = np.linalg.norm(H, axis=1)
     rows = H / np.maximum(norms, 1e-12)[:, None]
     left, values, _ = compute_block_svd(rows)
-    repeated = {"another": len(H) - int(np.sum(values > RANK))}
+    repeated = {"another": len(H) - int(np.sum(values > RESOLUTION))}
     known = np.zeros((0, H.shape[1]))
     for kind, A in groups:
-        before = int(np.sum(values > RANK))
+        before = int(np.sum(values > RESOLUTION))
         known = np.concatenate([known, _normalized(A)])
-        left, values, _ = compute_block_svd(rows @ null_space(known, RANK))
-        repeated[kind] = repeated.get(kind, 0) + before - int(np.sum(values > RANK))
-    kept = values > RANK
+        left, values, _ = compute_block_svd(rows @ null_space(known, RESOLUTION))
+        repeated[kind] = repeated.get(kind, 0) + before - int(np.sum(values > RESOLUTION))
+    kept = values > RESOLUTION
     combinations = (left[:, : len(values)][:, kept] / values[kept]).T / np.maximum(norms, 1e-12)
     found = {kind: count for kind, count in repeated.items() if count}
     return Reduction(combinations, names, np.ones(len(H)) if sizes is None else sizes, found)
 
 
 def soft_directions(
-    rows: RowFunction, y: Array, rank_tolerance: float = RANK
+    rows: RowFunction, y: Array, rank_tolerance: float = RESOLUTION
 ) -> tuple[Array, Array, Array]:
     """Find directions that the rows constrain only to second order.
 
@@ -231,7 +228,7 @@ def soft_directions(
     forms = rows.curvatures(y, W, F)
     stacked = forms.reshape(-1, F.shape[1])
     strength, vectors = np.linalg.eigh(stacked.T @ stacked)
-    D = vectors[:, strength > RANK**2]
+    D = vectors[:, strength > RESOLUTION**2]
     return F @ D, W, np.asarray(D.T @ forms @ D)
 
 

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from tenscasadi.analysis.reference_solution import distance, end_nodes, reference_solution
-from tenscasadi.analysis.tradeoff import LONGEST, Case, check_ways
+from tenscasadi.analysis.reference_solution import GRID, distance, end_nodes, reference_solution
+from tenscasadi.analysis.tradeoff import Case, check_ways
 from tenscasadi.analysis.tradeoff_table import abbreviate
 from tenscasadi.dynamics.coordinates import compare_coordinates
 from tenscasadi.dynamics.model import Model
@@ -405,7 +405,7 @@ def _find_loosest(case: Case, price: _Price, goal: _AccuracyTarget, most: float)
         rtol = min(max(rtol, least), 0.1)
         tried = replace(case, scheme=replace(case.scheme, rtol=rtol, atol=None))  # type: ignore[type-var]
         goal.check_time(expected, best)
-        now = _measure(tried, LONGEST * case.t_end, price, goal, most < _SHORT)
+        now = _measure(tried, case.t_end / GRID, price, goal, most < _SHORT)
         if now.error <= wanted:
             tight, best = rtol, now
         else:

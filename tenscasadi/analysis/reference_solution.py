@@ -20,6 +20,7 @@ from tenscasadi.integrators.events import build_switching
 from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853
 from tenscasadi.integrators.scheme import Scheme, extent
 from tenscasadi.integrators.stability import find_limit
+from tenscasadi.simulation.engine.roll import COMPARED
 from tenscasadi.simulation.inputs.controls import ControlInput
 from tenscasadi.simulation.inputs.resolution import UNRESOLVED
 from tenscasadi.simulation.inputs.run_inputs import read_inputs
@@ -30,9 +31,8 @@ from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import Array, finite_array, positive_number
 
 _FINER = 4  # refinement factor between pairs of solutions
-_COARSEST = 64  # smallest number of steps of the first pair
 _TOLERANCES = (1e-10, 1e-12, 1e-14)
-_GRID = 50  # grid steps of a run with error control
+GRID = 20  # grid steps of a run with error control
 _ROUNDING = 1e-10  # × extent: smaller differences stop decreasing because of rounding
 
 
@@ -263,8 +263,8 @@ class _Pairs:
         first, second = DormandPrince853(rtol), DormandPrince54(rtol)
         self._try(
             f"DormandPrince853 and DormandPrince54 with rtol={rtol:g}",
-            (first, _GRID),
-            (second, _GRID + 1),
+            (first, GRID),
+            (second, GRID + 1),
         )
 
     def _round_clock(self) -> float:
@@ -279,7 +279,7 @@ class _Pairs:
         inputs = read_inputs(
             model,
             self._t_end,
-            self._t_end / _GRID,
+            self._t_end / GRID,
             DormandPrince853(_TOLERANCES[0]),
             state,
             self._options["control"],
@@ -359,9 +359,9 @@ def _step_counts(
     ]
     longest = min(limits[0], _FINER * limits[1])
     steps = (
-        max(_COARSEST, int(np.ceil(t_end / longest)))
+        max(COMPARED, int(np.ceil(t_end / longest)))
         if np.isfinite(longest) and longest > 0
-        else _COARSEST
+        else COMPARED
     )
     most = work / max(1, count_instructions(DormandPrince853().advance(model)))
     yield steps

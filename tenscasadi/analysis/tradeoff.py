@@ -16,6 +16,7 @@ import numpy as np
 from tqdm import tqdm
 
 from tenscasadi.analysis.reference_solution import (
+    GRID,
     ReferenceSolution,
     distance,
     end_nodes,
@@ -43,8 +44,6 @@ from tenscasadi.util.validate import (
     positive_number,
     whole_number,
 )
-
-LONGEST = 1 / 20  # × duration: largest grid step of a scheme with error control
 
 State = Array | Callable[[Model], Array] | None
 
@@ -309,7 +308,7 @@ def _measure_rows(
         single=isinstance(case.compiled, Single),
     )
     each = setup = np.nan
-    for step in [LONGEST * case.t_end] if case.scheme.adaptive else lengths:
+    for step in [case.t_end / GRID] if case.scheme.adaptive else lengths:
         began = time.perf_counter()
         empty = replace(empty, step=np.nan if case.scheme.adaptive else step)
         try:

@@ -22,8 +22,6 @@ from tenscasadi.scene.loads import Gravity
 from tenscasadi.scene.scene import Scene
 from tenscasadi.util.validate import positive_number
 
-_WEIGHTLESS = 1.0  # kg/m³, of the material for utilization, which no mass enters
-
 
 def analyze_scene(
     source: Annotated[str, FILE],
@@ -92,7 +90,7 @@ def _read_material(modulus: float | None, strength: float | None) -> Material | 
     if modulus is None or strength is None:
         name = "modulus" if modulus is None else "strength"
         raise ValueError(f"{name} is missing: give modulus and strength, or neither")
-    return Material(modulus, _WEIGHTLESS, strength)
+    return Material(modulus, density=1.0, strength=strength)  # no mass enters utilization
 
 
 def _load_scene(source: str, changes: Sequence[Change]) -> tuple[Scene, str]:

@@ -23,8 +23,9 @@ from tenscasadi.structure.structure import Structure
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.validate import Array, Indices
 
-FEASIBLE = 1e-8  # residuals of goals and constraints, relative to lengths or forces
-_SECONDARY = 1e-8  # weight of an objective that selects among minima of the one before it
+# Residuals of goals and constraints, relative to lengths or forces. With this weight, an objective
+# selects among the minima of the one before it.
+FEASIBLE = 1e-8
 _OPTIONS: dict[str, Any] = {
     "print_time": False,
     "ipopt.print_level": 0,
@@ -101,7 +102,7 @@ class FormProgram:
         self.goals, self.names = self._goal_rows(goals, N, squared, q)
         uneven = ca.sumsqr(p - ca.DM(np.where(np.isfinite(densities.lower), 1.0, -1.0)))
         first, then = (uneven, ca.sumsqr(y)) if goals.hold(structure) else (ca.sumsqr(y), uneven)
-        self.distance = first + _SECONDARY * then
+        self.distance = first + FEASIBLE * then
         self._lower = np.concatenate([np.full(y.numel(), -np.inf), densities.lower])
 
     def _goal_rows(self, goals: Goals, N: Any, squared: Any, q: Any) -> tuple[Any, list[str]]:
@@ -165,11 +166,11 @@ class FormProgram:
         x, feasible = self.minimize(self.distance, ca.vertcat(self.goals, self.bars), start)
         if feasible:
             return x, np.zeros(self.goals.numel())
-        fitted = ca.sumsqr(self.bars) + _SECONDARY * self.distance
+        fitted = ca.sumsqr(self.bars) + FEASIBLE * self.distance
         x, feasible = self.minimize(fitted, self.goals, start)
         missed = np.zeros(self.goals.numel())
         if not feasible:
-            fitted = ca.sumsqr(self.goals) + _SECONDARY * fitted
+            fitted = ca.sumsqr(self.goals) + FEASIBLE * fitted
             x, feasible = self.minimize(fitted, ca.SX(0, 1), start)
             missed = self._evaluate(self.goals, x)
         attained = ca.vertcat(

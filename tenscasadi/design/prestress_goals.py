@@ -9,11 +9,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from tenscasadi.design.conic import ConicSolution, LinearRows, scaled_triangle, solve_conic
-from tenscasadi.design.tangent_stiffness import TangentStiffness, extend_basis
+from tenscasadi.design.tangent_stiffness import SOFTEST, TangentStiffness, extend_basis
 from tenscasadi.schema.value import Value
 from tenscasadi.util.validate import MAX_ITERATIONS, NEGLIGIBLE, Array
-
-_MODES = 12  # softest motions computed for the next semidefinite program
 
 
 class PrestressProgram(NamedTuple):
@@ -131,7 +129,7 @@ class Stiffest(Value, kind="Stiffest"):
         for _ in range(MAX_ITERATIONS):
             if found.status != "solved":
                 return found
-            values, motions = tangent.softest(program.basis @ found.x, _MODES)
+            values, motions = tangent.softest(program.basis @ found.x, SOFTEST)
             enough = (
                 bound - NEGLIGIBLE * max(abs(bound), program.scale) if seen.shape[1] else np.inf
             )

@@ -16,6 +16,8 @@ from tenscasadi.structure.equilibrium_matrix import free_directions, member_pair
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array
 
+SOFTEST = 12  # softest motions added to a program at once
+
 
 class TangentStiffness:
     """Tangent stiffness of a structure on its free directions.

@@ -11,14 +11,11 @@ import numpy as np
 from tenscasadi.dynamics.base_model import BaseModel
 from tenscasadi.scene.control_function import ControlSchedule
 from tenscasadi.util.read_only import read_only
-from tenscasadi.util.validate import Array, Indices, finite_array, rows_of_size
+from tenscasadi.util.validate import FILE_ROUNDING, Array, Indices, finite_array, rows_of_size
 
 if TYPE_CHECKING:
     from tenscasadi.dynamics.mechanism import Coordinates, Mechanism
     from tenscasadi.scene.scene import Scene
-
-
-_FOLLOWING = 1e-5  # of the size or the largest speed: larger deviations are no rounding of files
 
 
 class NodeCoordinates(BaseModel):
@@ -155,7 +152,7 @@ class NodeCoordinates(BaseModel):
         ):
             apart = np.abs(vectors - self.place_dependent(np.array(vectors)))
             node = int(apart.max(axis=1).argmax())
-            if apart.max() > _FOLLOWING * scale:
+            if apart.max() > FILE_ROUNDING * scale:
                 raise ValueError(
                     f"{name}[{node}] is {apart.max():.2g} {unit} off its rigid body: "
                     "give all nodes of the body one rigid motion"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import os
 import platform
-import shlex
 import sys
 import zipfile
 from collections.abc import Iterator
@@ -19,15 +18,13 @@ from tenscasadi.exchange.fmu_source import FMU_SOURCE
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.simulation.export import export_c
-from tenscasadi.util.compile import CompileError, find_compiler
-from tenscasadi.util.processes import run_program
+from tenscasadi.util.compile import CompileError, find_compiler, run_compiler
 from tenscasadi.util.validate import file_path, instance, positive_number
 from tenscasadi.util.version import __version__
 from tenscasadi.util.whole_file import whole_file
 
 _NAME = "tensegrity"  # of the library
 _SYSTEMS = {"linux": ("linux", ".so"), "darwin": ("darwin", ".dylib"), "win32": ("win", ".dll")}
-_TIME_LIMIT = 600.0  # s, of the compilation
 
 
 class _Variable(NamedTuple):
@@ -115,9 +112,7 @@ def _compile(folder: Path, library: Path) -> None:
         raise CompileError("an FMU needs a C compiler: install gcc or clang, or name one by CC")
     flags = ["-O2", "-shared", *([] if platform.system() == "Windows" else ["-fPIC"])]
     command = [*compiler, *flags, str(folder / "fmu.c"), "-lm", "-o", str(library)]
-    done = run_program(command, _TIME_LIMIT, {**os.environ, "LC_ALL": "C"})
-    if done.returncode:
-        raise CompileError(f"{shlex.join(command)} failed:\n{done.stderr.strip()}")
+    run_compiler(command)
 
 
 def _list_variables(model: Model) -> Iterator[_Variable]:

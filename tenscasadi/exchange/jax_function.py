@@ -8,9 +8,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.util.validate import instance
-
-_MOST = 50_000  # instructions; XLA compiles about 10 000 in a minute
+from tenscasadi.util.validate import MAX_COUNT, instance
 
 
 class _Instruction(NamedTuple):
@@ -92,9 +90,9 @@ def _expand(model: Model) -> ca.Function:
     except RuntimeError as error:
         cure = 'give Model(scene, coordinates="reduced")'
         raise ValueError(f"model solves sparse systems, which JAX lacks: {cure}") from error
-    if function.n_instructions() > _MOST:
-        count = function.n_instructions()
-        raise ValueError(f"model has {count} operations: give one of at most {_MOST}")
+    count = function.n_instructions()
+    if count > MAX_COUNT:  # XLA compiles about 10 000 in a minute
+        raise ValueError(f"model has {count} operations: give one of at most {MAX_COUNT}")
     return function
 
 

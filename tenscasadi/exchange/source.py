@@ -9,7 +9,7 @@ from pathlib import Path
 from tenscasadi.schema.reading import SceneFileError
 from tenscasadi.util.validate import file_path, flag
 
-DEEPEST = 200  # nesting of elements
+DEEPEST = 100  # nesting of elements; MuJoCo reads deeper bodies badly
 
 
 class InexactImportWarning(UserWarning):

@@ -17,8 +17,6 @@ from tenscasadi.util.validate import Array, choice, positive_number, whole_numbe
 if TYPE_CHECKING:
     from tenscasadi.dynamics.model import Model
 
-_TOLERANCE = 1e-10  # m and m/s
-
 
 @dataclass(frozen=True)
 class Collocation(NamedScheme, kind="Collocation"):
@@ -70,7 +68,7 @@ class Collocation(NamedScheme, kind="Collocation"):
 
     degree: int = 2
     points: Literal["gauss", "radau"] = "gauss"
-    tolerance: float = _TOLERANCE
+    tolerance: float = 1e-10
     iterations: int = 60
     adaptive: ClassVar[bool] = False
     implicit: ClassVar[bool] = True
@@ -136,7 +134,7 @@ class Collocation(NamedScheme, kind="Collocation"):
         )
         tolerance = ca.MX.sym("tolerance")
         scale = (
-            tolerance / _TOLERANCE
+            tolerance / Collocation.tolerance
         )  # of the unknowns, since the solver's own tolerance is a constant
         columns = ca.horzsplit(ca.reshape(scale * Z, nx, s))
         slopes = ca.horzcat(*(ode(x + column, u) for column in columns))
@@ -148,7 +146,7 @@ class Collocation(NamedScheme, kind="Collocation"):
         options: Any = {
             "linear_solver": "qr",
             "abstol": 1e-300,
-            "abstolStep": _TOLERANCE,
+            "abstolStep": Collocation.tolerance,
             "max_iter": self.iterations,
             "error_on_fail": False,
         }

@@ -20,14 +20,10 @@ from tenscasadi.dynamics.equation_of_motion import compute_forces
 from tenscasadi.dynamics.mechanism import Mechanism
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import Complex, NamedScheme
-from tenscasadi.integrators.tableaux import CLASSICAL, MIDPOINT, Tableau
-from tenscasadi.util.validate import format_value, whole_number
+from tenscasadi.integrators.tableaux import CLASSICAL, MIDPOINT, SUZUKI, Tableau
+from tenscasadi.util.validate import Array, format_value, whole_number
 
-_OUTER = 1 / (4 - 4 ** (1 / 3))  # Suzuki's composition of order 4, (II.4.5) of [2] of `Rattle`
-_FRACTIONS: dict[int, tuple[float, ...]] = {
-    2: (1.0,),
-    4: (_OUTER, _OUTER, 1 - 4 * _OUTER, _OUTER, _OUTER),
-}
+_FRACTIONS: dict[int, Array] = {2: np.ones(1), 4: SUZUKI}
 _KICKS = {2: MIDPOINT, 4: CLASSICAL}
 
 

@@ -13,6 +13,7 @@ from tenscasadi.dynamics.linearization import EquationDerivatives
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Complex, Scheme, check_scheme, stability_limit
 from tenscasadi.scene.binding import fix
+from tenscasadi.util.linear_algebra import DENSE
 from tenscasadi.util.renamed import lazy_module
 from tenscasadi.util.validate import Array, finite_array, positive_number
 
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 
 linalg = lazy_module("scipy.sparse.linalg")
 
-DENSE = 400  # states up to which all eigenvalues are computed
 # edge of the upper half of the left unit half-disc
 
 

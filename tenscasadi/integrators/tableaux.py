@@ -183,3 +183,7 @@ DORMAND_PRINCE_853 = Tableau(
         tuple(weight - _B3.get(i, 0.0) for i, weight in enumerate(_B8)),
     ),
 )
+
+# Suzuki's composition of order 4 by five steps of order 2: Hairer, Lubich, Wanner, Geometric Numerical
+# Integration, (II.4.5).
+SUZUKI = np.array([1.0, 1.0, -(4 ** (1 / 3)), 1.0, 1.0]) / (4 - 4 ** (1 / 3))

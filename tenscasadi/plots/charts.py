@@ -14,7 +14,8 @@ from matplotlib.figure import Figure
 
 from tenscasadi.drawing.style import STYLE
 from tenscasadi.drawing.view_content import Chart
-from tenscasadi.plots.panels import MOST_NAMED, css_color, make_panels
+from tenscasadi.plots.panels import css_color, make_panels
+from tenscasadi.util.tables import MOST_LISTED
 from tenscasadi.util.validate import Array
 
 Groups = list[list[int]]
@@ -48,7 +49,7 @@ def draw_chart(ax: Axes, chart: Chart) -> None:
     ax.set_ylabel(f"{chart.title} ({chart.unit})")
     _draw_limits(ax, chart, groups, colors)
     _widen(ax)
-    if len(groups) <= MOST_NAMED:
+    if len(groups) <= MOST_LISTED:
         _label_curves(ax, chart, groups, colors)
     else:
         ax.annotate(f"{chart.values.shape[1]} curves", (1, 1), None, "axes fraction", ha="right")

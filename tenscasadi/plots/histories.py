@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 from tenscasadi.drawing.view_content import Chart, list_names
 from tenscasadi.plots.charts import draw_charts
 from tenscasadi.plots.panels import (
-    MOST_NAMED,
     FilePath,
     add_legend,
     css_color,
@@ -22,6 +21,7 @@ from tenscasadi.plots.panels import (
 )
 from tenscasadi.scene.binding import fix
 from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.util.tables import MOST_LISTED
 from tenscasadi.util.validate import (
     Array,
     as_tuple,
@@ -331,7 +331,7 @@ def _describe_smallness(values: Array, bottom: float) -> str:
 def _find_moving_nodes(trajectory: Trajectory) -> list[int]:
     """Find the nodes that move furthest, at most 12, in their order."""
     way = np.ptp(trajectory.nodes, axis=0).max(axis=1)
-    order = np.argsort(-way, kind="stable")[:MOST_NAMED]
+    order = np.argsort(-way, kind="stable")[:MOST_LISTED]
     return sorted(int(node) for node in order if way[node] > 0) or [int(order[0])]
 
 

@@ -10,11 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tenscasadi.drawing.style import curve_color, format_css
+from tenscasadi.util.tables import MOST_LISTED
 from tenscasadi.util.validate import file_path, text
 from tenscasadi.util.whole_file import whole_file
 
 FilePath = str | os.PathLike[str]
-MOST_NAMED = 12  # curves with names in a legend column
 
 
 def make_panels(
@@ -57,7 +57,7 @@ def add_legend(figure: Figure, ax: Axes, count: int) -> None:
 
     It is below them if names are long. More than two columns of curves are only counted.
     """
-    if count > 2 * MOST_NAMED:
+    if count > 2 * MOST_LISTED:
         place: dict[str, Any] = {"xycoords": "axes fraction", "ha": "right", "va": "top"}
         ax.annotate(f"{count} curves", (1, 1), fontsize=8, color="0.35", **place)
     elif count:
@@ -69,7 +69,7 @@ def add_legend(figure: Figure, ax: Axes, count: int) -> None:
             fontsize=8,
             frameon=False,
             loc="outside lower center" if below else "outside right upper",
-            ncols=2 if below or count > MOST_NAMED else 1,
+            ncols=2 if below or count > MOST_LISTED else 1,
         )
 
 

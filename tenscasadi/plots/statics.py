@@ -24,7 +24,6 @@ _SIGNS: tuple[Rgb, ...] = (STYLE.reaction, STYLE.slack, STYLE.load)  # push, non
 # radii relative to the structure: of members without and with the largest force, and in modes
 _THINNEST, _WIDEST, _LINE = 0.001, 0.007, 0.002
 _ZOOM = 1.5  # of modes, which have no axes around them
-_COLUMNS = 3
 
 
 def forces(
@@ -148,7 +147,7 @@ def mode_shapes(
     names = [str(label) for label in labels] or [f"mode {k}" for k in range(len(shown))]
     if len(names) != len(shown):
         raise ValueError(f"labels has {len(names)} entries: give {len(shown)}, one for each mode")
-    columns = min(len(shown), _COLUMNS)
+    columns = int(np.ceil(np.sqrt(len(shown))))
     rows = -(-len(shown) // columns)
     figure = Figure(figsize=(3.4 * columns, 3.2 * rows + 0.4))
     content = describe_content(structure, "structure")

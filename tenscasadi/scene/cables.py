@@ -15,11 +15,10 @@ import numpy as np
 
 from tenscasadi.structure.cables import add_compliances, find_directions, select_first
 from tenscasadi.util.casadi_tools import constant_row, is_expression, sparse
+from tenscasadi.util.validate import NEGLIGIBLE
 
 # Sliding velocity [m/s] below which friction is regularized, as `slip_speed` of the grounds.
 SLIP_SPEED = 1e-3
-# Sine of the smallest angle of wrap. The angle between parallel directions has no derivative.
-SMALLEST_SINE = 1e-9
 
 
 class CableRows:
@@ -170,7 +169,8 @@ def _tension_ratios(
     for j in range(count - 2, -1, -1):
         a, b, v = directions[:, j], directions[:, j + 1], slips[:, j]
         across = ca.cross(a, b)
-        angle = ca.atan2(ca.sqrt(ca.dot(across, across) + SMALLEST_SINE**2), ca.dot(a, b))
+        # the angle between parallel directions has no derivative
+        angle = ca.atan2(ca.sqrt(ca.dot(across, across) + NEGLIGIBLE**2), ca.dot(a, b))
         sign = v / ca.sqrt(v * v + SLIP_SPEED**2)
         exponents.insert(0, exponents[0] + friction * angle * sign)
     ratios = ca.exp(ca.horzcat(*exponents))

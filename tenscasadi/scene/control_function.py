@@ -12,6 +12,7 @@ import numpy as np
 from tenscasadi.scene.breakpoints import find_breakpoints, probe_times
 from tenscasadi.scene.time_functions import as_numbers, express, is_same, values_at
 from tenscasadi.util.validate import (
+    MAX_COUNT,
     NEGLIGIBLE,
     SMALLEST,
     Array,
@@ -20,8 +21,6 @@ from tenscasadi.util.validate import (
     format_value,
     positive_number,
 )
-
-_MAX_PIECES = 20_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,7 +242,7 @@ def _interpolate(
         else:
             pieces.append((low, high, bezier))
             steep += [low, high] if wrong else []
-        if len(pieces) + len(waiting) > _MAX_PIECES:
+        if len(pieces) + len(waiting) > MAX_COUNT:
             raise ValueError(
                 f"control changes too fast near t = {low:g} s to be sampled: give "
                 "ControlFunction(function, breakpoints=(…), resolution=…), or CasADi's mathematics"

@@ -28,6 +28,7 @@ from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.subdivision import cut_strings
 from tenscasadi.util.compile import Compiled
 from tenscasadi.util.validate import (
+    MAX_BYTES,
     Array,
     choice,
     finite_array,
@@ -37,7 +38,7 @@ from tenscasadi.util.validate import (
     whole_number,
 )
 
-MOST_KEPT = 2.5e8  # largest number of entries in the saved states of a run: 2 GB
+_MOST_KEPT = MAX_BYTES / 8  # numbers in the saved states of a run
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,9 +196,9 @@ class Simulation:
             many=False,
         )
         steps = inputs.grid.steps
-        if self.save_every is not None and steps / self.save_every * self.model.nx > MOST_KEPT:
+        if self.save_every is not None and steps / self.save_every * self.model.nx > _MOST_KEPT:
             raise ValueError(
-                f"save_every is {self.save_every}: {steps} steps would keep more than {MOST_KEPT:g} numbers, give more"
+                f"save_every is {self.save_every}: {steps} steps would keep more than {_MOST_KEPT:g} numbers, give more"
             )
 
     def run(self, progress: bool = False, compiled: Compiled = None) -> Trajectory:

@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from tenscasadi.scene.scene import Scene
 from tenscasadi.schema.stored import check_indices
 from tenscasadi.simulation.scene_result import SceneResult, format_largest
+from tenscasadi.util.tables import MOST_LISTED
 from tenscasadi.util.validate import Array, Indices, node_index
 from tenscasadi.util.viewable import Viewable
-
-_TOLD = 3  # kinds of ends that a summary names
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,10 +185,10 @@ class Rollouts(Viewable, SceneResult, form="tenscasadi rollouts 1", title="file 
             f"joints        largest gap {format_largest(self.joint_error[self.success], 'm')}",
         ]
         ends = Counter(self.message[~self.success].tolist()).most_common()
-        lines += [f"{count:<13} {message}" for message, count in ends[:_TOLD]]
+        lines += [f"{count:<13} {message}" for message, count in ends[:MOST_LISTED]]
         lines += (
-            [f"{sum(count for _, count in ends[_TOLD:]):<13} for other reasons"]
-            if len(ends) > _TOLD
+            [f"{sum(count for _, count in ends[MOST_LISTED:]):<13} for other reasons"]
+            if len(ends) > MOST_LISTED
             else []
         )
         return "\n".join(lines)

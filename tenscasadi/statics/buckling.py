@@ -17,9 +17,10 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.loads import NodalForce
 from tenscasadi.scene.scene import Scene
 from tenscasadi.statics.equilibrium import Equilibrium, find_equilibrium, read_load
-from tenscasadi.statics.solver.motions import DENSE, motion_basis
+from tenscasadi.statics.solver.motions import motion_basis
 from tenscasadi.statics.solver.prestressed_state import PrestressedState
 from tenscasadi.statics.stability import describe_state, read_state
+from tenscasadi.util.linear_algebra import DENSE
 from tenscasadi.util.validate import NEGLIGIBLE, ROUNDING, Array, instance
 
 

@@ -18,14 +18,11 @@ from scipy.sparse import block_diag, csr_array
 
 from tenscasadi.structure.class_one import member_lengths
 from tenscasadi.util.linear_algebra import fit_rotation, fit_velocities
-from tenscasadi.util.validate import (
-    NEGLIGIBLE,
-    ROUNDING,
-    Array,
-    Indices,
-)
+from tenscasadi.util.validate import NEGLIGIBLE, ROUNDING, TOLERANCE, Array, Indices
 
-_MIN_HEIGHT = 1e-3  # relative height of a basic node; below, M⁻ loses more than six digits
+_MIN_HEIGHT = (
+    TOLERANCE**0.5
+)  # relative height of a basic node; below, M⁻ loses more than six digits
 _PREFERENCE = 0.3  # of the largest height, from which on shared and pinned nodes are preferred
 
 

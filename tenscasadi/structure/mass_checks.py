@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from tenscasadi.util.troubleshooting import add_address
-from tenscasadi.util.validate import NEGLIGIBLE, SMALLEST, Array, Indices
+from tenscasadi.util.validate import NEGLIGIBLE, ROUNDING, SMALLEST, Array, Indices
 
-MAX_MASS_RATIO = 1e12  # between bars; above, rounding errors exceed the forces on the lighter bar
+MAX_MASS_RATIO = 1 / ROUNDING  # between bars; above, rounding exceeds the lighter bar's forces
 
 
 def total_mass(structure: Any) -> float:

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from tenscasadi.structure.elastic_bars import read_elastic_bars
-from tenscasadi.util.validate import Array, nonnegative, per_item
+from tenscasadi.util.validate import TOLERANCE, Array, nonnegative, per_item
 
-MAX_THICKNESS = 1e3  # radius / length of a bar; above, rounding errors make M indefinite
+MAX_THICKNESS = TOLERANCE**-0.5  # radius / length of a bar; above, M loses more than six digits
 
 _ITEMS = {
     **dict.fromkeys(("bar_mass", "bar_radius"), "bar"),

@@ -54,7 +54,6 @@ _FLAGS = (
 )
 _NATIVE = "-march=native"  # 10 to 20 % faster
 _TIME_LIMIT = "TENSCASADI_COMPILE_SECONDS"
-_IDENTITY_TIME_LIMIT = 20.0  # s for a compiler to print its predefined macros
 _NO_COMPILER = (
     "no C compiler found: install gcc or clang, or name one in the environment variable CC"
 )
@@ -208,7 +207,7 @@ def _load(
         # on Windows all code is relocatable, and the C library has the mathematics
         position, libraries = ([], []) if sys.platform == "win32" else (["-fPIC"], ["-lm"])
         files = ["-shared", "-o", str(result), str(code), *libraries]
-        _run([*compiler, *options, *position, *files], result.parent)
+        run_compiler([*compiler, *options, *position, *files], result.parent)
 
     try:
         return load_library(library, key, build, load)
@@ -241,16 +240,16 @@ def _identify(compiler: tuple[str, ...], flags: tuple[str, ...]) -> str:
     The macros have its version and the features of the processor.
     """
     command = [*compiler, *flags, "-dM", "-E", "-x", "c", os.devnull]
-    macros = _run(command, time_limit=_IDENTITY_TIME_LIMIT)
+    macros = run_compiler(command)
     return "\n".join((os.path.realpath(compiler[0]), *compiler[1:], macros))
 
 
-def _run(command: list[str], folder: Path | None = None, time_limit: float = np.inf) -> str:
+def run_compiler(command: list[str], folder: Path | None = None) -> str:
     """Run a command with its temporary files in `folder`.
 
-    Returns its output. Raises CompileError, at the latest after `time_limit` [s].
+    Returns its output. Raises CompileError, at the latest after the time limit of a compilation.
     """
-    seconds = min(time_limit, _read_time_limit())
+    seconds = _read_time_limit()
     temporary = {} if folder is None else dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder))
     try:
         done = run_program(command, seconds, {**os.environ, "LC_ALL": "C", **temporary})

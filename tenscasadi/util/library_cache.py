@@ -27,8 +27,7 @@ SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 _LIBRARY = re.compile(rf"-[0-9a-f]{{32}}{re.escape(SUFFIX)}$")
 _TEMPORARY = "tenscasadi-build-"
 _LIMIT = 500_000_000  # bytes of all libraries in the cache
-_RECENT = 60.0  # s after its last use in which another process may be about to load a library
-_ABANDONED = 86_400.0  # s after which a temporary folder is left from a killed process
+_IN_USE = 3600.0  # s in which another process may be building or about to load a library
 
 
 class CompileError(RuntimeError):
@@ -206,11 +205,11 @@ def _trim(folder: Path) -> None:
             status = path.stat()
             if _LIBRARY.search(path.name):
                 found.append((status.st_mtime, status.st_size, path))
-            elif path.name.startswith(_TEMPORARY) and now - status.st_mtime > _ABANDONED:
+            elif path.name.startswith(_TEMPORARY) and now - status.st_mtime > _IN_USE:
                 shutil.rmtree(path, ignore_errors=True)
     excess = sum(size for _, size, _ in found) - _LIMIT
     for used, size, path in sorted(found):
-        if excess <= 0 or now - used < _RECENT:
+        if excess <= 0 or now - used < _IN_USE:
             return
         with contextlib.suppress(OSError):  # Windows: in use
             path.unlink(missing_ok=True)

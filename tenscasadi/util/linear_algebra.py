@@ -12,6 +12,7 @@ import scipy.sparse as sp
 from tenscasadi.util.casadi_tools import matrix_with_pattern
 from tenscasadi.util.validate import Array, Indices
 
+DENSE = 600  # unknowns up to which all eigenvalues are computed, by dense matrices
 # eigenvalues of a matrix of unit diagonal below this belong to redundant rows
 REGULARIZATION = 1e-10
 

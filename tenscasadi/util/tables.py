@@ -15,6 +15,7 @@ import numpy as np
 from tenscasadi.util.validate import Array, file_path
 from tenscasadi.util.whole_file import whole_file
 
+MOST_LISTED = 12  # entries of a legend, a panel or a summary; more are counted
 Columns = Mapping[str, Array]  # each (rows,), in order; the name ends in the unit, as in "time (s)"
 
 

@@ -29,6 +29,7 @@ MAX_ENTRIES = 1_000_000  # samples, runs or values of a file; more would exhaust
 MAX_BYTES = 1_000_000_000  # of one array or unpacked file; more would exhaust the memory
 ROUNDING = 1e-12  # relative rounding error of a few operations
 TOLERANCE = 1e-6  # relative: accepted errors of given values, and of solutions of programs
+FILE_ROUNDING = 1e-5  # relative: smaller differences come from rounding numbers in files
 NEGLIGIBLE = 1e-9  # relative: smaller values and differences of computed results count as zero
 
 

@@ -10,16 +10,13 @@ import casadi as ca
 import numpy as np
 
 from ocp.problem.bounds.bound import Limit, PathBound
+from ocp.problem.rows import RESOLUTION
 from tenscasadi.schema.field_types import Members
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import as_tuple, node_index, positive_number
 
 if TYPE_CHECKING:
     from ocp.problem.instant import Instant
-
-# of the limit: the square root of the norm is rounded off there, as it has no derivative at rest;
-# accelerations at their limit are overestimated by half its square
-ROUNDING = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +97,8 @@ class NodeAccelerationLimits(PathBound, kind="NodeAccelerationLimits"):
             Magnitude of the acceleration of each node [m/s²].
         """
         nodes = self._moving(now.model.scene.structure)
-        own, rounding = now.accelerations[:, nodes], ROUNDING * self.magnitude
+        # the norm has no derivative at rest; at the limit it is overestimated by half the square
+        own, rounding = now.accelerations[:, nodes], RESOLUTION * self.magnitude
         value = ca.sqrt(ca.sum1(own * own) + rounding**2).T
         names = tuple(f"acceleration of node {node}" for node in nodes)
         upper = np.full(len(nodes), self.magnitude)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ocp.problem.costs import Cost, CostAt, TerminalCost, check_weight
-from ocp.problem.rows import Rows, distance_rows
+from ocp.problem.rows import RESOLUTION, Rows, distance_rows
 from tenscasadi.io.structure_section import OfStructure
 from tenscasadi.schema.containers import Either, MapOf
 from tenscasadi.schema.field_types import NUMBER, PER_ITEM, POINTS
@@ -32,9 +32,6 @@ from tenscasadi.util.validate import (
 if TYPE_CHECKING:
     from ocp.problem.instant import Instant
     from tenscasadi.dynamics.model import Model
-
-# relative: smaller differences of lengths are rounding; projections remove them from bars
-LENGTH_TOLERANCE = 1e-3
 
 
 class Goal(Value):
@@ -475,7 +472,7 @@ def check_bar_lengths(subject: str, nodes: Array, structure: Structure) -> None:
     Nodes are (n, 3) [m]; the tolerance is 0.1 %. Raises ValueError.
     """
     lengths = np.linalg.norm(nodes[structure.bars[:, 1]] - nodes[structure.bars[:, 0]], axis=1)
-    bad = np.flatnonzero(abs(lengths / structure.bar_lengths - 1) > LENGTH_TOLERANCE)
+    bad = np.flatnonzero(abs(lengths / structure.bar_lengths - 1) > RESOLUTION)
     if bad.size:
         k = int(bad[0])
         raise ValueError(

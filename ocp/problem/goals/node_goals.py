@@ -17,6 +17,7 @@ from tenscasadi.schema.containers import Either, MapOf
 from tenscasadi.schema.field_types import PER_ITEM, POINT, POINTS
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import (
+    NEGLIGIBLE,
     Array,
     coordinates,
     finite_array,
@@ -28,7 +29,6 @@ from tenscasadi.util.validate import (
 if TYPE_CHECKING:
     from tenscasadi.dynamics.model import Model
 
-_ROUNDING = 1e-9  # of a mass, relative to the whole
 _EACH = OfStructure("nodes", Either((dict,), MapOf("node", POINT), POINTS))
 
 
@@ -364,7 +364,7 @@ class CenterOfMass(Goal, kind="CenterOfMass", earlier="CentreOfMass"):
         count = len(model.structure.nodes)
         if self.masses is None:
             mechanism = model.mechanism
-            if abs(mechanism.node_weight[count:]).max(initial=0.0) > _ROUNDING * mechanism.M.sum():
+            if abs(mechanism.node_weight[count:]).max(initial=0.0) > NEGLIGIBLE * mechanism.M.sum():
                 raise ValueError(
                     "CenterOfMass: a body has its center of mass off the plane of its nodes: "
                     "add a node off this plane to the body"

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tenscasadi.util.validate import Array, Indices
-
-_FAR = 1e300  # distance from a limit that does not exist
+from tenscasadi.util.validate import LARGEST, Array, Indices
 
 
 class VariableBounds:
@@ -19,8 +17,8 @@ class VariableBounds:
         self.below, self.above = np.isfinite(lower) & self.free, np.isfinite(upper) & self.free
 
     def gaps(self, w: Array) -> tuple[Array, Array]:
-        """Return the distances (n,) from lower and upper limits."""
-        low, high = np.full(len(w), _FAR), np.full(len(w), _FAR)
+        """Return the distances (n,) from lower and upper limits; LARGEST without one."""
+        low, high = np.full(len(w), LARGEST), np.full(len(w), LARGEST)
         low[self.below] = (w - self.lower)[self.below]
         high[self.above] = (self.upper - w)[self.above]
         return low, high

@@ -14,8 +14,7 @@ from tenscasadi.util.validate import Array
 
 WIDE = 0.1  # scaled rows: width of the funnel while barriers are high
 NEARLY_MET = 1e-3  # scaled rows: smaller violations are not corrected within an iteration
-LOW_BARRIER = 1e-4  # in units of the costs' curvature: barriers below no longer count
-SETTLED = 1e-4  # relative change of the cost between iterations
+SETTLED = 1e-4  # relative: smaller changes of the cost, and barriers per curvature, do not count
 
 
 class InteriorPoint:
@@ -150,7 +149,7 @@ class InteriorPoint:
             return "optimal"
         if self.is_still(20, 0.02):
             return "nearly settled"
-        low = self.mu <= LOW_BARRIER * self.unit
+        low = self.mu <= SETTLED * self.unit
         # with high barriers, a slow descent of large programs is not worth its time
         long = 36 if len(self.point.u) > 10_000 else 100
         if self.iterations >= long and not low and self.is_still(20, 0.25, WIDE):
@@ -289,7 +288,7 @@ class InteriorPoint:
         self._stand(point)
         error = self.error(0.0)
         # steps that hardly change the cost may spoil duals
-        if not error > self.known or self.mu > LOW_BARRIER * self.unit:
+        if not error > self.known or self.mu > SETTLED * self.unit:
             self.known = error
             self.prices = self.duals, self.of_paths.net, self.of_bounds.net
 

@@ -15,14 +15,11 @@ import scipy.sparse as sp
 from tenscasadi.design.conic import LinearRows, scaled_triangle, solve_conic
 from tenscasadi.design.sizing.elastic_forces import elastic_response, response_slopes
 from tenscasadi.design.sizing.program import SizingProgram
-from tenscasadi.design.tangent_stiffness import TangentStiffness, extend_basis
+from tenscasadi.design.tangent_stiffness import SOFTEST, TangentStiffness, extend_basis
 from tenscasadi.util.validate import MAX_ITERATIONS, NEGLIGIBLE, TOLERANCE, Array
 
 _FACTOR = 10.0  # largest factor of an area per iteration, before the areas oscillate
-_LARGEST_FACTOR = 1e6
 _START = 1e-3  # least initial area, relative to the largest: no area grows from zero
-_ROUNDING = 1e-8  # tolerance of negative eigenvalues, relative to the largest member stiffness
-_MODES = 6  # softest motions of a state that are checked for stability
 
 
 class StableDesign(NamedTuple):
@@ -95,7 +92,7 @@ class StableSizing:
         self._factor = _FACTOR
         for _ in range(MAX_ITERATIONS):
             found = self._stabilize(area, self._linearize(area))
-            if found is None and self._factor < _LARGEST_FACTOR:
+            if found is None and self._factor < _START**-2:
                 self._factor *= _FACTOR
                 continue
             if found is None:
@@ -144,8 +141,8 @@ class StableSizing:
             known = self._seen.shape[1]
             for state in states:
                 q = self._densities @ (found[1] + state.at(found[0]))
-                values, motions = self.tangent.softest(q, _MODES, k)
-                unstable = motions[:, values < -_ROUNDING * k.max(initial=0.0)]
+                values, motions = self.tangent.softest(q, SOFTEST, k)
+                unstable = motions[:, values < -NEGLIGIBLE * k.max(initial=0.0)]
                 self._seen = extend_basis(self._seen, unstable)
             if self._seen.shape[1] == known:
                 return found

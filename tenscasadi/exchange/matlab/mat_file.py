@@ -27,7 +27,7 @@ from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import file_path
 from tenscasadi.util.whole_file import whole_file
 
-_HEADER = 128  # bytes
+_HEADER = struct.Struct("124s2s2s")  # text, version, order of bytes
 _MATRIX, _COMPRESSED = 14, 15  # element types
 # NumPy's types by the types of elements
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4"}
@@ -50,7 +50,7 @@ def read_mat(source: Source) -> dict[str, Any]:
     """
     limit = compute_size_limit(source.path)
     whole, name = source.read(most=limit), source.path.name
-    _check_version(name, whole[:_HEADER])
+    _check_version(name, whole)
     try:
         variables = dict(_read_variables(whole, limit))
     except _DAMAGED as error:
@@ -73,12 +73,13 @@ def write_mat(path: str | os.PathLike[str], content: Mapping[str, Any]) -> Path:
     return file_path("path", path)
 
 
-def _check_version(name: str, header: bytes) -> None:
+def _check_version(name: str, whole: bytes) -> None:
     """Raise SceneFileError if the file has another version."""
     cure = f"save it in MATLAB with save('{name}', ..., '-v7')"
-    if header[:8] == b"\x89HDF\r\n\x1a\n" or header[124:126] in (b"\x00\x02", b"\x02\x00"):
+    _, version, order = _HEADER.unpack(whole[: _HEADER.size].ljust(_HEADER.size))
+    if whole[:8] == b"\x89HDF\r\n\x1a\n" or version in (b"\x00\x02", b"\x02\x00"):
         raise SceneFileError(f"it has MATLAB's format v7.3 (HDF5): {cure}", name)
-    if header[126:128] not in (b"IM", b"MI") or header[124:126] not in (b"\x00\x01", b"\x01\x00"):
+    if order not in (b"IM", b"MI") or version not in (b"\x00\x01", b"\x01\x00"):
         cure = f"{cure}, in Octave with '-mat7-binary'"
         raise SceneFileError(f"it is no .mat file of version 5, 6 or 7: {cure}", name)
 
@@ -89,8 +90,8 @@ def _read_variables(whole: bytes, limit: int) -> Iterator[tuple[str, Any]]:
     Raises ValueError and others if the file is damaged.
     """
     left = limit
-    order = "<" if whole[126:128] == b"IM" else ">"
-    for kind, content in _read_elements(memoryview(whole)[_HEADER:], order):
+    order = "<" if _HEADER.unpack_from(whole)[-1] == b"IM" else ">"
+    for kind, content in _read_elements(memoryview(whole)[_HEADER.size :], order):
         if kind == _COMPRESSED:
             head = zlib.decompressobj().decompress(content, 8)
             told = struct.unpack(order + "II", head)[1] + 8

@@ -8,13 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tenscasadi.exchange.source import DEEPEST
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array
+from tenscasadi.util.validate import MAX_BYTES, Array
 
-# nesting depth of bodies; MuJoCo reads deeper files badly
-DEEPEST = 100
-# bars of one tree: the mass matrix has three rows and columns per bar
-MOST = 1000
+# bars of one tree, whose mass matrix has three rows and columns per bar
+_MOST = int((MAX_BYTES / 8) ** 0.5 / 3)
 NO_DIRECTION = np.zeros((0, 3))
 
 
@@ -184,9 +183,9 @@ def inverse_weights(s: Structure, tree: BodyTree) -> Array:
     roots = [k for k, link in enumerate(tree.links) if link.parent is None]
     for first, end in zip(roots, [*roots[1:], len(tree.links)], strict=True):
         links = tree.links[first:end]
-        if len(links) > MOST:
+        if len(links) > _MOST:
             raise ValueError(
-                f"bars: {len(links)} of them are connected, too many to scale contacts: {MOST} at most"
+                f"bars: {len(links)} of them are connected, too many to scale contacts: {_MOST} at most"
             )
         found[[link.bar for link in links]] = _weigh(s, tree, links)
     return found

@@ -25,7 +25,6 @@ from tenscasadi.util.validate import Array
 
 # d: fraction of the other forces that a contact cancels; MuJoCo's minimum
 IMPEDANCE = 1e-4
-_STANDING = 3  # number of nodes that support a standing body
 
 
 class ContactWeights(NamedTuple):
@@ -68,7 +67,8 @@ def contact_weights(scene: Scene, tree: BodyTree) -> ContactWeights:
     )
     moving = np.flatnonzero(inverse)
     total = s.bar_mass.sum() + s.node_mass.sum() + sum(body.mass for body in s.bodies)
-    return ContactWeights(inverse, total * down / max(min(_STANDING, len(moving)), 1))
+    standing = max(min(3, len(moving)), 1)  # a body stands on three of its nodes
+    return ContactWeights(inverse, total * down / standing)
 
 
 def body_weights(s: Structure, tree: BodyTree) -> dict[int, float]:

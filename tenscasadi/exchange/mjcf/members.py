@@ -11,9 +11,8 @@ import numpy as np
 from tenscasadi.exchange.mjcf.bodies import Bodies, Piece, Site
 from tenscasadi.exchange.mjcf.elements import Element
 from tenscasadi.exchange.mjcf.geoms import Mass
-from tenscasadi.util.validate import ROUNDING, Array
+from tenscasadi.util.validate import FILE_ROUNDING, ROUNDING, Array
 
-CLOSE = 1e-5  # relative to the structure's size: closer points coincide
 _WORLD = 0
 
 
@@ -52,7 +51,9 @@ class PieceEnds:
         points = [site.place for site in bodies.sites.values()]
         rods = [geom.rod for piece in bodies.pieces for geom in piece.geoms if geom.rod]
         points += [end for rod in rods for end in rod.ends]
-        self.close = CLOSE * max(float(np.ptp(points, axis=0).max()) if points else 0.0, 1e-9)
+        self.close = FILE_ROUNDING * max(
+            float(np.ptp(points, axis=0).max()) if points else 0.0, 1e-9
+        )
         self.points: list[list[Array]] = [[] for _ in bodies.pieces]
         self._same: dict[Endpoint, Endpoint] = {}
         self._snaps: set[int] = set()
@@ -316,7 +317,7 @@ class PieceEnds:
                 "has another inertia across one direction than across the other: bars are round"
             )
         squared = 4 * (mean / mass - length**2 / 12)
-        if squared < -CLOSE * length**2:
+        if squared < -FILE_ROUNDING * length**2:
             piece.element.leave_out(
                 f"has an inertia of {mean:.4g} kg m², less than a thin rod between its ends: {mass * length**2 / 12:.4g} kg m²"
             )
@@ -355,7 +356,7 @@ class PieceEnds:
         total = sum(mass.mass for mass in piece.masses)
         if total > 0:
             center = np.sum([mass.mass * mass.center for mass in piece.masses], axis=0) / total
-            if np.linalg.norm(center - self.points[k][0]) > 1e-3 * self.close / CLOSE:
+            if np.linalg.norm(center - self.points[k][0]) > 1e-3 * self.close / FILE_ROUNDING:
                 piece.element.leave_out(
                     "is a point whose mass is elsewhere: give a capsule or a cylinder to make it a bar"
                 )

@@ -15,9 +15,9 @@ import numpy as np
 
 from tenscasadi.exchange.source import Source
 from tenscasadi.schema.reading import SceneFileError
-from tenscasadi.util.validate import MAX_COUNT, Array, format_value
+from tenscasadi.util.validate import LARGEST, MAX_COUNT, Array, format_value
 
-_LARGEST = 1e30  # a mass is a product of four numbers and must stay finite
+_LARGEST = LARGEST**0.25  # a mass is a product of four numbers
 
 
 @dataclass(eq=False)

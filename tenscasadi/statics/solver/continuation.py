@@ -25,7 +25,7 @@ from tenscasadi.statics.solver.motions import neutral_motions, softest_motions
 from tenscasadi.statics.solver.newton_system import NewtonSystem
 from tenscasadi.statics.solver.static_equations import Conditions, StaticPoint
 from tenscasadi.statics.solver.trust_region import allowed_residual
-from tenscasadi.util.validate import ROUNDING, Array
+from tenscasadi.util.validate import ROUNDING, TOLERANCE, Array
 
 LONGEST = 0.1  # longest step, in units of arc length
 SHORTEST = 1e-7
@@ -35,9 +35,6 @@ _EASY = 4  # corrector iterations that leave the step length unchanged
 _FLAT = 10  # rows with equal factors after which a path ends
 _SAME = 1e-5  # fraction of a step within which critical points count as one
 _JUMP = 100.0  # largest distance between two points of a path, relative to their arc length
-# stiffness of a critical motion relative to the largest, and fraction of the load along it below
-# which it is a bifurcation
-_CRITICAL = 1e-6
 
 
 class LoadChange(NamedTuple):
@@ -377,7 +374,7 @@ class Tracer:
         # along motions orthogonal to the load the system is singular at a bifurcation
         _, motions = self._softest(place, high)
         push = self._push(place.point, place.factor)
-        sideways = np.abs(motions.T @ push) <= _CRITICAL * float(np.linalg.norm(push))
+        sideways = np.abs(motions.T @ push) <= TOLERANCE * float(np.linalg.norm(push))
         across = np.hstack(
             [place.neutral, motions[:, sideways & (np.arange(motions.shape[1]) >= low)]]
         )
@@ -413,8 +410,8 @@ class Tracer:
         values, motions = self._softest(place, k + 1)
         push = self._push(place.point, place.factor)
         scale = self.system.stiffness_scale(place.point, place.tension)
-        across = abs(float(motions[:, k] @ push)) <= _CRITICAL * float(np.linalg.norm(push))
-        return across and abs(float(values[k])) <= _CRITICAL * scale
+        across = abs(float(motions[:, k] @ push)) <= TOLERANCE * float(np.linalg.norm(push))
+        return across and abs(float(values[k])) <= TOLERANCE * scale
 
     def _check_continuity(
         self, at: Callable[[float], PathPoint], step: float, reach: float

@@ -17,10 +17,8 @@ from tenscasadi.statics.self_stress import idle_combinations, rigid_body_motions
 from tenscasadi.statics.solver.constrained_eigenproblem import lowest_eigenpairs
 from tenscasadi.statics.solver.newton_system import NewtonFactors, NewtonSystem
 from tenscasadi.statics.solver.static_equations import StaticPoint
-from tenscasadi.util.linear_algebra import null_space
+from tenscasadi.util.linear_algebra import DENSE, null_space
 from tenscasadi.util.validate import NEGLIGIBLE, ROUNDING, Array
-
-DENSE = 600  # free coordinates up to which all motions are computed, by dense matrices
 
 
 def softest_motions(

@@ -20,7 +20,6 @@ from tenscasadi.statics.solver.static_equations import StaticEquations, StaticPo
 from tenscasadi.util.validate import ROUNDING, Array, Indices
 
 COMPLIANCE = 1e-8  # of rigid bars, relative to 1/stiffness: keeps pivots of redundant bars nonzero
-REFINEMENTS = 2  # iterative refinements of a solution, which remove the effect of the compliance
 
 
 class NewtonSystem:
@@ -343,7 +342,8 @@ class NewtonFactors:
             target += self.penalty * (self.matrix[:, bars] @ g)
             target[bars] = g
         x = self.factors.solve(target)
-        for _ in range(REFINEMENTS if self.rigid else 0):
+        # two refinements leave COMPLIANCE² of its effect, less than rounding
+        for _ in range(2 if self.rigid else 0):
             rest = target - self.matrix @ x
             rest[bars] -= self.slack * x[bars]
             x = x + self.factors.solve(rest)

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from tenscasadi.statics.solver.motions import (
-    DENSE,
     find_stable_factors,
     neutral_motions,
     softest_motions,
 )
 from tenscasadi.statics.solver.newton_system import NewtonSystem
 from tenscasadi.statics.solver.static_equations import StaticPoint
+from tenscasadi.util.linear_algebra import DENSE
 from tenscasadi.util.validate import ROUNDING, Array
 
 LOWEST = 20  # motions of large structures that are computed by default

@@ -8,9 +8,9 @@ import numpy as np
 
 from tenscasadi.structure.shapes.family import build_structure, shape
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, Indices, positive_number, whole_number
+from tenscasadi.util.validate import MAX_COUNT, Array, Indices, positive_number, whole_number
 
-_MOST_ITERATIONS = 8  # 4⁸ bars
+_MOST_ITERATIONS = int(np.log(MAX_COUNT) / np.log(4))  # of which each replaces a bar by four
 
 
 @shape

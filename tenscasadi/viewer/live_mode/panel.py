@@ -12,12 +12,12 @@ from tenscasadi.drawing.color_scale import ColorScale
 from tenscasadi.drawing.describe import describe_content
 from tenscasadi.drawing.style import STYLE, linearize_colors
 from tenscasadi.scene.scene import Scene
+from tenscasadi.util.tables import MOST_LISTED
 from tenscasadi.viewer.canvas import Canvas
 from tenscasadi.viewer.controls import ViewControls, add_speed
 from tenscasadi.viewer.live_mode.pace import Pace
 from tenscasadi.viewer.live_mode.simulation import LiveSimulation
 from tenscasadi.viewer.live_mode.sliders import (
-    MOST,
     ParameterSlider,
     Slider,
     build_slider,
@@ -239,7 +239,7 @@ class LivePanel:
         with gui.add_folder(title):
             for slider in sliders:
                 self._add_slider(gui, slider)
-            if self.simulation.model.nu > MOST:
+            if self.simulation.model.nu > MOST_LISTED:
                 self._add_choice(gui)
 
     def _add_parameters(self, gui: viser.GuiApi) -> None:

@@ -7,18 +7,18 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy.constants
 
 from tenscasadi.drawing.view_content import list_names
 from tenscasadi.scene.strings import RestLength
 from tenscasadi.structure.cables import name_inputs, select_first
+from tenscasadi.util.tables import MOST_LISTED
 from tenscasadi.util.validate import Array, as_tuple, format_value, node_index, text
 from tenscasadi.viewer.live_mode.simulation import LiveSimulation
 
-MOST = 12  # sliders; more do not fit the panel
 # Ranges relative to initial rest lengths, to the largest initial force density, and to nominal
 # values: twice the stiffness and half the mass halve the stable step; the step is at most half of it.
 _RANGES = {"rest length": (0.5, 1.5), "force density": (0.0, 3.0), "parameter": (0.5, 2.0)}
-_STANDARD_GRAVITY = 9.81  # m/s²
 
 Groups = Mapping[str, Sequence[int]] | None
 
@@ -92,7 +92,7 @@ def choose_parameter_sliders(simulation: LiveSimulation) -> list[ParameterSlider
         size = float(np.linalg.norm(nominal))
         if quantity == "gravity":
             direction = nominal / size if size else np.array([0.0, 0.0, -1.0])
-            most = _round(2 * (size or _STANDARD_GRAVITY), np.ceil)
+            most = _round(2 * (size or scipy.constants.g), np.ceil)
             unit = tuple(direction.tolist())
             found.append(ParameterSlider("gravity (m/s²)", quantity, unit, 0.0, most))
         elif quantity != "forces" and size:
@@ -179,12 +179,12 @@ def _group_equal(simulation: LiveSimulation) -> dict[str, tuple[int, ...]]:
     """Group strings of equal length and control by name."""
     start, structure = simulation.start_control, simulation.model.scene.structure
     count = len(start)
-    if count <= MOST:
+    if count <= MOST_LISTED:
         return {name: (k,) for k, name in enumerate(_list_names(simulation))}
     lengths = np.bincount(structure.cable_of, weights=structure.string_lengths)
     rows = np.column_stack([values / (np.abs(values).max() or 1.0) for values in (start, lengths)])
     _, kinds = np.unique(np.round(rows, 9), axis=0, return_inverse=True)
-    if kinds.max() >= MOST:
+    if kinds.max() >= MOST_LISTED:
         return {"all": tuple(range(count))}
     groups = [np.flatnonzero(kinds.ravel() == k) for k in dict.fromkeys(kinds.ravel().tolist())]
     return {_name_group(strings): tuple(strings.tolist()) for strings in groups}

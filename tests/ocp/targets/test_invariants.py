@@ -8,8 +8,8 @@ import pytest
 from planning import driven
 
 import tenscasadi as tc
+from ocp.problem.rows import RESOLUTION
 from ocp.targets.invariants import bodies, free_motions, invariants
-from ocp.targets.row_reduction import RANK
 from tenscasadi.util.linear_algebra import null_space
 
 PRISM = tc.shapes.prism()
@@ -98,7 +98,7 @@ def test_invariants_are_all_that_the_strings_cannot_change(name):
     controls = np.random.default_rng(3).uniform(0, 10, size=(intervals, model.nu))
     end, sensitivity = differentiate(model, start, controls, 16)
     A = ca.Function("A", [x], [ca.vertcat(*gradients)])(end).full()
-    free = null_space(A / np.linalg.norm(A, axis=1, keepdims=True), RANK)
+    free = null_space(A / np.linalg.norm(A, axis=1, keepdims=True), RESOLUTION)
     assert free.shape[1] == model.nx - count
     assert (
         np.linalg.matrix_rank(sensitivity, 1e-6 * np.linalg.norm(sensitivity, 2))

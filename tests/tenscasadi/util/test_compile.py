@@ -43,14 +43,14 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def count(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The commands that build a library, as they are run."""
     commands: list[str] = []
-    original = compiled._run
+    original = compiled.run_compiler
 
     def run(command: list[str], *options: Any, **named: Any) -> str:
         if "-shared" in command:
             commands.append(" ".join(command))
         return original(command, *options, **named)
 
-    monkeypatch.setattr(compiled, "_run", run)
+    monkeypatch.setattr(compiled, "run_compiler", run)
     return commands
 
 
@@ -291,17 +291,17 @@ def test_the_cache_has_a_limit(
     monkeypatch.setattr(library_cache, "_LIMIT", limit)
     cache_folder()
     ages = {
-        "newer": 2000,
-        "old": 4000,
+        "newer": 20_000,
+        "old": 40_000,
         "recent": 1,
-        "older": 3000,
+        "older": 30_000,
     }  # what is recent, another process may be loading
     files = {
         name: library(cache, f"{name}-{'a' * 32}{library_cache.SUFFIX}", age, 200_000)
         for name, age in ages.items()
     }
     others = [
-        library(cache, f"lib{name}", 9000, 10**6)
+        library(cache, f"lib{name}", 90_000, 10**6)
         for name in ("-mine", f"-{'g' * 32}{library_cache.SUFFIX}", f"{library_cache.SUFFIX}")
     ]
     f = compile_function(function())
@@ -318,7 +318,7 @@ def test_use_keeps_a_library_in_the_cache(
     compile_function(function("g"))
     (used,) = cache.iterdir()
     os.utime(used, (0, 0))
-    unused = library(cache, f"f-{'0' * 32}{library_cache.SUFFIX}", 1000)
+    unused = library(cache, f"f-{'0' * 32}{library_cache.SUFFIX}", 10_000)
     compile_function(function("g"))
     monkeypatch.setattr(library_cache, "_LIMIT", 50)
     compile_function(function("h"))
@@ -617,7 +617,7 @@ def test_large_constants_do_not_cost_optimisation(
 ) -> None:
     levels: list[str] = []
 
-    original = compiled._run
+    original = compiled.run_compiler
 
     def stop(command: list[str], *options: Any, **named: Any) -> str:
         if "-shared" not in command:
@@ -625,7 +625,7 @@ def test_large_constants_do_not_cost_optimisation(
         levels.extend(flag for flag in command if flag.startswith("-O"))
         raise CompileError("not built")
 
-    monkeypatch.setattr(compiled, "_run", stop)
+    monkeypatch.setattr(compiled, "run_compiler", stop)
     x, a = ca.MX.sym("x", 200_000), ca.SX.sym("a")
     long = a
     for k in range(20_000):

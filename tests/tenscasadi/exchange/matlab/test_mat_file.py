@@ -193,7 +193,7 @@ def nested(depth: int) -> bytes:
             "an element of 4294967288 bytes is cut off",
         ),
         (struct.pack("<II", 14, 2**31), "an element of 2147483648 bytes is cut off"),
-        (nested(2_000), "nested deeper than 200 times"),
+        (nested(2_000), "nested deeper than 100 times"),
         (
             element(15, zlib.compress(bytes(ZEROS), 1)),
             "a compressed variable is cut off, or longer than it says",

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import tenscasadi as tc
+from tenscasadi.util.tables import MOST_LISTED
 from tenscasadi.viewer.live_mode.simulation import LiveOptions, LiveSimulation
 from tenscasadi.viewer.live_mode.sliders import (
-    MOST,
     build_slider,
     choose_parameter_sliders,
     choose_sliders,
@@ -48,7 +48,7 @@ def test_many_strings_that_are_alike_share_one():
         BALL.nodes, BALL.bars, BALL.strings, rest_length=np.linspace(0.4, 0.6, 24)
     )
     sliders = choose_sliders(simulation(unlike))
-    assert len(sliders) == 1 <= MOST
+    assert len(sliders) == 1 <= MOST_LISTED
     assert sliders[0].factor
     assert build_slider(run, 7).strings == (7,)
 
