@@ -41,6 +41,7 @@ def test_each_public_name_is_on_one_page():
         ("ocp.AtRest", "problems"),
         ("ocp.solve", "plans"),
         ("ocp.export_mpc", "feedback"),
+        ("ocp.export_acados", "feedback"),
         ("ocp.load_problem", "files"),
     ],
 )
