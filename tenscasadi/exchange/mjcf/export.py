@@ -95,6 +95,7 @@ def export_mjcf(
       forces on the body. Friction is Coulomb friction with a slip speed. In MuJoCo the slip speed
       refers to the weight on each of three supporting nodes, in `Ground` to the current normal
       force.
+    - Contact of bars becomes pairs of capsules, with the force of `BarContact`.
     - A cable without friction is a spatial tendon through the sites of its nodes.
     - Control by rest lengths becomes a position actuator for each string or cable. Control by force
       densities becomes a general actuator with the gain −length, control by tensions one with the
@@ -134,7 +135,6 @@ def _check_scene(scene: Scene) -> None:
     others = {
         "pressure": "leave it out",
         "forces": "leave them out, and give them to MuJoCo through data.xfrc_applied",
-        "bar_contact": "leave it out",
         "supports": "leave it out, the nodes are pinned where they are",
         "parameters": "leave it out, the file has the values of the structure",
     }

@@ -14,6 +14,7 @@ from tenscasadi.exchange.mjcf.body_tree import (
     Link,
     find_free_directions,
     find_held_directions,
+    inverse_weights,
 )
 from tenscasadi.exchange.mjcf.contact import (
     ContactWeights,
@@ -154,7 +155,7 @@ class MjcfWriter:
         option = _add(
             self.root, "option", timestep=step, integrator="RK4", gravity=gravity, cone="elliptic"
         )
-        if not self.grounds and not self.has_ties:
+        if not self.scene.contact_laws and not self.has_ties:
             _add(option, "flag", contact="disable", constraint="disable")
 
     def _bars(self, world: ET.Element, V: Array) -> None:
@@ -311,13 +312,41 @@ class MjcfWriter:
             self._ball(body, node, here)
 
     def _contacts(self) -> None:
-        if not self.touched:
+        if not self.touched and self.scene.bar_contact is None:
             return
         contact = ET.SubElement(self.root, "contact")
+        self._bar_contacts(contact)
         for k, ground in enumerate(self.grounds):
             for node in list_touching(ground, self.weights.inverse):
                 numbers = contact_numbers(ground, self.weights.inverse[node], self.weights.standing)
                 _add(contact, "pair", geom1=f"ground{k}", geom2=f"n{node}", **numbers)
+
+    def _bar_contacts(self, contact: ET.Element) -> None:
+        """Add the capsules of bars that touch each other, and their pairs."""
+        law, s = self.scene.bar_contact, self.s
+        if law is None:
+            return
+        pairs, inverse = law.select_pairs(s), inverse_weights(s, self.tree)
+        bodies = {body.get("name"): body for body in self.root.iter("body")}
+        for bar in np.unique(pairs).tolist():
+            ends = [self.along[bar, node] for node in s.bars[bar].tolist()]
+            _add(
+                bodies[f"bar{bar}"],
+                "geom",
+                name=f"capsule{bar}",
+                type="capsule",
+                fromto=np.concatenate(ends),
+                size=[max(s.bar_radius[bar], self.sphere * 1e-3)],
+                contype=0,
+                conaffinity=0,
+                mass=0,
+            )
+        for one, other in pairs.tolist():
+            weight = float(inverse[one] + inverse[other])
+            if weight > 0:
+                numbers = contact_numbers(Ground(law.stiffness, law.damping), weight, 0.0)
+                names = {"geom1": f"capsule{one}", "geom2": f"capsule{other}"}
+                _add(contact, "pair", **names, **numbers)
 
     def _strings(self) -> None:
         if not self.tendons:

@@ -92,9 +92,3 @@ def test_scenes_without_fitting_bars_are_rejected():
         tc.Scene(tc.shapes.double_pendulum(), bar_contact=tc.BarContact())
     with pytest.raises(TypeError, match=r"Scene\.bar_contact is 3"):
         tc.Scene(structure(), bar_contact=3)
-
-
-def test_mujoco_export_rejects_bar_contact(tmp_path):
-    scene = tc.Scene(structure(), bar_contact=tc.BarContact())
-    with pytest.raises(ValueError, match=r"Scene\.bar_contact has no counterpart in MJCF"):
-        tc.export_mjcf(scene, tmp_path / "scene.xml")
