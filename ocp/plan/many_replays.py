@@ -1,6 +1,6 @@
 """Batches of replays for the robustness of plans.
 
-Replays are in open loop or under a tracker, by force-density or rest-length control.
+Replays are in open loop or under a tracker, by the planned control or by rest lengths.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ocp.plan.robustness import (
     share_variance,
     vary_model,
 )
-from ocp.problem.control import require_force_densities
+from ocp.problem.control import controls_force_densities
 from ocp.problem.phase import reject_phases
 from ocp.problem.scaling import Scales
 from ocp.results.acceptance import RELIABLE, interpolate_replays, measure_errors
@@ -27,7 +27,7 @@ from ocp.results.rest_length_schedule import compute_rest_lengths
 from ocp.results.result import STEPS
 from ocp.results.spreads import check_variation
 from ocp.targets.find_target import find_target
-from tenscasadi.scene.strings import RestLength, rest_length
+from tenscasadi.scene.strings import RestLength, Tension, rest_length
 from tenscasadi.simulation.inputs.controls import ControlProfile
 from tenscasadi.simulation.inputs.feedback import Feedback
 from tenscasadi.simulation.rollouts import rollouts
@@ -55,16 +55,20 @@ def measure_robustness(
     names = tuple(spreads)
     planned, problem = plan.require_model("robustness"), plan.problem
     reject_phases(() if problem is None else problem.phases, "robustness")
-    require_force_densities(planned, "robustness")
-    elastic = any(name in STRINGS for name in names)
-    model = vary_model(planned, names, RestLength() if elastic else planned.scene.control)
+    own = planned.scene.control
+    elastic = controls_force_densities(planned) and any(name in STRINGS for name in names)
+    if isinstance(own, Tension) and any(name in STRINGS for name in names):
+        raise ValueError(
+            f"parameters is {', '.join(names)}: under {own} tensions do not depend on stiffness or damping, vary others or plan with RestLength()"
+        )
+    model = vary_model(planned, names, RestLength() if elastic else own)
     tracker = (
         None
         if track is None
         else track(plan, decisions=(STEPS if elastic else 1) * (len(plan.time) - 1))
     )
     feedback, step = (
-        _control_rest_lengths(plan, tracker) if elastic else _control_force_densities(plan, tracker)
+        _convert_to_rest_lengths(plan, tracker) if elastic else _control_as_planned(plan, tracker)
     )
     draws = rng.uniform(-1, 1, (samples, len(names)))
     factors = 1 + draws * np.array(list(spreads.values()))
@@ -103,8 +107,8 @@ def measure_robustness(
     )
 
 
-def _control_force_densities(plan: Any, tracker: Any) -> tuple[Feedback | ControlProfile, float]:
-    """Build the force-density control of a replay, and its step.
+def _control_as_planned(plan: Any, tracker: Any) -> tuple[Feedback | ControlProfile, float]:
+    """Build the control of a replay by the planned quantity, and its step.
 
     It is the profile of the plan, or the feedback of its tracker. The step is the longest one [s].
     """
@@ -118,10 +122,10 @@ def _control_force_densities(plan: Any, tracker: Any) -> tuple[Feedback | Contro
             tracker.lower,
             tracker.upper,
         ), longest
-    return ControlProfile(plan.time, plan.force_density, STEPS), float(plan.time[-1])
+    return ControlProfile(plan.time, plan.control, STEPS), float(plan.time[-1])
 
 
-def _control_rest_lengths(plan: Any, tracker: Any) -> tuple[Feedback, float]:
+def _convert_to_rest_lengths(plan: Any, tracker: Any) -> tuple[Feedback, float]:
     """Build the rest-length control of a replay, and its step.
 
     It realizes the force densities of the plan, or of its tracker, at the planned string lengths s.

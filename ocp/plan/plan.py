@@ -282,8 +282,9 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
         ----------
         parameters : mapping of str to float, optional
             Relative spreads of quantities of `tenscasadi.Parameters` by name, at least 0 and less
-            than 1. With ``"stiffness"`` or ``"damping"``, replays are under rest-length control as
-            in `replay_rest_lengths`, because prescribed force densities do not depend on them.
+            than 1. With ``"stiffness"`` or ``"damping"``, replays of plans of force densities are
+            under rest-length control as in `replay_rest_lengths`, because prescribed force
+            densities do not depend on them. Plans of tensions reject both.
         start : float or (float, float)
             Spread of the nodes' coordinates [m], and of their velocities [m/s].
         samples : int

@@ -102,6 +102,26 @@ def test_controllers_for_force_densities_reject_cables():
         ocp.Mpc(problem, period=0.1, intervals=5)
 
 
+@pytest.mark.parametrize("control", [tc.RestLength(), tc.Tension()])
+def test_robustness_replays_the_plan_of_a_cable(control):
+    plan = ocp.solve(lift(hung(control), ocp.TensionLimits(0.5)), ocp.Variational(20))
+    exact = plan.robustness({"node_mass": 1e-9}, samples=2)
+    np.testing.assert_allclose(exact.error, plan.replay_error, rtol=1e-2)
+
+
+def test_masses_on_cables_miss_the_goal_less_under_feedback():
+    plan = ocp.solve(lift(hung(tc.Tension()), ocp.TensionLimits(0.5)), ocp.Variational(20))
+    spread = {"node_mass": 0.05}
+    loose, tracked = (plan.robustness(spread, samples=8, tracked=flag) for flag in (False, True))
+    assert np.median(tracked.error) < 0.5 * np.median(loose.error)
+
+
+def test_robustness_of_tensions_rejects_stiffness():
+    plan = ocp.solve(lift(hung(tc.Tension()), ocp.TensionLimits(0.5)), ocp.Variational(20))
+    with pytest.raises(ValueError, match="tensions do not depend on stiffness or damping"):
+        plan.robustness({"stiffness": 0.1}, samples=2)
+
+
 def test_tracker_of_a_cable_returns_to_the_plan():
     plan = ocp.solve(lift(hung(tc.RestLength()), ocp.TensionLimits(0.5)), ocp.Variational(20))
     tracker = ocp.track(plan)

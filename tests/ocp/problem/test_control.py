@@ -188,5 +188,8 @@ def test_plans_of_rest_lengths_are_not_wound_again(plan):
     for ask in (ocp.is_realizable, ocp.replay_rest_lengths):
         with pytest.raises(ValueError, match="plan has decided rest lengths"):
             ask(plan)
-    with pytest.raises(ValueError, match="robustness is for force densities"):
-        plan.robustness({"bar_mass": 0.01})
+
+
+def test_robustness_replays_a_plan_of_rest_lengths(plan):
+    exact = plan.robustness({"bar_mass": 1e-9, "stiffness": 1e-9}, samples=2)
+    np.testing.assert_allclose(exact.error, plan.replay_error, rtol=0.05, atol=1e-6)
