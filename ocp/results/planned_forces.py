@@ -68,9 +68,10 @@ class PlannedForces(Tabular):
         yield Quantity("force_density", "string {} force density (N/m)", gamma, string)
         yield Quantity("tension", "string {} tension (N)", gamma * self.lengths(), string)
         if not soft:
-            item = "input" if self.structure.cables else "string"
-            rest, column = self.rest_lengths()[rows], f"{item} {{}} rest length (m)"
-            yield Quantity("rest_length", column, rest, (item,))
+            item, column = "string", "string {} rest length (m)"
+            if self.structure.cables:  # whose labels say which are cables
+                item, column = "input", "{} rest length (m)"
+            yield Quantity("rest_length", column, self.rest_lengths()[rows], (item,))
         yield Quantity("position", "node {} {} (m)", self.trajectory.nodes, nodes)
         velocities = self.trajectory.velocities
         yield Quantity("velocity", "node {} velocity {} (m/s)", velocities, nodes)

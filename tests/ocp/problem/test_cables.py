@@ -68,7 +68,7 @@ def test_plan_comes_back_from_its_file(tmp_path):
     np.testing.assert_array_equal(loaded.replay().nodes[-1], plan.replay().nodes[-1])
     assert "cable 0" in str(plan.report()) or plan.report() is not None
     columns = plan.to_csv(tmp_path / "plan.csv").read_text(encoding="utf-8").splitlines()[0]
-    assert "input 1 rest length (m)" in columns
+    assert "cable 0 rest length (m),string 1 rest length (m)" in columns
 
 
 def test_limits_have_one_entry_for_each_cable():
