@@ -10,14 +10,16 @@ import casadi as ca
 import numpy as np
 
 from ocp.control.departures import build_departures
+from ocp.control.formulation import Formulation
 from ocp.control.holding import find_rest
 from ocp.control.mpc_constraints import Horizon, HorizonLimits
+from ocp.control.variational_equation import build_slopes, build_variational
 from ocp.guess.inverse_dynamics import inverse_dynamics
 from ocp.problem.bounds.bound import PathBound, RateBound
 from ocp.problem.control import require_force_densities
 from ocp.problem.goals.periodic import Periodic
 from ocp.problem.goals.waypoints import Waypoint
-from ocp.problem.path_constraints import ScaledRows, scaled_rows
+from ocp.problem.path_constraints import scaled_rows
 from ocp.problem.phase import reject_phases
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
@@ -26,7 +28,6 @@ from ocp.results.result import PlanResult
 from ocp.sampling.horizon_costs import OVERSTEP
 from ocp.solvers.interior_point_qp import solve_qp
 from ocp.targets.find_target import find_target
-from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.util.casadi_tools import ArrayFunction, symbol_kind
 from tenscasadi.util.renamed import rename_keywords
@@ -330,12 +331,12 @@ class Mpc:
     def _horizon(self, state: Any, gamma: Any, earlier: Any, last: Any) -> Horizon:
         """Predict the motion under γ (α, intervals), with its derivatives."""
         (nx, nu), count = (self.model.nx, self.model.nu), self.intervals
-        slopes, h = _build_slopes(self.model), self.period / self._substeps
+        slopes, h = build_slopes(self.model), self.period / self._substeps
         x, effect = state, ca.DM(nx, 0)  # by the γ of intervals so far
         states, effects = [earlier, state], [ca.DM(nx, count * nu)] * 2
         for k in range(count):
             effect = ca.horzcat(effect, ca.DM(nx, nu))
-            step = RungeKutta4().step(_build_variational(slopes, effect.shape[1]))
+            step = RungeKutta4().step(build_variational(slopes, effect.shape[1]))
             for _ in range(self._substeps):
                 z = step(ca.vertcat(x, ca.vec(effect)), gamma[:, k], h)
                 x, effect = z[:nx], ca.reshape(z[nx:], *effect.shape)
@@ -388,59 +389,12 @@ class Mpc:
         )
 
 
-class Formulation(NamedTuple):
-    """Predictive control problem of an `Mpc`.
-
-    Attributes
-    ----------
-    output : casadi.Function
-        Function x → scaled output, whose squares are minimized.
-    reference : casadi.Function
-        Function time → references of the output (·, N) at the ends of the intervals, and of the
-        force densities (α, N) in them [N/m].
-    control_scale : float
-        Scale of departures of force densities [N/m].
-    substeps : int
-        Number of Runge-Kutta steps in each period.
-    limits : list of ScaledRows
-        Limits of functions of one instant, except those of force densities.
-    rates : list of str
-        Names of limited rates.
-    """
-
-    output: ca.Function
-    reference: ca.Function
-    control_scale: float
-    substeps: int
-    limits: list[ScaledRows]
-    rates: list[str]
-
-
 class _MpcDecision(NamedTuple):
     """Time, force densities and state of a decision, or NaN."""
 
     time: float
     force_density: Array
     state: Array
-
-
-def _build_slopes(model: Model) -> ca.Function:
-    """Build the Function (x, u) → ẋ, ∂ẋ/∂x, ∂ẋ/∂u."""
-    kind = symbol_kind(model.ode)
-    x, u = kind.sym("x", model.nx), kind.sym("u", model.nu)
-    rate = model.ode(x, u)
-    outputs = [rate, ca.jacobian(rate, x), ca.jacobian(rate, u)]
-    return ca.Function("slopes", [x, u], outputs, {"cse": True})
-
-
-def _build_variational(slopes: ca.Function, width: int) -> ca.Function:
-    """Build the variational equation; u are the last parameters."""
-    nx, nu = slopes.size1_in(0), slopes.size1_in(1)
-    z, u = ca.MX.sym("z", nx * (1 + width)), ca.MX.sym("u", nu)
-    rate, by_state, by_control = slopes(z[:nx], u)
-    turn = by_state @ ca.reshape(z[nx:], nx, width)
-    turn += ca.horzcat(ca.DM(nx, width - nu), by_control)
-    return ca.Function("variational", [z, u], [ca.vertcat(rate, ca.vec(turn))])
 
 
 def _build_reference(
