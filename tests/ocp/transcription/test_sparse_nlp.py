@@ -80,14 +80,17 @@ def test_rows_are_found_by_kind():
     assert all(name.startswith("dynamics of") for rows in motion for name in built.names[rows])
     beginnings = {
         "path": "tension of",
-        "waypoint": "goal of waypoint 0,",
-        "end": "goal, ",
+        "waypoint": "goal of waypoint 0, combination",
+        "end": "goal, combination",
     }
     for kind, beginning in beginnings.items():
         found = [name for rows in built.rows(kind) for name in built.names[rows]]
         assert found
         assert found == [name for name in built.names if name.startswith(beginning)]
-    kinds = ("stage", "defect", *beginnings)
+    dependent = [name for rows in built.rows("dependent") for name in built.names[rows]]
+    assert dependent
+    assert all(name.startswith(("goal of waypoint 0, AtRest", "goal, ")) for name in dependent)
+    kinds = ("stage", "defect", "dependent", *beginnings)
     assert sum(rows.stop - rows.start for rows in built.rows(*kinds)) == len(built.names)
     assert not built.rows("start", "periodic")
 
