@@ -18,7 +18,7 @@ class Contact(NamedTuple):
 def press(law: Any, contact: Contact, V: Any, touching: Any = None) -> Any:
     """Compute the normal forces k d − c v (1×n) [N], at least 0.
 
-    `law` has stiffness and damping, and V (3×n) [m/s] are velocities of what touches.
+    `law` has stiffness and damping, and V (3×n) [m/s] are relative velocities.
     """
     depth, outward, _ = contact
     push = law.stiffness * depth

@@ -98,7 +98,10 @@ def body_weights(s: Structure, tree: BodyTree) -> dict[int, float]:
 
 
 def _point_velocity(arm: Array) -> Array:
-    """Build the map (3, 6) from the motion of a body to the velocity of a point."""
+    """Build the Jacobian (3, 6) of a point's velocity.
+
+    The arguments are the velocity of the center and the angular velocity.
+    """
     return np.hstack([np.eye(3), -np.cross(np.eye(3), arm)])
 
 

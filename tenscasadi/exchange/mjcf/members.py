@@ -81,9 +81,9 @@ class PieceEnds:
             self._hang(k, piece)
 
     def _list_anchors(self, k: int, piece: Piece, attached: list[Site]) -> list[Array]:
-        """List the points that a joint shares: that of a ball, or two on the axis of a hinge.
+        """List the points that a joint shares.
 
-        The second one is a site on the axis, if there is one.
+        A ball has one, and a hinge two on its axis, the second at a site if there is one.
         """
         if piece.axis is None or piece.anchor is None:
             return [] if piece.anchor is None else [piece.anchor]
