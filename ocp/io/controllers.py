@@ -129,6 +129,8 @@ class MppiOptions(ControllerOptions, kind="Mppi"):
 class TrackOptions(ControllerOptions, kind="Track"):
     """Time-varying LQR along the plan of the problem, see `ocp.track`.
 
+    The run should end with the plan, after which there is nothing to track.
+
     Parameters
     ----------
     decisions : int
