@@ -13,7 +13,6 @@ import scipy.linalg
 from ocp.targets.row_reduction import Reduction
 from tenscasadi.util.validate import TOLERANCE, Array, Indices
 
-DETERMINED = 1e-6  # squared sine to the imposed combinations below which they determine a row
 MAX_RESIDUAL = 5e-3  # largest residual of dependent goal rows, relative to their scale
 StateAt = Callable[[float], Array]  # fraction of the duration → state (nx,), or states (n, nx)
 
@@ -128,7 +127,8 @@ class Target:
         perpendicular to its direction at the target can still rotate.
         """
         basis = np.linalg.qr(self.weights.T)[0][: len(self.names)]
-        return np.flatnonzero(1.0 - (basis * basis).sum(axis=1) > DETERMINED)
+        # the squared sine of a row to the imposed combinations is 0 where they determine it
+        return np.flatnonzero(1.0 - (basis * basis).sum(axis=1) > TOLERANCE)
 
     def measure(self, state_at: StateAt) -> GoalResiduals:
         """Compute the residuals of goals and waypoints.

@@ -7,9 +7,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from tenscasadi.scene.contact_law import Contact
-
-# of the sine² of the angle between two bars, so that parallel bars have closest points
-_PARALLEL = 1e-12
+from tenscasadi.util.validate import ROUNDING
 
 
 class Segments(NamedTuple):
@@ -30,7 +28,8 @@ def find_closest_points(at: Segments) -> tuple[Any, Any]:
     first, second, between = at.b - at.a, at.d - at.c, at.a - at.c
     A, E, B = (ca.sum1(x * y) for x, y in ((first, first), (second, second), (first, second)))
     C, F = ca.sum1(first * between), ca.sum1(second * between)
-    s = _clamp((B * F - C * E) / ((1 + _PARALLEL) * A * E - B * B))
+    # parallel bars, with sine² 0 of the angle between them, have closest points, too
+    s = _clamp((B * F - C * E) / ((1 + ROUNDING) * A * E - B * B))
     t = _clamp((B * s + F) / E)
     return _clamp((B * t - C) / A), t
 
