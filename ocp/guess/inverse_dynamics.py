@@ -28,17 +28,25 @@ if TYPE_CHECKING:
 REFERENCE_WEIGHT = 1e-3
 
 
-def inverse_dynamics(problem: Problem, states: Array, interval: float) -> tuple[Array, float]:
+def inverse_dynamics(
+    problem: Problem, states: Array, interval: float, balanced: tuple[Array, Array] | None = None
+) -> tuple[Array, float]:
     """Find the controls that best reproduce the accelerations of states.
 
-    The states (K + 1, nx) are an interval [s] apart. Returns the controls (K, α), within their
-    limits, and the mean squared error of the accelerations.
+    The states (K + 1, nx) are an interval [s] apart. `balanced` are the force densities that
+    `balance` finds for the first and the last one, if they are known. Returns the controls (K, α),
+    within their limits, and the mean squared error of the accelerations.
 
     Accelerations are linear in γ, which leads to a small bounded least-squares problem in each
     interval. Self-stress does not change accelerations: it follows the equilibrium force densities
     of the first and the last state.
     """
     model = build_force_density_model(problem.model)
+    ends = (
+        (balance(problem, states[0]), balance(problem, states[-1]))
+        if balanced is None
+        else balanced
+    )
     middle = (states[:-1] + states[1:]) / 2
     wanted = np.diff(model.split(states)[1], axis=0) / interval
     lower, upper = problem.force_density_limits
@@ -59,7 +67,7 @@ def inverse_dynamics(problem: Problem, states: Array, interval: float) -> tuple[
     b = np.concatenate(
         [
             (wanted - free) / size,
-            np.sqrt(REFERENCE_WEIGHT) * _interpolate_equilibria(problem, states),
+            np.sqrt(REFERENCE_WEIGHT) * _interpolate(*ends, count),
         ],
         axis=1,
     )
@@ -96,33 +104,31 @@ def _convert_to_controls(problem: Problem, states: Array, force_density: Array) 
     return np.asarray(np.clip(lengths - (tension - c * rates) / k, *problem.control_limits))
 
 
-def _interpolate_equilibria(problem: Problem, states: Array) -> Array:
-    """Interpolate between the equilibrium γ of first and last state.
+def balance(problem: Problem, state: Array) -> Array:
+    """Find the force densities (α,) that balance a state at rest [N/m].
 
-    If a state has no equilibrium within the limits, the lower limits are used. The result (K, α)
-    [N/m] is within the limits.
+    They are within the limits. If there are none, they are the lower limits.
     """
     lower, upper = problem.force_density_limits
     model = problem.model
     structure = model.scene.structure
-    count = len(structure.nodes)
-    ends = []
-    for state in (states[0], states[-1]):
-        try:
-            nodes = model.nodes(state)[:count]
-            shape = (
-                structure
-                if np.array_equal(nodes, structure.nodes)
-                else structure.replace(nodes=nodes)
-            )
-            gamma = equilibrium_force_density(
-                shape, _weights(structure, model.scene.gravity), minimum=0.0
-            )
-        except (EquilibriumError, ValueError):
-            gamma = lower
-        ends.append(lower if np.any(gamma > upper) else np.maximum(gamma, lower))
-    s = (np.arange(len(states) - 1)[:, None] + 0.5) / (len(states) - 1)
-    return np.asarray((1 - s) * ends[0] + s * ends[1])
+    nodes = model.nodes(state)[: len(structure.nodes)]
+    try:
+        shape = (
+            structure if np.array_equal(nodes, structure.nodes) else structure.replace(nodes=nodes)
+        )
+        gamma = equilibrium_force_density(
+            shape, _weights(structure, model.scene.gravity), minimum=0.0
+        )
+    except (EquilibriumError, ValueError):
+        return lower
+    return lower if np.any(gamma > upper) else np.maximum(gamma, lower)
+
+
+def _interpolate(first: Array, last: Array, count: int) -> Array:
+    """Interpolate force densities in the middle of intervals."""
+    s = (np.arange(count)[:, None] + 0.5) / count
+    return np.asarray((1 - s) * first + s * last)
 
 
 def _weights(structure: Structure, gravity: Gravity | None) -> Array | None:

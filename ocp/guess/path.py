@@ -13,7 +13,7 @@ import numpy as np
 import scipy.interpolate
 from scipy.spatial.transform import Rotation
 
-from ocp.guess.inverse_dynamics import inverse_dynamics
+from ocp.guess.inverse_dynamics import balance, inverse_dynamics
 from ocp.problem.problem import Problem
 from ocp.targets.target import Target
 from ocp.transcription.mesh import Guess, project_states
@@ -31,7 +31,9 @@ def make_guess(problem: Problem, target: Target, intervals: int) -> Guess:
     best.
     """
     paths = find_paths(target, problem.model, intervals, problem.typical_duration)
-    guesses = [_follow(problem, target, path) for path in paths]
+    last = target.start if target.state is None else target.state
+    balanced = balance(problem, target.start), balance(problem, last)
+    guesses = [_follow(problem, target, path, balanced) for path in paths]
     return min(guesses, key=lambda pair: pair[1])[0]
 
 
@@ -54,7 +56,12 @@ def stay_at_start(problem: Problem, target: Target, intervals: int) -> Guess:
     return Guess(states, controls, duration)
 
 
-def _follow(problem: Problem, target: Target, positions: Array) -> tuple[Guess, float]:
+def _follow(
+    problem: Problem,
+    target: Target,
+    positions: Array,
+    balanced: tuple[Array, Array] | None = None,
+) -> tuple[Guess, float]:
     """Build the guess along a path, and its acceleration error.
 
     The error is the mean squared error of the accelerations. It is inf if a bar turns by 90° or
@@ -65,7 +72,7 @@ def _follow(problem: Problem, target: Target, positions: Array) -> tuple[Guess, 
     if states is None:
         return stay_at_start(problem, target, len(positions) - 1), np.inf
     interval = duration / (len(states) - 1)
-    controls, error = inverse_dynamics(problem, states, interval)
+    controls, error = inverse_dynamics(problem, states, interval, balanced)
     return Guess(states, controls, duration), error
 
 

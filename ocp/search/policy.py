@@ -24,6 +24,7 @@ from ocp.search.task import Method, PlanningTask
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.condensed_newton.method import NOT_SETTLED
 from ocp.solvers.ipopt import Ipopt
+from ocp.targets.target import Target
 from ocp.transcription.base import Transcription
 from ocp.transcription.mesh import Guess, PiecewiseLinear
 from ocp.transcription.multiple_shooting import MultipleShooting
@@ -91,6 +92,19 @@ class Attempt(NamedTuple):
         return self._replace(transcription=finer, guess=plan)
 
 
+class _EvaluatedGuess(NamedTuple):
+    """Initial guess whose value on some number of intervals is known."""
+
+    origin: InitialGuess
+    known: Guess
+
+    def guess(self, problem: Problem, target: Target, intervals: int) -> Guess:
+        """Compute the guess on equal intervals."""
+        if intervals == len(self.known.force_density):
+            return self.known
+        return self.origin.guess(problem, target, intervals)
+
+
 def attempts(task: PlanningTask, guess: InitialGuess | None) -> Iterator[Attempt]:
     """Yield the attempts at a problem in their order.
 
@@ -102,8 +116,9 @@ def attempts(task: PlanningTask, guess: InitialGuess | None) -> Iterator[Attempt
         return
     # Without noise a symmetric guess is next to a saddle: with it IPOPT alone solves 137 of 138
     # problems without contact.
-    start = InverseDynamics(noise=NOISE) if guess is None else guess
-    first = evaluate_guess(start, problem, task.target, MIN_INTERVALS)
+    default = InverseDynamics(noise=NOISE)
+    first = evaluate_guess(default if guess is None else guess, problem, task.target, MIN_INTERVALS)
+    start = _EvaluatedGuess(default, first) if guess is None else guess
     sampled = model.scene.grounds and not problem.free_start and controls_force_densities(model)
     near = sampled and is_near_ground(problem, first)
     after = FIRST
