@@ -107,7 +107,7 @@ def solve(
     radian of the fastest vibration, at least 30. If nodes may touch a ground, `Sampling` comes
     first. Plans of rest lengths are found in force densities, whose motions elastic vibrations do
     not limit, and converted; if that fails, they are found like other plans. Otherwise
-    `Variational` is corrected to a third of the tolerance, and solved by `Ipopt`, or from nine bars
+    `Variational` is corrected to a third of the tolerance, and solved by `Ipopt`, or from six bars
     on by `CondensedNewton`. If its replay is too inexact, a mesh twice as fine follows; if the
     solver fails, `MultipleShooting`. The message says which method was chosen.
 

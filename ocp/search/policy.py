@@ -37,7 +37,7 @@ MIN_INTERVALS, MAX_INTERVALS = 30, 400
 INTERVALS_PER_RADIAN = 3.0  # intervals per radian of the fastest vibration
 # × √bars: forces accumulate along chains of bars, so that γ exceeds the guess with more bars
 INTERVALS_PER_BAR = 6.0
-CONDENSED_BARS = 9  # number of bars from which the condensed method is faster
+CONDENSED_BARS = 6  # number of bars from which the condensed method is faster
 
 
 class Attempt(NamedTuple):
@@ -134,8 +134,9 @@ def attempts(task: PlanningTask, guess: InitialGuess | None) -> Iterator[Attempt
     accuracy = min(0.3 * task.tolerance, 1e-4 * Scales.of(problem).length)
     shooting = MultipleShooting(count)
     variational = Variational(count, accuracy=accuracy)
-    # Mean CPU time of CondensedNewton and of IPOPT [s]: up to 4 bars 0.36 and 0.21, 5 to 8 bars
-    # 0.81 and 0.79, where IPOPT fails less often, 9 to 12 bars 1.9 and 3.0, above 2.7 and 19.7.
+    # Mean CPU time of CondensedNewton and of IPOPT [s]: up to 4 bars 0.36 and 0.21, 6 to 8 bars
+    # 1.36 and 1.48 (the ball 0.89 and 1.27; towers that stand under their weight, where IPOPT has
+    # to follow, 0.6 more), 9 to 12 bars 1.9 and 3.0, above 2.7 and 19.7.
     few = model.mechanism.bars < CONDENSED_BARS
     solver = Ipopt() if few else CondensedNewton()
     twin = build_force_density_problem(problem)
