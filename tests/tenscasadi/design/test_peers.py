@@ -67,3 +67,24 @@ def test_self_stress_is_that_of_tnsgrt(shape: str) -> None:
     strings = len(s.strings)
     expected = np.concatenate([found[:strings], -found[strings:]])
     np.testing.assert_allclose(density / density[0], expected / expected[0], rtol=1e-6)
+
+
+@tnsgrt
+@pytest.mark.parametrize("shape", ["prism", "six_bar_ball"])
+def test_stiffness_of_elastic_members_is_that_of_tnsgrt(shape: str) -> None:
+    s = tc.shapes.ShapeFamily.members[shape]()
+    s = s.replace(stiffness=1e3, bar_stiffness=5e3)
+    density = tc.self_stress(s)[0] * 20.0
+    density = density * np.sign(density[0])
+    found = tc.stability(s, density)
+    strings = len(s.strings)
+    tension = np.concatenate([density[:strings], -density[strings:]])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        peer = peer_structure(load_tnsgrt(), s)
+        peer.member_properties["lambda_"] = tension
+        peer.member_properties["stiffness"] = np.repeat([1e3, 5e3], [strings, len(s.bars)])
+        K = np.asarray(peer.stiffness(storage="dense")[0].K)
+    values = np.linalg.eigvalsh(K)
+    np.testing.assert_allclose(values[:6], 0.0, atol=1e-8)
+    np.testing.assert_allclose(found.eigenvalues, values[6:], rtol=1e-6)
