@@ -28,6 +28,7 @@ from tenscasadi.scene.parameters import Parameters
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Clip, ForceDensity, Linear, RestLength, Smooth, Tension
 from tenscasadi.scene.supports import SupportMotion
+from tenscasadi.scene.winches import RestLengthRate, Winch
 from tenscasadi.schema.reading import SceneFileError
 from tenscasadi.simulation.declared import Simulation
 from tenscasadi.simulation.inputs.feedback import Feedback
@@ -173,6 +174,8 @@ __all__ = [
     "Scene",
     "ForceDensity",
     "RestLength",
+    "RestLengthRate",
+    "Winch",
     "Tension",
     "Clip",
     "Linear",

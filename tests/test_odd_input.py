@@ -151,6 +151,7 @@ NO_INPUT = {
     "Linear",
     "ForceDensity",
     "RestLength",
+    "RestLengthRate",
     "RungeKutta4",
     "Single",
     "EquilibriumGuess",

@@ -264,7 +264,7 @@ def _check_plant(plant: Any, believed: Model) -> None:
         and np.array_equal(own.fixed, other.fixed)
         and own.rollers == other.rollers
     )
-    if not same or plant.nu != believed.nu or plant.nq != believed.nq:
+    if not same or plant.nu != believed.nu or plant.nq != believed.nq or plant.na != believed.na:
         raise ValueError(
             "model has other nodes, pins or strings than the controller's: give one with the same"
         )
@@ -281,6 +281,6 @@ def _find_start(plant: Model, state: Any) -> Array:
 
 def _observe(believed: Model, plant: Model, x: Array, now: float) -> Array:
     """Convert the plant's state to that of the controller's model."""
-    known = 2 * believed.nq
+    known = believed.moving.stop
     passed = x[known:] if plant.nx > known else np.array([now])
     return np.append(x[:known], passed[: believed.nx - known])

@@ -19,7 +19,7 @@ def build_departures(model: Model, place: float, speed: float) -> ca.Function:
     """
     x = ca.SX.sym("x", model.nx)
     if model.scene.structure.held.any() or model.scene.ground is not None:
-        q, v, _ = model.split(x)
+        q, v, *_ = model.split(x)
     else:
         N = model.nodes(x).T
         bars = {frozenset(bar) for bar in model.structure.bars.tolist()}
@@ -27,6 +27,6 @@ def build_departures(model: Model, place: float, speed: float) -> ca.Function:
             (a, b) for a, b in combinations(range(N.shape[1]), 2) if frozenset((a, b)) not in bars
         ]
         q = column_norms(N[:, [b for _, b in pairs]] - N[:, [a for a, _ in pairs]])
-        v = ca.jtimes(q, x, ca.vertcat(model.split(x)[1], ca.DM.zeros(model.nx - model.nq)))
+        v = ca.jtimes(q, x, ca.vertcat(model.split(x).velocities, ca.DM.zeros(model.nx - model.nq)))
     value = ca.vertcat(q / place, v / speed)
     return ca.Function("departures", [x], [value, ca.jacobian(value, x)], {"cse": True})

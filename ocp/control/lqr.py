@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import casadi as ca
 import numpy as np
@@ -17,6 +17,7 @@ from ocp.problem.control import (
     build_force_density_model,
     controls_force_densities,
     controls_rest_lengths,
+    reject_internal_states,
 )
 from ocp.problem.path_constraints import control_limits
 from ocp.results.result import STEPS, PlanResult
@@ -170,7 +171,7 @@ class Tracker(ReadOnlyArrays):
                 self.gains[k],
             )
         away = state - wanted
-        self.model.split(away)[2][:] = 0.0
+        self.model.split(away).clock[:] = 0.0
         return np.asarray(np.clip(gamma - gain @ away, self.lower, self.upper))
 
 
@@ -239,6 +240,7 @@ def track(
     """
     instance("plan", plan, PlanResult, "an ocp.Plan")
     model, T = plan.require_model("track"), float(plan.time[-1])
+    reject_internal_states(model, "track")
     count = (
         len(plan.time) - 1 if decisions is None else whole_number("decisions", decisions, 1, 10_000)
     )
@@ -253,11 +255,11 @@ def track(
         usual *= float(np.mean(model.scene.structure.string_lengths / stiffness))
     force = usual if control_scale is None else positive_number("control_scale", control_scale)
     known = (0.0, np.inf) if plan.problem is None else plan.problem.control_limits
-    limits = control_limits(model)(
+    limits = cast("type[Any]", control_limits(model))(
         known[0] if lower is None else lower, known[1] if upper is None else upper
     )
     limits.check(model.scene.structure)
-    own = limits.limits(model.scene.structure)
+    own: tuple[Array, Array] = limits.limits(model.scene.structure)
     time = np.linspace(0.0, T, count + 1)
     gamma = profile_at(plan.control, plan.time, (time[:-1] + time[1:]) / 2)
     states = _planned(plan, model, time)

@@ -466,7 +466,7 @@ def _find_goal(problem: Problem, scales: Scales) -> tuple[Array, Array]:
     )
     if rest.state is not None:
         return rest.state, rest.force_density
-    return state, np.asarray(inverse_dynamics(problem, np.array([state, state]), 1.0)[0][0])
+    return state, np.asarray(inverse_dynamics(problem, np.array([state, state]), 1.0)[1][0])
 
 
 def _interpolate(values: Array, nodes: Array, time: Any) -> Any:

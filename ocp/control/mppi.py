@@ -379,4 +379,4 @@ def _read_cost(k: int, cost: Any, model: Model) -> Cost:
 def _find_initial(problem: Problem) -> Array:
     """Find the force densities (α,) that hold the start best."""
     state = at_rest(problem.model, problem.initial_state)
-    return np.asarray(inverse_dynamics(problem, np.array([state, state]), 1.0)[0][0])
+    return np.asarray(inverse_dynamics(problem, np.array([state, state]), 1.0)[1][0])

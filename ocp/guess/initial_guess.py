@@ -10,7 +10,7 @@ import scipy.interpolate
 from numpy.typing import ArrayLike
 
 from ocp.guess.path import follow, make_guess, select_coordinates, stay_at_start
-from ocp.problem.control import controls_rest_lengths
+from ocp.problem.control import has_elastic_strings
 from ocp.problem.problem import Problem
 from ocp.targets.target import Target
 from ocp.transcription.mesh import Guess, profile_at, project_states
@@ -331,7 +331,7 @@ def _with_noise(problem: Problem, guess: Guess, share: float, seed: int) -> Gues
     It differs from string to string, which breaks symmetries. It is at most ``share`` times the
     largest force density or tension. Guesses of rest lengths get none.
     """
-    if controls_rest_lengths(
+    if has_elastic_strings(
         problem.model
     ):  # such relative changes of rest lengths are far from equilibrium
         return guess

@@ -11,7 +11,7 @@ import scipy.optimize
 from ocp.problem.control import (
     build_force_density_model,
     controls_force_densities,
-    controls_rest_lengths,
+    has_elastic_strings,
 )
 from ocp.problem.instant import symbolic
 from tenscasadi.dynamics.linearization import EquationDerivatives
@@ -30,25 +30,27 @@ REFERENCE_WEIGHT = 1e-3
 
 def inverse_dynamics(
     problem: Problem, states: Array, interval: float, balanced: tuple[Array, Array] | None = None
-) -> tuple[Array, float]:
+) -> tuple[Array, Array, float]:
     """Find the controls that best reproduce the accelerations of states.
 
     The states (K + 1, nx) are an interval [s] apart. `balanced` are the force densities that
-    `balance` finds for the first and the last one, if they are known. Returns the controls (K, α),
-    within their limits, and the mean squared error of the accelerations.
+    `balance` finds for the first and the last one, if they are known. Returns the states with
+    internal states that follow from the controls, the controls (K, nu), within their limits, and
+    the mean squared error of the accelerations.
 
     Accelerations are linear in γ, which leads to a small bounded least-squares problem in each
     interval. Self-stress does not change accelerations: it follows the equilibrium force densities
     of the first and the last state.
     """
-    model = build_force_density_model(problem.model)
+    model, parts = build_force_density_model(problem.model), problem.model.split(states)
     ends = (
         (balance(problem, states[0]), balance(problem, states[-1]))
         if balanced is None
         else balanced
     )
-    middle = (states[:-1] + states[1:]) / 2
-    wanted = np.diff(model.split(states)[1], axis=0) / interval
+    moving = np.column_stack([parts.positions, parts.velocities, parts.clock])
+    middle = (moving[:-1] + moving[1:]) / 2
+    wanted = np.diff(parts.velocities, axis=0) / interval
     lower, upper = problem.force_density_limits
     count = len(middle)
     linear = EquationDerivatives.of(model).at(middle, np.zeros((count, model.nu)))
@@ -74,18 +76,38 @@ def inverse_dynamics(
     found = _solve_least_squares(A, b, lower, upper)
     rest = wanted - free - (accelerations @ found[:, :, None])[:, :, 0]
     error = float(np.nan_to_num(np.mean(rest**2), nan=np.inf))
-    if not controls_force_densities(problem.model):
-        found = _convert_to_controls(problem, middle, found)
-    return found, error
+    if controls_force_densities(problem.model):
+        return states, found, error
+    tension, rest = _convert_forces(problem, (states[:-1] + states[1:]) / 2, found)
+    if problem.model.na:
+        return *_wind(problem, states, tension, rest, interval), error
+    control = rest if has_elastic_strings(problem.model) else tension
+    return states, np.clip(control, *problem.control_limits), error
 
 
-def _convert_to_controls(problem: Problem, states: Array, force_density: Array) -> Array:
-    """Convert force densities into tensions or rest lengths.
+def _wind(
+    problem: Problem, states: Array, tension: Array, rest: Array, interval: float
+) -> tuple[Array, Array]:
+    """Compute the inputs (K, nu) that wind up to given rest lengths.
 
-    At states (K, nx), a cable has the mean tension T = Σ s t/Σ s of its strings. The controls
-    (K, nu) are T [N], or the rest lengths Σ s − (T − c Σ ṡ)/k [m]. They are clipped to their
-    limits. Strings keep at least 2 % of the largest force density, as slack ones do not respond to
-    their controls.
+    Tensions [N] and rest lengths [m] are those in the middle of intervals, and the internal states
+    begin at the start. Also return the states (K + 1, nx) with the resulting internal states.
+    """
+    states, control = states.copy(), problem.model.scene.control
+    own = problem.model.split(states).internal
+    nodes = np.vstack([own[:1, : rest.shape[1]], (rest[1:] + rest[:-1]) / 2, rest[-1:]])
+    if control is None:
+        raise TypeError("a scene without control has no internal states")
+    own[1:], inputs = control.follow(nodes, tension, interval, problem.control_limits)
+    return states, inputs
+
+
+def _convert_forces(problem: Problem, states: Array, force_density: Array) -> tuple[Array, Array]:
+    """Convert force densities into tensions and rest lengths.
+
+    At states (K, nx), a cable has the mean tension T = Σ s t/Σ s [N] of its strings. The rest
+    lengths are Σ s − (T − c Σ ṡ)/k [m], clipped to their limits. Both are (K, nu). Strings keep at
+    least 2 % of the largest force density, as slack ones do not respond to their controls.
     """
     structure, now = problem.model.scene.structure, symbolic(problem.model)
     measure = ca.Function(
@@ -99,9 +121,9 @@ def _convert_to_controls(problem: Problem, states: Array, force_density: Array) 
         tension, lengths = (tension * lengths) @ onto / (lengths @ onto), lengths @ onto
         rates = rates @ onto
         k, c = (add_compliances(structure.cable_of, each) for each in (k, c))
-    if not controls_rest_lengths(problem.model):
-        return np.asarray(np.clip(tension, *problem.control_limits))
-    return np.asarray(np.clip(lengths - (tension - c * rates) / k, *problem.control_limits))
+    if not has_elastic_strings(problem.model):
+        return tension, lengths
+    return tension, np.clip(lengths - (tension - c * rates) / k, *problem.rest_length_limits)
 
 
 def balance(problem: Problem, state: Array) -> Array:

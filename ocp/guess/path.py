@@ -50,9 +50,9 @@ def stay_at_start(problem: Problem, target: Target, intervals: int) -> Guess:
     """Build the guess that stays at the start, balanced by its controls."""
     duration = problem.typical_duration
     states = np.repeat(target.start[None], intervals + 1, axis=0)
-    _, _, clock = problem.model.split(states)
+    clock = problem.model.split(states).clock
     clock += np.linspace(0.0, duration, intervals + 1)[:, None][:, : clock.shape[1]]
-    controls, _ = inverse_dynamics(problem, states, duration / intervals)
+    states, controls, _ = inverse_dynamics(problem, states, duration / intervals)
     return Guess(states, controls, duration)
 
 
@@ -72,7 +72,7 @@ def _follow(
     if states is None:
         return stay_at_start(problem, target, len(positions) - 1), np.inf
     interval = duration / (len(states) - 1)
-    controls, error = inverse_dynamics(problem, states, interval, balanced)
+    states, controls, error = inverse_dynamics(problem, states, interval, balanced)
     return Guess(states, controls, duration), error
 
 
@@ -116,12 +116,12 @@ def find_paths(target: Target, model: Model, intervals: int, duration: float) ->
     structure or its bars rotate far.
     """
     start, end = target.start, target.start if target.state is None else target.state
-    (q0, v0, _), (q1, v1, _) = model.split(start), model.split(end)
+    (q0, v0, *_), (q1, v1, *_) = model.split(start), model.split(end)
     waypoints = [
         (one.share, one.target.state) for one in target.waypoints if one.target.state is not None
     ]
     if waypoints:
-        places = [q0, *(model.split(state)[0] for _, state in waypoints), q1]
+        places = [q0, *(model.split(state).positions for _, state in waypoints), q1]
         rates = [(1, duration * v) for v in (v0, v1)]
         spline = scipy.interpolate.CubicSpline(
             [0.0, *(share for share, _ in waypoints), 1.0], places, bc_type=tuple(rates)
@@ -259,16 +259,19 @@ def _add_velocities(problem: Problem, target: Target, q: Array, duration: float)
     model, intervals = problem.model, len(q) - 1
     start = target.start
     clock = (
-        model.split(start)[2]
-        + np.linspace(0.0, duration, intervals + 1)[:, None][:, : model.nx - 2 * model.nq]
+        model.split(start).clock
+        + np.linspace(0.0, duration, intervals + 1)[:, None][:, : int(model.has_clock)]
     )
-    q, _, _ = model.split(project_states(model, np.column_stack([q, np.zeros_like(q), clock]), 10))
+    own = np.tile(model.split(start).internal, (intervals + 1, 1))
+    resting = np.column_stack([q, np.zeros_like(q), own, clock])
+    q, *_ = model.split(project_states(model, resting, 10))
     v = np.empty_like(q)
     v[0], v[-1] = (
-        model.split(state)[1] for state in (start, start if target.state is None else target.state)
+        model.split(state).velocities
+        for state in (start, start if target.state is None else target.state)
     )
     v[1:-1] = (q[2:] - q[:-2]) * (intervals / (2 * duration))
-    states = project_states(model, np.column_stack([q, v, clock]), 10)
+    states = project_states(model, np.column_stack([q, v, own, clock]), 10)
     states[0] = start
     if target.state is not None:
         states[-1] = target.state

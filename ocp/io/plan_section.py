@@ -27,8 +27,9 @@ from tenscasadi.dynamics.coordinates import choose_coordinates
 from tenscasadi.dynamics.model import Model
 from tenscasadi.io.json_schema import scene_schema
 from tenscasadi.io.structure_section import OfStructure
+from tenscasadi.scene.control import Control
 from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.strings import Control, ForceDensity
+from tenscasadi.scene.strings import ForceDensity
 from tenscasadi.schema.containers import Either, TableOf
 from tenscasadi.schema.definitions import OneOf, definition
 from tenscasadi.schema.field_types import PER_ITEM, STATE, Word

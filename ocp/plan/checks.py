@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ocp.problem.control import controls_force_densities, controls_rest_lengths
+from ocp.problem.control import OTHER_CONTROLS, control_field
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.cables import name_inputs
 from tenscasadi.util.validate import LARGEST
@@ -26,7 +26,7 @@ def check_plan(given: Mapping[str, Any]) -> None:
     intervals, strings = len(trajectory.time) - 1, len(structure.strings)
     rows = intervals + (len(given["force_density"]) == intervals + 1)
     shapes = {"time": (intervals + 1,), "force_density": (rows, strings)}
-    for name in ("rest_length", "input_tension"):
+    for name in OTHER_CONTROLS:
         if given.get(name) is not None:
             shapes[name] = (rows, len(name_inputs(structure)))
     for name, shape in shapes.items():
@@ -39,9 +39,8 @@ def check_plan(given: Mapping[str, Any]) -> None:
     _check_numbers(given, trajectory)
     if model is None:  # The scene may subdivide strings, so that counts cannot be checked.
         return
-    by_length, by_force = controls_rest_lengths(model), controls_force_densities(model)
-    for name, own in (("rest_length", by_length), ("input_tension", not (by_length or by_force))):
-        if own is (given.get(name) is None):
+    for name in OTHER_CONTROLS:
+        if (control_field(model) == name) is (given.get(name) is None):
             raise ValueError(f"field {name!r} does not fit the model's control")
     for name in ("bars", "strings"):
         if not np.array_equal(getattr(trajectory, name), getattr(model.structure, name)):

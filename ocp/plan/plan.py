@@ -93,6 +93,11 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
     input_tension : ndarray, shape (K, nu) or (K + 1, nu), or None
         Tensions [N] of cables and lone strings under tension control (``control=Tension()``). None
         under other controls.
+    rest_length_rate : ndarray, shape (K, nu) or (K + 1, nu), or None
+        Rest-length rates [m/s] of cables and lone strings under ``control=RestLengthRate()``; None
+        under other controls. `rest_lengths` returns the resulting rest lengths.
+    motor_torque : ndarray, shape (K, nu) or (K + 1, nu), or None
+        Motor torques [N m] under ``control=Winch(...)``; None under other controls.
 
     Examples
     --------

@@ -10,6 +10,14 @@ import numpy as np
 from tenscasadi.scene.strings import ForceDensity, Linear, RestLength
 from tenscasadi.util.troubleshooting import add_address
 
+_FIELDS = {
+    "RestLength": "rest_length",
+    "Tension": "input_tension",
+    "RestLengthRate": "rest_length_rate",
+    "Winch": "motor_torque",
+}
+OTHER_CONTROLS = tuple(_FIELDS.values())  # fields of plans besides force_density
+
 if TYPE_CHECKING:
     from tenscasadi.dynamics.model import Model
 
@@ -22,6 +30,16 @@ def controls_force_densities(model: Model) -> bool:
 def controls_rest_lengths(model: Model) -> bool:
     """Return whether the model is controlled by rest lengths."""
     return isinstance(model.scene.control, RestLength)
+
+
+def has_elastic_strings(model: Model) -> bool:
+    """Return whether forces follow from rest lengths by the string law."""
+    return not model.scene.commands_forces
+
+
+def control_field(model: Model) -> str:
+    """Return the field of a plan that holds its control."""
+    return _FIELDS.get(type(model.scene.control).__name__, "force_density")
 
 
 def control_name(model: Model) -> str:
@@ -55,7 +73,7 @@ def build_smooth_model(model: Model) -> Model:
     The force densities of a nonlinear program are limited to γ ≥ 0, which makes the nonsmooth slack
     law unnecessary.
     """
-    smooth = not controls_rest_lengths(model) or model.scene.slack == Linear()
+    smooth = not has_elastic_strings(model) or model.scene.slack == Linear()
     return model if smooth else _change(model, slack=Linear())
 
 
@@ -79,12 +97,30 @@ def check_control(model: Model) -> None:
             )
         )
     limp = np.flatnonzero(model.scene.structure.stiffness == 0)
-    if controls_rest_lengths(model) and limp.size:
+    if has_elastic_strings(model) and limp.size:
         raise ValueError(
             f"Problem.model has string {limp[0]} without stiffness, which no rest length pulls: give Structure(stiffness=...)"
         )
     if model.nu == 0:
         raise ValueError("Problem.model has no strings: there is nothing to plan")
+
+
+def reject_coupled_rates(model: Model, user: str) -> None:
+    """Raise ValueError if rates of internal states depend on the state."""
+    if model.has_coupled_rates:
+        raise ValueError(
+            f"{user} takes no model with control={type(model.scene.control).__name__}(...): "
+            "give MultipleShooting() or DirectCollocation()"
+        )
+
+
+def reject_internal_states(model: Model, user: str) -> None:
+    """Raise ValueError if the model has internal states."""
+    if model.na:
+        raise ValueError(
+            f"{user} takes no model with control={model.scene.control}: "
+            "give a model of Scene(..., control=RestLength())"
+        )
 
 
 def require_force_densities(model: Model, user: str) -> None:

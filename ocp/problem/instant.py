@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
-from ocp.problem.control import controls_force_densities, controls_rest_lengths
+from ocp.problem.control import controls_force_densities, has_elastic_strings
 from tenscasadi.dynamics.body_motion import body_frame
 from tenscasadi.util.casadi_tools import column_norms, sparse
 from tenscasadi.util.validate import Array, Indices, nonnegative, per_item
@@ -175,7 +175,7 @@ class Instant:
         """Compute the rest lengths that give the force densities.
 
         They are ρ = s (1 − γ/k), summed over the segments of a string and the strings of a cable.
-        Under rest-length control, they are the control itself.
+        Under rest-length control, they are the control itself, or states.
 
         Parameters
         ----------
@@ -192,8 +192,9 @@ class Instant:
         TypeError, ValueError
             If the stiffness is not one positive number for each string.
         """
-        if controls_rest_lengths(self.model):
-            return self.control
+        control = self.model.scene.control
+        if control is not None and has_elastic_strings(self.model):
+            return control.command(self.control, self.model.split(self.state).internal)
         s = self.model.structure
         along = column_norms(self._across(self.model.nodes(self.state).T, s.strings))
         given = per_item("stiffness", stiffness, len(self.model.scene.structure.strings))

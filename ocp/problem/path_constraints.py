@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
@@ -17,31 +17,36 @@ from ocp.problem.bounds.bound import Bound, PathBound, PathConstraint, RateBound
 from ocp.problem.bounds.string_bounds import (
     ForceDensityLimits,
     RestLengthLimits,
-    StringLimits,
+    RestLengthRateLimits,
     TensionLimits,
 )
 from ocp.problem.constraints import build_constraint
-from ocp.problem.control import controls_force_densities, controls_rest_lengths
+from ocp.problem.control import controls_force_densities, has_elastic_strings
 from ocp.problem.instant import symbolic
 from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.strings import ForceDensity, RestLength, Tension
-from tenscasadi.structure.cables import select_first
+from tenscasadi.scene.winches import RestLengthRate, Winch
+from tenscasadi.structure.cables import name_inputs, select_first
 from tenscasadi.util.validate import Array
 
 if TYPE_CHECKING:
     from ocp.problem.problem import Problem
     from ocp.problem.scaling import Scales
 
-_LIMITS: dict[type, type[StringLimits]] = {
+_LIMITS: dict[type, type[Any]] = {
     ForceDensity: ForceDensityLimits,
     Tension: TensionLimits,
     RestLength: RestLengthLimits,
+    RestLengthRate: RestLengthRateLimits,
 }
 
 
-def control_limits(model: Model) -> type[StringLimits]:
-    """Return the limits of a model's control, which are bounds on decision variables."""
-    return _LIMITS[type(model.scene.control)]
+def control_limits(model: Model) -> type[Any] | tuple[()]:
+    """Return the limits of a model's control, which are bounds on decision variables.
+
+    None are bounds of a problem if they belong to the control, as those of winches do.
+    """
+    return _LIMITS.get(type(model.scene.control), ())
 
 
 def path_constraints(
@@ -57,7 +62,7 @@ def path_constraints(
     times = Counter(name for one in found.values() for name in set(one.names))
     own = []
     if kind is PathBound and not controls_force_densities(problem.model):
-        own = _limit_force_densities(problem)
+        own = _limit_force_densities(problem) + _limit_internal_states(problem)
     for k, one in found.items():
         names = tuple(f"{name} (bounds[{k}])" if times[name] > 1 else name for name in one.names)
         own += [replace(one, names=names)] if names else []
@@ -89,7 +94,7 @@ def _limit_force_densities(problem: Problem) -> list[PathConstraint]:
     """
     now, (lower, upper) = symbolic(problem.model), problem.force_density_limits
     own = (lower > 0) | np.isfinite(upper)
-    if controls_rest_lengths(problem.model):
+    if has_elastic_strings(problem.model):
         own[select_first(problem.model.scene.structure.cable_of)] = True
     which = np.flatnonzero(own)
     if not which.size:
@@ -98,6 +103,26 @@ def _limit_force_densities(problem: Problem) -> list[PathConstraint]:
     value = now.force_density if own.all() else now.force_density[which.tolist()]
     limits = lower[which], upper[which]
     return [PathConstraint(value, *limits, names, "N/m", now.symbols, PathBound.ends)]
+
+
+def _limit_internal_states(problem: Problem) -> list[PathConstraint]:
+    """Build the limits of rest lengths and winding speeds that are states."""
+    if not problem.model.na:
+        return []
+    now, scene = symbolic(problem.model), problem.model.scene
+    inputs, least = name_inputs(scene.structure), problem.rest_length_limits[0]
+    value, none = now.rest_lengths(scene.structure.stiffness), np.full(len(inputs), np.inf)
+    names = tuple(f"rest length of {name}" for name in inputs)
+    own = [PathConstraint(value, least, none, names, "m", now.symbols, PathBound.ends)]
+    largest = none
+    if isinstance(scene.control, Winch):
+        largest = scene.control.limits("speed", len(inputs))
+    which = np.flatnonzero(np.isfinite(largest)).tolist()
+    if which:
+        speed = problem.model.split(now.state).internal[len(inputs) :][which]
+        names, largest = tuple(f"winding speed of {inputs[k]}" for k in which), largest[which]
+        own.append(PathConstraint(speed, -largest, largest, names, "", now.symbols, PathBound.ends))
+    return own
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,14 +15,20 @@ from ocp.problem.bounds.string_bounds import (
     RestLengthLimits,
     StringLimits,
     TensionLimits,
+    combine_rates,
 )
-from ocp.problem.control import controls_force_densities, controls_rest_lengths
+from ocp.problem.control import (
+    controls_force_densities,
+    controls_rest_lengths,
+    has_elastic_strings,
+)
 from ocp.problem.costs import Cost
 from ocp.problem.goals.goal import Goal
 from ocp.problem.phase import Phase
 from ocp.problem.reading import limits_of
 from ocp.problem.resolved import fraction_of, resolve, string_limits
 from ocp.problem.start import FreeStart
+from tenscasadi.scene.winches import Winch
 from tenscasadi.schema.value import Value
 from tenscasadi.util.renamed import RenamedAttribute
 from tenscasadi.util.validate import NEGLIGIBLE, Array
@@ -264,14 +270,29 @@ class Problem(Value, kind="Problem"):
     def control_limits(self) -> tuple[Array, Array]:
         """Lower and upper limits (nu,) of the control.
 
-        They limit force densities [N/m], tensions [N], or rest lengths [m]. Lower limits of rest
-        lengths are at least 10⁻³ of the string lengths.
+        They limit force densities [N/m], tensions [N], rest lengths [m], their rates [m/s], or motor
+        torques [N m].
         """
         if controls_force_densities(self.model):
             return self.force_density_limits
-        if not controls_rest_lengths(self.model):
-            lower, upper = self.limits(TensionLimits)
-            return np.maximum(lower, 0.0), upper
+        if controls_rest_lengths(self.model):
+            return self.rest_length_limits
+        control = self.model.scene.control
+        if isinstance(control, Winch):
+            largest = control.limits("torque", self.model.nu)
+            return -largest, largest
+        if has_elastic_strings(self.model):
+            largest = combine_rates(self.model.scene.structure, self.bounds)
+            return -largest, largest
+        lower, upper = self.limits(TensionLimits)
+        return np.maximum(lower, 0.0), upper
+
+    @property
+    def rest_length_limits(self) -> tuple[Array, Array]:
+        """Lower and upper limits (nu,) of rest lengths [m].
+
+        Lower limits are at least 10⁻³ of the string lengths.
+        """
         lower, upper = self.limits(RestLengthLimits)
         s = self.model.scene.structure
         return np.maximum(lower, 1e-3 * np.bincount(s.cable_of, weights=s.string_lengths)), upper

@@ -8,10 +8,16 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 
-from ocp.problem.control import controls_force_densities, controls_rest_lengths
+from ocp.problem.control import (
+    controls_force_densities,
+    controls_rest_lengths,
+    has_elastic_strings,
+)
 from ocp.problem.costs import cost_terms
 from ocp.problem.instant import symbolic
-from tenscasadi.util.validate import Array
+from tenscasadi.scene.internal_states import join_scales
+from tenscasadi.scene.winches import Winch
+from tenscasadi.util.validate import Array, per_item
 
 if TYPE_CHECKING:
     from ocp.problem.problem import Problem
@@ -53,7 +59,8 @@ class Scales:
         parts = [
             np.full(model.nq, length),
             np.full(model.nq, length / time),
-            np.full(model.nx - 2 * model.nq, time),
+            join_scales(model.scene.internal_states),
+            np.full(int(model.has_clock), time),
         ]
         return Scales(length, time, float(model.mechanism.M.sum()), np.concatenate(parts))
 
@@ -76,16 +83,23 @@ def control_scale(problem: Problem, strength: float) -> Array:
 
     It is a typical force density ``strength`` [N/m], or the tension [N] of a string that has it.
     Under rest-length control, it is the change of rest lengths [m] that causes it, at most the
-    string lengths.
+    string lengths; under their rates, that change in the duration [m/s]. Torques of winches hold the
+    typical tension.
     """
     structure = problem.model.scene.structure
     if controls_force_densities(problem.model):
         return np.full(len(structure.strings), strength)
     of = structure.cable_of
-    if not controls_rest_lengths(problem.model):
+    if not has_elastic_strings(problem.model):
         return strength * np.bincount(of, weights=structure.string_lengths) / np.bincount(of)
+    control = problem.model.scene.control
+    if isinstance(control, Winch):
+        tension = strength * np.bincount(of, weights=structure.string_lengths) / np.bincount(of)
+        return np.asarray(per_item("Winch.radius", control.radius, len(tension)) * tension)
     change = structure.string_lengths * np.minimum(strength / structure.stiffness, 1.0)
-    return np.asarray(np.bincount(of, weights=change))
+    return np.asarray(np.bincount(of, weights=change)) / (
+        1.0 if controls_rest_lengths(problem.model) else problem.typical_duration
+    )
 
 
 def typical_cost(

@@ -8,6 +8,7 @@ from ocp.transcription.mesh import profile_at
 from tenscasadi.dynamics.linear_steps import linear_steps
 from tenscasadi.dynamics.linearization import tangents
 from tenscasadi.dynamics.model import Model
+from tenscasadi.scene.internal_states import join_scales
 from tenscasadi.util.validate import Array
 
 # growth above which a motion counts as unstable; vibration and drift alone cause factors near ten
@@ -23,7 +24,7 @@ def measure_error_growth(model: Model, time: Array, states: Array, force_density
 
     It is the largest singular value of the state-transition matrix of the motion, restricted to
     changes of the initial state that bars and joints permit. Positions count in m, velocities in m
-    per duration. The matrix is the product of the `linear_steps`.
+    per duration, internal states in their scale per size of the structure. The matrix is the product of the `linear_steps`.
 
     Parameters
     ----------
@@ -48,8 +49,10 @@ def measure_error_growth(model: Model, time: Array, states: Array, force_density
     lengths = np.diff(time[nodes])
     gamma = profile_at(force_density, time, time[nodes[:-1]] + lengths / 2)
     T = float(time[-1] - time[0])
+    length = float(np.linalg.norm(np.ptp(model.structure.nodes, axis=0))) or 1.0
+    own = length / join_scales(model.scene.internal_states)
     scale = np.concatenate(
-        [np.ones(model.nq), np.full(model.nq, T), np.ones(model.nx - 2 * model.nq)]
+        [np.ones(model.nq), np.full(model.nq, T), own, np.ones(int(model.has_clock))]
     )
     Q, _ = np.linalg.qr(scale[:, None] * tangents(model, states[0]))
     with np.errstate(all="ignore"):

@@ -29,6 +29,8 @@ class PlannedForces(Tabular):
     force_density: Array
     rest_length: Array | None
     input_tension: Array | None
+    rest_length_rate: Array | None
+    motor_torque: Array | None
     trajectory: Trajectory
     structure: Structure
 
@@ -43,11 +45,11 @@ class PlannedForces(Tabular):
     def control(self) -> Array:
         """Control values (K, nu) or (K + 1, nu).
 
-        They are force densities [N/m] of strings, or rest lengths [m] or tensions [N] of cables and
-        lone strings.
+        They are force densities [N/m] of strings, or rest lengths [m], their rates [m/s], motor
+        torques [N m] or tensions [N] of cables and lone strings.
         """
-        given = self.rest_length if self.input_tension is None else self.input_tension
-        return self.force_density if given is None else given
+        given = self.rest_length, self.rest_length_rate, self.motor_torque, self.input_tension
+        return next((values for values in given if values is not None), self.force_density)
 
     @property
     def linear(self) -> bool:
@@ -133,7 +135,8 @@ class PlannedForces(Tabular):
     def rest_lengths(self, stiffness: ArrayLike | None = None) -> Array:
         """Compute the rest lengths that produce the planned force densities.
 
-        A plan under rest-length control returns its control if no stiffness is given. Otherwise the
+        A plan under rest-length control returns its control if no stiffness is given, and one of
+        winches its states. Otherwise the
         rest lengths are s (1 − γ/k) for elastic strings of length s, without damping (Eq. 99). That
         of a cable is the sum over its strings.
 
@@ -155,6 +158,9 @@ class PlannedForces(Tabular):
         """
         if self.rest_length is not None and stiffness is None:
             return np.asarray(self.rest_length)
+        known = self.trajectory.internal_states
+        if known and stiffness is None:
+            return known["rest length"][: len(self.force_density)]
         k = per_item(
             "stiffness",
             self.structure.stiffness if stiffness is None else stiffness,

@@ -183,5 +183,5 @@ def defects(model: Model, time: Array, states: Array, force_density: Array) -> A
     if model.mechanism.constrained:
         now = build_projection(model, 3).map(count)(now)
     gap = np.asarray(now.full()).T - states[1:]
-    places, speeds, _ = model.split(np.abs(gap))
+    places, speeds, *_ = model.split(np.abs(gap))
     return np.asarray(np.maximum(places.max(axis=1), speeds.max(axis=1) * float(time[-1])))

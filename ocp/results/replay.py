@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ocp.problem.control import controls_rest_lengths
+from ocp.problem.control import has_elastic_strings
 from ocp.results.result import STEPS, PlanResult
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.collocation import Collocation
@@ -35,7 +35,7 @@ def replay_open(
     start, intervals, end = plan.trajectory.states[0], np.diff(plan.time), float(plan.time[-1])
     each, judged = STEPS, True
     if scheme is None:
-        scheme, judged = RungeKutta4(), not controls_rest_lengths(model)
+        scheme, judged = RungeKutta4(), not has_elastic_strings(model)
         largest = float(intervals.max()) / STEPS if size is None else size
         if not judged and find_limit(model, scheme) < largest:
             scheme, each = Collocation(2, "radau"), STIFF_STEPS

@@ -57,6 +57,8 @@ class PlanResult(PlannedForces, Stored):
     tracked: bool = False
     rest_length: Annotated[Array | None, "ki", "f"] = None
     input_tension: Annotated[Array | None, "ki", "f"] = None
+    rest_length_rate: Annotated[Array | None, "ki", "f"] = None
+    motor_torque: Annotated[Array | None, "ki", "f"] = None
     start_objectives: Annotated[Array | None, "n", "f"] = None
     open_loop_error: float = np.nan
 

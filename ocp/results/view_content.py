@@ -13,12 +13,14 @@ from ocp.problem.bounds.string_bounds import (
     RestLengthLimits,
     StringLimits,
     TensionLimits,
+    combine_rates,
 )
 from ocp.problem.goals.goal import soft_goals
 from ocp.problem.goals.node_goals import NodePositions
 from ocp.problem.goals.waypoints import Waypoint
 from tenscasadi.drawing.describe import describe_trajectory
 from tenscasadi.drawing.view_content import Chart, Motion, ViewContent, list_names
+from tenscasadi.structure.cables import name_inputs
 from tenscasadi.util.validate import Array
 
 
@@ -97,6 +99,16 @@ def _build_charts(plan: Any, replay: Any, bounds: list[Any]) -> Iterator[Chart]:
 
     if plan.rest_length is not None:
         yield chart("rest length", "m", plan.time, plan.rest_length, RestLengthLimits)
+    names = tuple(name_inputs(plan.structure))
+    if plan.rest_length_rate is not None:
+        largest = combine_rates(plan.structure, bounds)
+        rates = plan.rest_length_rate
+        yield Chart("rest-length rate", "m/s", plan.time, rates, names, -largest, largest)
+    if plan.motor_torque is not None:
+        largest = plan.trajectory.scene.control.limits("torque", len(names))
+        yield Chart("motor torque", "N m", plan.time, plan.motor_torque, names, -largest, largest)
+    if plan.trajectory.internal_states:
+        yield chart("rest length", "m", plan.time, plan.rest_lengths(), RestLengthLimits)
     if plan.input_tension is not None:
         yield chart("tension", "N", plan.time, plan.input_tension, TensionLimits)
     yield chart("force density", "N/m", plan.time, plan.force_density, ForceDensityLimits)

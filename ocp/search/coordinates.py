@@ -117,9 +117,10 @@ class _Seen(Instant):
 
     def __init__(self, model: Model, now: Instant) -> None:
         N, V, clock = now.model.unpack(now.state)
+        own = now.model.split(now.state).internal
         columns = model.mechanism.physical.tolist()
         super().__init__(
-            model, model.pack(N[:, columns], V[:, columns], clock), now.control, now.time
+            model, model.pack(N[:, columns], V[:, columns], own, clock), now.control, now.time
         )
         self._now = now
 
@@ -156,7 +157,7 @@ def _lower(full: Model, reduced: Model, states: Array) -> Array:
         values(states).reshape(*states.shape[:-1], -1) for values in (full.nodes, full.velocities)
     )
     return np.concatenate(
-        [*(mech.local(flat)[..., mech.free_index] for flat in parts), full.split(states)[2]],
+        [*(mech.local(flat)[..., mech.free_index] for flat in parts), *full.split(states)[2:]],
         axis=-1,
     )
 
@@ -169,6 +170,9 @@ def _lifted(twin: ReducedCoordinates, states: Array) -> Array:
         for values in (reduced.nodes, reduced.velocities)
     )
     return np.concatenate(
-        [*(columns.reshape(*states.shape[:-1], -1) for columns in parts), reduced.split(states)[2]],
+        [
+            *(columns.reshape(*states.shape[:-1], -1) for columns in parts),
+            *reduced.split(states)[2:],
+        ],
         axis=-1,
     )

@@ -14,7 +14,7 @@ import numpy as np
 
 from ocp.control.lqr import replay_tracked
 from ocp.guess.initial_guess import InitialGuess
-from ocp.problem.control import controls_force_densities, controls_rest_lengths
+from ocp.problem.control import control_field
 from ocp.problem.instant import forces_of
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
@@ -207,8 +207,7 @@ def _record(task: PlanningTask, attempt: Attempt, found: Outcome) -> PlanResult:
     motion = _record_motion(problem, mesh, found)
     control, model = found.force_density, problem.model
     forces = forces_of(model, motion.states[: len(control)], control)
-    by_length = controls_rest_lengths(model)
-    by_tension = not by_length and not controls_force_densities(model)
+    field = control_field(model)
     return PlanResult(
         success=False,
         status=found.status,
@@ -228,8 +227,10 @@ def _record(task: PlanningTask, attempt: Attempt, found: Outcome) -> PlanResult:
         transcription=transcription,
         solver=attempt.solver,
         not_restored="",
-        rest_length=control if by_length else None,
-        input_tension=control if by_tension else None,
+        rest_length=control if field == "rest_length" else None,
+        input_tension=control if field == "input_tension" else None,
+        rest_length_rate=control if field == "rest_length_rate" else None,
+        motor_torque=control if field == "motor_torque" else None,
     )
 
 

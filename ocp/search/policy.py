@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from ocp.guess.initial_guess import NOISE, InitialGuess, InverseDynamics, evaluate_guess
-from ocp.problem.control import controls_force_densities, controls_rest_lengths
+from ocp.problem.control import controls_force_densities, has_elastic_strings
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.results.result import PlanResult
@@ -149,6 +149,10 @@ def attempts(task: PlanningTask, guess: InitialGuess | None) -> Iterator[Attempt
         )
         yield Attempt(coarse, solver, known, "stiff strings", after, forces=True)
         after = FAILED
+    if model.has_coupled_rates:  # which Variational does not take
+        yield Attempt(shooting, Ipopt(), start, "motors of winches", after)
+        yield Attempt(shooting, Ipopt(), start, "mesh too coarse", INEXACT)
+        return
     yield Attempt(variational, solver, start, "the fastest that converges", after)
     yield Attempt(variational, solver, start, "mesh too coarse", INEXACT)
     if not few:
@@ -237,7 +241,7 @@ def choose_intervals(problem: Problem, guess: Guess) -> int:
     middle = len(guess.force_density) // 2
     rate = fastest_rate(problem.model, guess.states[middle], guess.force_density[middle])
     # Plans under rest-length control hardly excite vibrations; corrections remove the rest.
-    each = 1.0 if controls_rest_lengths(problem.model) else INTERVALS_PER_RADIAN
+    each = 1.0 if has_elastic_strings(problem.model) else INTERVALS_PER_RADIAN
     wanted = np.ceil(each * rate * guess.duration) if np.isfinite(rate) else MIN_INTERVALS
     least = np.ceil(INTERVALS_PER_BAR * np.sqrt(problem.model.mechanism.bars))
     return int(np.clip(max(wanted, least), MIN_INTERVALS, MAX_INTERVALS))

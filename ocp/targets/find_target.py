@@ -213,7 +213,8 @@ class _TargetSearch:
         along = along - np.concatenate([[0.0], along])[np.searchsorted(parent, parent)]
         nodes[s.strings[inner, 1]] = a[parent[inner]] + along[inner, None] * (b - a)[parent[inner]]
         x = model.state(nodes, model.velocities(y[:-1]))
-        model.split(x)[2][:] = model.split(y[:-1])[2]
+        model.split(x).internal[:] = model.split(y[:-1]).internal
+        model.split(x).clock[:] = model.split(y[:-1]).clock
         return np.append(x, y[-1])
 
     def _reject(self, y: Array) -> None:
@@ -272,7 +273,7 @@ class _TargetSearch:
             for rows in every
         ]
         if model.scene.has_clock and not free:
-            clock = float(model.split(self.problem.initial_state)[2][0]) + last
+            clock = float(model.split(self.problem.initial_state).clock[0]) + last
             every = [
                 replace(rows, value=ca.substitute(rows.value, self.x[-1], clock)) for rows in every
             ]

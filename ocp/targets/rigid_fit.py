@@ -78,5 +78,6 @@ def _join(model: Model, nodes: Array, velocities: Array, state: Array) -> Array:
     own = np.where(fixed, model.nodes(state), nodes)
     moves = np.where(fixed, 0.0, velocities)
     found = model.state(model.place_dependent(own), model.place_dependent(moves))
-    model.split(found)[2][:] = model.split(state)[2]
+    model.split(found).internal[:] = model.split(state).internal
+    model.split(found).clock[:] = model.split(state).clock
     return found

@@ -42,7 +42,9 @@ class DiscreteEquations:
         self._back = v.entries.constants(-v.fractions[:, None])
         self._row_scale = v.scales.mass * v.scales.length / v.count
         # Interior velocities and the clock are unknowns only if something depends on them.
-        inner, clock = v.states[1:-1, self.nq : 2 * self.nq], v.states[1:, 2 * self.nq :]
+        moving = v.model.moving.stop
+        self.internal = v.states[:, 2 * self.nq : moving]
+        inner, clock = v.states[1:-1, self.nq : 2 * self.nq], v.states[1:, moving:]
         self.with_velocities, self.with_clock = (
             bool(used[asked].any()) for asked in (inner, clock)
         )
@@ -84,6 +86,8 @@ class DiscreteEquations:
             names = name_intervals(v.count - 1, self.names[nq : 2 * nq])
             result.append(replace(self._leaving, index=index, names=names))
             result += [self._rates(slice(1, -1))] if self.kept else []
+        if v.model.na:
+            result.append(self._internal())
         return [*result, self._clock()] if self.with_clock else result
 
     def _momentum_at_ends(self) -> Block:
@@ -95,8 +99,8 @@ class DiscreteEquations:
         v, nq = self.v, self.nq
         columns = [v.states[:1, :nq], v.states[:1, nq : 2 * nq], v.states[1:2, :nq]]
         columns += [v.interval_controls[:1], self.pushes[:1], v.duration[None]]
-        columns += [v.share[:1], v.time[:1]]
-        z, (q0, speed, q1, c, push, T, share, passed) = self._symbols(columns)
+        columns += [v.share[:1], v.time[:1], self.internal[:1]]
+        z, (q0, speed, q1, c, push, T, share, passed, own) = self._symbols(columns)
         before, after = (
             self._state(q0, speed, T * passed),
             self._state(q1, q1, T * (passed + share)),
@@ -104,7 +108,7 @@ class DiscreteEquations:
         change = (self._nodes(after) - self._nodes(before)) / share
         velocity = self.model.unpack(before)[1]
         row = self._momentum(change - T * velocity)
-        row -= T**2 * share / 2 * self._force(before, v.gamma(c, EARLY), push)
+        row -= T**2 * share / 2 * self._force(before, own, v.gamma(c, EARLY), push)
         last = self._backwards(v.states[-1:, nq : 2 * nq], self.pushes[-1:], slice(-1, None))
         names = name_intervals(1, self.names[:nq])
         at_end = [f"dynamics of interval {v.count - 1}, {name} at its end" for name in self.names]
@@ -118,7 +122,8 @@ class DiscreteEquations:
         q, own = v.states[:, :nq], v.interval_controls
         columns = [q[:-2], q[1:-1], q[2:], own[:-1], own[1:], self.pushes[1:-1]]
         columns += [v.repeat(v.duration, v.count - 1), v.share[:-1], v.share[1:], v.time[1:-1]]
-        z, (q0, q1, q2, c, d, push, T, before, after, passed) = self._symbols(columns)
+        columns += [self.internal[1:-1]]
+        z, (q0, q1, q2, c, d, push, T, before, after, passed, own) = self._symbols(columns)
         both, times = before + after, (passed - before, passed, passed + after)
         rate = (q2 - q0) / (T * both)
         states = [
@@ -127,7 +132,7 @@ class DiscreteEquations:
         n0, n1, n2 = map(self._nodes, states)
         gamma = (before * v.gamma(c, LATE) + after * v.gamma(d, EARLY)) / both
         row = self._momentum((n2 - n1) / after - (n1 - n0) / before)
-        row -= T**2 * both / 2 * self._force(states[1], gamma, push)
+        row -= T**2 * both / 2 * self._force(states[1], own, gamma, push)
         names = [
             f"dynamics of interval {k}, {name}"
             for k in range(1, v.count)
@@ -176,7 +181,7 @@ class DiscreteEquations:
 
     def _state(self, q: Any, v: Any, time: Any) -> Any:
         clock = [time + float(self.v.target.start[-1])] if self.model.has_clock else []
-        return ca.vertcat(q, v, *clock)
+        return ca.vertcat(q, v, type(q).zeros(self.model.na), *clock)
 
     def _nodes(self, x: Any) -> Any:
         return self.model.unpack(x)[0]
@@ -190,10 +195,11 @@ class DiscreteEquations:
             ca.mtimes(velocities, sparse(self.model.mechanism.M))
         )
 
-    def _force(self, x: Any, gamma: Any, pushes: Any) -> Any:
+    def _force(self, x: Any, internal: Any, gamma: Any, pushes: Any) -> Any:
         """Compute the total forces on the free coordinates."""
         N, V, clock = self.model.unpack(x)
-        total = forces.total(self.model.scene, self.model.mechanism, N, V, gamma, clock)
+        inputs = ca.vertcat(gamma, internal) if self.model.na else gamma
+        total = forces.total(self.model.scene, self.model.mechanism, N, V, inputs, clock)
         return self.model.mechanism.generalized_forces(total) + self._push(x, pushes)
 
     def _push(self, x: Any, pushes: Any) -> Any:
@@ -214,7 +220,7 @@ class DiscreteEquations:
         controls = own.reshape(len(own), -1, v.controls.shape[1])[:, ::-1].reshape(own.shape)
         columns = [q[1:][intervals], velocities, q[:-1][intervals], controls, pushes]
         columns += [v.repeat(v.duration, len(own)), self._back[intervals], v.time[1:][intervals]]
-        return np.hstack(columns)
+        return np.hstack([*columns, self.internal[1:][intervals]])
 
     def _impact(self) -> list[Block]:
         """Build the rows of an impact without rebound.
@@ -241,6 +247,20 @@ class DiscreteEquations:
             blocks.append(replace(self._rates(slice(1)), names=rates))
         return blocks
 
+    def _internal(self) -> Block:
+        """Build the changes of internal states, whose rates depend on the controls alone."""
+        v = self.v
+        columns = [self.internal[:-1], self.internal[1:], v.interval_controls]
+        columns += [v.repeat(v.duration), v.share]
+        z, (before, after, c, T, share) = self._symbols(columns)
+        x = self._state(type(z).zeros(self.nq), type(z).zeros(self.nq), 0)
+        change = T * share * self.model.internal_rates(x, v.gamma(c, 0.5))
+        scale = v.scales.state[2 * self.nq : v.model.moving.stop]
+        row = (after - before - change) / ca.DM(scale)
+        names = name_intervals(v.count, self.names[2 * self.nq : v.model.moving.stop])
+        function = expand(ca.Function("internal", [z], [row]))
+        return Block(function, np.hstack(columns), names, scale=scale)
+
     def _clock(self) -> Block:
         v = self.v
         columns = [v.states[1:, -1:], v.repeat(v.duration), v.time[1:]]
@@ -256,7 +276,7 @@ class DiscreteEquations:
         duration = gather(entries, v.duration[:, None])
         if v.count > 1 and not self.with_velocities:
             rates = ca.horzcat(rates[:, 0], self._inner_rates(entries, q, duration), rates[:, -1])
-        x = ca.vertcat(q, rates)
+        x = ca.vertcat(q, rates, gather(entries, self.internal))
         if self.model.has_clock:
             clock = float(v.target.start[-1]) + ca.mtimes(duration, gather(entries, v.time))
             x = ca.vertcat(x, clock)
@@ -285,6 +305,6 @@ class DiscreteEquations:
         P = self.model.unpack(self._state(pushed, pushed, 0))[1]
         P[:, np.flatnonzero(self.model.mechanism.dependent).tolist()] = 0.0
         V = self.model.mechanism.with_inverse(P)
-        per_mass = self.model.split(self.model.pack(V, V, 0))[0]
+        per_mass = self.model.split(self.model.pack(V, V, 0, 0)).positions
         divide = ca.Function("per_mass", [pushed], [per_mass]).map(v.count - 1)
         return central + divide(left) * (self._row_scale / duration)

@@ -30,29 +30,32 @@ def build_constraints(model: Model) -> ca.Function:
     values = ca.densify(ca.vertcat(kind(0, 1), kept.bars, kept.joints))
     rates = ca.densify(ca.vertcat(kind(0, 1), kept.bar_rates, kept.joint_rates))
     mu = kind.sym("mu", rates.shape[0])
-    forces = model.split(ca.jtimes(rates, x, mu, True))[1]
+    forces = model.split(ca.jtimes(rates, x, mu, True)).velocities
     return ca.Function("constraints", [x, mu], [values, rates, forces])
 
 
 def build_residuals(model: Model) -> ca.Function:
     """Build the residuals of the equations of motion.
 
-    The Function is (x, u, a, μ) → M a − F − Jᵀμ (nq) [N], J a + c [m/s²], with the accelerations a of
-    the free coordinates and the multipliers μ of the constraints.
+    The Function is (x, u, r, μ) → M a − F − Jᵀμ (nq) [N], J a + c [m/s²], b − g (na). The rates r
+    are the accelerations a of the free coordinates, followed by the rates b of the internal states,
+    which are g. μ are the multipliers of the constraints.
     """
     constraints, kind = build_constraints(model), symbol_kind(model.ode)
-    x, u, a = (
-        kind.sym(name, size) for name, size in (("x", model.nx), ("u", model.nu), ("a", model.nq))
-    )
+    sizes = {"x": model.nx, "u": model.nu, "r": model.nq + model.na}
+    x, u, r = (kind.sym(name, size) for name, size in sizes.items())
+    a, b = r[: model.nq], r[model.nq :]
     mu = kind.sym("mu", constraints.size1_in(1))
     _, rates, push = constraints(x, mu)
     N, V, time = model.unpack(x)
-    F, _ = compute_forces(model, N, V, u, time)
+    F, _ = compute_forces(model, N, V, model.extend_inputs(x, u), time)
     forces = model.mechanism.generalized_forces(F) + push
-    _, v, clock = model.split(x)
-    bends = ca.jtimes(rates, x, ca.vertcat(v, a, kind.ones(*clock.shape)))
+    _, v, _, clock = model.split(x)
+    drift = ca.vertcat(v, r, kind.ones(*clock.shape))
+    bends = ca.jtimes(rates, x, drift)
     M = sparse(model.mechanism.free_mass)
-    return ca.Function("residuals", [x, u, a, mu], [ca.mtimes(M, a) - forces, bends])
+    changes = b - model.internal_rates(x, u)
+    return ca.Function("residuals", [x, u, r, mu], [ca.mtimes(M, a) - forces, bends, changes])
 
 
 def evaluate_multipliers(model: Model, states: Array, controls: Array) -> Array:
@@ -63,7 +66,7 @@ def evaluate_multipliers(model: Model, states: Array, controls: Array) -> Array:
     kind, mech = symbol_kind(model.ode), model.mechanism
     x, u = kind.sym("x", model.nx), kind.sym("u", model.nu)
     N, V, time = model.unpack(x)
-    _, lam, Omega = forward_dynamics(model, N, V, u, time)
+    _, lam, Omega = forward_dynamics(model, N, V, model.extend_inputs(x, u), time)
     held = np.flatnonzero(mech.active.ravel(order="F")).tolist()
     joints = ca.vec(ca.densify(Omega))
     if mech.frames is not None:

@@ -76,7 +76,7 @@ class FineSteps:
         states, held, duration = self.planned(w)
         later = np.asarray(self._chain(states[0], *held).full())
         fine = np.column_stack([states[0], later]).T
-        places, speeds, _ = self.model.split(np.abs(fine - states) * self.program.known)
+        places, speeds, *_ = self.model.split(np.abs(fine - states) * self.program.known)
         return fine, float(max(places.max(initial=0.0), duration * speeds.max(initial=0.0)))
 
 

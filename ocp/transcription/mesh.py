@@ -222,11 +222,12 @@ def hermite_state(model: Model, x: Any, y: Any, h: Any, share: float) -> Any:
     """
     if share == 1.0:
         return y
-    s, (q0, v0, clock0), (q1, v1, clock1) = share, model.split(x), model.split(y)
+    s, (q0, v0, a0, clock0), (q1, v1, a1, clock1) = share, model.split(x), model.split(y)
     q = hermite_cubic(q0, v0, q1, v1, h, s)
     change = (q1 - q0) / h
     v = 6 * s * (1 - s) * change + (1 - s) * (1 - 3 * s) * v0 + s * (3 * s - 2) * v1
-    return ca.vertcat(q, v, (1 - s) * clock0 + s * clock1)
+    linear = ((1 - s) * first + s * last for first, last in ((a0, a1), (clock0, clock1)))
+    return ca.vertcat(q, v, *linear)
 
 
 @dataclass(frozen=True, eq=False)

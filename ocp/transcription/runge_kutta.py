@@ -76,8 +76,8 @@ class _Steps:
         Interval of each step, and its number there.
     states : ndarray of int, shape (S + 1, nx)
         Entries of the states at the ends of steps.
-    accelerations, multipliers : ndarray of int, shape (S, s, nq) and (S, s, c)
-        Entries of the stages.
+    rates, multipliers : ndarray of int, shape (S, s, nq + na) and (S, s, c)
+        Entries of the stages: accelerations with the rates of internal states, and multipliers.
     """
 
     def __init__(self, v: Variables, A: Array, b: Array, substeps: int) -> None:
@@ -85,17 +85,24 @@ class _Steps:
         self.interval, self.step = np.indices((v.count, substeps), dtype=np.intp).reshape(2, -1)
         self.constraints = constraint_names(v.model)
         self.states = self._add_states()
-        nq, scales = v.model.nq, v.scales
+        nq, scales, moving = v.model.nq, v.scales, v.model.moving
         self.acceleration = scales.length / scales.time**2
-        self.coordinates = name_states(v.model)[:nq]
-        rates = np.diff(v.guess.states[:, nq : 2 * nq], axis=0) / v.guess.duration
-        self.accelerations = self._add_stages(
-            "acceleration", self.coordinates, rates / v.fractions[:, None], self.acceleration
+        names: Sequence[str] = name_states(v.model)
+        self.coordinates, self.internal = names[:nq], names[2 * nq : moving.stop]
+        self.internal_scale = scales.state[2 * nq : moving.stop]
+        own = slice(nq, moving.stop)
+        rates = np.diff(v.guess.states[:, own], axis=0) / v.guess.duration
+        self.rates = self._add_stages(
+            [f"{name} acceleration" for name in self.coordinates]
+            + [f"{name} rate" for name in self.internal],
+            rates / v.fractions[:, None],
+            scales.state[own] / scales.time,
         )
         middle = (v.guess.states[1:] + v.guess.states[:-1]) / 2
         forces = evaluate_multipliers(v.model, middle, held_values(v.guess.force_density, v.count))
         force = scales.mass * self.acceleration
-        self.multipliers = self._add_stages("force", self.constraints, forces, force)
+        names = [f"{name} force" for name in self.constraints]
+        self.multipliers = self._add_stages(names, forces, force)
 
     def _add_states(self) -> Indices:
         """Add the states within intervals as unknowns.
@@ -115,7 +122,7 @@ class _Steps:
         rows = np.concatenate([v.states[:-1, None], inner], axis=1)
         return np.vstack([rows.reshape(-1, v.model.nx), v.states[-1:]])
 
-    def _add_stages(self, what: str, names: Sequence[str], first: Array, scale: float) -> Indices:
+    def _add_stages(self, names: Sequence[str], first: Array, scale: Any) -> Indices:
         """Add unknowns of all stages.
 
         Their initial guess are values (K, n) of the intervals.
@@ -123,7 +130,7 @@ class _Steps:
         stages = range(len(self.b))
         at = [f"{place}, stage {j}" for place in self._places(slice(None)) for j in stages]
         return self.v.entries.unknowns(
-            [f"{name} {what}, {place}" for place in at for name in names],
+            [f"{name}, {place}" for place in at for name in names],
             np.repeat(first[self.interval, None], len(self.b), axis=1),
             scale,
             interval=self.interval[:, None, None],
@@ -175,16 +182,18 @@ class _Steps:
         seen = [k for k in range(len(a)) if k == j or a[k] or early[k]]
         begin = v.entries.constants(self.step[:, None] / self.substeps)
         columns = [self.states[:-1], v.interval_controls[self.interval], begin, *self._lengths()]
-        columns += [self.multipliers[:, j], *(self.accelerations[:, k] for k in seen)]
+        columns += [self.multipliers[:, j], *(self.rates[:, k] for k in seen)]
         z, (x, controls, before, T, share, mu, *rates) = self._symbols(columns)
         weights = [(early[k], a[k]) for k in seen]
         place = float(a.sum())
         state = self._advance(x, T * share, place, weights, rates)
         control = v.gamma(controls, before + place / self.substeps)
-        forces, bends = build_residuals(model)(state, control, rates[seen.index(j)], mu)
+        own = rates[seen.index(j)]
+        forces, bends, changes = build_residuals(model)(state, control, own, mu)
         rows = [
             (forces, v.scales.mass * self.acceleration, self.coordinates),
             (bends, self.acceleration, self.constraints),
+            (changes / self.internal_scale, 1 / v.scales.time, self.internal),
         ]
         stage = [(row, size, [f"{name}, stage {j}" for name in own]) for row, size, own in rows]
         return self._block("stage", z, columns, slice(None), stage)
@@ -194,7 +203,7 @@ class _Steps:
         model, v, nq, names = self.model, self.v, self.model.nq, name_states(self.model)
         steps = np.flatnonzero((self.step == self.substeps - 1) == closing)
         columns = [self.states[:-1], self.states[1:], *self._lengths()]
-        columns += list(np.moveaxis(self.accelerations, 1, 0))
+        columns += list(np.moveaxis(self.rates, 1, 0))
         columns = [column[steps] for column in columns]
         size, time, length = v.scales.mass * v.scales.length, v.scales.time, v.scales.length
         if closing:
@@ -215,7 +224,8 @@ class _Steps:
         ends: list[_Rows] = [
             (momenta[0], size, names[:nq]),
             (momenta[1], size / time, names[nq : 2 * nq]),
-            (gap[2], time, names[2 * nq :]),
+            (gap.internal / self.internal_scale, 1.0, self.internal),
+            (gap.clock, time, names[model.moving.stop :]),
         ]
         return self._block("defect" if closing else "stage", z, columns, steps, [*ends, *rows])
 
@@ -226,8 +236,9 @@ class _Steps:
 
         The accelerations of the stages have the given weights.
         """
-        q, speed, clock = self.model.split(x)
+        q, speed, own, clock = self.model.split(x)
         q, clock = q + place * h * speed, clock + place * h
+        moved = ca.vertcat(speed, own)
         for (early, weight), rate in zip(weights, rates, strict=True):
-            q, speed = q + h**2 * early * rate, speed + h * weight * rate
-        return ca.vertcat(q, speed, clock)
+            q, moved = q + h**2 * early * rate[: self.model.nq], moved + h * weight * rate
+        return ca.vertcat(q, moved, clock)

@@ -285,7 +285,12 @@ def name_states(model: Model) -> tuple[str, ...]:
     return (
         *places,
         *(f"{place} velocity" for place in places),
-        *["clock"] * (model.nx - 2 * len(places)),
+        *(
+            f"{label} {part.quantity}"
+            for part in model.scene.internal_states
+            for label in name_inputs(model.scene.structure)
+        ),
+        *["clock"] * int(model.has_clock),
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ocp.problem.control import reject_coupled_rates
 from ocp.transcription.base import Defects, Transcription
 from ocp.transcription.contact_set import ContactSet, build_empty_set
 from ocp.transcription.discrete_equations import DiscreteEquations
@@ -80,6 +81,7 @@ class Variational(Transcription, kind="Variational"):
         Defects
             Blocks, and the states as functions of the unknowns.
         """
+        reject_coupled_rates(variables.model, type(self).__name__)
         equations = DiscreteEquations(
             variables, used, build_empty_set(variables) if contact is None else contact
         )

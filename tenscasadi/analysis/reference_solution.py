@@ -291,7 +291,7 @@ class _Pairs:
             return 0.0
         times = start[-1] + grid.times(np.arange(grid.steps + 1))
         states = np.tile(start, (len(times), 1))
-        model.split(states)[2][:, 0] = times
+        model.split(states).clock[:, 0] = times
         held = np.tile(inputs.stack(0, np.array([0])), (len(times), 1))
         rates = (
             model.with_stacked_input(model.ode)
@@ -299,7 +299,8 @@ class _Pairs:
             .full()
             .T
         )
-        model.split(states)[1][:], model.split(states)[2][:] = model.split(rates)[1], start[-1]
+        own = model.split(states)
+        own.velocities[:], own.clock[:] = model.split(rates).velocities, start[-1]
         changes = np.linalg.norm(np.diff(model.velocities(states), axis=0), axis=2).max(axis=1)
         late = grid.early * np.linalg.norm(model.velocities(start), axis=1).max()
         return float(

@@ -92,14 +92,15 @@ def _build_reactions(scene: Scene, size: int) -> Any:
         model = next((model for model in models if model.nx == size), None)
     if model is None:
         return None
-    x, u = model.symbols(False)
+    x, w = model.symbols(False)
     N, V, time = model.unpack(x)
+    u = model.extend_inputs(x, w)
     accelerations, multipliers, _ = forward_dynamics(model, N, V, u, time)
     mech = model.with_masses(u, inverse=False)
     pushed = total(scene, mech, N, V, u, time)
     pushed += nodal_forces(mech, mech.bar_vectors(N), multipliers)
     lacking = mech.gather(ca.mtimes(accelerations, ca.DM(mech.M.tocsc())) - pushed)
-    function = ca.Function("reactions", [x, u], [lacking])
+    function = ca.Function("reactions", [x, w], [lacking])
     held = np.asarray(scene.modelled.held).any(axis=1, keepdims=True)
 
     def find(state: Array, control: Array) -> Array:

@@ -34,8 +34,8 @@ def forward_dynamics(
         Scene, mechanism and moved supports.
     N, V : casadi matrix, shape (3, n)
         Nodes [m] and velocities [m/s], in the columns of the mechanism.
-    u : casadi column, shape (nu + np,)
-        Control, followed by the parameters.
+    u : casadi column, shape (nu + np + na,)
+        Control, followed by the parameters and the internal states.
     time : casadi scalar
         Time, s.
     mode : casadi row, shape (1, k), optional
@@ -124,7 +124,7 @@ def joint_forces(
     if not full.joints:
         return ca.DM.zeros(3, 0)
     if full.masses is not None:
-        full = full.with_masses(full.masses.weigh(u[space.nu :]))
+        full = full.with_masses(full.masses.weigh(u[space.nu : space.nw]))
     N, V, A = (Z[:, full.physical.tolist()] for Z in (N, V, A))
     known = forces.total(space.scene, full, N, V, space.add_schedule(u, time), time)
     lacking = (

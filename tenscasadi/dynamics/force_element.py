@@ -56,6 +56,14 @@ class ForceElement:
         """Compute switching functions (1×k) [m], positive in mode 1."""
         return ca.DM(1, 0)
 
+    def internal_rates(self, at: NodeMotion) -> Any:
+        """Compute the rates of the element's internal states, a column."""
+        return ca.DM(0, 1)
+
+    def internal_kinetic_energy(self) -> Any:
+        """Compute the kinetic energy of the internal states [J]."""
+        return ca.DM(0)
+
 
 def spread(mech: Mechanism, W: Any, columns: list[int]) -> Any:
     """Assign forces (3×m) on some columns to 3×n."""

@@ -10,16 +10,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import casadi as ca
 import numpy as np
 
 from tenscasadi.dynamics.bar_contacts import BarContacts
 from tenscasadi.dynamics.force_element import ForceElement, NodeMotion, spread
-from tenscasadi.scene.binding import bind
+from tenscasadi.scene.binding import bind, sets_rest_lengths
 from tenscasadi.scene.cables import CableRows
-from tenscasadi.scene.strings import ForceDensity, Linear, RestLength, Smooth, StringLaw
+from tenscasadi.scene.control import Control
+from tenscasadi.scene.dissipation import has_cable_friction, is_damped
+from tenscasadi.scene.strings import ForceDensity, Linear, Smooth, StringLaw
 from tenscasadi.util.casadi_tools import constant_row, is_expression, scale_and_multiply, sparse
 from tenscasadi.util.validate import Array, Indices
 
@@ -39,8 +41,8 @@ def build_elements(scene: Scene, mech: Mechanism, w: Any, mode: Any = None) -> l
         The scene.
     mech : Mechanism
         Columns of N and, for gravity, masses.
-    w : casadi column, shape (nu + np,)
-        Control, followed by the parameters.
+    w : casadi column, shape (nu + np + na,)
+        Control, followed by the parameters and the internal states.
     mode : casadi row, shape (1, k), optional
         Fixed mode of all switches: strings first, then contacts, ground by ground, then bars.
 
@@ -49,10 +51,10 @@ def build_elements(scene: Scene, mech: Mechanism, w: Any, mode: Any = None) -> l
     list of ForceElement
         Those that the scene has.
     """
-    scene, u = bind(scene, w)
+    scene, u, internal = bind(scene, w)
     found: list[ForceElement] = []
     if len(scene.modelled.strings):
-        found.append(StringForces(scene, mech, u))
+        found.append(StringForces(scene, mech, u, internal))
     if scene.modelled.elastic.any():
         found.append(ElasticBars(scene, mech))
     if scene.gravity is not None:
@@ -73,6 +75,11 @@ def build_elements(scene: Scene, mech: Mechanism, w: Any, mode: Any = None) -> l
         else element
         for element, end in zip(found, ends, strict=True)
     ]
+
+
+def internal_rates(elements: list[ForceElement], at: NodeMotion) -> Any:
+    """Compute the rates (na,) of all internal states, in the order of elements."""
+    return ca.vertcat(*(element.internal_rates(at) for element in elements))
 
 
 def sum_forces(elements: list[ForceElement], mech: Mechanism, at: NodeMotion) -> Any:
@@ -103,8 +110,8 @@ def potential_energy(scene: Scene, mech: Mechanism, N: Any, w: Any) -> tuple[Any
 
 def string_force_density(scene: Scene, mech: Mechanism, N: Any, V: Any, w: Any) -> tuple[Any, Any]:
     """Compute γ (1×α) [N/m] and string vectors S (3×α) [m]."""
-    scene, u = bind(scene, w)
-    return StringForces(scene, mech, u).force_density(N, V)
+    scene, u, internal = bind(scene, w)
+    return StringForces(scene, mech, u, internal).force_density(N, V)
 
 
 def bar_force_density(scene: Scene, mech: Mechanism, N: Any, w: Any, lam: Any) -> Any:
@@ -126,6 +133,10 @@ class StringForces(ForceElement):
 
     Attributes
     ----------
+    control : casadi column
+        Inputs (nu).
+    internal : casadi column
+        Internal states (na).
     mode : casadi row or None
         1 for taut strings, of those that switch.
     damped : bool
@@ -138,6 +149,7 @@ class StringForces(ForceElement):
     scene: Scene
     mech: Mechanism
     control: Any
+    internal: Any
     mode: Any = None
     damped: bool = True
     longest: Any = None
@@ -171,7 +183,7 @@ class StringForces(ForceElement):
         if scene.commands_forces:
             s = scene.modelled
             lengths = ca.sqrt(squared + (1e-9 * constant_row(s.rest_length)) ** 2)
-            return self.control[scene.input_of.tolist(), :].T / lengths
+            return self._command[scene.input_of.tolist(), :].T / lengths
         switching, longest = scene.switching_inputs, self.longest
         if longest is not None and self._cables is not None:
             longest = self._cables.sum(longest)
@@ -221,6 +233,30 @@ class StringForces(ForceElement):
         S = ca.mtimes(at.N, sparse(self.mech.C_s.T))
         return self.excess_lengths(ca.sum1(S * S), self._rate(S, at.V))
 
+    def internal_rates(self, at: NodeMotion) -> Any:
+        """Compute the rates of the control's internal states."""
+        if not self.scene.internal_states:
+            return ca.DM(0, 1)
+        gamma, S = self.force_density(at.N, at.V)
+        unit = 1e-9 * constant_row(self.scene.modelled.rest_length)
+        tension = (gamma * ca.sqrt(ca.sum1(S * S) + unit**2)).T
+        return self._law.internal_rates(
+            self.control, self.internal, tension[self.scene.winch_strings.tolist(), :]
+        )
+
+    def internal_kinetic_energy(self) -> Any:
+        """Compute the kinetic energy of the control's internal states [J]."""
+        return self._law.kinetic_energy(self.internal)
+
+    @property
+    def _law(self) -> Control:
+        return cast("Control", self.scene.control)
+
+    @property
+    def _command(self) -> Any:
+        """Forces or rest lengths (nu,) that the control sets."""
+        return self._law.command(self.control, self.internal)
+
     def excess_lengths(self, squared: Any, rate: Any = None) -> Any:
         """Compute the switching functions (1×k) [m] of cables and lone strings.
 
@@ -262,7 +298,7 @@ class StringForces(ForceElement):
         s, laws = self._inputs, self.scene.input_laws
         if self._cables is not None:
             squared = self._cables.squared_lengths(squared)
-        by_control = isinstance(self.scene.control, RestLength)
+        by_control = sets_rest_lengths(self.scene)
         rest = self._per_segment(s.string_fraction) if by_control else constant_row(s.rest_length)
         rows = squared, rest, constant_row(s.stiffness), constant_row(s.rest_length)
         if len(laws) == 1:
@@ -278,7 +314,7 @@ class StringForces(ForceElement):
 
     def _per_segment(self, factor: Array) -> Any:
         """Expand the control to cables and modeled lone strings, times `factor`."""
-        parent, u = self.scene.structure.cable_of[self._inputs.string_parent], self.control
+        parent, u = self.scene.structure.cable_of[self._inputs.string_parent], self._command
         row = u.T if len(parent) == u.shape[0] else u[parent.tolist(), :].T
         return row if np.all(factor == 1) else row * ca.DM(factor).T
 
@@ -412,35 +448,3 @@ class NodalForces(ForceElement):
 
 def _columns(row: Any, which: Indices) -> Any:
     return row if row.shape[1] == 1 else row[:, which.tolist()]
-
-
-def is_damped(scene: Scene) -> bool:
-    """Return whether any string has damping.
-
-    Strings have none if forces are commanded.
-    """
-    if scene.commands_forces:
-        return False
-    damping = scene.modelled.damping
-    return is_expression(damping) or scene.has_parameter("damping") or bool(np.any(damping > 0))
-
-
-def has_friction(scene: Scene) -> bool:
-    """Return whether any contact has damping or friction, or any cable friction."""
-    return (
-        scene.has_parameter("ground_damping")
-        or any(not law.conservative for law in scene.contact_laws)
-        or has_cable_friction(scene)
-    )
-
-
-def has_cable_friction(scene: Scene) -> bool:
-    """Return whether any cable has friction."""
-    return bool(scene.structure.cable_friction.any())
-
-
-def is_conservative(scene: Scene) -> bool:
-    """Return whether all forces are conservative under constant control."""
-    driven = scene.commands_forces and len(scene.modelled.strings) > 0
-    loaded = scene.pressure is not None or scene.forces is not None or bool(scene.over_time)
-    return not (driven or is_damped(scene) or has_friction(scene) or loaded)

@@ -9,6 +9,7 @@ import casadi as ca
 
 from tenscasadi.dynamics import forces
 from tenscasadi.dynamics.force_element import NodeMotion
+from tenscasadi.scene.dissipation import is_damped
 
 if TYPE_CHECKING:
     from tenscasadi.dynamics.state_space import StateSpace
@@ -49,7 +50,7 @@ def count_terms(space: StateSpace, ode: ca.Function, advice: str) -> TermCounts:
     mech = space.with_masses(u, inverse=False)
     N, V, time = space.unpack(x)
     at, built = NodeMotion(N, V, time), {}
-    for element in forces.build_elements(scene, mech, u):
+    for element in forces.build_elements(scene, mech, space.extend_inputs(x, u)):
         name = element.name
         if isinstance(element, forces.StringForces):
             name = (
@@ -57,7 +58,7 @@ def count_terms(space: StateSpace, ode: ca.Function, advice: str) -> TermCounts:
                 if scene.control and scene.commands_forces
                 else "string elasticity"
             )
-            if forces.is_damped(scene):
+            if is_damped(scene):
                 built[name], name = replace(element, damped=False).forces(at), "string damping"
         built[name] = built.get(name, 0) + element.forces(at)
     counts = TermCounts()

@@ -74,8 +74,8 @@ def riccati_gains(
 def _middles(model: Model, starts: Array, ends: Array, lengths: Array) -> Array:
     """Compute the midpoint states (K, nx) by cubic interpolation."""
     result = (starts + ends) / 2
-    q, v, _ = model.split(result)
-    (q0, v0, _), (q1, v1, _) = model.split(starts), model.split(ends)
+    q, v, *_ = model.split(result)
+    (q0, v0, *_), (q1, v1, *_) = model.split(starts), model.split(ends)
     h = lengths[:, None]
     q += h / 8 * (v0 - v1)
     v[:] = 1.5 * (q1 - q0) / h - (v0 + v1) / 4

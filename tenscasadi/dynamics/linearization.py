@@ -44,6 +44,8 @@ class LinearDynamics:
         Entries of the derivatives of F + Jᵀ μ − M q̈ and J q̈ + c, at constant q̈ and μ.
     pattern : sparse array (nx + nw, nq + c)
         Sparsity of these entries, row by row. The methods write into its data.
+    internal : ndarray (K, na, nx + nw)
+        Derivatives of the rates of the internal states.
     """
 
     model: Model
@@ -53,6 +55,7 @@ class LinearDynamics:
     inverse: Array
     slopes: Array
     pattern: sp.csr_array
+    internal: Array
 
     def tangent(self, k: int, changes: Array) -> Array:
         """Compute changes (nx, m) of the rates.
@@ -65,6 +68,8 @@ class LinearDynamics:
         result[:nq] = changes[nq : 2 * nq]
         back = self.inverse[k] @ (self.weighted[k] @ forces + kept)
         result[nq : 2 * nq] = self.inverse_mass @ forces - self.weighted[k].T @ back
+        if self.model.na:
+            result[2 * nq : 2 * nq + self.model.na] = self.internal[k] @ changes
         return result
 
     def adjoint(self, k: int, weights: Array) -> Array:
@@ -78,6 +83,8 @@ class LinearDynamics:
         free = self.inverse_mass @ forces - self.weighted[k].T @ back
         result = self.pattern @ np.concatenate([free, -back])
         result[nq : 2 * nq] += weights[:nq]
+        if self.model.na:
+            result += self.internal[k].T @ weights[2 * nq : 2 * nq + self.model.na]
         return np.asarray(result)
 
     def jacobian(self, k: int) -> Array:
@@ -109,15 +116,16 @@ class EquationDerivatives:
         kind = _symbol_kind(model)
         x, w, a = kind.sym("x", nx), kind.sym("w", model.nw), kind.sym("a", nq)
         N, V, time = model.unpack(x)
-        F, _ = compute_forces(model, N, V, w, time)
+        F, _ = compute_forces(model, N, V, model.extend_inputs(x, w), time)
         force = model.mechanism.generalized_forces(F)
         constraints = model.constraints(x)
         rates = ca.densify(ca.vertcat(kind(0, 1), constraints.bar_rates, constraints.joint_rates))
         self.constraints = rates.shape[0]
         mu = kind.sym("mu", self.constraints)
-        _, v, clock = model.split(x)
+        _, v, own, clock = model.split(x)
         J = ca.jacobian(rates, x)[:, nq : 2 * nq]
-        drift = ca.vertcat(v, kind.zeros(nq, 1), *([1] if clock.shape[0] else []))
+        # the constraints do not depend on internal states
+        drift = ca.vertcat(v, kind.zeros(nq + own.shape[0], 1), *([1] if clock.shape[0] else []))
         bias = ca.jtimes(rates, x, drift) if self.constraints else rates
         give = _compute_length_error(model, N, w)
         balance = force + ca.mtimes(J.T, mu)
@@ -134,6 +142,9 @@ class EquationDerivatives:
             "values", [x, w], [ca.vec(ca.densify(part)) for part in (force, bias, give, J.nz[:])]
         )
         self._slopes = ca.Function("slopes", [x, w, mu, a], [ca.densify(slopes.nz[:])])
+        changes = ca.densify(model.internal_rates(x, w))
+        by_all = ca.densify(ca.jacobian(changes, ca.vertcat(x, w)))
+        self._internal = ca.Function("internal", [x, w], [changes, ca.vec(by_all.T)])
 
     @staticmethod
     def of(model: Model) -> EquationDerivatives:
@@ -159,11 +170,17 @@ class EquationDerivatives:
             mu = -_times(inverse, _times(J, accelerations) + bias)
             accelerations = accelerations + _times(weighted.transpose(0, 2, 1), mu)
         (slopes,) = ArrayFunction(self._slopes.map(K))(states, inputs, mu, accelerations)
-        _, v, clock = self.model.split(states)
-        rates = np.column_stack([v, accelerations, np.ones_like(clock)])
+        v, clock = self.model.split(states).velocities, self.model.split(states).clock
+        own, internal = np.zeros((K, 0)), np.zeros((K, self.model.na, 0))
+        if self.model.na:
+            own, internal = ArrayFunction(self._internal.map(K))(states, inputs)
+            internal = internal.reshape(K, self.model.na, -1)
+        rates = np.column_stack([v, accelerations, own, np.ones_like(clock)])
         pattern = self._pattern.copy()
         slopes = slopes.reshape(K, pattern.nnz)
-        return LinearDynamics(self.model, rates, inverse_mass, weighted, inverse, slopes, pattern)
+        return LinearDynamics(
+            self.model, rates, inverse_mass, weighted, inverse, slopes, pattern, internal
+        )
 
     def system_at(self, state: Array, inputs: Array) -> tuple[Any, Any, Array, Array]:
         """Compute M, J, F and c at a state with inputs.
@@ -238,7 +255,9 @@ def _constraint_jacobian(model: Model, state: Array) -> Array:
     def build() -> ca.Function:
         x = _symbol_kind(model).sym("x", model.nx)
         own = model.constraints(x)
-        rows = ca.vertcat(own.bars, own.joints, own.bar_rates, own.joint_rates, model.split(x)[2])
+        rows = ca.vertcat(
+            own.bars, own.joints, own.bar_rates, own.joint_rates, model.split(x).clock
+        )
         return ca.Function("jacobian", [x], [ca.densify(ca.jacobian(rows, x))])
 
     return np.asarray(model.keep("constraint jacobian", build)(state).full())

@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
 from tenscasadi.dynamics import forces
 from tenscasadi.dynamics.coordinates import choose_coordinates, compare_coordinates, scene_mechanism
@@ -198,12 +199,21 @@ class Model(Value, Observations, kind="Model"):
         """
         x, u = self.symbols(self.mechanism.unrolled)
         N, V, time = self.unpack(x)
-        A, _, _ = forward_dynamics(self, N, V, u, time)
-        rate = [self.pack(V, A, 1)]
+        w = self.extend_inputs(x, u)
+        A, _, _ = forward_dynamics(self, N, V, w, time)
+        rate = [self.pack(V, A, self.internal_rates(x, u), 1)]
         # In vector expressions cse would also share the initial zeros of products, and copy them.
         return self._function(
             "ode", x, u, ca.cse(rate) if self.mechanism.unrolled else rate, ["xdot"]
         )
+
+    @cached_property
+    def has_coupled_rates(self) -> bool:
+        """Whether rates of internal states depend on the state."""
+        if not self.na:
+            return False
+        rows = np.array(self.ode.jac_sparsity(0, 0).get_triplet()[0])
+        return bool(np.any((rows >= 2 * self.nq) & (rows < self.moving.stop)))
 
     def compile(self) -> ca.Function:
         """Compile `ode` to machine code.
@@ -231,12 +241,15 @@ class Model(Value, Observations, kind="Model"):
             return None
         x, u = self.symbols(not self.mechanism.large)
         N, V, time = self.unpack(x)
-        mech, w = self.with_masses(u, inverse=False), self.add_schedule(u, time)
+        given = self.extend_inputs(x, u)
+        mech, w = self.with_masses(u, inverse=False), self.add_schedule(given, time)
         elements, at = forces.build_elements(self.scene, mech, w), NodeMotion(N, V, time)
-        power: Any = sum((e.power(at, self.schedule is None) for e in elements), start=ca.DM(0))
+        stored = self.schedule is None
+        power: Any = sum((e.power(at, stored) for e in elements), start=ca.DM(0))
         if self._supports is not None:  # their reactions do work, too
-            total = ca.mtimes(forward_dynamics(self, N, V, u, time)[0], sparse(mech.M))
+            total = ca.mtimes(forward_dynamics(self, N, V, given, time)[0], sparse(mech.M))
             power += ca.sum2(ca.sum1((total - forces.sum_forces(elements, mech, at)) * V))
+        power += self.internal_power(x, u, stored)
         return self._function("power", x, u, [ca.densify(power)], ["power"])
 
     @cached_property
@@ -246,8 +259,9 @@ class Model(Value, Observations, kind="Model"):
         Function "multipliers" (x, u) → λ (β) [N/m] of bars and Ω (3×c) [N] of joints, see
         `multipliers`.
         """
-        x, u = self.symbols(self.mechanism.unrolled)
+        x, w = self.symbols(self.mechanism.unrolled)
         N, V, time = self.unpack(x)
+        u = self.extend_inputs(x, w)
         A, lam, omega = forward_dynamics(self, N, V, u, time)
         if self.structure.bodies:  # there are no class-one nodes, and no joint forces
             omega = ca.DM.zeros(3, 0)
@@ -258,7 +272,7 @@ class Model(Value, Observations, kind="Model"):
         return self._function(
             "multipliers",
             x,
-            u,
+            w,
             [ca.densify(lam.T), ca.densify(omega)],
             ["bar_force_density", "joint_force"],
         )
@@ -353,7 +367,8 @@ def _check_parameters(model: Model) -> None:
             raise ValueError(
                 f"Parameters has {name!r}, which has no effect on this scene{reason}: remove the name"
             )
-    for name in unused:
+    started = ("rest_length",) if model.na else ()  # initial internal states
+    for name in [name for name in unused if name not in started]:
         warnings.warn(
             f"Parameters has {name!r}, which only sets the default control: under {control} "
             f"{commanded} are commanded, and motions with a given control do not depend on it",

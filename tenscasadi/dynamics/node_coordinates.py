@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from tenscasadi.dynamics.base_model import BaseModel
 from tenscasadi.scene.control_function import ControlSchedule
+from tenscasadi.scene.internal_states import join_initial
 from tenscasadi.util.read_only import read_only
 from tenscasadi.util.validate import FILE_ROUNDING, Array, Indices, finite_array, rows_of_size
 
@@ -18,13 +20,32 @@ if TYPE_CHECKING:
     from tenscasadi.scene.scene import Scene
 
 
-class NodeCoordinates(BaseModel):
-    """Positions, velocities and clock in a state; support motion.
+class StateParts(NamedTuple):
+    """Parts of a state.
 
     Attributes
     ----------
-    nq, nx : int
-        Sizes of the positions and of the state.
+    positions, velocities : array or CasADi rows
+        Free coordinates (nq) [m] and their velocities (nq) [m/s].
+    internal : array or CasADi rows
+        Internal states (na), see `Scene.internal_states`.
+    clock : array or CasADi rows
+        Time [s], of size 1 or 0.
+    """
+
+    positions: Any
+    velocities: Any
+    internal: Any
+    clock: Any
+
+
+class NodeCoordinates(BaseModel):
+    """Positions, velocities, internal states and clock; support motion.
+
+    Attributes
+    ----------
+    nq, na, nx : int
+        Sizes of the positions, of the internal states, and of the state.
     """
 
     schedule: ControlSchedule | None = None  # control over time that u is added to
@@ -36,7 +57,8 @@ class NodeCoordinates(BaseModel):
         self._supports = None if scene.supports is None else scene.supports.rates()
         self._free = mechanism.free_index
         self.nq = len(self._free)
-        self.nx = 2 * self.nq + (1 if self.has_clock else 0)
+        self.na = len(join_initial(scene.internal_states))
+        self.nx = 2 * self.nq + self.na + (1 if self.has_clock else 0)
 
     @property
     def has_clock(self) -> bool:
@@ -55,7 +77,12 @@ class NodeCoordinates(BaseModel):
 
     # --- numbers ---
 
-    def state(self, nodes: Any, velocities: Any = None) -> Array:
+    @property
+    def moving(self) -> slice:
+        """Entries of the state except the clock."""
+        return slice(0, 2 * self.nq + self.na)
+
+    def state(self, nodes: Any, velocities: Any = None, internal: Any = None) -> Array:
         """Build the state of given nodes and velocities.
 
         Its clock is 0.
@@ -66,6 +93,8 @@ class NodeCoordinates(BaseModel):
             Positions of the physical nodes, including those inside subdivided strings [m].
         velocities : array_like, shape (n, 3), optional
             Velocities [m/s]; at rest if None. Moving supports keep their own velocities.
+        internal : array_like, shape (na,), optional
+            Internal states, such as rest lengths; their initial values if None.
 
         Returns
         -------
@@ -90,7 +119,12 @@ class NodeCoordinates(BaseModel):
             speeds[self._moved] = self._supports(0.0)[1].full().T  # supports override
         self._check_supports(positions, speeds)
         x = np.zeros(self.nx)
-        q, v, _ = self.split(x)
+        q, v, own, _ = self.split(x)
+        own[:] = (
+            join_initial(self.scene.internal_states)
+            if internal is None
+            else finite_array("internal", internal, (self.na,))
+        )
         q[:], v[:] = (
             self.mechanism.local(vectors.ravel())[self._free]
             for vectors in (self.columns(positions), self.columns(positions, speeds))
@@ -190,23 +224,23 @@ class NodeCoordinates(BaseModel):
 
     # --- expressions ---
 
-    def split(self, x: Any) -> tuple[Any, Any, Any]:
-        """Split states into positions, velocities and clock.
+    def split(self, x: Any) -> StateParts:
+        """Split states into their parts.
 
-        Their sizes are nq, nq, and 1 or 0. They are views of arrays (…, nx), or rows of CasADi
-        matrices (nx, …).
+        They are views of arrays (…, nx), or rows of CasADi matrices (nx, …).
         """
-        parts = slice(self.nq), slice(self.nq, 2 * self.nq), slice(2 * self.nq, self.nx)
+        ends = [0, self.nq, 2 * self.nq, 2 * self.nq + self.na, self.nx]
+        parts = [slice(*pair) for pair in pairwise(ends)]
         if isinstance(x, np.ndarray):
-            return x[..., parts[0]], x[..., parts[1]], x[..., parts[2]]
-        return x[parts[0], :], x[parts[1], :], x[parts[2], :]
+            return StateParts(*(x[..., part] for part in parts))
+        return StateParts(*(x[part, :] for part in parts))
 
     def unpack(self, x: Any) -> tuple[Any, Any, Any]:
         """Compute N, V and time of a CasADi state.
 
         N and V are (3×n), in the columns of `mechanism`.
         """
-        start, (q, v, clock) = self.mechanism.N.T, self.split(x)
+        start, (q, v, _, clock) = self.mechanism.N.T, self.split(x)
         time = clock if self.has_clock else 0
         N, V = self._place(q, start), self._place(v, np.zeros_like(start))
         if self._supports is not None and self.coordinates == "reduced":
@@ -246,10 +280,11 @@ class NodeCoordinates(BaseModel):
         vector[self._free.tolist()] = free
         return ca.reshape(self.mechanism.world(vector), 3, len(elsewhere))
 
-    def pack(self, upper: Any, lower: Any, clock: Any) -> Any:
-        """Build a state from two matrices (3×n) and the clock.
+    def pack(self, upper: Any, lower: Any, internal: Any, clock: Any) -> Any:
+        """Build a state from two matrices (3×n), internal states and clock.
 
-        It is the inverse of `unpack`, also for rates of change.
+        It is the inverse of `unpack`, also for rates of change. The internal states are ignored if
+        the model has none.
         """
         free = self._free.tolist()
         parts = [
@@ -258,7 +293,8 @@ class NodeCoordinates(BaseModel):
             else ca.vec(matrix)
             for matrix in (upper, lower)
         ]
-        return ca.densify(ca.vertcat(*parts, *([clock] if self.has_clock else [])))
+        own = [internal] if self.na else []
+        return ca.densify(ca.vertcat(*parts, *own, *([clock] if self.has_clock else [])))
 
     def support_accelerations(self, time: Any) -> Any:
         """Compute the accelerations (3×n) of moving supports [m/s²].

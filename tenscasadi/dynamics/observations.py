@@ -8,8 +8,10 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from tenscasadi.dynamics import forces
+from tenscasadi.dynamics.force_element import NodeMotion
 from tenscasadi.dynamics.mechanism import Mechanism
 from tenscasadi.dynamics.state_space import StateSpace
+from tenscasadi.scene.dissipation import is_conservative
 from tenscasadi.util.casadi_tools import sparse
 
 
@@ -61,7 +63,8 @@ class Observations(StateSpace):
         """
         x, u = self.symbols(not self.mechanism.large)
         N, V, time = self.unpack(x)
-        mech, w = self.with_masses(u, inverse=False), self.add_schedule(u, time)
+        mech = self.with_masses(u, inverse=False)
+        w = self.add_schedule(self.extend_inputs(x, u), time)
         gamma, S = forces.string_force_density(self.scene, mech, N, V, w)
         first = self.mechanism.first.tolist()
         outputs = {
@@ -70,7 +73,8 @@ class Observations(StateSpace):
             "force_density": gamma.T,
             "tension": (gamma * ca.sqrt(ca.sum1(S * S))).T,
             "energy": ca.vertcat(
-                _kinetic_energy(mech, V), *forces.potential_energy(self.scene, mech, N, w)
+                _kinetic_energy(mech, V) + self._internal_kinetic_energy(mech, w),
+                *forces.potential_energy(self.scene, mech, N, w),
             ),
             "bar_length_error": self._bar_length_error(N),
             "joint_error": self._joint_error(N, time),
@@ -180,9 +184,46 @@ class Observations(StateSpace):
     @property
     def conservative(self) -> bool:
         """Whether all forces are conservative under constant control."""
-        return self.schedule is None and forces.is_conservative(self.scene)
+        return self.schedule is None and is_conservative(self.scene)
 
     # --- expressions ---
+
+    def internal_rates(self, x: Any, w: Any, mode: Any = None) -> Any:
+        """Compute the rates (na,) of the internal states of x with the stacked input w.
+
+        `mode` is that of `forces.build_elements`.
+        """
+        if not self.na:
+            return ca.DM(0, 1)
+        N, V, time = self.unpack(x)
+        mech = self.with_masses(w, inverse=False)
+        elements = forces.build_elements(
+            self.scene, mech, self.add_schedule(self.extend_inputs(x, w), time), mode
+        )
+        return forces.internal_rates(elements, NodeMotion(N, V, time))
+
+    def internal_power(self, x: Any, w: Any, stored: bool, mode: Any = None) -> Any:
+        """Compute the power [W] of changes of the internal states.
+
+        It is that part of the rate of the kinetic energy and, if `stored`, of the potential energy.
+        """
+        if not self.na:
+            return ca.DM(0)
+        symbol = type(x).sym("x", self.nx)
+        N = self.unpack(symbol)[0]
+        mech, given = self.with_masses(w, inverse=False), self.extend_inputs(symbol, w)
+        energy = self._internal_kinetic_energy(mech, given)
+        if stored:
+            energy = energy + sum(forces.potential_energy(self.scene, mech, N, given))
+        still = ca.DM.zeros(*N.shape)
+        change = self.pack(still, still, self.internal_rates(symbol, w, mode), 0)
+        return ca.substitute(ca.jtimes(ca.densify(energy), symbol, change), symbol, x)
+
+    def _internal_kinetic_energy(self, mech: Mechanism, w: Any) -> Any:
+        if not self.na:
+            return ca.DM(0)
+        elements = forces.build_elements(self.scene, mech, w)
+        return sum(element.internal_kinetic_energy() for element in elements)
 
     def _bar_length_error(self, N: Any) -> Any:
         if not self.mechanism.bars:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from tenscasadi.dynamics.model import Model
+from tenscasadi.scene.internal_states import join_initial
 from tenscasadi.util.validate import Array
 
 
@@ -18,7 +19,7 @@ class OperatingPoint:
     nodes : ndarray, shape (n, 3)
         Positions [m].
     control : ndarray, shape (nu,)
-        Control.
+        Control. Winches are locked: it contains rest lengths [m].
     parameters : ndarray, shape (np,)
         Parameters.
     time : float
@@ -48,9 +49,22 @@ class OperatingPoint:
         ndarray, shape (nx,)
             State at rest.
         """
-        x = model.state(self.nodes)
-        model.split(x)[2][:] = self.time
+        own, control = None, model.scene.control
+        if control is not None and model.na and len(self.control):  # else initial rest lengths
+            own = join_initial(control.internal_states(self.control))
+        x = model.state(self.nodes, internal=own)
+        model.split(x).clock[:] = self.time
         return x
+
+    def control_of(self, model: Model) -> Array | None:
+        """Compute the control (nu,) that keeps a model at rest; None: its initial one."""
+        control = model.scene.control
+        if not len(self.control) or control is None:
+            return None
+        if not model.na:
+            return self.control
+        tension = model.tension(self.state_of(model))[model.scene.winch_strings]
+        return control.initial_inputs(self.control, tension)
 
 
 def split_point(model: Model, state: Any, control: Any, parameters: Any) -> tuple[Any, Any, Any]:
@@ -60,10 +74,9 @@ def split_point(model: Model, state: Any, control: Any, parameters: Any) -> tupl
     """
     if not isinstance(state, OperatingPoint):
         return state, control, parameters
-    own = state.control if len(state.control) else None
     given = state.parameters if len(state.parameters) else None
     return (
         state.state_of(model),
-        own if control is None else control,
+        state.control_of(model) if control is None else control,
         given if parameters is None else parameters,
     )

@@ -19,7 +19,8 @@ from tenscasadi.dynamics.constraint_forces import (
     residuals,
 )
 from tenscasadi.dynamics.node_coordinates import NodeCoordinates, check_column
-from tenscasadi.scene.binding import initial_control
+from tenscasadi.scene.binding import declare_internal_states, initial_control
+from tenscasadi.scene.internal_states import join_initial
 from tenscasadi.structure.mass_checks import check_mass_ratio
 from tenscasadi.util.casadi_tools import symbol_kind
 from tenscasadi.util.read_only import read_only
@@ -101,12 +102,12 @@ class StateSpace(NodeCoordinates):
         return read_only(self._at_rest(inputs))  # type: ignore[no-any-return]
 
     def _at_rest(self, w: Array) -> Array:
-        x = self.state(self.structure.nodes)
+        x = self.state(self.structure.nodes, internal=self.internal_at(w[self.nu :]))
         if self._supports is None or not self.mechanism.constrained:
             return x
         N, V, time = self.unpack(ca.DM(x))
         V = project_velocities(self.with_masses(ca.DM(w)), N, V, self.targets(time)[1])
-        return self.pack(N, V, time).full().ravel()  # type: ignore[no-any-return]
+        return self.pack(N, V, self.split(ca.DM(x)).internal, time).full().ravel()  # type: ignore[no-any-return]
 
     @cached_property
     def initial_control(self) -> Array:
@@ -119,6 +120,10 @@ class StateSpace(NodeCoordinates):
     def control_at(self, p: Array) -> Array:
         """Compute the initial control (nu,) for parameters (np,)."""
         return initial_control(self.scene, p)
+
+    def internal_at(self, p: Array) -> Array:
+        """Compute the initial internal states (na,) for parameters (np,)."""
+        return join_initial(declare_internal_states(self.scene, p))
 
     def stack_inputs(self, u: Any = None, parameters: Any = None) -> Array:
         """Check and stack control and parameters (nw,).
@@ -133,9 +138,11 @@ class StateSpace(NodeCoordinates):
     def start_at(self, p: Array) -> Array:
         """Compute the initial state (nx,) for parameters (np,).
 
-        Masses affect the initial velocities if supports move.
+        Masses affect the initial velocities if supports move. Rest lengths that are internal states
+        follow the parameters.
         """
-        if self._supports is None or self.mechanism.masses is None:
+        moved = self._supports is not None and self.mechanism.masses is not None
+        if not moved and not self.na:
             return self.initial_state
         return self._at_rest(np.concatenate([self.control_at(p), p]))
 
@@ -202,10 +209,21 @@ class StateSpace(NodeCoordinates):
         return [*self.scene.over_time, *([] if self.schedule is None else [self.schedule])]
 
     def add_schedule(self, w: Any, time: Any) -> Any:
-        """Add the scheduled control to the stacked input w."""
+        """Add the scheduled control to the stacked input w.
+
+        Internal states may follow in w.
+        """
         if self.schedule is None:
             return w
-        return w + ca.vertcat(self.schedule.at(time), ca.DM.zeros(self.np))
+        rest = w.shape[0] - self.nu
+        return w + ca.vertcat(self.schedule.at(time), ca.DM.zeros(rest))
+
+    def extend_inputs(self, x: Any, w: Any) -> Any:
+        """Append the internal states of x to the stacked input w.
+
+        Force elements depend on them as on inputs.
+        """
+        return ca.vertcat(w, self.split(x).internal) if self.na else w
 
     @property
     def nw(self) -> int:
@@ -284,8 +302,8 @@ class StateSpace(NodeCoordinates):
         if masses is None:
             return mechanism
         if inverse:
-            return mechanism.with_masses(masses.weigh(w[self.nu :]))
-        return replace(mechanism, M=masses.mass_matrix(w[self.nu :]), inverse=())
+            return mechanism.with_masses(masses.weigh(w[self.nu : self.nw]))
+        return replace(mechanism, M=masses.mass_matrix(w[self.nu : self.nw]), inverse=())
 
     def symbols(self, scalar: bool) -> tuple[Any, Any]:
         """Create symbols of x and w.

@@ -71,7 +71,7 @@ class Episodes:
             )
             x = self._first.copy()
             if any(self._start):
-                q, v, _ = model.split(x)
+                q, v, *_ = model.split(x)
                 q += self._start[0] * rng.uniform(-1, 1, model.nq)
                 v += self._start[1] * rng.uniform(-1, 1, model.nq)
                 x = self._project(x, p)[0].ravel() if model.np else self._project(x)[0].ravel()

@@ -143,7 +143,7 @@ class Task:
     def __post_init__(self) -> None:
         model = self.model
         instance("Task.model", model, Model, "a tenscasadi.Model")
-        if model.scene.control is None or not model.nu:
+        if model.scene.control is None or model.na or not model.nu:
             cure = "give Scene(..., control=ForceDensity(), Tension() or RestLength())"
             raise ValueError(f"Task.model has the control {model.scene.control}: {cure}")
         for name in ("reward", "observation", "terminated"):

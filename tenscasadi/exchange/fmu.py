@@ -119,7 +119,7 @@ def _list_variables(model: Model) -> Iterator[_Variable]:
     """List inputs, parameters and outputs in the order of their references."""
     p, control = model.parameters.nominal, model.scene.control
     if control is not None:
-        quantity = control.name.replace(" ", "_")
+        quantity = control.name.replace(" ", "_").replace("-", "_")
         for k, value in enumerate(model.control_at(p)):
             yield _Variable(f"control.{quantity}[{k}]", control.unit, "input", float(value))
     for name, unit, value in zip(model.parameters.names, model.parameters.units, p, strict=True):

@@ -156,7 +156,7 @@ def _build_decision(
     if project is not None:
         after = ca.vertcat(correct(model, project, after[: model.nx], u), after[model.nx :])
 
-    moving = slice(0, 2 * model.nq)
+    moving = model.moving
     scale = atol + rtol * ca.fmax(ca.fabs(z[moving]), ca.fabs(after[moving]))
     columns: list[Any] = ca.horzsplit(errors)
     error = _norm([ca.vec(column)[moving] / scale for column in columns])

@@ -11,7 +11,10 @@ import numpy as np
 from tenscasadi.dynamics.base_model import check_model
 from tenscasadi.integrators.events import count_switches
 from tenscasadi.integrators.scheme import Complex, NamedScheme, equations
-from tenscasadi.integrators.stage_iteration import solve_stages, stage_states
+from tenscasadi.integrators.stage_iteration import (
+    solve_stages,
+    stage_states,
+)
 from tenscasadi.util.validate import Array, choice, positive_number, whole_number
 
 if TYPE_CHECKING:
@@ -195,7 +198,8 @@ class Collocation(NamedScheme, kind="Collocation"):
             If `model` is no Model.
         """
         check_model(model)
-        if self.degree > 4 or model.nq == 0:  # sweeps converge slowly
+        # otherwise sweeps converge slowly
+        if self.degree > 4 or model.nq == 0 or model.has_coupled_rates:
             step = self._newton(equations(model, power))
         else:
             step = self._advance_by_sweeps(model, power)
@@ -211,15 +215,15 @@ class Collocation(NamedScheme, kind="Collocation"):
         z, u, h = ca.MX.sym("z", nx + (power is not None)), ca.MX.sym("u", model.nw), ca.MX.sym("h")
         tolerance = ca.MX.sym("tolerance")
         x = z[:nx]
-        _, v, clock = model.split(x)
-        k, change = solve_stages(model, A, self.iterations)(x, u, h, tolerance)
+        _, v, _, clock = model.split(x)
+        rates, change = solve_stages(model, A, self.iterations)(x, u, h, tolerance)
         moved = ca.vertcat(
-            h * v + h**2 * ca.mtimes(k, ca.DM(A.T @ b)),
-            h * ca.mtimes(k, ca.DM(b)),
+            h * v + h**2 * ca.mtimes(rates[: model.nq, :], ca.DM(A.T @ b)),
+            h * ca.mtimes(rates, ca.DM(b)),
             ca.DM.ones(clock.shape[0]) * h,
         )
         if power is not None:
-            watts = [power(state, u) for state in stage_states(model, A, x, k, h)]
+            watts = [power(state, u) for state in stage_states(model, A, x, rates, h)]
             moved = ca.vertcat(moved, h * ca.mtimes(ca.horzcat(*watts), ca.DM(b)))
         # the last sweep's change, up to rounding
         solved = change <= ca.fmax(100 * tolerance, 1e-9 * ca.norm_inf(x))

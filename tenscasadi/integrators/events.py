@@ -31,7 +31,8 @@ def build_switching(model: Model) -> ca.Function | None:
         return None
     x, u = model.symbols(not mech.large)
     N, V, time = model.unpack(x)
-    elements = forces.build_elements(scene, mech, model.add_schedule(u, time))
+    w = model.add_schedule(model.extend_inputs(x, u), time)
+    elements = forces.build_elements(scene, mech, w)
     at = NodeMotion(N, V, time)
     rows = [element.switches(at) for element in elements if element.switch_count]
     return ca.Function(
@@ -50,17 +51,19 @@ def build_mode_ode(model: Model, work: bool = False) -> ca.Function:
     """
     kind: Any = ca.MX if model.mechanism.large else ca.SX  # staged functions have no mode input
     z, w = kind.sym("z", model.nx + work), kind.sym("w", model.nw + count_switches(model))
-    N, V, time = model.unpack(z[: model.nx])
-    u, mode = split_mode(model, w)
+    x = z[: model.nx]
+    N, V, time = model.unpack(x)
+    own, mode = split_mode(model, w)
+    u = model.extend_inputs(x, own)
     acceleration = forward_dynamics(model, N, V, u, time, mode)[0]
-    parts = [model.pack(V, acceleration, 1)]
+    parts = [model.pack(V, acceleration, model.internal_rates(x, own, mode), 1)]
     if work:
         mech = model.with_masses(u, inverse=False)
         if model.scene.supports is None:
             push = forces.total(model.scene, mech, N, V, model.add_schedule(u, time), time, mode)
         else:  # reactions of moving supports do work
             push = ca.mtimes(acceleration, sparse(mech.M))
-        parts.append(ca.sum2(ca.sum1(push * V)))
+        parts.append(ca.sum2(ca.sum1(push * V)) + model.internal_power(x, own, False, mode))
     return ca.Function(
         "held", [z, w], ca.cse([ca.densify(ca.vertcat(*parts))]), ["z", "w"], ["zdot"]
     )
@@ -80,13 +83,14 @@ def build_potential(model: Model) -> ca.Function:
     if model.schedule is not None:
         return ca.Function("potential", [x, u], [ca.DM(0)], ["x", "u"], ["potential"])
     mech = model.with_masses(u, inverse=False)
-    total = ca.densify(sum(forces.potential_energy(model.scene, mech, model.unpack(x)[0], u)))
+    w = model.extend_inputs(x, u)
+    total = ca.densify(sum(forces.potential_energy(model.scene, mech, model.unpack(x)[0], w)))
     return ca.Function("potential", [x, u], [total], ["x", "u"], ["potential"])
 
 
 def count_switches(model: Model) -> int:
     """Count the strings and contacts that can switch."""
-    w = ca.DM(model.stack_inputs())
+    w = model.extend_inputs(ca.DM(model.initial_state), ca.DM(model.stack_inputs()))
     elements = forces.build_elements(model.scene, model.mechanism, w)
     return sum(element.switch_count for element in elements)
 

@@ -8,7 +8,6 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from tenscasadi.dynamics import forces
 from tenscasadi.dynamics.constraint_forces import (
     call_weighted,
     project_velocities,
@@ -21,6 +20,7 @@ from tenscasadi.dynamics.mechanism import Mechanism
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import Complex, NamedScheme
 from tenscasadi.integrators.tableaux import CLASSICAL, MIDPOINT, SUZUKI, Tableau
+from tenscasadi.scene.dissipation import has_friction, is_damped
 from tenscasadi.util.validate import Array, format_value, whole_number
 
 _FRACTIONS: dict[int, Array] = {2: np.ones(1), 4: SUZUKI}
@@ -62,7 +62,8 @@ class Rattle(NamedScheme, kind="Rattle"):
     exact with one evaluation of the forces if no force depends on velocity [2]_. The explicit
     midpoint rule (order 4: the classical Runge-Kutta method) integrates string damping, ground
     damping and friction within the kick, with two (four) evaluations. That keeps the order but is
-    not symplectic.
+    not symplectic. The same rule integrates internal states, such as rest lengths, over half a step
+    before and after the kick.
 
     References
     ----------
@@ -170,6 +171,7 @@ def _leap(model: Model, power: ca.Function | None, kick: Tableau, iterations: in
     z, u, h = kind.sym("z", model.nx + (power is not None)), kind.sym("u", model.nw), kind.sym("h")
     mech, scene = model.with_masses(u), model.scene
     N, V, time = model.unpack(z[: model.nx])
+    own = model.split(z[: model.nx]).internal
 
     def drift(N: Any, V: Any, time: Any) -> tuple[Any, Any, Any]:
         later = time + h / 2
@@ -179,33 +181,45 @@ def _leap(model: Model, power: ca.Function | None, kick: Tableau, iterations: in
 
     def place_nodes(N: Any, V: Any, time: Any) -> tuple[Any, Any, Any]:
         """Move supports to their positions at that time."""
-        return model.unpack(model.pack(N, V, time))
+        return model.unpack(model.pack(N, V, own, time))
 
     def tangent(N: Any, V: Any, time: Any) -> Any:
         return project_velocities(mech, N, V, model.targets(time)[1])
+
+    def turn(N: Any, V: Any, own: Any, time: Any) -> Any:
+        """Advance the internal states by half a step, while the nodes rest."""
+        slopes: list[Any] = []
+        for row in kick.a if model.na else ():
+            stage = own + h / 2 * _sum_slopes(row, slopes) if any(row) else own
+            slopes.append(model.internal_rates(model.pack(N, V, stage, time), u))
+        return own + h / 2 * _sum_slopes(kick.b, slopes) if model.na else own
 
     def acceleration(mech: Mechanism, N: Any, V: Any, u: Any, time: Any) -> tuple[Any, ...]:
         return (mech.with_inverse(compute_forces(model, N, V, u, time, mech=mech)[0]),)
 
     N, V, time = drift(N, V, time)
-    rough = forces.is_damped(scene) or forces.has_friction(scene)
-    if rough or power is not None:
+    rough = is_damped(scene) or has_friction(scene)
+    if rough or power is not None or model.na:
         V = tangent(N, V, time)
-    before = V
+    before, own = V, turn(N, V, own, time)
+    given = ca.vertcat(u, own) if model.na else u
     if rough:
         slopes: list[Any] = []
         for row in kick.a:
             stage = tangent(N, V + h * _sum_slopes(row, slopes), time) if any(row) else V
-            slopes.append(call_weighted(mech, acceleration, N, stage, u, time)[0])
+            slopes.append(call_weighted(mech, acceleration, N, stage, given, time)[0])
         V = tangent(N, V + h * _sum_slopes(kick.b, slopes), time)
     else:
-        V = tangent(N, V + h * call_weighted(mech, acceleration, N, V, u, time)[0], time)
+        V = tangent(N, V + h * call_weighted(mech, acceleration, N, V, given, time)[0], time)
     supplied = (
-        [] if power is None else [z[model.nx] + h * power(model.pack(N, (before + V) / 2, time), u)]
+        []
+        if power is None
+        else [z[model.nx] + h * power(model.pack(N, (before + V) / 2, own, time), u)]
     )
+    own = turn(N, V, own, time)
 
     N, V, time = drift(N, V, time)
-    end = ca.vertcat(model.pack(N, tangent(N, V, time), time), *supplied)
+    end = ca.vertcat(model.pack(N, tangent(N, V, time), own, time), *supplied)
     return ca.Function("leap", [z, u, h], ca.cse([end]), ["z", "u", "h"], ["z_next"])
 
 

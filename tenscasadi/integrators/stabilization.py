@@ -229,7 +229,11 @@ def _projection(model: Model, iterations: int) -> ca.Function:
     elif mech.constrained:
         N = _rescale(mech, N)
     return _correcting(
-        "project", x, p, model.pack(N, project_velocities(mech, N, V, Dd), time), "projected"
+        "project",
+        x,
+        p,
+        model.pack(N, project_velocities(mech, N, V, Dd), model.split(x).internal, time),
+        "projected",
     )
 
 
@@ -285,7 +289,13 @@ def _appendix_c(model: Model, weight: float) -> ca.Function:
     moved = [
         _close_joints(mech, Z, change, target) for Z, change, target in ((N, p, D), (V, r, Dd))
     ]
-    return _correcting("correct", x, parameters, model.pack(moved[0], moved[1], time), "corrected")
+    return _correcting(
+        "correct",
+        x,
+        parameters,
+        model.pack(moved[0], moved[1], model.split(x).internal, time),
+        "corrected",
+    )
 
 
 def _direction(B: Any, Bd: Any, lengths: Any, weight: float) -> Any:

@@ -50,8 +50,8 @@ def factor_crout(A: Array) -> Array:
 def solve_stages(model: Model, A: Array, sweeps: int) -> ca.Function:
     """Build the solver for the stages of a step.
 
-    Function (x, u, h, tolerance) → accelerations of the stages (nq, s), and the last change of a
-    velocity or of h times a velocity [m or m/s]. Small symmetric systems give one stage after the
+    Function (x, u, h, tolerance) → rates of the velocities and internal states of all stages
+    (nq + na, s), and the last change of a velocity or of h times a velocity [m or m/s]. Small symmetric systems give one stage after the
     other. The sweeps end when no stage moves by more than the tolerance, or after `sweeps`.
 
     Newton's method for all stages at once needs derivatives of the right-hand side and a system
@@ -69,9 +69,9 @@ def solve_stages(model: Model, A: Array, sweeps: int) -> ca.Function:
     .. [1] van der Houwen, de Swart, Triangularly implicit iteration methods for ODE-IVP solvers,
        SIAM J. Sci. Comput. 18, 1997.
     """
-    nq, s = model.nq, len(A)
+    s = len(A)
     sizes = {
-        "k": (nq, s),
+        "k": (model.nq + model.na, s),
         "changes": (2, 1),
         "x": (model.nx, 1),
         "u": (model.nw, 1),
@@ -93,26 +93,28 @@ def solve_stages(model: Model, A: Array, sweeps: int) -> ca.Function:
     all_sweeps = loop_until_converged(
         "all_sweeps", loop_until_converged("sweeps", sweep, _BLOCK), -(-sweeps // _BLOCK)
     )
-    k, changes = all_sweeps(ca.DM.zeros(nq, s), ca.DM.inf(2), *symbols[2:])
+    k, changes = all_sweeps(ca.DM.zeros(*sizes["k"]), ca.DM.inf(2), *symbols[2:])
     return ca.Function("stages", symbols[2:], [k, changes[0]], names[2:], ["k", "change"])
 
 
 def stage_states(model: Model, A: Array, x: Any, k: Any, h: Any) -> list[Any]:
     """Compute the states (nx,) of all stages.
 
-    The accelerations k are (nq, s).
+    The rates k of velocities and internal states are (nq + na, s).
     """
-    c, (q, v, clock) = A.sum(axis=1), model.split(x)
-    Q, V = h**2 * ca.mtimes(k, ca.DM((A @ A).T)), h * ca.mtimes(k, ca.DM(A.T))
+    c, (q, v, own, clock) = A.sum(axis=1), model.split(x)
+    Q = h**2 * ca.mtimes(k[: model.nq, :], ca.DM((A @ A).T))
+    changes = h * ca.mtimes(k, ca.DM(A.T))
     return [
-        ca.vertcat(q + c[i] * h * v + Q[:, i], v + V[:, i], clock + c[i] * h) for i in range(len(A))
+        ca.vertcat(q + c[i] * h * v + Q[:, i], ca.vertcat(v, own) + changes[:, i], clock + c[i] * h)
+        for i in range(len(A))
     ]
 
 
 def _sweep(model: Model, A: Array, k: Any, changes: Any, x: Any, u: Any, h: Any) -> list[Any]:
     """Sweep once through all stages.
 
-    Returns their accelerations, the change by this sweep, and the smallest change of any sweep.
+    Returns their rates, the change by this sweep, and the smallest change of any sweep.
     """
     L = factor_crout(A)
     squared = L @ L
@@ -123,9 +125,9 @@ def _sweep(model: Model, A: Array, k: Any, changes: Any, x: Any, u: Any, h: Any)
     for i, state in enumerate(stage_states(model, A, x, k, h)):
         for j, change in enumerate(found):
             state = state + ca.vertcat(
-                h**2 * squared[i, j] * change,
+                h**2 * squared[i, j] * change[: model.nq],
                 h * L[i, j] * change,
-                ca.DM.zeros(model.nx - 2 * model.nq),
+                ca.DM.zeros(model.nx - 2 * model.nq - model.na),
             )
         w = u
         if gaps is not None:
@@ -134,9 +136,9 @@ def _sweep(model: Model, A: Array, k: Any, changes: Any, x: Any, u: Any, h: Any)
             least = changes[1]
             doubt = ca.if_else(least < np.inf, 2.0 * least, 0) * (h + _lead(model, u))
             w = ca.vertcat(u, ca.if_else(least < np.inf, gaps(state, u) > -doubt, gaps(x, u) > 0))
-        found.append(
-            solve(state, w, h * L[i, i], model.split(ode(state, w))[1] - k[:, i], changes[0])
-        )
+        slope = ode(state, w)[model.nq : 2 * model.nq + model.na] - k[:, i]
+        change = solve(state, w, h * L[i, i], slope[: model.nq], changes[0])
+        found.append(ca.vertcat(change, slope[model.nq :]) if model.na else change)
     delta = ca.horzcat(*found)
     moved = h * ca.fmax(1, h) * ca.norm_inf(ca.vec(delta))
     return [k + delta, ca.vertcat(moved, ca.fmin(changes[1], moved))]
@@ -147,7 +149,8 @@ def _lead(model: Model, u: Any) -> Any:
 
     It is the derivative (k,) of a switching function by its velocity.
     """
-    scene = bind(model.scene, u)[0]
+    w = model.extend_inputs(ca.DM(model.initial_state), u)
+    scene = bind(model.scene, w)[0]
     stiffness, damping = (
         constant_row(scene.modelled.stiffness),
         constant_row(scene.modelled.damping),
@@ -160,7 +163,7 @@ def _lead(model: Model, u: Any) -> Any:
     clamped = ca.DM(np.isin(first, scene.clamped_strings).astype(float))
     grounds = [
         ca.repmat(ca.densify(one.surface.damping / one.surface.stiffness), one.switch_count, 1)
-        for one in forces.build_elements(model.scene, model.mechanism, u)
+        for one in forces.build_elements(model.scene, model.mechanism, w)
         if isinstance(one, (forces.Contacts, BarContacts))
     ]
     switching = ca.reshape(lead[first.tolist()], clamped.shape[0], 1)  # a column, even if empty
@@ -177,8 +180,9 @@ def _solver(model: Model) -> ca.Function:
 
     def linear(x: Any, w: Any, g: Any, r: Any, moved: Any) -> tuple[Any, ...]:
         N, V, time = model.unpack(x)
-        u, mode = split_mode(model, w)
-        u, mech = model.add_schedule(u, time), model.with_masses(u, inverse=False)
+        given, mode = split_mode(model, w)
+        mech = model.with_masses(given, inverse=False)
+        u = model.add_schedule(model.extend_inputs(x, given), time)
         M = sparse(mech.free_mass)
 
         at = NodeMotion(N, V, time)

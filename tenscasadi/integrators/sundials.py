@@ -320,10 +320,12 @@ class Idas(Sundials, kind="Idas"):
         u, mode = split_mode(model, w) if held else (w, None)
         mech = model.with_masses(u)
         z = kind.sym("z", mech.bars + 3 * mech.joints)
-        N, V, time = model.unpack(state[: model.nx])
+        x = state[: model.nx]
+        N, V, time = model.unpack(x)
+        given = model.extend_inputs(x, u)
         lam, Omega = z[: mech.bars].T, ca.reshape(z[mech.bars :], 3, mech.joints)
         B, Bd = mech.bar_vectors(N), mech.bar_vectors(V)
-        F, moved = compute_forces(model, N, V, u, time, mode, mech)
+        F, moved = compute_forces(model, N, V, given, time, mode, mech)
         A = mech.with_inverse(F + nodal_forces(mech, B, lam, Omega)) + moved
         stretching = ca.sum1(Bd * Bd) + ca.sum1(B * mech.bar_vectors(A))  # Eq. 28
         gaping = (
@@ -331,7 +333,7 @@ class Idas(Sundials, kind="Idas"):
             + Omega
             - mech.project_onto_constraints(Omega)
         )
-        xdot = [model.pack(V, A, 1)] + (
+        xdot = [model.pack(V, A, model.internal_rates(x, u, mode), 1)] + (
             [] if power is None else [power(state[: power.size1_in(0)], w)[-1]]
         )
         rows = ca.densify(ca.vertcat(stretching.T, ca.vec(gaping)))
@@ -360,5 +362,6 @@ class Idas(Sundials, kind="Idas"):
             return None
         x, u = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nw)
         N, V, time = model.unpack(x)
-        _, lam, Omega = forward_dynamics(model, N, V, u, time)
+        w = model.extend_inputs(x, u)
+        _, lam, Omega = forward_dynamics(model, N, V, w, time)
         return ca.Function("start", [x, u], [ca.densify(ca.vertcat(lam.T, ca.vec(Omega)))])

@@ -65,7 +65,7 @@ class EventSteps:
         self._rtol, self._atol, self._moving = (
             scheme.rtol,
             scheme.absolute(model),
-            slice(0, 2 * model.nq),
+            model.moving,
         )
         work = build_mode_ode(model, work=True) if power else None
         self._equations = scheme.equations(model, work, held=True)

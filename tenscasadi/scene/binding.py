@@ -12,8 +12,8 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
+from tenscasadi.scene.internal_states import InternalStates
 from tenscasadi.scene.quantities import BODIES, ELASTIC_BARS, QUANTITIES, build_inertia
-from tenscasadi.scene.strings import ForceDensity, RestLength, Tension
 from tenscasadi.structure.cables import add_compliances
 from tenscasadi.util.casadi_tools import is_expression
 from tenscasadi.util.validate import Array
@@ -33,29 +33,31 @@ def with_fields(value: Value, **fields: Any) -> Value:
     return new
 
 
-def bind(scene: Any, w: Any) -> tuple[Any, Any]:
+def bind(scene: Any, w: Any) -> tuple[Any, Any, Any]:
     """Replace constants of a scene by expressions of parameters.
 
     Parameters
     ----------
     scene : Scene
         The scene.
-    w : casadi column, shape (nu + np,)
-        Control, followed by the parameters.
+    w : casadi column, shape (nu + np + na,)
+        Control, followed by the parameters and the internal states.
 
     Returns
     -------
     tuple
-        Scene without parameters, and the control (nu,). Quantities of the modeled strings are rows
-        1×α, or 1×1 if they are equal.
+        Scene without parameters, the control (nu,) and the internal states (na,). Quantities of the
+        modeled strings are rows 1×α, or 1×1 if they are equal.
     """
+    known = scene.nu + len(scene.layout)
+    internal = w[known:] if scene.internal_states else ca.DM(0, 1)
     if scene.parameters is None:
-        return scene, w
-    p, items, s = w[scene.nu :], scene.layout.quantities, scene.modelled
+        return scene, w[: scene.nu] if scene.internal_states else w, internal
+    p, items, s = w[scene.nu : known], scene.layout.quantities, scene.modelled
     changes: dict[str, Any] = {"parameters": None}
     own, count = {}, len(s.string_parent)
     for name in items.keys() & {"stiffness", "damping", "rest_length"}:
-        if name == "rest_length" and isinstance(scene.control, RestLength):
+        if name == "rest_length" and sets_rest_lengths(scene):
             continue
         share = s.string_fraction if name == "rest_length" else 1 / s.string_fraction
         segments = np.arange(count), s.string_parent
@@ -82,13 +84,19 @@ def bind(scene: Any, w: Any) -> tuple[Any, Any]:
             size = 1 if name == "pressure" else 3
             rows = ca.reshape(value, size, value.shape[0] // size).T
             changes[name] = with_fields(load, **{load.quantity_name: rows})
-    return with_fields(scene, **changes), w[: scene.nu]
+    return with_fields(scene, **changes), w[: scene.nu], internal
+
+
+def sets_rest_lengths(scene: Any) -> bool:
+    """Return whether inputs set rest lengths, at once or over time."""
+    return scene.control is not None and scene.control.sets_rest_lengths
 
 
 def initial_control(scene: Any, p: Array) -> Array:
     """Compute the control (nu,) that keeps the rest lengths.
 
-    It consists of rest lengths [m], or of the corresponding force densities [N/m] or tensions [N].
+    It consists of rest lengths [m], or of the corresponding force densities [N/m] or tensions [N],
+    or it keeps winches at rest.
     """
     s, layout = scene.structure, scene.layout
     if scene.control is None:
@@ -96,14 +104,24 @@ def initial_control(scene: Any, p: Array) -> Array:
     stiffness, rest = (
         layout.item_values(name, p, getattr(s, name)) for name in ("stiffness", "rest_length")
     )
-    if isinstance(scene.control, ForceDensity):
+    if scene.control.commands_densities:
         return np.asarray(stiffness * np.maximum(0.0, 1 - rest / s.string_lengths))  # Eq. 99
     total = np.asarray(np.bincount(s.cable_of, weights=rest), dtype=float)
-    if isinstance(scene.control, Tension):
-        lengths = np.bincount(s.cable_of, weights=s.string_lengths)
-        stiffness = add_compliances(s.cable_of, stiffness)
-        return np.asarray(stiffness * np.maximum(0.0, lengths - total))
-    return total
+    lengths = np.bincount(s.cable_of, weights=s.string_lengths)
+    stiffness = add_compliances(s.cable_of, stiffness)
+    return scene.control.initial_inputs(  # type: ignore[no-any-return]
+        total, np.asarray(stiffness * np.maximum(0.0, lengths - total))
+    )
+
+
+def declare_internal_states(scene: Any, p: Array) -> tuple[InternalStates, ...]:
+    """Declare the internal states of a scene with parameters (np,)."""
+    if scene.control is None:
+        return ()
+    s = scene.structure
+    rest = scene.layout.item_values("rest_length", p, s.rest_length)
+    total = np.asarray(np.bincount(s.cable_of, weights=rest), dtype=float)
+    return scene.control.internal_states(total)  # type: ignore[no-any-return]
 
 
 def fix(scene: Any, p: Array) -> Any:

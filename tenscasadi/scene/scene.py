@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 
 from tenscasadi.scene.bar_contact import BarContact
+from tenscasadi.scene.binding import declare_internal_states
+from tenscasadi.scene.control import Control
 from tenscasadi.scene.ground import Surface, read_grounds
+from tenscasadi.scene.internal_states import InternalStates
 from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
 from tenscasadi.scene.parameter_layout import EMPTY, ParameterLayout, build_layout
 from tenscasadi.scene.parameters import Parameters
-from tenscasadi.scene.strings import Clip, Control, ForceDensity, StringLaw, read_slack
+from tenscasadi.scene.slack import read_slack
+from tenscasadi.scene.strings import Clip, ForceDensity, StringLaw
 from tenscasadi.scene.supports import SupportMotion
 from tenscasadi.schema.containers import Either, ListOf, MapOf
 from tenscasadi.schema.definitions import OneOf
@@ -37,7 +41,7 @@ class Scene(Value, Viewable, kind="Scene"):
     ----------
     structure : Structure
         Structure with its initial nodes.
-    control : ForceDensity, Tension or RestLength, optional
+    control : ForceDensity, Tension, RestLength, RestLengthRate or Winch, optional
         Kind of control. Default: strings keep the structure's rest lengths.
     segments : int or sequence of int, shape (α,)
         Number of segments of each string.
@@ -112,8 +116,9 @@ class Scene(Value, Viewable, kind="Scene"):
             if value is not None:
                 instance(f"Scene.{name}", value, kind, f"a tenscasadi.{kind.__name__} or None")
         if self.control is not None:
-            kinds = "RestLength(), Tension(), ForceDensity() or None"
+            kinds = "RestLength(), RestLengthRate(), Winch(), Tension(), ForceDensity() or None"
             instance("Scene.control", self.control, Control, kinds)
+            self.control.check(self.nu)
         object.__setattr__(self, "slack", read_slack(self.slack, len(self.structure.strings)))
         self._check_cables()
         if not isinstance(self.ground, Surface):
@@ -188,6 +193,14 @@ class Scene(Value, Viewable, kind="Scene"):
         return select_first(self.modelled.cable_of)
 
     @property
+    def winch_strings(self) -> Indices:
+        """Modeled string (nu,) at the winch of each input: the first one of a cable."""
+        first = select_first(self.input_of)
+        for own in self.modelled.cables:
+            first[self.input_of[own[0]]] = own[0]
+        return first
+
+    @property
     def input_of(self) -> Indices:
         """Input (α,) of each modeled string."""
         return self.structure.cable_of[self.modelled.string_parent]
@@ -257,6 +270,17 @@ class Scene(Value, Viewable, kind="Scene"):
     def layout(self) -> ParameterLayout:
         """Layout of the parameter vector p, `Model.parameters`."""
         return EMPTY if self.parameters is None else build_layout(self, self.parameters)
+
+    @cached_property
+    def internal_states(self) -> tuple[InternalStates, ...]:
+        """Internal states besides positions and velocities, such as rest lengths."""
+        return declare_internal_states(self, self.layout.nominal)
+
+    @cached_property
+    def locked(self) -> Scene:
+        """Scene of statics, in which internal states are inputs: winches are locked."""
+        control = self.control and self.control.locked
+        return self if control is self.control else replace(self, control=control)
 
     def has_parameter(self, name: str) -> bool:
         """Return whether a quantity is a parameter.

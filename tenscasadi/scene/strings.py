@@ -2,32 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, cast
+from typing import Any, ClassVar, Literal
 
 import casadi as ca
 import numpy as np
 
+from tenscasadi.scene.control import Control
 from tenscasadi.schema.value import Value
-from tenscasadi.util.validate import Array, as_tuple, choice, instance, node_index, positive_number
-
-
-class Control(Value):
-    """Kind of control, the input of a scene's strings.
-
-    Attributes
-    ----------
-    name, quantity, unit : str
-        Name of an input and of all of them in messages, and their unit.
-    commands_forces : bool
-        Whether the inputs are forces, so that strings have no law.
-    """
-
-    name: ClassVar[str]
-    quantity: ClassVar[str]
-    unit: ClassVar[str]
-    commands_forces: ClassVar[bool]
+from tenscasadi.util.validate import Array, choice, positive_number
 
 
 @dataclass(frozen=True)
@@ -47,6 +30,7 @@ class ForceDensity(Control, kind="ForceDensity"):
     quantity: ClassVar[str] = "force densities"
     unit: ClassVar[str] = "N/m"
     commands_forces: ClassVar[bool] = True
+    commands_densities: ClassVar[bool] = True
 
 
 @dataclass(frozen=True)
@@ -70,6 +54,10 @@ class Tension(Control, kind="Tension"):
     unit: ClassVar[str] = "N"
     commands_forces: ClassVar[bool] = True
 
+    def initial_inputs(self, rest: Array, tension: Array) -> Array:
+        """Return the tensions."""
+        return tension
+
 
 @dataclass(frozen=True)
 class RestLength(Control, kind="RestLength"):
@@ -89,7 +77,11 @@ class RestLength(Control, kind="RestLength"):
     name: ClassVar[str] = "rest length"
     quantity: ClassVar[str] = "rest lengths"
     unit: ClassVar[str] = "m"
-    commands_forces: ClassVar[bool] = False
+    sets_rest_lengths: ClassVar[bool] = True
+
+    def initial_inputs(self, rest: Array, tension: Array) -> Array:
+        """Return the rest lengths."""
+        return rest
 
 
 class StringLaw(Value):
@@ -403,36 +395,6 @@ class Linear(StringLaw, kind="Linear"):
         """
         stretch = ca.sqrt(squared + (1e-9 * unit) ** 2) - rest
         return stiffness * stretch * stretch / 2
-
-
-def read_slack(given: Any, strings: int) -> StringLaw | tuple[StringLaw, ...]:
-    """Convert the field `slack` to one law or several.
-
-    Strings that a mapping does not name have `Clip()`. Raises TypeError or ValueError.
-    """
-    example = (
-        "Clip(), Smooth(width), Linear(), or one of them for each string, such as {3: Linear()}"
-    )
-    if isinstance(given, StringLaw):
-        return given
-    if isinstance(given, Mapping):
-        laws: list[Any] = [Clip()] * strings
-        for key, law in given.items():
-            laws[node_index("Scene.slack, string", key, strings, "string")] = law
-    else:
-        if isinstance(given, (str, bytes)) or not isinstance(given, Sequence):
-            instance("Scene.slack", given, StringLaw, example)
-        laws = list(as_tuple("Scene.slack", given, example))
-        if len(laws) != strings:
-            raise ValueError(
-                f"Scene.slack has {len(laws)} entries: "
-                f"give one law, or one for each of {strings} strings"
-            )
-    for string, law in enumerate(laws):
-        instance(f"Scene.slack[{string}]", law, StringLaw, "Clip(), Smooth(width) or Linear()")
-    if not laws:
-        return Clip()
-    return cast(StringLaw, laws[0]) if len(set(laws)) == 1 else tuple(laws)
 
 
 def rest_length(force_density: Array, length: Array, stiffness: Array) -> Array:

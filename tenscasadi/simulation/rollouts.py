@@ -208,7 +208,7 @@ def _find_places(model: Model, clock: Array) -> tuple[Any, Array]:
     place = model.entries
     probes = np.zeros((len(clock), model.nx))
     if model.scene.has_clock:
-        model.split(probes)[2][:] = clock[:, None]
+        model.split(probes).clock[:] = clock[:, None]
     local = model.mechanism.local(model.nodes(probes).reshape(len(probes), place.size)).reshape(
         -1, *place.shape
     )

@@ -150,6 +150,19 @@ class Trajectory(
     def __repr__(self) -> str:
         return f"Trajectory({len(self.time)} rows, {self.nodes.shape[1]} nodes, t = {self.time[0]:g} … {self.time[-1]:g} s, success={self.success})"
 
+    @property
+    def internal_states(self) -> dict[str, Array]:
+        """Internal states (T, nu) by name, such as "rest length" under `RestLengthRate`."""
+        if self.scene is None or not self.scene.internal_states:
+            return {}
+        parts = self.scene.internal_states
+        end = self.states.shape[1] - int(self.scene.has_clock)
+        begins = end - np.cumsum([len(part.initial) for part in parts[::-1]])[::-1]
+        return {
+            part.quantity: self.states[:, begin : begin + len(part.initial)]
+            for part, begin in zip(parts, begins.tolist(), strict=True)
+        }
+
     def orientation(self, body: int) -> Array:
         """Compute the orientation of a rigid body.
 
@@ -248,6 +261,10 @@ class Trajectory(
             Quantity("bar_length_error", "bar length error", self.bar_length_error),
             Quantity("joint_error", "joint error (m)", self.joint_error),
             Quantity("control", "control {}", self.control, ("input",)),
+            *(
+                Quantity(name.replace(" ", "_"), f"input {{}} {name}", values, ("input",))
+                for name, values in self.internal_states.items()
+            ),
         )
 
     def _labels(self) -> Mapping[str, Sequence[str]]:

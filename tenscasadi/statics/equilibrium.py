@@ -106,7 +106,7 @@ class Equilibrium(OperatingPoint, ReadOnlyArrays):
     @cached_property
     def structure(self) -> Structure:
         """Structure with the nodes and rest lengths of the equilibrium."""
-        scene = fix(self.scene, self.parameters)
+        scene = fix(self.scene.locked, self.parameters)
         modelled: Structure = scene.modelled
         changes: dict[str, Any] = {"nodes": self.nodes}
         if isinstance(scene.control, RestLength):
@@ -143,7 +143,8 @@ def find_equilibrium(
         Nodes [m] or state from which the search begins; by default the nodes of the scene. The
         clock of a state is the time at which loads and supports are taken, by default 0.
     control : array_like, shape (nu,), optional
-        Control; by default the initial control of the scene.
+        Control; by default the initial control of the scene. Winches are locked: under
+        `RestLengthRate`, it contains rest lengths [m].
     parameters : array_like, shape (np,), or mapping, optional
         Values of the parameters, see `ParameterLayout.values`; nominal if None.
 
@@ -204,7 +205,7 @@ def find_equilibrium(
 
 def newton_system(scene: Scene) -> NewtonSystem:
     """Return the cached Newton systems of a scene."""
-    return keep(scene, "newton system", lambda: NewtonSystem(StaticEquations(scene)))
+    return keep(scene, "newton system", lambda: NewtonSystem(StaticEquations(scene.locked)))
 
 
 def model_of(source: Scene | Model) -> Model:
@@ -250,14 +251,16 @@ def read_problem(
         parameters = start.parameters if parameters is None else parameters
         start, time = start.nodes, start.time
     p = scene.layout.values(parameters)
-    u = initial_control(scene, p)
+    u = initial_control(scene.locked, p)
     if control is not None:
         u = finite_array("control", control, (scene.nu,))
     nodes = structure.nodes
     if start is not None and nesting(start) == 1:
         model = model_of(source)
         state = finite_array("start", start, (model.nx,))
-        nodes, clock = model.nodes(state), model.split(state)[2]
+        nodes, clock = model.nodes(state), model.split(state).clock
+        if control is None and model.na:
+            u = np.asarray(model.split(state).internal[: scene.nu])
         time = float(clock[0]) if len(clock) else 0.0
     elif start is not None:
         nodes = finite_array("start", start, structure.nodes.shape)

@@ -13,7 +13,9 @@ BOTH = pytest.mark.parametrize("coordinates", ["reduced", "full"])
 
 def accelerations(model: Model, x: np.ndarray, u: np.ndarray | None = None) -> np.ndarray:
     """N̈ (n, 3) of physical nodes."""
-    _, rate, _ = model.split(model.ode(x, model.initial_control if u is None else u).full().ravel())
+    rate = model.split(
+        model.ode(x, model.initial_control if u is None else u).full().ravel()
+    ).velocities
     shifted = np.concatenate([rate, np.zeros(model.nx - model.nq)])
     return model.nodes(shifted) - model.nodes(np.zeros(model.nx))
 

@@ -171,6 +171,7 @@ def dynamics_calls() -> dict[str, Call]:
         "Scene, laws": (tc.Scene, {"structure": SEGMENTED, "slack": {0: tc.Linear(), 1: tc.Clip()}}),
         "Smooth": (tc.Smooth, {"width": 0.01}),
         "Gravity": (tc.Gravity, {"acceleration": (0.0, 0.0, -9.81)}),
+        "Winch": (tc.Winch, {"radius": 0.02, "inertia": 1e-3, "friction": 0.1, "torque": 2.0, "speed": 30.0}),
         "Ground": (tc.Ground, {"stiffness": 10.0, "damping": 1.0, "friction": 0.4, "height": 0.0}),
         "BarContact": (tc.BarContact, {"pairs": [(0, 1)], "stiffness": 10.0, "damping": 1.0}),
         "Pressure": (tc.Pressure, {"faces": [(0, 1, 2)], "difference": 5.0}),

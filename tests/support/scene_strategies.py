@@ -117,7 +117,14 @@ def scenes(draw: Any) -> tc.Scene:
         draw(over_time(numbers(-9, 9), "amount * cos(2 * pi * t)")),
     )
     scene = {
-        "control": draw(st.sampled_from([None, None, tc.ForceDensity(), tc.RestLength()])),
+        "control": draw(
+            st.sampled_from(
+                [
+                    *(None, None, tc.ForceDensity(), tc.RestLength(), tc.RestLengthRate()),
+                    tc.Winch(0.02, 1e-3, torque=2.0),
+                ]
+            )
+        ),
         "segments": draw(
             st.one_of(
                 st.integers(1, 2), st.lists(st.integers(1, 3), min_size=count, max_size=count)

@@ -5,6 +5,7 @@ Rates of force densities and of rest lengths can be limited, too.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
@@ -346,7 +347,8 @@ class RestLengthRateLimits(RateBound, kind="RestLengthRateLimits"):
     """Limits of the rate of each rest length.
 
     They are the speed limits of winches. From the start of an interval of length h [s] to that of
-    the next, ρ changes by at most ``rate`` · h. For piecewise-linear controls (`PiecewiseLinear`),
+    the next, ρ changes by at most ``rate`` · h. Under ``control=RestLengthRate()``, they are bounds
+    on decision variables. For piecewise-linear controls (`PiecewiseLinear`),
     this also holds from the start to the end of the last interval.
 
     Parameters
@@ -417,6 +419,17 @@ class RestLengthRateLimits(RateBound, kind="RestLengthRateLimits"):
         rate = broadcast_limits("RestLengthRateLimits.rate", self.rate, len(inputs), np.inf)
         names = tuple(f"rest length rate of {name}" for name in inputs)
         return drop_infinite(Limit(value, -rate, rate, names, "m/s"))
+
+
+def combine_rates(structure: Structure, bounds: Iterable[Bound]) -> Array:
+    """Compute the smallest limit (nu,) [m/s] of each rest-length rate."""
+    count = len(name_inputs(structure))
+    largest = np.full(count, np.inf)
+    for bound in bounds:
+        if isinstance(bound, RestLengthRateLimits):
+            own = broadcast_limits("RestLengthRateLimits.rate", bound.rate, count, np.inf)
+            largest = np.minimum(largest, own)
+    return largest
 
 
 def read_stiffness(field: str, given: ArrayLike | None, structure: Structure) -> Array:

@@ -238,7 +238,7 @@ def _record(model: Model, motion: ForeignTrajectory, parameters: Any, name: str)
             states[row] = model.state(motion.nodes[row], motion.velocities[row])
         except ValueError as error:
             raise ValueError(f"at time {motion.time[row]:g} s {error}") from error
-    model.split(states)[2][:] = motion.time[:, None]
+    model.split(states).clock[:] = motion.time[:, None]
     p = model.parameters.values(parameters)
     controls = [model.stack_inputs(None if gamma is None else gamma[row], p) for row in range(rows)]
     step = float(motion.time[-1] - motion.time[0]) / max(1, rows - 1) or 1.0

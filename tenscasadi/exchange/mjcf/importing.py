@@ -17,9 +17,10 @@ from tenscasadi.exchange.mjcf.members import Endpoint, PieceEnds, drop_duplicate
 from tenscasadi.exchange.mjcf.strings import TendonString, read_control, read_strings
 from tenscasadi.exchange.mjcf.words import Defaults, check, children
 from tenscasadi.exchange.source import Source
+from tenscasadi.scene.control import Control
 from tenscasadi.scene.loads import Gravity
 from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.strings import Clip, Control, ForceDensity, Linear
+from tenscasadi.scene.strings import Clip, ForceDensity, Linear
 from tenscasadi.schema.reading import SceneFileError
 from tenscasadi.structure.rigid_body import RigidBody
 from tenscasadi.structure.structure import Structure

@@ -11,7 +11,8 @@ from tenscasadi.exchange.mjcf.bodies import Bodies, Site
 from tenscasadi.exchange.mjcf.elements import Element
 from tenscasadi.exchange.mjcf.members import order_by_number
 from tenscasadi.exchange.mjcf.words import Defaults, children
-from tenscasadi.scene.strings import Control, ForceDensity, RestLength
+from tenscasadi.scene.control import Control
+from tenscasadi.scene.strings import ForceDensity, RestLength
 from tenscasadi.util.validate import Array
 
 _UNLIMITED = 1e9  # N: larger force limits count as none

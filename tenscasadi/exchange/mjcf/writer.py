@@ -24,9 +24,10 @@ from tenscasadi.exchange.mjcf.contact import (
 )
 from tenscasadi.exchange.mjcf.frames import rotate_z_to
 from tenscasadi.scene.cables import CableRows
+from tenscasadi.scene.control import Control
 from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.strings import Control, ForceDensity, RestLength, Tension
+from tenscasadi.scene.strings import ForceDensity, RestLength, Tension
 from tenscasadi.structure.cables import find_directions
 from tenscasadi.util.linear_algebra import fit_velocities
 from tenscasadi.util.validate import Array
@@ -57,6 +58,11 @@ class SpatialTendon(NamedTuple):
 
 def list_tendons(scene: Scene) -> list[SpatialTendon]:
     """List the cables and lone strings of a scene, in the order of their inputs."""
+    if scene.internal_states:
+        raise ValueError(
+            f"scene.control is {scene.control}, which MJCF files cannot hold: "
+            "export a scene with control=RestLength()"
+        )
     s, pushing = scene.modelled, scene.compression_strings.tolist()
     paths = {
         int(s.cable_of[k]): (f"string{k}", [int(a), int(b)]) for k, (a, b) in enumerate(s.strings)

@@ -209,7 +209,7 @@ def _feedback_arrays(inputs: RunInputs) -> dict[str, Any]:
     plan, rows = inputs.feedback, inputs.grid.rows
     if plan is None:
         return {}
-    size, referred, last = len(plan.controls), 2 * inputs.model.nq, [len(plan.controls) - 1]
+    size, referred, last = len(plan.controls), inputs.model.moving.stop, [len(plan.controls) - 1]
     gains = np.concatenate([plan.gains, plan.gains[last]])[:, :, :referred]
     return {
         "decides": np.concatenate([[1], np.diff(rows) != 0]).astype(np.int64),

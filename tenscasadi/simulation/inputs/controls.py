@@ -198,7 +198,7 @@ def _read_profile(profile: ControlProfile, nu: int, t_end: float) -> Controls:
 def _read_feedback(model: Model, feedback: Feedback, t_end: float) -> Controls:
     """Check feedback, and extend its updates to the run's end."""
     given, known = feedback.controls.shape[1], feedback.states.shape[1]
-    clock = known - 2 * model.nq  # not fed back
+    clock = known - model.moving.stop  # not fed back
     if given != model.nu or clock not in (0, 1):
         raise ValueError(
             f"controls is a Feedback of {given} controls and {known} states: the model has {model.nu} and {model.nx}"

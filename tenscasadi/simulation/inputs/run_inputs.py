@@ -110,7 +110,7 @@ class RunInputs(NamedTuple):
         if self.model.schedule is None:
             return function
         x, w = ca.MX.sym("x", self.model.nx), ca.MX.sym("w", self.model.nw)
-        time = self.model.split(x)[2]
+        time = self.model.split(x).clock
         value = function(x[: function.size1_in(0)], self.model.add_schedule(w, time))
         return ca.Function(function.name(), [x, w], [ca.densify(value)])
 
@@ -132,7 +132,7 @@ def read_inputs(
     end = positive_number("t_end", t_end)
     p = _read_parameters(model, parameters) if many else model.parameters.values(parameters)[None]
     starts = _read_starts(model, states, p, many)
-    clocks = model.split(starts)[2]
+    clocks = model.split(starts).clock
     clocks = clocks[np.isfinite(clocks)]
     first = float(clocks[0]) if clocks.size else 0.0
     largest = (
@@ -190,7 +190,7 @@ def _read_starts(model: Model, states: Any, p: Array, many: bool) -> Array:
     if given.ndim not in (1, 2) or given.shape[-1] != model.nx:
         raise ValueError(f"states has shape {given.shape}: give {wanted}")
     starts = np.atleast_2d(given)
-    clocks = model.split(starts)[2]
+    clocks = model.split(starts).clock
     if clocks.size and len(np.unique(clocks[np.isfinite(clocks)])) > 1:
         raise ValueError(
             f"states[:, {model.nx - 1}] are clocks from {np.nanmin(clocks):g} to {np.nanmax(clocks):g} s: start all motions at one time"

@@ -21,12 +21,13 @@ from tenscasadi.simulation.verdict.endings import (
     find_stable_step,
     sample_run,
 )
+from tenscasadi.simulation.verdict.internal_limits import check_internal_states
 from tenscasadi.simulation.verdict.starts import (
     constraint_violation,
     describe_violation,
     start_violations,
 )
-from tenscasadi.simulation.verdict.thresholds import EPSILON, THRESHOLDS
+from tenscasadi.simulation.verdict.thresholds import EPSILON, THRESHOLDS, Doubts
 from tenscasadi.structure.mass_checks import total_mass
 from tenscasadi.util.compile import Single
 from tenscasadi.util.validate import Array
@@ -71,6 +72,9 @@ def judge(runs: Runs, found: StepErrors | None) -> Verdict:
     success &= ~doubts.failed
     for k in finished.tolist():
         message[k] += doubts.text[k]
+    doubts = check_internal_states(runs)
+    success &= ~doubts.failed
+    message = [text + more for text, more in zip(message, doubts.text, strict=True)]
     error, finer = np.full(len(status), np.nan), np.ones(len(status))
     if not len(finished):  # stopped runs return at once, however many steps remain
         return Verdict(success, message, error, finer)
@@ -106,21 +110,6 @@ class Measures(NamedTuple):
     bars: Array
     energy_error: Array
     moved: Array
-
-
-class Doubts(NamedTuple):
-    """Reasons not to trust n runs.
-
-    Attributes
-    ----------
-    text : list of str
-        Reasons, each after a semicolon.
-    failed : ndarray of bool, shape (n,)
-        Whether a run fails for one of its reasons.
-    """
-
-    text: list[str]
-    failed: NDArray[np.bool_]
 
 
 def find_doubts(measures: Measures) -> Doubts:

@@ -23,7 +23,7 @@ def start_violation(model: Model) -> ca.Function:
     def build() -> ca.Function:
         x = ca.MX.sym("x", model.nx)
         rows = model.constraints(x)
-        q, v, _ = model.split(x)
+        q, v, *_ = model.split(x)
         lengths = ca.DM(model.mechanism.lengths)
         size = float(model.mechanism.lengths.max(initial=0.0)) or extent(model)
         moving = model.mechanism.bar_vectors(model.unpack(x)[1])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 
 class Threshold(NamedTuple):
@@ -20,6 +21,21 @@ class Threshold(NamedTuple):
 
     reported: float
     failed: float
+
+
+class Doubts(NamedTuple):
+    """Reasons not to trust n runs.
+
+    Attributes
+    ----------
+    text : list of str
+        Reasons, each after a semicolon.
+    failed : ndarray of bool, shape (n,)
+        Whether a run fails for one of its reasons.
+    """
+
+    text: list[str]
+    failed: NDArray[np.bool_]
 
 
 # Errors of node positions are relative to the motion, of bars to their length, of the energy to the

@@ -308,12 +308,12 @@ class StaticEquations:
 
         With `corner`, strings at their rest lengths count as taut.
         """
-        scene, u = bind(self.scene, w)
+        scene, u, internal = bind(self.scene, w)
         columns: Any = self._columns(w)
         count, parts = len(self.structure.strings), []
         if count:
             row = squared[:, :count]
-            strings = StringForces(scene, columns, u)
+            strings = StringForces(scene, columns, u, internal)
             if corner and strings.switch_count:
                 first = scene.first_strings[scene.switching_inputs]
                 lengths = ca.sqrt(row[:, first.tolist()])

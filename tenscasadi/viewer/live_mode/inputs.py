@@ -25,7 +25,7 @@ def add_inputs(model: Model, values: Any = None) -> Model:
     """
     own = model.scene.parameters
     declared = () if own is None else (*own.names, *own.scale)
-    scene = model.with_parameters(values).scene
+    scene = model.with_parameters(values).scene.locked  # sliders set rest lengths
     if scene.control is None and len(scene.structure.strings):
         scene = replace(scene, control=RestLength())
     forces = scene.forces or NodalForce(np.zeros((len(scene.structure.nodes), 3)))

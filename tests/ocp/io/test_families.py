@@ -22,10 +22,11 @@ from ocp.transcription.base import Transcription
 from ocp.transcription.mesh import NamedProfile
 from tenscasadi.integrators.scheme import NamedScheme
 from tenscasadi.integrators.stabilization import Correction
+from tenscasadi.scene.control import Control
 from tenscasadi.scene.ground import Surface
 from tenscasadi.scene.over_time import OverTime
 from tenscasadi.scene.parameters import Parameters
-from tenscasadi.scene.strings import Control, StringLaw
+from tenscasadi.scene.strings import StringLaw
 from tenscasadi.scene.supports import SupportMotion
 from tenscasadi.schema.definitions import OneOf
 

@@ -40,7 +40,7 @@ def test_positions_velocities_and_clock_are_told_apart(
     model = Model(every_term() if clock else Scene(Structure(**PRISM)), coordinates)
     x = np.arange(float(model.nx))
     parts = model.split(np.stack([x, 2 * x]))
-    assert [part.shape[-1] for part in parts] == [model.nq, model.nq, int(clock)]
+    assert [part.shape[-1] for part in parts] == [model.nq, model.nq, 0, int(clock)]
     assert np.array_equal(np.concatenate([part[1] for part in parts]), 2 * x)
     for symbolic, expected in zip(
         model.split(ca.DM(np.stack([x, 2 * x], axis=1))), parts, strict=True

@@ -24,6 +24,7 @@ from tenscasadi.scene.loads import Gravity
 from tenscasadi.scene.parameters import Parameters
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity
+from tenscasadi.scene.winches import RestLengthRate
 from tenscasadi.simulation.export import export_c
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.structure import shapes
@@ -60,6 +61,9 @@ def rolling() -> Scene:
 
 
 MODELS = {
+    "winches": lambda: Model(
+        Scene(shapes.prism(prestress=20.0, damping=0.5), control=RestLengthRate())
+    ),
     "every term": lambda: Model(every_term(), "full"),
     "class 1 with ground": lambda: Model(
         Scene(

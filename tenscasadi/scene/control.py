@@ -1,0 +1,122 @@
+"""Base class of the controls of strings."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import casadi as ca
+
+from tenscasadi.scene.internal_states import InternalStates
+from tenscasadi.schema.value import Value
+from tenscasadi.util.validate import Array
+
+
+class Control(Value):
+    """Kind of control, the input of a scene's strings.
+
+    Attributes
+    ----------
+    name, quantity, unit : str
+        Name of an input and of all of them in messages, and their unit.
+    commands_forces : bool
+        Whether the inputs are forces, so that strings have no law.
+    commands_densities : bool
+        Whether these forces are force densities, one for each string.
+    sets_rest_lengths : bool
+        Whether rest lengths are the inputs, or follow from them over time.
+    """
+
+    name: ClassVar[str]
+    quantity: ClassVar[str]
+    unit: ClassVar[str]
+    commands_forces: ClassVar[bool] = False
+    commands_densities: ClassVar[bool] = False
+    sets_rest_lengths: ClassVar[bool] = False
+
+    def check(self, count: int) -> None:
+        """Check that the fields fit `count` cables and lone strings."""
+
+    def internal_states(self, rest: Array) -> tuple[InternalStates, ...]:
+        """Declare the internal states of cables and lone strings.
+
+        Parameters
+        ----------
+        rest : ndarray, shape (nu,)
+            Initial rest lengths [m].
+
+        Returns
+        -------
+        tuple of InternalStates
+            Their names, units, scales and initial values; empty by default.
+        """
+        return ()
+
+    @property
+    def locked(self) -> Control:
+        """Control of statics, in which internal states are inputs."""
+        return self
+
+    def initial_inputs(self, rest: Array, tension: Array) -> Array:
+        """Compute the inputs that keep the initial rest lengths.
+
+        Parameters
+        ----------
+        rest, tension : ndarray, shape (nu,)
+            Initial rest lengths [m] and tensions [N] of cables and lone strings.
+
+        Returns
+        -------
+        ndarray, shape (nu,)
+            Inputs.
+        """
+        raise NotImplementedError
+
+    def command(self, u: Any, internal: Any) -> Any:
+        """Select the forces or rest lengths (nu,) from inputs and internal states."""
+        return u
+
+    def internal_rates(self, u: Any, internal: Any, tension: Any) -> Any:
+        """Build the rates (na,) of the internal states.
+
+        Parameters
+        ----------
+        u : casadi column, shape (nu,)
+            Inputs.
+        internal : casadi column, shape (na,)
+            Internal states.
+        tension : casadi column, shape (nu,)
+            Tensions of the strings at the winches [N].
+
+        Returns
+        -------
+        casadi column
+            Rates.
+        """
+        return ca.DM(0, 1)
+
+    def follow(
+        self, rest: Array, tension: Array, interval: float, limits: tuple[Array, Array]
+    ) -> tuple[Array, Array]:
+        """Compute internal states and inputs that nearly follow given rest lengths.
+
+        Parameters
+        ----------
+        rest : ndarray, shape (K + 1, nu)
+            Rest lengths at equal times, from the initial ones [m].
+        tension : ndarray, shape (K, nu)
+            Tensions between these times [N].
+        interval : float
+            Time between them [s].
+        limits : tuple of ndarray, shape (nu,)
+            Limits of the inputs.
+
+        Returns
+        -------
+        tuple of ndarray, shapes (K, na) and (K, nu)
+            Internal states after the first time, and inputs.
+        """
+        raise NotImplementedError
+
+    def kinetic_energy(self, internal: Any) -> Any:
+        """Build the kinetic energy [J] of the internal states."""
+        return ca.DM(0)

@@ -1,0 +1,217 @@
+"""Winches: rest lengths that change over time by winding speeds."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tenscasadi.scene.control import Control
+from tenscasadi.scene.internal_states import InternalStates
+from tenscasadi.scene.strings import RestLength
+from tenscasadi.schema.field_types import LIMITS, PER_ITEM
+from tenscasadi.util.validate import Array, nonnegative, number_or_vector, per_item
+
+
+@dataclass(frozen=True)
+class RestLengthRate(Control, kind="RestLengthRate"):
+    """Control by rest-length rates [m/s] of cables and of parent strings that are in no cable.
+
+    Rest lengths are internal states, which begin at those of the structure. A negative rate shortens
+    the string. The initial control is zero.
+
+    Notes
+    -----
+    Damping acts on the rate of the length, as under ``RestLength()``. The work of the inputs is
+    −∫ t ρ̇ dt, with the elastic tensions t and the rest lengths ρ.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import tenscasadi as tc
+    >>> model = tc.Model(tc.Scene(tc.shapes.prism(prestress=10.0), control=tc.RestLengthRate()))
+    >>> model.nx, model.nu
+    (45, 9)
+    >>> run = tc.simulate(model, 0.1, control=np.full(9, -0.05), compiled=False)
+    >>> rest = model.split(run.states).internal
+    >>> (rest[-1] - rest[0]).round(6).tolist()[:2]
+    [-0.005, -0.005]
+    """
+
+    name: ClassVar[str] = "rest-length rate"
+    quantity: ClassVar[str] = "rest-length rates"
+    unit: ClassVar[str] = "m/s"
+    sets_rest_lengths: ClassVar[bool] = True
+
+    @property
+    def locked(self) -> Control:
+        """Control by the rest lengths."""
+        return RestLength()
+
+    def initial_inputs(self, rest: Array, tension: Array) -> Array:
+        """Return zero rates."""
+        return np.zeros(len(rest))
+
+    def internal_states(self, rest: Array) -> tuple[InternalStates, ...]:
+        """Declare the rest lengths."""
+        return (InternalStates("rest length", "m", rest, rest, 0.0),)
+
+    def command(self, u: Any, internal: Any) -> Any:
+        """Select the rest lengths."""
+        return internal
+
+    def internal_rates(self, u: Any, internal: Any, tension: Any) -> Any:
+        """Return the inputs."""
+        return u
+
+    def follow(
+        self, rest: Array, tension: Array, interval: float, limits: tuple[Array, Array]
+    ) -> tuple[Array, Array]:
+        """Compute rest lengths and rates within the limits."""
+        rates = np.clip(np.diff(rest, axis=0) / interval, *limits)
+        return rest[0] + interval * np.cumsum(rates, axis=0), rates
+
+
+@dataclass(frozen=True, eq=False)
+class Winch(Control, kind="Winch"):
+    """Control by motor torques [N·m] of winches that wind up cables and lone strings.
+
+    Rest lengths ρ and winding speeds ω are internal states. They begin at the rest lengths of the
+    structure, at rest. A positive speed shortens the string. The initial control holds the drums.
+
+    Parameters
+    ----------
+    radius : float or array_like, shape (nu,)
+        Radius r of the drum [m]: one number, or one for each cable and lone string.
+    inertia : float or array_like, shape (nu,)
+        Inertia J of drum and motor about the axis of the drum [kg·m²].
+    friction : float or array_like, shape (nu,)
+        Viscous friction c [N·m·s].
+    torque : float or array_like, shape (nu,), optional
+        Largest torque in plans, in both directions [N·m]. None or inf for no limit.
+    speed : float or array_like, shape (nu,), optional
+        Largest winding speed in plans, in both directions [rad/s]. None or inf for no limit.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a value is not positive (friction: negative). In a `Scene`: if the number of values differs
+        from that of inputs.
+
+    Notes
+    -----
+    J ω̇ = τ − c ω − r t, ρ̇ = −r ω, with the torque τ and the tension t of the string. In a cable with
+    friction, t is the tension of its first string. The kinetic energy of the drums is ½ J ω².
+
+    Examples
+    --------
+    >>> import tenscasadi as tc
+    >>> winch = tc.Winch(radius=0.02, inertia=1e-4, friction=1e-3)
+    >>> model = tc.Model(tc.Scene(tc.shapes.prism(prestress=10.0), control=winch))
+    >>> model.nx, model.nu
+    (54, 9)
+    >>> run = tc.simulate(model, 0.1, 1e-3, compiled=False)  # motors hold the tensions
+    >>> bool(abs(run.internal_states["winding speed"]).max() < 1e-9)
+    True
+    """
+
+    name: ClassVar[str] = "motor torque"
+    quantity: ClassVar[str] = "motor torques"
+    unit: ClassVar[str] = "N m"
+    sets_rest_lengths: ClassVar[bool] = True
+    radius: Annotated[ArrayLike, PER_ITEM]
+    inertia: Annotated[ArrayLike, PER_ITEM]
+    friction: Annotated[ArrayLike, PER_ITEM] = 0.0
+    torque: Annotated[ArrayLike | None, LIMITS] = None
+    speed: Annotated[ArrayLike | None, LIMITS] = None
+
+    def __post_init__(self) -> None:
+        for name in ("radius", "inertia", "friction"):
+            field = f"Winch.{name}"
+            array = number_or_vector(field, getattr(self, name))
+            nonnegative(field, array, "input", strict=name != "friction")
+        for name in ("torque", "speed"):
+            value, field = getattr(self, name), f"Winch.{name}"
+            if value is not None:
+                array = number_or_vector(field, _replace_inf(value))
+                nonnegative(field, array, "input", strict=True)
+
+    @property
+    def locked(self) -> Control:
+        """Control by the rest lengths."""
+        return RestLength()
+
+    def check(self, count: int) -> None:
+        """Check that the values fit `count` inputs."""
+        for name in ("radius", "inertia", "friction"):
+            per_item(f"Winch.{name}", getattr(self, name), count)
+        self.limits("torque", count)
+        self.limits("speed", count)
+
+    def limits(self, name: str, count: int) -> Array:
+        """Compute the largest torques or speeds (count,), inf if there are none."""
+        value = getattr(self, name)
+        array = np.asarray(np.inf if value is None else value, dtype=float)
+        if array.ndim and array.shape != (count,):
+            raise ValueError(f"Winch.{name} has shape {array.shape}: give one number, or {count}")
+        return np.broadcast_to(array, (count,))
+
+    def initial_inputs(self, rest: Array, tension: Array) -> Array:
+        """Compute the torques that hold the tensions."""
+        return np.asarray(self._values("radius", len(rest)) * tension)
+
+    def internal_states(self, rest: Array) -> tuple[InternalStates, ...]:
+        """Declare rest lengths and winding speeds."""
+        speeds = rest / self._values("radius", len(rest))  # in one second
+        return (
+            InternalStates("rest length", "m", rest, rest, 0.0),
+            InternalStates("winding speed", "rad/s", speeds, np.zeros(len(rest))),
+        )
+
+    def command(self, u: Any, internal: Any) -> Any:
+        """Select the rest lengths."""
+        return internal[: u.shape[0]]
+
+    def internal_rates(self, u: Any, internal: Any, tension: Any) -> Any:
+        """Build the rates of rest lengths and speeds."""
+        count = u.shape[0]
+        radius, inertia, friction = (
+            ca.DM(self._values(name, count)) for name in ("radius", "inertia", "friction")
+        )
+        speed = internal[count:]
+        return ca.vertcat(-radius * speed, (u - friction * speed - radius * tension) / inertia)
+
+    def follow(
+        self, rest: Array, tension: Array, interval: float, limits: tuple[Array, Array]
+    ) -> tuple[Array, Array]:
+        """Compute rest lengths, winding speeds and torques within the limits."""
+        count = rest.shape[1]
+        radius, inertia, friction = (
+            self._values(name, count) for name in ("radius", "inertia", "friction")
+        )
+        speeds = -np.diff(rest, axis=0) / (interval * radius)
+        gains = np.diff(speeds, axis=0, prepend=0.0) / interval
+        torques = np.clip(inertia * gains + friction * speeds + radius * tension, *limits)
+        return np.hstack([rest[1:], speeds]), torques
+
+    def kinetic_energy(self, internal: Any) -> Any:
+        """Build the kinetic energy of the drums [J]."""
+        count = internal.shape[0] // 2
+        speed = internal[count:]
+        return ca.dot(ca.DM(self._values("inertia", count)), speed * speed) / 2
+
+    def _values(self, name: str, count: int) -> Array:
+        return per_item(f"Winch.{name}", getattr(self, name), count)
+
+
+def _replace_inf(value: Any) -> Any:
+    """Replace infinite limits by 1, so that the others can be checked."""
+    with suppress(Exception):  # values that are not arrays are rejected later, by field
+        array = np.asarray(value)
+        if array.dtype.kind in "iuf" and not np.ma.is_masked(value):
+            return np.where(np.isposinf(array), 1.0, array)
+    return value
