@@ -737,7 +737,7 @@ def test_options_of_the_compiler_fit_the_system(platform, present, absent, monke
         return ""
 
     monkeypatch.setattr(compiled, "find_compiler", lambda: (f"cc for {platform}",))
-    monkeypatch.setattr(compiled, "_run", run)
+    monkeypatch.setattr(compiled, "run_compiler", run)
     monkeypatch.setattr(sys, "platform", platform)
     with pytest.raises(CompileError, match="no such compiler"):
         compile_function(function(f"for_{platform}"))
