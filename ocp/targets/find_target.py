@@ -165,7 +165,7 @@ class _TargetSearch:
         for state in chain(given, fit_start(problem.model, self.given, near)):
             for time in times:
                 y = np.append(state, time)
-                split(y[:-1])[2][:] = split(problem.initial_state)[2] + time
+                split(y[:-1]).clock[:] = split(problem.initial_state).clock + time
                 yield y
 
     def _find_nearest(self, y: Array) -> Array:
