@@ -57,7 +57,10 @@ class CondensedProgram:
         )
         row, column = _places(functions["nlp_jac_g"].sparsity_out(1))
         self._set_elimination(row, column, n)
-        others = np.setdiff1d(np.arange(len(program.lower)), self.defect_rows)
+        # goals stay independent by themselves here, and the replay judges those left out
+        judged = [np.arange(one.start, one.stop) for one in program.rows("dependent")]
+        left_out = np.concatenate([self.defect_rows, *judged])
+        others = np.setdiff1d(np.arange(len(program.lower)), left_out)
         equal = program.lower[others] == program.upper[others]
         self.goal_rows, self.path_rows = others[equal], others[~equal]
         count = len(program.lower)
