@@ -111,6 +111,10 @@ OTHER: dict[str, Callable[[], tc.Model]] = {
             tc.Terrain([[0, 1], [0, 0.5]], (-1, -1), (1, 1), nodes=[2]),
         ]
     ),
+    "Scene.bar_contact": lambda: model(
+        made=structure(bars=[(0, 1), (2, 3)], bar_radius=0.01),
+        bar_contact=tc.BarContact([(0, 1)], damping=2.0),
+    ),
     "Scene.pressure": lambda: model(pressure=tc.Pressure([(0, 1, 2)], 3.0)),
     "Scene.forces": lambda: model(forces=tc.NodalForce(np.ones((5, 3)))),
     "Scene.forces ": lambda: model(forces=tc.NodalForce(np.ones((5, 3)), bars={1: 1})),
