@@ -55,7 +55,18 @@ class Tension(Control, kind="Tension"):
     commands_forces: ClassVar[bool] = True
 
     def initial_inputs(self, rest: Array, tension: Array) -> Array:
-        """Return the tensions."""
+        """Return the tensions.
+
+        Parameters
+        ----------
+        rest, tension : ndarray, shape (nu,)
+            Initial rest lengths [m] and tensions [N] of cables and lone strings.
+
+        Returns
+        -------
+        ndarray, shape (nu,)
+            Tensions [N].
+        """
         return tension
 
 
@@ -80,7 +91,18 @@ class RestLength(Control, kind="RestLength"):
     sets_rest_lengths: ClassVar[bool] = True
 
     def initial_inputs(self, rest: Array, tension: Array) -> Array:
-        """Return the rest lengths."""
+        """Return the rest lengths.
+
+        Parameters
+        ----------
+        rest, tension : ndarray, shape (nu,)
+            Initial rest lengths [m] and tensions [N] of cables and lone strings.
+
+        Returns
+        -------
+        ndarray, shape (nu,)
+            Rest lengths [m].
+        """
         return rest
 
 

@@ -53,25 +53,92 @@ class RestLengthRate(Control, kind="RestLengthRate"):
         return RestLength()
 
     def initial_inputs(self, rest: Array, tension: Array) -> Array:
-        """Return zero rates."""
+        """Return zero rates.
+
+        Parameters
+        ----------
+        rest, tension : ndarray, shape (nu,)
+            Initial rest lengths [m] and tensions [N] of cables and lone strings.
+
+        Returns
+        -------
+        ndarray, shape (nu,)
+            Zeros [m/s].
+        """
         return np.zeros(len(rest))
 
     def internal_states(self, rest: Array) -> tuple[InternalStates, ...]:
-        """Declare the rest lengths."""
+        """Declare the rest lengths.
+
+        Parameters
+        ----------
+        rest : ndarray, shape (nu,)
+            Initial rest lengths [m].
+
+        Returns
+        -------
+        tuple of InternalStates
+            The rest lengths [m].
+        """
         return (InternalStates("rest length", "m", rest, rest, 0.0),)
 
     def command(self, u: Any, internal: Any) -> Any:
-        """Select the rest lengths."""
+        """Select the rest lengths.
+
+        Parameters
+        ----------
+        u : casadi column, shape (nu,)
+            Inputs.
+        internal : casadi column, shape (na,)
+            Internal states.
+
+        Returns
+        -------
+        casadi column, shape (nu,)
+            Rest lengths [m].
+        """
         return internal
 
     def internal_rates(self, u: Any, internal: Any, tension: Any) -> Any:
-        """Return the inputs."""
+        """Return the inputs.
+
+        Parameters
+        ----------
+        u : casadi column, shape (nu,)
+            Inputs.
+        internal : casadi column, shape (na,)
+            Internal states.
+        tension : casadi column, shape (nu,)
+            Tensions of the strings at the winches [N].
+
+        Returns
+        -------
+        casadi column, shape (na,)
+            Rates of the rest lengths [m/s].
+        """
         return u
 
     def follow(
         self, rest: Array, tension: Array, interval: float, limits: tuple[Array, Array]
     ) -> tuple[Array, Array]:
-        """Compute rest lengths and rates within the limits."""
+        """Compute rest lengths and rates within the limits.
+
+        Parameters
+        ----------
+        rest : ndarray, shape (K + 1, nu)
+            Rest lengths at equal times, from the initial ones [m].
+        tension : ndarray, shape (K, nu)
+            Tensions between these times [N].
+        interval : float
+            Time between them [s].
+        limits : tuple of ndarray, shape (nu,)
+            Limits of the inputs.
+
+        Returns
+        -------
+        tuple of ndarray, shapes (K, na) and (K, nu)
+            Internal states after the first time, and inputs.
+        """
         rates = np.clip(np.diff(rest, axis=0) / interval, *limits)
         return rest[0] + interval * np.cumsum(rates, axis=0), rates
 
@@ -146,14 +213,43 @@ class Winch(Control, kind="Winch"):
         return RestLength()
 
     def check(self, count: int) -> None:
-        """Check that the values fit `count` inputs."""
+        """Check that the values fit `count` inputs.
+
+        Parameters
+        ----------
+        count : int
+            Number of cables and lone strings.
+
+        Raises
+        ------
+        ValueError
+            If the number of values differs.
+        """
         for name in ("radius", "inertia", "friction"):
             per_item(f"Winch.{name}", getattr(self, name), count)
         self.limits("torque", count)
         self.limits("speed", count)
 
     def limits(self, name: str, count: int) -> Array:
-        """Compute the largest torques or speeds (count,), inf if there are none."""
+        """Compute the largest torques or speeds (count,), inf if there are none.
+
+        Parameters
+        ----------
+        name : {"torque", "speed"}
+            Name of the field.
+        count : int
+            Number of cables and lone strings.
+
+        Returns
+        -------
+        ndarray, shape (count,)
+            Largest torques [N·m] or speeds [rad/s].
+
+        Raises
+        ------
+        ValueError
+            If the number of values differs.
+        """
         value = getattr(self, name)
         array = np.asarray(np.inf if value is None else value, dtype=float)
         if array.ndim and array.shape != (count,):
@@ -161,11 +257,33 @@ class Winch(Control, kind="Winch"):
         return np.broadcast_to(array, (count,))
 
     def initial_inputs(self, rest: Array, tension: Array) -> Array:
-        """Compute the torques that hold the tensions."""
+        """Compute the torques that hold the tensions.
+
+        Parameters
+        ----------
+        rest, tension : ndarray, shape (nu,)
+            Initial rest lengths [m] and tensions [N] of cables and lone strings.
+
+        Returns
+        -------
+        ndarray, shape (nu,)
+            Torques [N·m].
+        """
         return np.asarray(self._values("radius", len(rest)) * tension)
 
     def internal_states(self, rest: Array) -> tuple[InternalStates, ...]:
-        """Declare rest lengths and winding speeds."""
+        """Declare rest lengths and winding speeds.
+
+        Parameters
+        ----------
+        rest : ndarray, shape (nu,)
+            Initial rest lengths [m].
+
+        Returns
+        -------
+        tuple of InternalStates
+            Rest lengths [m] and winding speeds [rad/s].
+        """
         speeds = rest / self._values("radius", len(rest))  # in one second
         return (
             InternalStates("rest length", "m", rest, rest, 0.0),
@@ -173,11 +291,39 @@ class Winch(Control, kind="Winch"):
         )
 
     def command(self, u: Any, internal: Any) -> Any:
-        """Select the rest lengths."""
+        """Select the rest lengths.
+
+        Parameters
+        ----------
+        u : casadi column, shape (nu,)
+            Inputs.
+        internal : casadi column, shape (na,)
+            Internal states.
+
+        Returns
+        -------
+        casadi column, shape (nu,)
+            Rest lengths [m].
+        """
         return internal[: u.shape[0]]
 
     def internal_rates(self, u: Any, internal: Any, tension: Any) -> Any:
-        """Build the rates of rest lengths and speeds."""
+        """Build the rates of rest lengths and speeds.
+
+        Parameters
+        ----------
+        u : casadi column, shape (nu,)
+            Inputs.
+        internal : casadi column, shape (na,)
+            Internal states.
+        tension : casadi column, shape (nu,)
+            Tensions of the strings at the winches [N].
+
+        Returns
+        -------
+        casadi column, shape (na,)
+            Rates of the rest lengths [m/s] and of the speeds [rad/s²].
+        """
         count = u.shape[0]
         radius, inertia, friction = (
             ca.DM(self._values(name, count)) for name in ("radius", "inertia", "friction")
@@ -188,7 +334,24 @@ class Winch(Control, kind="Winch"):
     def follow(
         self, rest: Array, tension: Array, interval: float, limits: tuple[Array, Array]
     ) -> tuple[Array, Array]:
-        """Compute rest lengths, winding speeds and torques within the limits."""
+        """Compute rest lengths, winding speeds and torques within the limits.
+
+        Parameters
+        ----------
+        rest : ndarray, shape (K + 1, nu)
+            Rest lengths at equal times, from the initial ones [m].
+        tension : ndarray, shape (K, nu)
+            Tensions between these times [N].
+        interval : float
+            Time between them [s].
+        limits : tuple of ndarray, shape (nu,)
+            Limits of the inputs.
+
+        Returns
+        -------
+        tuple of ndarray, shapes (K, na) and (K, nu)
+            Internal states after the first time, and inputs.
+        """
         count = rest.shape[1]
         radius, inertia, friction = (
             self._values(name, count) for name in ("radius", "inertia", "friction")
@@ -199,7 +362,18 @@ class Winch(Control, kind="Winch"):
         return np.hstack([rest[1:], speeds]), torques
 
     def kinetic_energy(self, internal: Any) -> Any:
-        """Build the kinetic energy of the drums [J]."""
+        """Build the kinetic energy of the drums [J].
+
+        Parameters
+        ----------
+        internal : casadi column, shape (na,)
+            Internal states.
+
+        Returns
+        -------
+        casadi expression
+            Energy [J].
+        """
         count = internal.shape[0] // 2
         speed = internal[count:]
         return ca.dot(ca.DM(self._values("inertia", count)), speed * speed) / 2
