@@ -24,7 +24,8 @@ def measure_error_growth(model: Model, time: Array, states: Array, force_density
 
     It is the largest singular value of the state-transition matrix of the motion, restricted to
     changes of the initial state that bars and joints permit. Positions count in m, velocities in m
-    per duration, internal states in their scale per size of the structure. The matrix is the product of the `linear_steps`.
+    per duration, and internal states relative to their scale, times the size of the structure. The
+    matrix is the product of the `linear_steps`.
 
     Parameters
     ----------

@@ -135,10 +135,9 @@ class PlannedForces(Tabular):
     def rest_lengths(self, stiffness: ArrayLike | None = None) -> Array:
         """Compute the rest lengths that produce the planned force densities.
 
-        A plan under rest-length control returns its control if no stiffness is given, and one of
-        winches its states. Otherwise the
-        rest lengths are s (1 − γ/k) for elastic strings of length s, without damping (Eq. 99). That
-        of a cable is the sum over its strings.
+        If no stiffness is given, a plan under rest-length control returns its control, and a plan
+        of winches its internal states. Otherwise the rest lengths are s (1 − γ/k) for elastic
+        strings of length s, without damping (Eq. 99). That of a cable is the sum over its strings.
 
         Parameters
         ----------

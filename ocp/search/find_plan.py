@@ -143,9 +143,8 @@ def _worth(plan: PlanResult) -> tuple[bool, bool, float]:
 def _try(search: _PlanSearch, attempt: Attempt) -> tuple[PlanResult, Target | None]:
     """Run one attempt and its acceptance test.
 
-    If dependent goal rows are active at its optimum, a second run imposes those rows that are
-    independent near its end.
-    Returns the plan, and the target from which the next attempt starts.
+    If its optimum misses dependent goals, a second run imposes the rows that are independent near
+    its end. The second run counts if it succeeds. Returns the plan, and the target from which the next attempt starts.
     """
     task = search.task
     outcome, target = run_attempt(task, attempt)
@@ -173,10 +172,10 @@ def _try(search: _PlanSearch, attempt: Attempt) -> tuple[PlanResult, Target | No
 
 
 def _find_other_target(task: PlanningTask, plan: PlanResult, found: Outcome) -> Target | None:
-    """Find the target near the end of an optimum with active dependent rows.
+    """Find the target near the end of an optimum that misses dependent goals.
 
-    The imposed rows are then not the independent ones there, see `Target.dependent`. Returns None
-    if the optimum meets the goals, or if no other target is found.
+    The imposed rows are not the independent ones there, see `Target.dependent`. Returns None if the
+    optimum meets the goals, or if no other target is found.
     """
     target, problem, duration = task.target, task.problem, float(plan.time[-1])
     if target is None or not target.met or not found.success or found.duals is None:

@@ -51,8 +51,9 @@ def solve_stages(model: Model, A: Array, sweeps: int) -> ca.Function:
     """Build the solver for the stages of a step.
 
     Function (x, u, h, tolerance) → rates of the velocities and internal states of all stages
-    (nq + na, s), and the last change of a velocity or of h times a velocity [m or m/s]. Small symmetric systems give one stage after the
-    other. The sweeps end when no stage moves by more than the tolerance, or after `sweeps`.
+    (nq + na, s), and the last change of a velocity or of h times a velocity [m or m/s]. Small
+    symmetric systems give one stage after the other. The sweeps end when no stage moves by more
+    than the tolerance, or after `sweeps`.
 
     Newton's method for all stages at once needs derivatives of the right-hand side and a system
     with 2 s times as many unknowns. Here the lower triangle L of Crout's A = L U [1]_ replaces A

@@ -21,8 +21,8 @@ _ITERATIONS = 50  # of Newton's method, which settles in about ten
 _SMALLEST_SHARE = 1e-4  # of a Newton step, before the search ends
 
 
-class _Contacts(NamedTuple):
-    """Nodes that cables slide over.
+class _Bends(NamedTuple):
+    """Nodes that cables run over.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class _Contacts(NamedTuple):
 def read_sliding(scene: Scene, control: Any, parameters: Any) -> Scene:
     """Read a scene of cables with friction, with constant parameters.
 
-    Raises ValueError if their rest lengths are no property of the structure.
+    Raises ValueError if the rest lengths depend on a control.
     """
     if scene.control is not None or control is not None:
         raise ValueError(
@@ -72,9 +72,9 @@ def find_sliding(scene: Scene, search: Callable[[Scene, Any], Any], start: Any) 
     Equilibrium
         Equilibrium of the scene with cables that stick at their final rest lengths.
     """
-    contacts = _list_contacts(scene.structure)
-    slip, side = np.zeros((2, len(contacts.cable)))  # side: sign of the slip, 0 where it sticks
-    found = search(_stick(scene, contacts, slip), start)
+    bends = _list_bends(scene.structure)
+    slip, side = np.zeros((2, len(bends.cable)))  # side: sign of the slip, 0 where it sticks
+    found = search(_stick(scene, bends, slip), start)
     for _ in range(_ITERATIONS):
         if not found.success:
             return found
@@ -86,9 +86,9 @@ def find_sliding(scene: Scene, search: Callable[[Scene, Any], Any], start: Any) 
             return found
 
         def slide(moved: Array, begin: Any = found) -> Any:
-            return search(_stick(scene, contacts, moved), begin)
+            return search(_stick(scene, bends, moved), begin)
 
-        room = _room(_rest_lengths(scene, contacts, slip), contacts)
+        room = _room(_rest_lengths(scene, bends, slip), bends)
         step = _find_step(lambda moved: _excess(scene, slide(moved)), slip, side, error, room)
         share = min(1.0, _LARGEST_STEP / float((np.abs(step) / room).max(initial=_LARGEST_STEP)))
         while share > _SMALLEST_SHARE:
@@ -103,7 +103,7 @@ def find_sliding(scene: Scene, search: Callable[[Scene, Any], Any], start: Any) 
         else:
             break
         found, slip, side = trial, moved, onward
-    cable = contacts.cable[side != 0.0][int(np.argmax(np.abs(error)))]
+    cable = bends.cable[side != 0.0][int(np.argmax(np.abs(error)))]
     return replace(
         found,
         success=False,
@@ -121,10 +121,10 @@ def _find_step(
     """
     slipping = np.flatnonzero(side)
     slopes = np.zeros((len(slipping), len(slipping)))
-    for k, contact in enumerate(slipping):
+    for k, bend in enumerate(slipping):
         change = np.zeros(len(slip))
-        change[contact] = side[contact] * _STEP * room[contact]
-        slopes[:, k] = (_select(excess(slip + change), side) - error) / change[contact]
+        change[bend] = side[bend] * _STEP * room[bend]
+        slopes[:, k] = (_select(excess(slip + change), side) - error) / change[bend]
     step = np.zeros(len(slip))
     found = -np.linalg.lstsq(slopes, error, rcond=NEGLIGIBLE)[0]
     if np.abs(slopes @ found + error).max() <= 0.5 * np.abs(error).max():
@@ -132,34 +132,34 @@ def _find_step(
     return step
 
 
-def _list_contacts(structure: Structure) -> _Contacts:
+def _list_bends(structure: Structure) -> _Bends:
     rows = [
         (k, cable[i], cable[i + 1])
         for k, cable in enumerate(structure.cables)
         for i in range(len(cable) - 1)
     ]
-    return _Contacts(*np.array(rows, dtype=np.intp).reshape(-1, 3).T)
+    return _Bends(*np.array(rows, dtype=np.intp).reshape(-1, 3).T)
 
 
-def _rest_lengths(scene: Scene, contacts: _Contacts, slip: Array) -> Array:
+def _rest_lengths(scene: Scene, bends: _Bends, slip: Array) -> Array:
     """Compute the rest lengths (α,) after slips (c,) [m].
 
     A positive slip lengthens the string before the node.
     """
     lengths = np.array(scene.structure.rest_length)
-    np.add.at(lengths, contacts.before, slip)
-    np.subtract.at(lengths, contacts.after, slip)
+    np.add.at(lengths, bends.before, slip)
+    np.subtract.at(lengths, bends.after, slip)
     return lengths
 
 
-def _room(lengths: Array, contacts: _Contacts) -> Array:
+def _room(lengths: Array, bends: _Bends) -> Array:
     """Compute the length (c,) that can slip at each node [m]."""
-    return np.asarray(np.minimum(lengths[contacts.before], lengths[contacts.after]))
+    return np.asarray(np.minimum(lengths[bends.before], lengths[bends.after]))
 
 
-def _stick(scene: Scene, contacts: _Contacts, slip: Array) -> Scene:
+def _stick(scene: Scene, bends: _Bends, slip: Array) -> Scene:
     """Build the scene with each string at its own rest length."""
-    lengths = _rest_lengths(scene, contacts, slip)
+    lengths = _rest_lengths(scene, bends, slip)
     strings = scene.structure.replace(cables=(), cable_friction=0.0, rest_length=lengths)
     return replace(scene, structure=strings)
 
@@ -170,10 +170,10 @@ def _excess(scene: Scene, found: Any) -> Array:
     It is T₁ − exp(μ θ) T₂. The cable sticks if neither is positive.
     """
     structure = scene.modelled
-    contacts = _list_contacts(structure)
+    bends = _list_bends(structure)
     angles = [wrap_angles(structure, cable, found.nodes) for cable in structure.cables]
-    factor = np.exp(structure.cable_friction[contacts.cable] * np.concatenate(angles))
-    first, second = found.tension[contacts.before], found.tension[contacts.after]
+    factor = np.exp(structure.cable_friction[bends.cable] * np.concatenate(angles))
+    first, second = found.tension[bends.before], found.tension[bends.after]
     return np.array([first - factor * second, second - factor * first])
 
 

@@ -97,7 +97,7 @@ class NodeAccelerationLimits(PathBound, kind="NodeAccelerationLimits"):
             Magnitude of the acceleration of each node [m/s²].
         """
         nodes = self._moving(now.model.scene.structure)
-        # the norm has no derivative at rest; at the limit it is overestimated by half the square
+        # smooth at rest, where the norm has no derivative; 5e-7 above the norm at the limit
         own, rounding = now.accelerations[:, nodes], RESOLUTION * self.magnitude
         value = ca.sqrt(ca.sum1(own * own) + rounding**2).T
         names = tuple(f"acceleration of node {node}" for node in nodes)
