@@ -338,8 +338,9 @@ class Prestress(ControlCost, kind="Prestress"):
 class Duration(TerminalCost, kind="Duration"):
     """Cost of a long duration.
 
-    It is weight · T, with the duration T [s]. It requires a free duration, ``Problem(duration=(shortest, longest))``. Other costs or limits of
-    forces should make short durations expensive or infeasible.
+    It is weight · T, with the duration T [s]. It requires a free duration,
+    ``Problem(duration=(shortest, longest))``. Other costs or limits of forces should make short
+    durations expensive or infeasible.
 
     Parameters
     ----------

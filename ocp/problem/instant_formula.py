@@ -43,9 +43,9 @@ class InstantFormula:
     Parameters
     ----------
     text : str
-        Arithmetic such as ``"z[tip] - 0.5 * z[3]"`` of the quantities x, y, z [m], vx, vy, vz [m/s],
-        ax, ay, az [m/s²] of nodes, length [m], tension [N] and force_density [N/m] of strings, each with the name or
-        index of its item, and of the time t [s].
+        Arithmetic such as ``"z[tip] - 0.5 * z[3]"`` of the quantities x, y, z [m], vx, vy, vz
+        [m/s], ax, ay, az [m/s²] of nodes, length [m], tension [N] and force_density [N/m] of
+        strings, each with the name or index of its item, and of the time t [s].
     numbers : mapping of str to float, optional
         Numbers by name; those that the formula does not name are dropped.
 

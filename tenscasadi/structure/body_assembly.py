@@ -20,9 +20,8 @@ from tenscasadi.structure.class_one import member_lengths
 from tenscasadi.util.linear_algebra import fit_rotation, fit_velocities
 from tenscasadi.util.validate import NEGLIGIBLE, ROUNDING, TOLERANCE, Array, Indices
 
-_MIN_HEIGHT = (
-    TOLERANCE**0.5
-)  # relative height of a basic node; below, M⁻ loses more than six digits
+# relative height of a basic node: M⁻ grows with its inverse square, and keeps six digits
+_MIN_HEIGHT = TOLERANCE**0.5
 _PREFERENCE = 0.3  # of the largest height, from which on shared and pinned nodes are preferred
 
 

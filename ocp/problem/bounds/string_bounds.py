@@ -348,8 +348,8 @@ class RestLengthRateLimits(RateBound, kind="RestLengthRateLimits"):
 
     They are the speed limits of winches. From the start of an interval of length h [s] to that of
     the next, ρ changes by at most ``rate`` · h. Under ``control=RestLengthRate()``, they are bounds
-    on decision variables. For piecewise-linear controls (`PiecewiseLinear`),
-    this also holds from the start to the end of the last interval.
+    on decision variables. For piecewise-linear controls (`PiecewiseLinear`), this also holds from
+    the start to the end of the last interval.
 
     Parameters
     ----------

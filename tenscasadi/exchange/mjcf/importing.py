@@ -36,7 +36,8 @@ def import_mjcf(path: str | os.PathLike[str], *, strict: bool = True) -> Scene:
     more attached points that are not on a line become rigid bodies, spatial tendons
     between two sites become strings. Ball joints and ``connect`` become nodes that bars share. A
     hinge becomes two shared or pinned nodes on its axis, of rigid bodies. Bodies that ``weld`` or
-    nesting fixes to each other are one body. Features without a counterpart in a scene are rejected by name, or left out.
+    nesting fixes to each other are one body. Features without a counterpart in a scene are rejected
+    by name, or left out.
 
     Parameters
     ----------
@@ -77,9 +78,9 @@ def import_mjcf(path: str | os.PathLike[str], *, strict: bool = True) -> Scene:
     - Only nodes touch the ground. Spheres, capsules and cylinders that end at a node give its
       distance. A contact time constant becomes the stiffness for the mean mass. Contacts between
       bodies, velocities of keys, step and solver are ignored.
-    - If not `strict`, attached points move to the nearer end of their bar. Hinges that slide become balls, a
-      tendon through several sites becomes a row of strings, and boxes are bars along their longest
-      side. Actuators with affine forces become control by rest lengths, and tendons without
+    - If not `strict`, attached points move to the nearer end of their bar. Hinges that slide become
+      balls, a tendon through several sites becomes a row of strings, and boxes are bars along their
+      longest side. Actuators with affine forces become control by rest lengths, and tendons without
       actuator are controlled, too. Limits, friction of joints and activation dynamics are left out.
 
     Nodes, bars and strings keep the numbers in the names of `export_mjcf`. Others are numbered in

@@ -37,12 +37,12 @@ def load_ntrt(
     """Read a structure from NASA's Tensegrity Robotics Toolkit (NTRT).
 
     Its YAML files contain nodes, pair_groups, builders, substructures and bond_groups (node_node
-    and node_edge). Rods become bars of mass π r² l ρ, boxes become rigid bodies with their corners as
-    additional nodes. Rods and boxes of density 0 are pinned. Strings of
-    every class become elastic strings with the rest length l − pretension/stiffness. The y axis
-    points up in NTRT and the z axis here: (x, y, z) becomes (x, −z, y). Strings end at nodes,
-    whereas NTRT moves their ends to the surfaces of rods. Motors, contact and friction are ignored.
-    It requires ``pip install 'tenscasadi[exchange]'``.
+    and node_edge). Rods become bars of mass π r² l ρ, boxes become rigid bodies with their corners
+    as additional nodes. Rods and boxes of density 0 are pinned. Strings of every class become
+    elastic strings with the rest length l − pretension/stiffness. The y axis points up in NTRT and
+    the z axis here: (x, y, z) becomes (x, −z, y). Strings end at nodes, whereas NTRT moves their
+    ends to the surfaces of rods. Motors, contact and friction are ignored. It requires
+    ``pip install 'tenscasadi[exchange]'``.
 
     Parameters
     ----------
