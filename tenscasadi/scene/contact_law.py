@@ -6,8 +6,6 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from tenscasadi.util.casadi_tools import is_expression
-
 
 class Contact(NamedTuple):
     """Penetration depths and directions of normal forces."""
@@ -24,7 +22,7 @@ def press(law: Any, contact: Contact, V: Any, touching: Any = None) -> Any:
     """
     depth, outward, _ = contact
     push = law.stiffness * depth
-    if is_expression(law.damping) or law.damping:
+    if isinstance(law.damping, ca.SX | ca.MX | ca.DM) or law.damping:  # a parameter, or not 0
         push = push - law.damping * along(outward, V)
         push = ca.fmax(push, 0) if touching is None else push
     return ca.if_else(depth > 0, push, 0) if touching is None else touching * push
