@@ -391,7 +391,7 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
     def _read_values(cls, content: Fields, given: Mapping[str, Any]) -> dict[str, Any]:
         if "plan" not in content:
             return upgrade(content, given["trajectory"])
-        return read_tables("plan", str(content["plan"]), read_parts)
+        return read_tables("plan", content["plan"], read_parts)
 
 
 _RENAMED = {"unknown": "not_restored", "starts": "start_objectives"}  # field names of older files

@@ -87,13 +87,13 @@ def format_tables(tables: Mapping[str, Any]) -> str:
     return to_json({**HEAD, **tables})
 
 
-def read_tables(field: str, text: str, read: Callable[[Document], T]) -> T:
-    """Read the tables in a field of saved results.
+def read_tables(field: str, content: Any, read: Callable[[Document], T]) -> T:
+    """Read the tables in a text field of saved results.
 
     Raises ValueError naming the field.
     """
     try:
-        return read(Document(field, parse(text, "json")))
+        return read(Document(field, parse(str(content), "json")))
     except ValueError as error:
         raise ValueError(f"field {field!r} is damaged ({error})") from error
 

@@ -52,7 +52,7 @@ class SceneResult(Stored):
     def _read_values(cls, content: Fields, given: Mapping[str, Any]) -> dict[str, Any]:
         if "scene" not in content:
             return {}
-        return read_tables("scene", str(content["scene"]), _read_scene)
+        return read_tables("scene", content["scene"], _read_scene)
 
     def __getstate__(self) -> dict[str, Any]:
         return vars(self._sample())  # other processes cannot get functions of Python
