@@ -197,9 +197,7 @@ def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def fuzz(calls: dict[str, Call], count: int) -> None:
     """Make `count` odd calls."""
 
-    @settings(
-        max_examples=count, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck)
-    )
+    @settings(max_examples=count, deadline=None, suppress_health_check=list(HealthCheck))
     @given(st.data())
     def attempt(data: st.DataObject) -> None:
         fault = find_fault(data.draw, calls)
