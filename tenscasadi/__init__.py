@@ -42,7 +42,7 @@ from tenscasadi.structure.rigid_body import RigidBody
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.compile import CompileError, Single
 from tenscasadi.util.renamed import find_attribute
-from tenscasadi.util.version import __version__ as __version__
+from tenscasadi.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from tenscasadi.analysis.mode_motion import mode_motion

@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 # From left to right; names in one set do not import each other.
 _MODEL = (
-    *("util", "schema", "structure", "scene", "io"),
+    *("version", "util", "schema", "structure", "scene", "io"),
     *("dynamics", "integrators", "simulation"),
 )
 TENSCASADI = (

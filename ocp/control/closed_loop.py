@@ -18,7 +18,7 @@ from tenscasadi.integrators.stabilization import build_projection
 from tenscasadi.scene.strings import ForceDensity
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
 from tenscasadi.simulation.verdict.starts import off_constraints
-from tenscasadi.util.read_only import ReadOnlyArrays
+from tenscasadi.util.immutable import ReadOnlyArrays
 from tenscasadi.util.validate import (
     LARGEST,
     MAX_ENTRIES,

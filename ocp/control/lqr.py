@@ -30,7 +30,7 @@ from tenscasadi.integrators.stability import fastest_rate
 from tenscasadi.scene.strings import rest_length
 from tenscasadi.simulation.inputs.feedback import Feedback
 from tenscasadi.simulation.trajectory import Trajectory
-from tenscasadi.util.read_only import ReadOnlyArrays
+from tenscasadi.util.immutable import ReadOnlyArrays
 from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import (

@@ -12,7 +12,7 @@ import numpy as np
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import build_projection
 from tenscasadi.scene.parameters import Parameters
-from tenscasadi.util.read_only import ReadOnlyArrays
+from tenscasadi.util.immutable import ReadOnlyArrays
 from tenscasadi.util.renamed import RenamedAttribute
 from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import Array, finite_array

@@ -16,7 +16,7 @@ from tenscasadi.integrators.stabilization import build_projection
 from tenscasadi.io.structure_section import OfStructure
 from tenscasadi.schema.field_types import STATE
 from tenscasadi.schema.value import Value
-from tenscasadi.util.read_only import read_only
+from tenscasadi.util.immutable import read_only
 from tenscasadi.util.validate import Array, finite_array, nesting
 
 if TYPE_CHECKING:

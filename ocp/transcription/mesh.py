@@ -15,7 +15,7 @@ from tenscasadi.schema.containers import ListOf
 from tenscasadi.schema.field_types import Members
 from tenscasadi.schema.value import Value
 from tenscasadi.util.casadi_tools import hermite_cubic
-from tenscasadi.util.read_only import ReadOnlyArrays
+from tenscasadi.util.immutable import ReadOnlyArrays
 from tenscasadi.util.renamed import rename_fields
 from tenscasadi.util.validate import (
     MAX_COUNT,

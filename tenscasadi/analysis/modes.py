@@ -19,8 +19,8 @@ from tenscasadi.statics.solver.constrained_eigenproblem import (
     fastest_rate,
     lowest_eigenpairs,
 )
+from tenscasadi.util.immutable import ReadOnlyArrays
 from tenscasadi.util.linear_algebra import DENSE
-from tenscasadi.util.read_only import ReadOnlyArrays
 from tenscasadi.util.validate import NEGLIGIBLE, Array, finite_array, instance, whole_number
 
 

@@ -18,7 +18,7 @@ from tenscasadi.cli.source import TEMPLATES, read_title
 from tenscasadi.io.document import Change
 from tenscasadi.schema.definitions import OneOf, parameter_texts
 from tenscasadi.schema.field_types import Flag, Numbers, Word
-from tenscasadi.util.version import __version__
+from tenscasadi.version import __version__
 
 
 class Command(NamedTuple):

@@ -24,7 +24,7 @@ from tenscasadi.design.tangent_stiffness import TangentStiffness
 from tenscasadi.statics.self_stress import self_stress
 from tenscasadi.structure.cables import reject_cable_friction
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.read_only import ReadOnlyArrays
+from tenscasadi.util.immutable import ReadOnlyArrays
 from tenscasadi.util.validate import (
     MAX_ITERATIONS,
     NEGLIGIBLE,

@@ -28,7 +28,7 @@ from tenscasadi.structure.cables import reject_cables
 from tenscasadi.structure.equilibrium_matrix import balance_columns, free_directions, member_pairs
 from tenscasadi.structure.rigid_body import reject_bodies
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.read_only import ReadOnlyArrays
+from tenscasadi.util.immutable import ReadOnlyArrays
 from tenscasadi.util.validate import (
     TOLERANCE,
     Array,

@@ -16,7 +16,7 @@ from tenscasadi.structure.body_assembly import BodyAssembly
 from tenscasadi.structure.class_one import Layout
 from tenscasadi.structure.subdivision import cut_strings
 from tenscasadi.util.casadi_tools import matrix_with_pattern, sparse
-from tenscasadi.util.read_only import ReadOnlyArrays
+from tenscasadi.util.immutable import ReadOnlyArrays
 from tenscasadi.util.validate import Array, Indices
 
 # Unknowns above which a linear system is solved by a routine: unrolled derivatives are longer.

@@ -19,7 +19,7 @@ from tenscasadi.util.casadi_tools import (
     product,
     sparse,
 )
-from tenscasadi.util.read_only import ReadOnlyArrays, read_only
+from tenscasadi.util.immutable import ReadOnlyArrays, read_only
 from tenscasadi.util.validate import Array, Indices
 
 # members and unknowns of multipliers above which expressions remain MX, to limit the generated C

@@ -12,7 +12,7 @@ import numpy as np
 from tenscasadi.dynamics.base_model import BaseModel
 from tenscasadi.scene.control_function import ControlSchedule
 from tenscasadi.scene.internal_states import join_initial
-from tenscasadi.util.read_only import read_only
+from tenscasadi.util.immutable import read_only
 from tenscasadi.util.validate import FILE_ROUNDING, Array, Indices, finite_array, rows_of_size
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ from tenscasadi.scene.binding import declare_internal_states, initial_control
 from tenscasadi.scene.internal_states import join_initial
 from tenscasadi.structure.mass_checks import check_mass_ratio
 from tenscasadi.util.casadi_tools import symbol_kind
-from tenscasadi.util.read_only import read_only
+from tenscasadi.util.immutable import read_only
 from tenscasadi.util.renamed import RenamedAttribute
 from tenscasadi.util.troubleshooting import append_address
 from tenscasadi.util.validate import Array, finite_array

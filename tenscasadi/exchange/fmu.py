@@ -20,8 +20,8 @@ from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.simulation.export import export_c
 from tenscasadi.util.compile import CompileError, find_compiler, run_compiler
 from tenscasadi.util.validate import file_path, instance, positive_number
-from tenscasadi.util.version import __version__
 from tenscasadi.util.whole_file import whole_file
+from tenscasadi.version import __version__
 
 _NAME = "tensegrity"  # of the library
 _SYSTEMS = {"linux": ("linux", ".so"), "darwin": ("darwin", ".dylib"), "win32": ("win", ".dll")}

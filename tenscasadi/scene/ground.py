@@ -14,7 +14,7 @@ import numpy as np
 from tenscasadi.scene.contact_law import Contact, compute_slip, find_switching, press, times
 from tenscasadi.schema.field_types import PAIR, TABLE, VECTOR, Members
 from tenscasadi.schema.value import Value
-from tenscasadi.util.read_only import ReadOnlyArrays
+from tenscasadi.util.immutable import ReadOnlyArrays
 from tenscasadi.util.validate import (
     Array,
     as_tuple,

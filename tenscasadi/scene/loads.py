@@ -13,7 +13,7 @@ from tenscasadi.scene.over_time import OverTime
 from tenscasadi.schema.containers import ListOf, MapOf, NodeForceTable
 from tenscasadi.schema.field_types import TIMES, Index, Members, varying
 from tenscasadi.util.casadi_tools import is_expression
-from tenscasadi.util.read_only import ReadOnlyArrays
+from tenscasadi.util.immutable import ReadOnlyArrays
 from tenscasadi.util.renamed import RenamedAttribute, rename_fields
 from tenscasadi.util.validate import (
     Indices,

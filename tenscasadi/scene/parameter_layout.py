@@ -21,7 +21,7 @@ from tenscasadi.scene.quantities import (
 )
 from tenscasadi.structure.mass_checks import check_inertia, check_mass_ratio, find_second_moments
 from tenscasadi.util.casadi_tools import sparse
-from tenscasadi.util.read_only import ReadOnlyArrays
+from tenscasadi.util.immutable import ReadOnlyArrays
 from tenscasadi.util.validate import (
     NEGLIGIBLE,
     SMALLEST,

@@ -27,7 +27,7 @@ from tenscasadi.schema.value import Value
 from tenscasadi.structure.cables import select_first
 from tenscasadi.structure.structure import Structure
 from tenscasadi.structure.subdivision import segment_counts, segment_shares
-from tenscasadi.util.read_only import read_only
+from tenscasadi.util.immutable import read_only
 from tenscasadi.util.renamed import RenamedAttribute
 from tenscasadi.util.validate import Array, Indices, instance
 from tenscasadi.util.viewable import Viewable

@@ -24,7 +24,7 @@ import numpy as np
 
 from tenscasadi.util import archive
 from tenscasadi.util.archive import Fields
-from tenscasadi.util.read_only import ReadOnlyArrays
+from tenscasadi.util.immutable import ReadOnlyArrays
 from tenscasadi.util.validate import format_value
 
 Own = TypeVar("Own", bound="Stored")

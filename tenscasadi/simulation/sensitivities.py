@@ -33,7 +33,7 @@ from tenscasadi.simulation.tangent_passes import PassSetup, run_adjoint, run_for
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.compile import CompileError, compile_function
-from tenscasadi.util.read_only import ReadOnlyArrays
+from tenscasadi.util.immutable import ReadOnlyArrays
 from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import (
     TOLERANCE,

@@ -23,8 +23,7 @@ from tenscasadi.statics.solver.static_equations import Conditions, StaticEquatio
 from tenscasadi.statics.solver.trust_region import SearchResult
 from tenscasadi.statics.stuck_cables import find_sliding, read_sliding
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.kept import keep
-from tenscasadi.util.read_only import ReadOnlyArrays
+from tenscasadi.util.immutable import ReadOnlyArrays, keep
 from tenscasadi.util.validate import NEGLIGIBLE, Array, finite_array, instance, nesting
 
 

@@ -24,7 +24,7 @@ from tenscasadi.statics.solver.continuation import LoadChange, PathRow, Tracer
 from tenscasadi.statics.solver.newton_system import NewtonSystem
 from tenscasadi.statics.solver.settling import prepare_friction, settle
 from tenscasadi.statics.solver.static_equations import Conditions
-from tenscasadi.util.read_only import ReadOnlyArrays
+from tenscasadi.util.immutable import ReadOnlyArrays
 from tenscasadi.util.validate import (
     MAX_REPETITIONS,
     Array,

@@ -33,8 +33,7 @@ from tenscasadi.structure.cables import add_compliances
 from tenscasadi.structure.equilibrium_matrix import balance_bars, force_density_matrix
 from tenscasadi.structure.prestress import check_cable_tensions, read_force_densities
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.kept import keep
-from tenscasadi.util.read_only import ReadOnlyArrays
+from tenscasadi.util.immutable import ReadOnlyArrays, keep
 from tenscasadi.util.validate import NEGLIGIBLE, ROUNDING, TOLERANCE, Array, instance, whole_number
 
 

@@ -7,8 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from tenscasadi.structure.elastic_bars import read_elastic_bars
-from tenscasadi.util.validate import TOLERANCE, Array, nonnegative, per_item
+from tenscasadi.util.validate import (
+    SMALLEST,
+    TOLERANCE,
+    Array,
+    finite_array,
+    format_value,
+    nesting,
+    nonnegative,
+    per_item,
+    real_array,
+)
 
 MAX_THICKNESS = TOLERANCE**-0.5  # radius / length of a bar; above, M loses more than six digits
 
@@ -52,7 +61,7 @@ def read_properties(
             value = string_lengths
         array = per_item(name, value, counts[item])
         found[name] = nonnegative(name, array, item, strict=name in _POSITIVE)
-    found |= read_elastic_bars(given["bar_stiffness"], given["bar_rest_length"], bar_lengths)
+    found |= _read_elastic_bars(given["bar_stiffness"], given["bar_rest_length"], bar_lengths)
     slenderness = found["bar_radius"] / bar_lengths
     for i in np.flatnonzero(slenderness > MAX_THICKNESS):
         most = f"{MAX_THICKNESS:g} times its length, {bar_lengths[i]:g} m"
@@ -61,3 +70,45 @@ def read_properties(
         )
     found["bar_inertia"] = found["bar_mass"] * (1.0 / 12.0 + slenderness**2 / 4.0)  # Eq. 19
     return found
+
+
+def _read_elastic_bars(stiffness: Any, rest_length: Any, lengths: Array) -> dict[str, Any]:
+    """Read the properties of elastic bars.
+
+    A bar of stiffness inf or None is rigid, a rest length NaN or None is the length of the bar.
+    Raises TypeError or ValueError.
+    """
+    k = _read_entries("bar_stiffness", stiffness, len(lengths), np.inf)
+    for bar in np.flatnonzero(~(k >= SMALLEST)):
+        raise ValueError(
+            f"bar_stiffness of bar {bar} is {k[bar]:g} N/m: "
+            "give a number greater than 0, or inf for a rigid bar"
+        )
+    elastic = np.isfinite(k)
+    finite_array("bar_stiffness", np.where(elastic, k, 0.0), lengths.shape)  # none is too large
+    rest = _read_entries("bar_rest_length", rest_length, len(lengths), np.nan)
+    rest = finite_array(
+        "bar_rest_length", np.where(elastic & ~np.isnan(rest), rest, lengths), lengths.shape
+    )
+    nonnegative("bar_rest_length", rest, "bar", strict=True)
+    return {"bar_stiffness": k, "bar_rest_length": rest, "elastic": elastic}
+
+
+def _read_entries(field: str, given: Any, count: int, absent: float) -> Array:
+    """Read one number for each bar, `absent` for None."""
+    if given is None:
+        return np.full(count, absent)
+    if not nesting(given):
+        value = np.asarray(real_array(field, given, "one number"), dtype=float)
+        return np.full(count, value)
+    entries: Any = given
+    if isinstance(given, (list, tuple)):
+        entries = [absent if entry is None else entry for entry in given]
+    values = real_array(field, entries, f"an array of shape ({count},)")
+    if values.shape != (count,):
+        raise ValueError(f"{field} has shape {values.shape}: give an array of shape ({count},)")
+    if np.isnan(values).any() and not np.isnan(absent):
+        raise ValueError(
+            f"{field} is {format_value(given)}: give numbers, inf or None for rigid bars"
+        )
+    return values

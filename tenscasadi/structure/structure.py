@@ -33,7 +33,7 @@ from tenscasadi.structure.prestress import find_rest_lengths
 from tenscasadi.structure.properties import read_properties
 from tenscasadi.structure.rigid_body import RigidBody, move_bodies, read_bodies
 from tenscasadi.structure.subdivision import average_segments, divide_strings
-from tenscasadi.util.read_only import ReadOnlyArrays, read_only
+from tenscasadi.util.immutable import ReadOnlyArrays, read_only
 from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import (

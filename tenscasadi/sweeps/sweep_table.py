@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from tenscasadi.util.read_only import ReadOnlyArrays
+from tenscasadi.util.immutable import ReadOnlyArrays
 from tenscasadi.util.renamed import RenamedAttribute
 from tenscasadi.util.validate import Array, real_array
 from tenscasadi.util.whole_file import write_whole

@@ -14,7 +14,7 @@ from tenscasadi.scene.loads import NodalForce
 from tenscasadi.scene.scene import Scene
 from tenscasadi.statics.buckling import buckling_factor
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.read_only import ReadOnlyArrays
+from tenscasadi.util.immutable import ReadOnlyArrays
 from tenscasadi.util.validate import NEGLIGIBLE, TOLERANCE, Array
 
 

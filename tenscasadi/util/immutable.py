@@ -1,10 +1,16 @@
-"""Values with read-only arrays, also in copies."""
+"""Immutable values: read-only arrays, and results kept with the value they follow from."""
 
 from __future__ import annotations
 
-from typing import Any
+import weakref
+from collections.abc import Callable, Hashable
+from typing import Any, TypeVar
 
 import numpy as np
+
+Kept = TypeVar("Kept")
+
+_STORES: dict[int, dict[Hashable, Any]] = {}  # by the identity of the owner
 
 
 def read_only(value: Any) -> Any:
@@ -35,3 +41,30 @@ class ReadOnlyArrays:
         """Restore the attributes of a copied value."""
         for name, value in state.items():
             object.__setattr__(self, name, read_only(value))
+
+
+def keep(owner: Any, key: Hashable, build: Callable[[], Kept]) -> Kept:
+    """Return the stored value of a key, building it once.
+
+    Parameters
+    ----------
+    owner : object
+        Immutable value from which the stored one is derived.
+    key : hashable
+        Name of the stored value.
+    build : callable
+        Function without arguments that builds it.
+
+    Returns
+    -------
+    object
+        The value.
+    """
+    store = _STORES.get(id(owner))
+    if store is None:
+        store = _STORES[id(owner)] = {}
+        weakref.finalize(owner, _STORES.pop, id(owner), None)
+    if key not in store:
+        store[key] = build()
+    value: Kept = store[key]
+    return value
