@@ -139,7 +139,9 @@ HINTS: dict[str, tuple[str, ...]] = {  # fields that are asked about in place of
     "Plan.load": ("plan",),
     "Tradeoff.load": ("trade-off",),
     "Rollouts.load": ("rollouts",),
-    **dict.fromkeys(("rollouts", "rollouts, controls"), ("control",)),  # a function of time
+    **dict.fromkeys(
+        ("rollouts", "rollouts, controls", "rollouts, feedback"), ("control",)
+    ),  # a function of time
 }
 
 
