@@ -194,35 +194,45 @@ def recommend(
         Case(model, scheme, correction, t_end, start, control, compiled, p)
         for scheme, correction in product(schemes, corrections)
     ]
-    best, told = _find_cheapest(
-        ways,
-        _AccuracyTarget(
-            reference.nodes,
-            0.7 * tolerance - reference.error,
-            deadline,
-            time_limit,
-        ),
-    )
+    wanted = 0.7 * tolerance - reference.error
+    goal = _AccuracyTarget(reference.nodes, wanted, deadline, time_limit)
+    best, told = _find_cheapest(ways, goal)
     names = ", ".join(map(abbreviate, schemes))
     if best is None:
         failed = f"tolerance is {tolerance:g} m: none of {names} meets it up to t_end = {t_end:g} s; give a larger tolerance or other schemes"
         raise NoSchemeError("; ".join(dict.fromkeys([failed, *told])))
-    scheme, expected = best.case.scheme, best.error + reference.error
+    told = [f"compared with {names}", f"reference: {reference.message}", *told]
+    return _report_choice(best, reference.error, deadline, told)
+
+
+def _report_choice(
+    best: _Choice, reference_error: float, deadline: float, told: list[str]
+) -> Recommendation:
+    """Time the choice, and add its limits to the message."""
+    case = best.case
+    model, scheme = case.model, case.scheme
+    expected = best.error + reference_error
     late = time.perf_counter() > deadline  # machine code would take seconds
     duration = best.seconds if late else best.time_loop()
-    limit = find_limit(model, scheme, start, parameters=p)
+    limit = find_limit(model, scheme, case.state, parameters=case.parameters)
+    told = [
+        f"{best.steps} steps of {abbreviate(scheme)}: {expected:.2g} m, {duration:.2g} s",
+        *told,
+    ]
     if best.step > limit and not scheme.adaptive:
         told.append(
             f"the step is above the stability limit {limit:.2g} s: positions serve, fast vibrations of strings are not resolved"
         )
-    told += [advice] if (advice := compare_coordinates(model.structure, model.coordinates)) else []
-    outcome = f"{best.steps} steps of {abbreviate(scheme)}: {expected:.2g} m, {duration:.2g} s"
-    message = "; ".join(
-        dict.fromkeys([outcome, f"compared with {names}", f"reference: {reference.message}", *told])
-    )
-    work = float(best.steps * best.case.instructions()) or np.nan
+    if advice := compare_coordinates(model.structure, model.coordinates):
+        told.append(advice)
     return Recommendation(
-        scheme, best.step, best.case.correction, expected, duration, work, message
+        scheme,
+        best.step,
+        case.correction,
+        expected,
+        duration,
+        work=float(best.steps * case.instructions()) or np.nan,
+        message="; ".join(dict.fromkeys(told)),
     )
 
 

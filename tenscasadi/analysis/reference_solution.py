@@ -6,7 +6,7 @@ Two tight solutions by different schemes and steps are compared at the end.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -183,40 +183,44 @@ def reference_solution(
         {"state": state, "control": control, "compiled": compiled, "parameters": parameters},
     )
     target_difference = max(target_difference, 2 * pairs.rounding)
-    for count in _step_counts(model, t_end, state, max_instructions, parameters):
-        before = pairs.apart
-        pairs.try_steps(count)
-        if (
-            pairs.late
-            or pairs.error <= target_difference
-            or (pairs.apart >= before and pairs.error <= max(max_difference, _ROUNDING * size))
-        ):
-            break  # finer steps only increase the rounding
-        if pairs.apart > before / _FINER**3 and build_switching(model) is not None:
-            break
-    if (
-        not pairs.late
-        and pairs.error > target_difference
-        and pairs.apart > _ROUNDING * size
-        and (build_switching(model) is not None or model.scene.over_time)
-    ):
+    floor = _ROUNDING * size
+    counts = _step_counts(model, t_end, state, max_instructions, parameters)
+    _refine_steps(pairs, counts, target_difference, max(max_difference, floor))
+    if pairs.apart > floor and (pairs.has_events or model.scene.over_time):
         for rtol in _TOLERANCES:
-            pairs.try_tolerance(rtol)
             if pairs.late or pairs.error <= target_difference:
                 break
+            pairs.try_tolerance(rtol)
     if pairs.best is not None and pairs.error <= max_difference:
         return pairs.best
+    raise add_address(NoReferenceError(_explain_failure(pairs, t_end, max_difference, time_limit)))
+
+
+def _refine_steps(pairs: _Pairs, counts: Iterable[int], target: float, accepted: float) -> None:
+    """Try finer steps until the difference is at most `target` or does not decrease."""
+    for count in counts:
+        before = pairs.apart
+        pairs.try_steps(count)
+        if pairs.late or pairs.error <= target:
+            return
+        if pairs.apart >= before and pairs.error <= accepted:
+            return  # finer steps only increase the rounding
+        if pairs.apart > before / _FINER**3 and pairs.has_events:
+            return
+
+
+def _explain_failure(
+    pairs: _Pairs, t_end: float, max_difference: float, time_limit: float | None
+) -> str:
     why = (
         f"{pairs.best.message}, wanted {max_difference:.2g} m"
         if pairs.best is not None
         else f"the solutions diverge, the last: {pairs.fault}"
     )
     why += f"; the time limit of {time_limit:g} s expired" if pairs.late else ""
-    raise add_address(
-        NoReferenceError(
-            f"no reference up to t_end = {t_end:g} s: {why}; give a smaller t_end (chaotic and unstable motions lose all digits), "
-            "a larger max_difference or max_instructions, or remove slack and impact events by Smooth(width)"
-        )
+    return (
+        f"no reference up to t_end = {t_end:g} s: {why}; give a smaller t_end (chaotic and unstable motions lose all digits), "
+        "a larger max_difference or max_instructions, or remove slack and impact events by Smooth(width)"
     )
 
 
@@ -231,6 +235,7 @@ class _Pairs:
     ) -> None:
         self._model, self._t_end, self._deadline = model, t_end, deadline
         self._options = {**options, "energy_balance": False}
+        self.has_events = build_switching(model) is not None
         self.best: ReferenceSolution | None = None
         self.apart, self.fault = np.inf, "not tried"
         self.rounding = self._round_clock()

@@ -132,41 +132,20 @@ def tradeoff(
     ways = _check_sequence("compiled", compiled)
     for way in ways:
         instance("compiled", way, (bool, Single, type(None)), "True, False, None or Single()")
-    lengths = sorted(
-        {
-            positive_number(f"steps[{i}]", step)
-            for i, step in enumerate(_check_sequence("steps", steps))
-        },
-        reverse=True,
-    )
+    lengths = _read_steps(steps)
     rows: list[TradeoffRow] = []
     known: ReferenceSolution | None = None
     end = "interrupted from the keyboard before the reference was found"
     plans = list(product(named.items(), schemes, corrections, ways))
     total = sum(1 if scheme.adaptive else len(lengths) for _, scheme, _, _ in plans)
+    double = False if all(way is False for way in ways) else None
     try:
         with tqdm(total=total, unit=" runs", disable=not progress) as bar:
-            known = _find_reference(
-                named,
-                t_end,
-                reference,
-                state,
-                control,
-                False if all(way is False for way in ways) else None,
-                parameters,
-            )
+            known = _find_reference(named, t_end, reference, state, control, double, parameters)
             for (name, model), scheme, correction, way in plans:
-                case = Case(
-                    model,
-                    scheme,
-                    correction,
-                    t_end,
-                    start_of(model, state),
-                    control,
-                    way,
-                    parameters,
-                ).with_code()
-                for row in _measure_rows(case, name, lengths, known, repeats):
+                start = start_of(model, state)
+                case = Case(model, scheme, correction, t_end, start, control, way, parameters)
+                for row in _measure_rows(case.with_code(), name, lengths, known, repeats):
                     rows.append(row)
                     bar.update()
         end = ""
@@ -174,6 +153,12 @@ def tradeoff(
         end = f"interrupted from the keyboard after {len(rows)} of {total} runs" if known else end
     error, told = (known.error, known.message) if known else (np.inf, "none")
     return Tradeoff(tuple(rows), t_end, error, told, complete=not end, message=end)
+
+
+def _read_steps(steps: Any) -> list[float]:
+    """Read the steps [s], the longest first."""
+    given = enumerate(_check_sequence("steps", steps))
+    return sorted({positive_number(f"steps[{i}]", step) for i, step in given}, reverse=True)
 
 
 @dataclass(frozen=True, eq=False)

@@ -219,32 +219,11 @@ def sensitivities(  # noqa: PLR0913  options of the run and of the derivatives
     observed = _read_output(model, output)
     if over == "run" and observed.size1_out(0) != 1:
         raise ValueError(f'output has {observed.size1_out(0)} entries: give one for over="run"')
-    common: dict[str, Any] = {"scheme": scheme, "correction": correction}
     run = simulate(
-        model, state=request.start, control=request.control, t_end=request.t_end, step=request.step,
-        save_every=CHUNK, energy_balance=False, verify=False, compiled=compiled, parameters=request.parameters, **common,
+        model, state=request.start, control=request.control, t_end=request.t_end, step=request.step, scheme=scheme,
+        correction=correction, save_every=CHUNK, energy_balance=False, verify=False, compiled=compiled, parameters=request.parameters,
     )  # fmt: skip
-    inputs = read_inputs(
-        model,
-        request.t_end,
-        request.step,
-        scheme,
-        request.start,
-        request.control,
-        request.parameters,
-        many=False,
-    )
-    grid, observed = inputs.grid, inputs.include_schedule(observed)
-    steps = TangentSteps(inputs.model, scheme, correction, observed if over == "run" else None)
-    owner = (
-        _owners(request.control, inputs) if by == "control" else np.zeros(grid.steps, dtype=np.intp)
-    )
-    entries = {
-        "state": None,
-        "control": slice(0, model.nu),
-        "parameters": slice(model.nu, model.nw),
-    }[by]
-    task = PassSetup(steps, inputs.append_clock(run.time, run.states), inputs, owner, entries)
+    task, observed = _prepare_pass(model, request, run, scheme, correction, observed, over, by)
     rows, columns = observed.size1_out(0), int(np.prod(task.shape))
     # A gradient costs about as much as two tangents.
     chosen = mode or ("forward" if columns <= 2.0 * rows else "adjoint")
@@ -260,6 +239,40 @@ def sensitivities(  # noqa: PLR0913  options of the run and of the derivatives
         return found
     inside = found.jacobian[:, : model.nx] if by == "state" else found.jacobian[:, 0]
     return replace(found, jacobian=inside)  # without the clock of a control function
+
+
+def _prepare_pass(
+    model: Model,
+    request: _RunArguments,
+    run: Trajectory,
+    scheme: Scheme,
+    correction: Correction | None,
+    observed: ca.Function,
+    over: str,
+    by: str,
+) -> tuple[PassSetup, ca.Function]:
+    """Prepare the derivatives of a run, and the output with the schedule of its control."""
+    inputs = read_inputs(
+        model,
+        request.t_end,
+        request.step,
+        scheme,
+        request.start,
+        request.control,
+        request.parameters,
+        many=False,
+    )
+    observed = inputs.include_schedule(observed)
+    steps = TangentSteps(inputs.model, scheme, correction, observed if over == "run" else None)
+    control = by == "control"
+    owner = _owners(request.control, inputs) if control else np.zeros(inputs.grid.steps, np.intp)
+    entries = {
+        "state": None,
+        "control": slice(0, model.nu),
+        "parameters": slice(model.nu, model.nw),
+    }[by]
+    states = inputs.append_clock(run.time, run.states)
+    return PassSetup(steps, states, inputs, owner, entries), observed
 
 
 class _RunArguments(NamedTuple):
