@@ -69,6 +69,7 @@ if TYPE_CHECKING:
     from tenscasadi.exchange.matlab.trajectories import load_mat_trajectory
     from tenscasadi.exchange.mjcf import export_mjcf, import_mjcf
     from tenscasadi.exchange.ntrt.load import load_ntrt
+    from tenscasadi.exchange.ntrt.save import save_ntrt
     from tenscasadi.exchange.source import InexactImportWarning
     from tenscasadi.exchange.vtk import export_vtk
     from tenscasadi.integrators.stability import stable_step
@@ -112,6 +113,7 @@ __getattr__ = find_attribute(
         "tenscasadi.exchange.matlab.trajectories": ("load_mat_trajectory",),
         "tenscasadi.exchange.mjcf": ("export_mjcf", "import_mjcf"),
         "tenscasadi.exchange.ntrt.load": ("load_ntrt",),
+        "tenscasadi.exchange.ntrt.save": ("save_ntrt",),
         "tenscasadi.exchange.source": ("InexactImportWarning",),
         "tenscasadi.exchange.vtk": ("export_vtk",),
         "tenscasadi.integrators.stability": ("stable_step",),
@@ -231,6 +233,7 @@ __all__ = [
     "load_mat_trajectory",
     "load_ntrt",
     "save_mat",
+    "save_ntrt",
     "InexactImportWarning",
     # batches
     "rollouts",

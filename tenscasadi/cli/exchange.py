@@ -13,6 +13,7 @@ from tenscasadi.cli.source import FILE, find_source
 from tenscasadi.exchange.gltf import export_gltf
 from tenscasadi.exchange.matlab.save import save_mat
 from tenscasadi.exchange.mjcf import export_mjcf
+from tenscasadi.exchange.ntrt.save import save_ntrt
 from tenscasadi.exchange.readers import READERS
 from tenscasadi.exchange.vtk import export_vtk
 from tenscasadi.io.document import ENDINGS, SECTIONS
@@ -25,8 +26,10 @@ _SCENES: dict[str, Callable[..., object]] = {
     ".glb": export_gltf,
     ".xml": export_mjcf,
     ".mat": lambda scene, path: save_mat(scene.structure, path),
+    **dict.fromkeys((".yaml", ".yml"), lambda scene, path: save_ntrt(scene.structure, path)),
     **_OWN,
 }
+_STRUCTURE_ALONE = (".mat", ".yaml", ".yml")
 _MOTIONS: dict[str, Callable[..., object]] = {
     ".glb": export_gltf,
     ".csv": lambda motion, path: motion.to_csv(path),
@@ -40,8 +43,8 @@ _MOTIONS: dict[str, Callable[..., object]] = {
 def export_file(source: Annotated[str, FILE], out: Annotated[Path, FILE]) -> int:
     """Export a scene, trajectory or plan to other programs.
 
-    Scenes: .xml (MuJoCo), .mat (MATLAB: MOTES), .glb (a 3-D picture), .toml or .json (a scene file
-    without formulas). Trajectories and plans (.npz): .csv, .mat (MATLAB), .pvd (ParaView), .glb.
+    Scenes: .xml (MuJoCo), .mat (MATLAB: MOTES), .yaml (NTRT, in m), .glb (a 3-D picture), .toml or
+    .json (a scene file without formulas). Trajectories and plans (.npz): .csv, .mat (MATLAB), .pvd (ParaView), .glb.
 
     Parameters
     ----------
@@ -66,7 +69,8 @@ def export_file(source: Annotated[str, FILE], out: Annotated[Path, FILE]) -> int
         raise ValueError(f"OUT is {out}, the file that is read: give another")
     write(found.scene(), out)
     print(f"wrote {out}")
-    written = {"structure"} if out.suffix.lower() == ".mat" else {"structure", "scene"}
+    alone = out.suffix.lower() in _STRUCTURE_ALONE
+    written = {"structure"} if alone else {"structure", "scene"}
     if left := [f"[{name}]" for name in SECTIONS if name not in written and found.has(name)]:
         print(f"tenscasadi: left out: {', '.join(left)}", file=sys.stderr)
     return 0

@@ -205,6 +205,7 @@ def dynamics_calls() -> dict[str, Call]:
         "load_mat": (tc.load_mat, {"path": "missing.mat", "name": "task"}),
         "load_mat_trajectory": (tc.load_mat_trajectory, {"path": "missing.mat", "model": m, "parameters": None}),
         "load_ntrt": (tc.load_ntrt, {"path": "missing.yaml", "length_unit": 0.1, "ball_joints": False, "folder": "."}),
+        "save_ntrt": (tc.save_ntrt, {"structure": tc.shapes.prism(), "path": "x.yaml", "length_unit": 0.1}),
         "save_mat": (tc.save_mat, {"data": SEGMENTED, "path": "run.mat", "class_one": False}),
         "export_gltf": (tc.export_gltf, {"data": trajectory(), "path": "run.glb", "time": 0.1}),
         "to_jax": (tc.to_jax, {"model": m}),

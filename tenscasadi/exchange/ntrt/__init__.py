@@ -1,1 +1,1 @@
-"""Import from NASA's Tensegrity Robotics Toolkit (NTRT)."""
+"""Files of NASA's Tensegrity Robotics Toolkit (NTRT)."""

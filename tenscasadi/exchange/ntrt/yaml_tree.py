@@ -17,7 +17,7 @@ from tenscasadi.exchange.source import Source
 from tenscasadi.schema.reading import SceneFileError
 from tenscasadi.util.validate import LARGEST, MAX_COUNT, Array, format_value
 
-_LARGEST = LARGEST**0.25  # a mass is a product of four numbers
+LARGEST_ENTRY = LARGEST**0.25  # a mass is a product of four numbers
 
 
 @dataclass(eq=False)
@@ -83,9 +83,9 @@ class YamlEntry:
             found = float(self.word())
         except ValueError:
             raise self.error(f"is {self.format()}: give a number") from None
-        if not abs(found) <= _LARGEST:
+        if not abs(found) <= LARGEST_ENTRY:
             raise self.error(
-                f"is {self.format()}: give a finite number, at most {_LARGEST:g} in size"
+                f"is {self.format()}: give a finite number, at most {LARGEST_ENTRY:g} in size"
             )
         return found
 
