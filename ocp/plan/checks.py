@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from ocp.problem.control import OTHER_CONTROLS, control_field
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.cables import name_inputs
 from tenscasadi.util.validate import LARGEST
@@ -26,9 +25,8 @@ def check_plan(given: Mapping[str, Any]) -> None:
     intervals, strings = len(trajectory.time) - 1, len(structure.strings)
     rows = intervals + (len(given["force_density"]) == intervals + 1)
     shapes = {"time": (intervals + 1,), "force_density": (rows, strings)}
-    for name in OTHER_CONTROLS:
-        if given.get(name) is not None:
-            shapes[name] = (rows, len(name_inputs(structure)))
+    if given["inputs"] is not None:
+        shapes["inputs"] = (rows, len(name_inputs(structure)))
     for name, shape in shapes.items():
         value = given[name]
         if value.shape != shape:
@@ -39,9 +37,10 @@ def check_plan(given: Mapping[str, Any]) -> None:
     _check_numbers(given, trajectory)
     if model is None:  # The scene may subdivide strings, so that counts cannot be checked.
         return
-    for name in OTHER_CONTROLS:
-        if (control_field(model) == name) is (given.get(name) is None):
-            raise ValueError(f"field {name!r} does not fit the model's control")
+    control, other = model.scene.control, given["inputs"] is not None
+    wanted = "force_density" if control is None else control.attribute
+    if given["input_attribute"] != wanted or other is (wanted == "force_density"):
+        raise ValueError("fields 'inputs' and 'input_attribute' do not fit the model's control")
     for name in ("bars", "strings"):
         if not np.array_equal(getattr(trajectory, name), getattr(model.structure, name)):
             raise ValueError(f"field 'trajectory.{name}' does not hold those of the model")

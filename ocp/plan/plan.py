@@ -23,6 +23,7 @@ from ocp.search.find_plan import find_plan
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.io.document import read_tables
+from tenscasadi.scene.control import Control
 from tenscasadi.scene.samples import sample_functions
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.archive import Fields
@@ -86,18 +87,12 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
         failed. None for one start.
     not_restored : str
         Reason why a loaded plan has no problem, transcription or solver; "" if it has them.
-    rest_length : ndarray, shape (K, nu) or (K + 1, nu), or None
-        Rest lengths [m] under rest-length control (``control=RestLength()``). `force_density` has
-        the resulting force densities at the same times. None under other controls. A cable has one
-        entry, as it has in `control`.
-    input_tension : ndarray, shape (K, nu) or (K + 1, nu), or None
-        Tensions [N] of cables and lone strings under tension control (``control=Tension()``). None
-        under other controls.
-    rest_length_rate : ndarray, shape (K, nu) or (K + 1, nu), or None
-        Rest-length rates [m/s] of cables and lone strings under ``control=RestLengthRate()``; None
-        under other controls. `rest_lengths` returns the resulting rest lengths.
-    motor_torque : ndarray, shape (K, nu) or (K + 1, nu), or None
-        Motor torques [N m] under ``control=Winch(...)``; None under other controls.
+    inputs : ndarray, shape (K, nu) or (K + 1, nu), or None
+        Inputs of cables and lone strings under other controls than force densities; `force_density`
+        has the resulting force densities. None under ``control=ForceDensity()``.
+    input_attribute : str
+        Attribute that returns the inputs: "force_density", "rest_length", "input_tension",
+        "rest_length_rate" or "motor_torque".
 
     Examples
     --------
@@ -378,7 +373,12 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
         ValueError
             If a field is missing or has a wrong type, shape or value. The message names the field.
         """
-        return super().from_arrays({_RENAMED.get(name, name): content[name] for name in content})
+        renamed = {_RENAMED.get(name, name): content[name] for name in content}
+        for control in Control.members.values():  # older files name the field after the control
+            name = getattr(control, "attribute", "")
+            if name in renamed and name != "force_density":
+                renamed |= {"inputs": renamed.pop(name), "input_attribute": name}
+        return super().from_arrays(renamed)
 
     @classmethod
     def _check_loaded(cls, given: Mapping[str, Any]) -> None:

@@ -10,14 +10,6 @@ import numpy as np
 from tenscasadi.scene.strings import ForceDensity, Linear, RestLength
 from tenscasadi.util.troubleshooting import add_address
 
-_FIELDS = {
-    "RestLength": "rest_length",
-    "Tension": "input_tension",
-    "RestLengthRate": "rest_length_rate",
-    "Winch": "motor_torque",
-}
-OTHER_CONTROLS = tuple(_FIELDS.values())  # fields of plans besides force_density
-
 if TYPE_CHECKING:
     from tenscasadi.dynamics.model import Model
 
@@ -35,11 +27,6 @@ def controls_rest_lengths(model: Model) -> bool:
 def has_elastic_strings(model: Model) -> bool:
     """Return whether forces follow from rest lengths by the string law."""
     return not model.scene.commands_forces
-
-
-def control_field(model: Model) -> str:
-    """Return the field of a plan that holds its control."""
-    return _FIELDS.get(type(model.scene.control).__name__, "force_density")
 
 
 def control_name(model: Model) -> str:

@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.scene.strings import rest_length
+from tenscasadi.scene.control import Control
+from tenscasadi.scene.strings import RestLength, Tension, rest_length
+from tenscasadi.scene.winches import RestLengthRate, Winch
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.cables import name_inputs
 from tenscasadi.structure.structure import Structure
@@ -27,10 +29,8 @@ class PlannedForces(Tabular):
 
     time: Array
     force_density: Array
-    rest_length: Array | None
-    input_tension: Array | None
-    rest_length_rate: Array | None
-    motor_torque: Array | None
+    inputs: Array | None
+    input_attribute: str
     trajectory: Trajectory
     structure: Structure
 
@@ -48,8 +48,36 @@ class PlannedForces(Tabular):
         They are force densities [N/m] of strings, or rest lengths [m], their rates [m/s], motor
         torques [N m] or tensions [N] of cables and lone strings.
         """
-        given = self.rest_length, self.rest_length_rate, self.motor_torque, self.input_tension
-        return next((values for values in given if values is not None), self.force_density)
+        return self.force_density if self.inputs is None else self.inputs
+
+    @property
+    def rest_length(self) -> Array | None:
+        """Rest lengths (K, nu) or (K + 1, nu) [m] under ``control=RestLength()``, else None.
+
+        A cable has one entry. `force_density` has the resulting force densities at the same times.
+        """
+        return self._inputs_of(RestLength)
+
+    @property
+    def input_tension(self) -> Array | None:
+        """Tensions (K, nu) or (K + 1, nu) [N] under ``control=Tension()``, else None."""
+        return self._inputs_of(Tension)
+
+    @property
+    def rest_length_rate(self) -> Array | None:
+        """Winding speeds (K, nu) or (K + 1, nu) [m/s] under ``control=RestLengthRate()``, else None.
+
+        `rest_lengths` returns the resulting rest lengths.
+        """
+        return self._inputs_of(RestLengthRate)
+
+    @property
+    def motor_torque(self) -> Array | None:
+        """Motor torques (K, nu) or (K + 1, nu) [N m] under ``control=Winch(...)``, else None."""
+        return self._inputs_of(Winch)
+
+    def _inputs_of(self, control: type[Control]) -> Array | None:
+        return self.inputs if self.input_attribute == control.attribute else None
 
     @property
     def linear(self) -> bool:

@@ -55,10 +55,8 @@ class PlanResult(PlannedForces, Stored):
     solver: Solver | CondensedNewton | Sampling | None = None
     not_restored: str = "it was made by hand"
     tracked: bool = False
-    rest_length: Annotated[Array | None, "ki", "f"] = None
-    input_tension: Annotated[Array | None, "ki", "f"] = None
-    rest_length_rate: Annotated[Array | None, "ki", "f"] = None
-    motor_torque: Annotated[Array | None, "ki", "f"] = None
+    inputs: Annotated[Array | None, "ki", "f"] = None
+    input_attribute: str = "force_density"
     start_objectives: Annotated[Array | None, "n", "f"] = None
     open_loop_error: float = np.nan
 

@@ -14,7 +14,6 @@ import numpy as np
 
 from ocp.control.lqr import replay_tracked
 from ocp.guess.initial_guess import InitialGuess
-from ocp.problem.control import control_field
 from ocp.problem.instant import forces_of
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
@@ -206,7 +205,7 @@ def _record(task: PlanningTask, attempt: Attempt, found: Outcome) -> PlanResult:
     motion = _record_motion(problem, mesh, found)
     control, model = found.force_density, problem.model
     forces = forces_of(model, motion.states[: len(control)], control)
-    field = control_field(model)
+    attribute = "force_density" if model.scene.control is None else model.scene.control.attribute
     return PlanResult(
         success=False,
         status=found.status,
@@ -226,10 +225,8 @@ def _record(task: PlanningTask, attempt: Attempt, found: Outcome) -> PlanResult:
         transcription=transcription,
         solver=attempt.solver,
         not_restored="",
-        rest_length=control if field == "rest_length" else None,
-        input_tension=control if field == "input_tension" else None,
-        rest_length_rate=control if field == "rest_length_rate" else None,
-        motor_torque=control if field == "motor_torque" else None,
+        inputs=None if attribute == "force_density" else control,
+        input_attribute=attribute,
     )
 
 

@@ -18,6 +18,8 @@ class Control(Value):
     ----------
     name, quantity, unit : str
         Name of an input and of all of them in messages, and their unit.
+    attribute : str
+        Attribute of plans that holds the inputs.
     commands_forces : bool
         Whether the inputs are forces, so that strings have no law.
     commands_densities : bool
@@ -29,6 +31,7 @@ class Control(Value):
     name: ClassVar[str]
     quantity: ClassVar[str]
     unit: ClassVar[str]
+    attribute: ClassVar[str]
     commands_forces: ClassVar[bool] = False
     commands_densities: ClassVar[bool] = False
     sets_rest_lengths: ClassVar[bool] = False

@@ -29,6 +29,7 @@ class ForceDensity(Control, kind="ForceDensity"):
     name: ClassVar[str] = "force density"
     quantity: ClassVar[str] = "force densities"
     unit: ClassVar[str] = "N/m"
+    attribute: ClassVar[str] = "force_density"
     commands_forces: ClassVar[bool] = True
     commands_densities: ClassVar[bool] = True
 
@@ -52,6 +53,7 @@ class Tension(Control, kind="Tension"):
     name: ClassVar[str] = "tension"
     quantity: ClassVar[str] = "tensions"
     unit: ClassVar[str] = "N"
+    attribute: ClassVar[str] = "input_tension"
     commands_forces: ClassVar[bool] = True
 
     def initial_inputs(self, rest: Array, tension: Array) -> Array:
@@ -88,6 +90,7 @@ class RestLength(Control, kind="RestLength"):
     name: ClassVar[str] = "rest length"
     quantity: ClassVar[str] = "rest lengths"
     unit: ClassVar[str] = "m"
+    attribute: ClassVar[str] = "rest_length"
     sets_rest_lengths: ClassVar[bool] = True
 
     def initial_inputs(self, rest: Array, tension: Array) -> Array:

@@ -45,6 +45,7 @@ class RestLengthRate(Control, kind="RestLengthRate"):
     name: ClassVar[str] = "rest-length rate"
     quantity: ClassVar[str] = "rest-length rates"
     unit: ClassVar[str] = "m/s"
+    attribute: ClassVar[str] = "rest_length_rate"
     sets_rest_lengths: ClassVar[bool] = True
 
     @property
@@ -189,6 +190,7 @@ class Winch(Control, kind="Winch"):
     name: ClassVar[str] = "motor torque"
     quantity: ClassVar[str] = "motor torques"
     unit: ClassVar[str] = "N m"
+    attribute: ClassVar[str] = "motor_torque"
     sets_rest_lengths: ClassVar[bool] = True
     radius: Annotated[ArrayLike, PER_ITEM]
     inertia: Annotated[ArrayLike, PER_ITEM]

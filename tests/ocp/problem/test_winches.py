@@ -65,6 +65,10 @@ def test_plans_of_motors_keep_their_limits(tmp_path: Path) -> None:
     assert 20.0 < np.abs(speeds).max() <= 30.0 * (1 + 1e-6)
     plan.save(tmp_path / "plan.npz")
     assert np.array_equal(ocp.Plan.load(tmp_path / "plan.npz").motor_torque, plan.motor_torque)
+    earlier = plan.to_arrays()  # whose inputs were in a field of their control
+    earlier["motor_torque"] = earlier.pop("inputs")
+    del earlier["input_attribute"]
+    assert np.array_equal(ocp.Plan.from_arrays(earlier).motor_torque, plan.motor_torque)
     with pytest.raises(ValueError, match=r"give MultipleShooting\(\) or DirectCollocation\(\)"):
         ocp.solve(motors(), ocp.Variational(10))
 
