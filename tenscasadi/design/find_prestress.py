@@ -128,7 +128,8 @@ def find_prestress(
     Notes
     -----
     The response to a load is linearized about the prestressed state, with the tangent stiffness of
-    that state. The program is repeated until prestress and response agree.
+    that state. The program is repeated until prestress and response agree, with Aitken's relaxation
+    of the response.
 
     Examples
     --------
@@ -211,25 +212,36 @@ class _PrestressSearch:
         q = np.zeros(len(self.tangent.lengths))
         if first.status == "solved":
             q = self.basis @ first.x
-        last = np.full((strings, len(self.cases)), np.inf)
-        for _ in range(MAX_ITERATIONS):
+        assumed = last = np.zeros((strings, len(self.cases)))
+        share = 1.0
+        for k in range(MAX_ITERATIONS):
             try:
                 response = self.tangent.tension_change(q, self.cases)[:strings]
             except np.linalg.LinAlgError:
                 return self.fail(
                     "a load case drives a mechanism that no prestress stiffens: add members or supports"
                 )
-            # equal responses have equal programs, whose solutions are equal within solver tolerance
             tension = q[:strings] * self.tangent.lengths[:strings]
-            allowed = NEGLIGIBLE * max(
-                np.abs(value).max(initial=0.0) for value in (tension, response)
-            )
-            if np.abs(response - last).max(initial=0.0) <= allowed:
+            size = max(np.abs(value).max(initial=0.0) for value in (tension, response))
+            error = response - assumed
+            # degenerate programs, whose solutions are not unique, may settle to their tolerance only
+            allowed = NEGLIGIBLE if k < MAX_ITERATIONS // 4 else TOLERANCE
+            if k and np.abs(error).max(initial=0.0) <= allowed * size:
                 return self.report(q)
-            found, last = goal.solve(self.program(response, self.least)), response
+            if k > 1:
+                turn = error - last  # Aitken's relaxation: solutions of degenerate programs jump
+                share *= -float(np.sum(last * turn)) / float(np.sum(turn**2) or 1.0)
+                share = float(np.clip(share, 0.1, 1.0))
+            assumed, last = assumed + share * error, error
+            found = goal.solve(self.program(assumed, self.least))
             if found.status != "solved":
                 return self.fail(self.explain(found.status))
             q = self.basis @ found.x
+        least = float(self.tangent.softest(q, 1)[0].min(initial=np.inf))
+        if least <= 0.0:
+            return self.fail(
+                f"the load cases need a prestress that is unstable, the least stiffness is {least:.3g} N/m: reduce the loads, or add members"
+            )
         return self.fail("prestress and response to the loads do not settle: reduce the loads")
 
     def program(self, response: Array, least: Array) -> PrestressProgram:

@@ -20,7 +20,7 @@ from tenscasadi.statics.solver.newton_system import NewtonSystem
 from tenscasadi.statics.solver.relaxation import relax
 from tenscasadi.statics.solver.settling import settle
 from tenscasadi.statics.solver.static_equations import Conditions, StaticEquations
-from tenscasadi.statics.solver.trust_region import SearchResult
+from tenscasadi.statics.solver.trust_region import MOVES_AWAY, SINGULAR, SearchResult
 from tenscasadi.statics.stuck_cables import find_sliding, read_sliding
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.immutable import ReadOnlyArrays, keep
@@ -370,7 +370,9 @@ def _message(system: NewtonSystem, rest: SearchResult, unbalanced: Array, residu
     if rest.converged:
         return f"in equilibrium after {rest.iterations} steps, unbalanced force {residual:.1e} N"
     cure = "give another start, or change supports, loads or rest lengths"
-    if is_unheld(system, rest):
+    if rest.reason == SINGULAR:
+        cure = "give the bars a bar_stiffness, or displace the nodes"
+    elif rest.reason == MOVES_AWAY or is_unheld(system, rest):
         total = unbalanced.sum(axis=0)
         total[np.abs(total) <= NEGLIGIBLE * np.abs(total).max()] = 0.0
         force = ", ".join(f"{value:.3g}" for value in total)

@@ -335,12 +335,9 @@ class NewtonFactors:
         tuple of ndarray
             p [m] and the multipliers [N].
         """
-        target = np.zeros(len(self.order))
-        target[self.order[: self.size]] = f
         bars = self.order[self.size :]
-        if g is not None:  # the penalty acts on g, too
-            target += self.penalty * (self.matrix[:, bars] @ g)
-            target[bars] = g
+        target = np.zeros(len(self.order)) if g is None else self._load_bars(g)
+        target[self.order[: self.size]] += f
         x = self.factors.solve(target)
         # two refinements leave COMPLIANCE² of its effect, less than rounding
         for _ in range(2 if self.rigid else 0):
@@ -348,6 +345,24 @@ class NewtonFactors:
             rest[bars] -= self.slack * x[bars]
             x = x + self.factors.solve(rest)
         return x[self.order[: self.size]], x[bars]
+
+    def lengthen(self, g: Array) -> Array:
+        """Solve for displacements (free,) that lengthen rigid bars by g (β_r,) [m].
+
+        Without refinement, the relative error is `COMPLIANCE` times the condition number. It is
+        meant for iterations that correct their errors.
+        """
+        return np.asarray(self.factors.solve(self._load_bars(g))[self.order[: self.size]])
+
+    def _load_bars(self, g: Array) -> Array:
+        """Build the right-hand side of lengthenings g, on which the penalty acts, too."""
+        target = self.penalty * (self._bar_columns @ g)
+        target[self.order[self.size :]] = g
+        return np.asarray(target)
+
+    @cached_property
+    def _bar_columns(self) -> Any:
+        return self.matrix[:, self.order[self.size :]]
 
 
 def member_blocks(gamma: Array, along: Array, vectors: Array) -> Array:

@@ -27,8 +27,10 @@ from tenscasadi.statics.solver.static_equations import Conditions, StaticPoint
 from tenscasadi.util.validate import MAX_ITERATIONS, ROUNDING, Array
 
 ACCURACY = 1e-11  # unbalanced force in equilibrium, relative to the largest force
-ESCAPES = 20  # from saddles
+SEARCH_COST = 1_500_000  # steps times free coordinates, about 20 s; collapses need the most steps
 FARTHEST = 1e3  # displacement of an unsupported structure, relative to its size
+MOVES_AWAY = "nothing holds the structure, which moves away"
+SINGULAR = "the forces drive a motion that rigid bars block to second order only"
 _ROUNDING = 16 * float(np.finfo(float).eps)
 
 
@@ -120,7 +122,7 @@ class _SearchState:
         self.size = float(np.ptp(nodes, axis=0).max(initial=0.0)) or 1.0
         self.radius = 0.1 * self.size * len(nodes) ** 0.5
         self.shift = 0.0
-        self.steps = self.escapes = 0
+        self.steps = 0
         self.stable = False
         self.point = self.equations.at(nodes, self.given)
         self.tension = np.zeros(system.rigid)
@@ -130,7 +132,12 @@ class _SearchState:
         """Iterate until the forces balance at an energy minimum."""
         self._take(restore_bars(self.system, self.start))
         self._fit_tension()
-        for self.steps in range(MAX_ITERATIONS):
+        room = SEARCH_COST // max(self.system.size, 1)
+        limit = MAX_ITERATIONS + min(10 * MAX_ITERATIONS, room)
+        for self.steps in range(limit):
+            # a collapse that takes so many steps ends within a few times the size
+            if self.steps > MAX_ITERATIONS and self._distance() > 0.01 * FARTHEST * self.size:
+                raise NoRestError(MOVES_AWAY)
             if self._is_balanced():
                 if not self.system.is_symmetric(self.point):
                     return  # `settle` judges the equilibrium after its last Newton iterations
@@ -142,7 +149,7 @@ class _SearchState:
                 self._leave_saddle()
             else:
                 self._step()
-        raise StalledError(f"the forces did not balance within {MAX_ITERATIONS} iterations")
+        raise StalledError(f"the forces did not balance within {limit} iterations")
 
     def result(self, reason: str, stalled: bool = False) -> SearchResult:
         """Return the last iterate."""
@@ -160,13 +167,17 @@ class _SearchState:
         return ROUNDING * self.scale
 
     def _take(self, nodes: Array) -> None:
-        if np.abs(nodes - self.start).max(initial=0.0) > FARTHEST * self.size:
-            raise NoRestError("nothing holds the structure, which moves away")
         if self.lags:
             self.given = self.given._replace(pressing=nodes)
         self.point = self.equations.at(nodes, self.given)
+        if self._distance() > FARTHEST * self.size:
+            raise NoRestError(MOVES_AWAY)
         if not np.isfinite(self.point.applied).all():
             raise NoRestError("the forces are not finite")
+
+    def _distance(self) -> float:
+        """Compute the largest displacement of a coordinate since the start [m]."""
+        return float(np.abs(self.point.nodes - self.start).max(initial=0.0))
 
     def _fit_tension(self) -> None:
         """Compute the least-squares tensions of rigid bars."""
@@ -191,23 +202,27 @@ class _SearchState:
         """Take a trust-region step, or shrink the region."""
         factors, p, change = self._solve_model()
         length = float(np.linalg.norm(p))
-        predicted = 0.5 * float(p @ self.residual) + 0.5 * self.shift * length**2
-        half, whole = (self._move(share * p, factors) for share in (0.5, 1.0))
-        ratio = -1.0
+        share = min(1.0, self.radius / length) if length else 1.0
+        along = float(p @ self.residual)
+        predicted = share * (along - 0.5 * share * (along - self.shift * length**2))
+        length *= share
+        half, whole = (self._move(part * share * p, factors) for part in (0.5, 1.0))
+        work = -1.0, -1.0
         if half is not None and whole is not None:
-            ratio = (
-                self._work(half, whole, self.tension + change) / predicted
-                if predicted > 0.0
-                else 1.0
-            )
+            work = self._works(half, whole, self.tension + share * change)
+        ratio = work[1] / predicted if predicted > 0.0 else 1.0
         if ratio < 0.25:
             self.radius = 0.25 * length
         elif ratio > 0.75 and length > 0.5 * self.radius:
             self.radius = 2.0 * self.radius
-        if ratio > 1e-3 and whole is not None:
-            self._take(whole)
-            self.tension = self.tension + change
+        # beyond a kink of the energy, half of a step can gain more than all of it
+        onward, part = (whole, share) if work[1] >= work[0] else (half, 0.5 * share)
+        if (max(work) > 1e-3 * predicted or predicted <= 0.0) and onward is not None:
+            self._take(onward)
+            self.tension = self.tension + part * change
             self._balance()
+        elif onward is None and self.radius < 10.0 * ROUNDING**0.5 * self.size:
+            raise NoRestError(SINGULAR)  # shorter steps stay within the rounding error of lengths
         elif self.radius < ROUNDING * self.size:
             self._fit_tension()  # those of the model are too large after all strings became slack
             if not self._is_balanced():
@@ -258,9 +273,6 @@ class _SearchState:
 
     def _leave_saddle(self) -> None:
         """Step along the motion of least stiffness."""
-        self.escapes += 1
-        if self.escapes > ESCAPES:
-            raise StalledError("all equilibria found are saddles of the energy")
         K = self.system.tangent(self.point, self.tension)
         J = self.system.lengthening(self.point)
         neutral = neutral_motions(self.system, self.point, self.tension)
@@ -274,7 +286,7 @@ class _SearchState:
                 if (
                     half is not None
                     and whole is not None
-                    and self._work(half, whole, self.tension) > 0.0
+                    and self._works(half, whole, self.tension)[1] > 0.0
                 ):
                     self._take(whole)
                     self.radius = max(self.radius, length)
@@ -289,23 +301,24 @@ class _SearchState:
         """
         return pull_to_bars(self.system, self.equations.displace(self.point.nodes, p), factors)
 
-    def _work(self, half: Array, whole: Array, tension: Array) -> float:
-        """Compute the work of the forces along a step [J].
+    def _works(self, half: Array, whole: Array, tension: Array) -> tuple[float, float]:
+        """Compute the work of the forces along half of a step, and along all of it [J].
 
-        Simpson's rule integrates along the parabola through the nodes. It is exact for constant
-        tensions of rigid bars, which do no work but cancel most of the rounding error.
+        The power along the parabola through the nodes is integrated as a parabola, by Simpson's
+        rule. It is exact for constant tensions of rigid bars, which do no work but cancel most of
+        the rounding error.
         """
         first, last = half - self.point.nodes, whole - self.point.nodes
-        ways = 4 * first - last, 4 * last, 3 * last - 4 * first
+        ways = 4 * first - last, last, 3 * last - 4 * first
         points = [
             self.point,
             *(self.equations.at(nodes, self.given) for nodes in (half, whole)),
         ]
-        works = [
-            np.sum((point.applied + self.equations.bar_forces(point, tension)) * way)
+        start, middle, end = (
+            float(np.sum((point.applied + self.equations.bar_forces(point, tension)) * way))
             for point, way in zip(points, ways, strict=True)
-        ]
-        return float(sum(works)) / 6
+        )
+        return (5 * start + 8 * middle - end) / 24, (start + 4 * middle + end) / 6
 
     # --- factors ---
 
@@ -351,9 +364,7 @@ def restore_bars(system: NewtonSystem, nodes: Array) -> Array:
         if _bars_fit(equations.bar_errors(nodes), equations.lengths):
             return nodes
         factors = system.factor_bars(equations.bar_vectors(nodes))
-        nodes = equations.displace(
-            nodes, factors.solve(np.zeros(system.size), -equations.bar_errors(nodes))[0]
-        )
+        nodes = equations.displace(nodes, factors.lengthen(-equations.bar_errors(nodes)))
     raise NoRestError("the rigid bars do not fit the supports near the start")
 
 
@@ -367,12 +378,11 @@ def pull_to_bars(system: NewtonSystem, nodes: Array, factors: NewtonFactors) -> 
     for _ in range(30 if system.rigid else 0):
         errors = equations.bar_errors(nodes)
         worst = float(np.abs(errors / equations.lengths).max(initial=0.0))
+        if not (worst <= ROUNDING or worst < 0.9 * last):
+            return None if worst > 10 * ROUNDING else nodes
+        nodes, last = equations.displace(nodes, factors.lengthen(-errors)), worst
         if worst <= ROUNDING:
             break
-        if not worst < 0.9 * last:
-            return None if worst > 10 * ROUNDING else nodes
-        last = worst
-        nodes = equations.displace(nodes, factors.solve(np.zeros(system.size), -errors)[0])
     return nodes
 
 

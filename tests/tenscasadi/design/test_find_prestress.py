@@ -53,6 +53,31 @@ def test_prism_has_one_prestress(goal) -> None:
     assert unbalanced(pre.structure, pre.force_density) < 1e-7
 
 
+def test_least_prestress_of_a_symmetric_dome_settles_under_load() -> None:
+    """Its program has many solutions, which respond to the load in different ways."""
+    dome = tc.shapes.levy_dome(12, 3)
+    load = np.zeros(dome.nodes.shape)
+    load[:, 2] = -10.0
+    pre = tc.find_prestress(dome, tc.Least(), load_cases=[load], minimum=10.0)
+    assert pre.success, pre.message
+    pulls = np.concatenate([pre.force_density, -pre.bar_force / dome.bar_lengths])
+    moved = tc.stability(dome, force_density=pulls).displacement(load)
+    a, b = dome.strings.T
+    along = (dome.nodes[b] - dome.nodes[a]) / dome.string_lengths[:, None]
+    longer = np.sum((moved[b] - moved[a]) * along, axis=1)
+    tension = pre.tension + dome.stiffness * longer
+    assert min(tension.min(), pre.tension.min()) == pytest.approx(10.0, rel=1e-5)
+
+
+def test_load_that_needs_an_unstable_prestress_is_named() -> None:
+    arm = tc.shapes.arm()
+    load = np.zeros(arm.nodes.shape)
+    load[:, 2] = -1.0
+    pre = tc.find_prestress(arm, tc.Even(), load_cases=[load], minimum=5.0)
+    assert not pre.success
+    assert "unstable" in pre.message
+
+
 def test_stiffest_prestress_beats_all_others_of_a_tower() -> None:
     s = tc.shapes.prism_tower(2, height=0.6, stiffness=300.0)
     maximum = np.where(np.arange(15) < 6, 40.0, 100.0)

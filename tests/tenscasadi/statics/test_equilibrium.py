@@ -389,6 +389,28 @@ def test_free_structure_under_gravity_falls():
     assert np.isfinite(eq.nodes).all()
 
 
+@pytest.mark.parametrize("joint_class", [1, 2])
+def test_tall_tower_without_prestress_ends_hanging(joint_class):
+    tower = tc.shapes.prism_tower(10, joint_class=joint_class, pinned=[0, 1, 2])
+    eq = tc.find_equilibrium(tc.Scene(tower, gravity=GRAVITY))
+    assert eq.success, eq.message
+    assert eq.nodes[:, 2].mean() < 0.0
+    weight = 10.0 * tower.bar_mass.sum()
+    assert eq.reactions[:, 2].sum() == pytest.approx(weight, rel=1e-9)
+
+
+def test_straight_rigid_bars_carry_no_load_across():
+    """The bar forces would be infinite: elastic bars are the cure."""
+    nodes = [(-1, 0, 0), (0, 0, 0), (1, 0, 0)]
+    line = tc.Structure(nodes, bars=[(0, 1), (1, 2)], strings=[(0, 1)], pinned=[0, 2])
+    eq = tc.find_equilibrium(tc.Scene(line, gravity=GRAVITY))
+    assert not eq.success
+    assert "bar_stiffness" in eq.message
+    elastic = tc.find_equilibrium(tc.Scene(line.replace(bar_stiffness=1e5), gravity=GRAVITY))
+    assert elastic.success, elastic.message
+    assert elastic.nodes[1, 2] < -1e-3
+
+
 def test_disconnected_part_falls():
     two = tc.shapes.prism(prestress=10.0)
     nodes = np.vstack([two.nodes, two.nodes + (3, 0, 0)])
