@@ -75,7 +75,7 @@ def load_mat(
         The struct to read if the file contains several. Default: ``data``, the input of MOTES and
         TsgFEM, with a warning if the others differ.
     strict : bool
-        Whether properties without a counterpart, such as sliding cables, and several different
+        Whether properties without a counterpart, such as damping of nodes, and several different
         structures without ``data`` are errors. Otherwise a warning lists the properties and all
         variables that were left out, and the first structure is read.
     **options : array_like
@@ -215,7 +215,7 @@ def _build(source: Source, variables: Variables, options: Variables) -> ParsedSt
         columns = np.unique(read.class_one(sparse=True).physical, return_index=True)[1]
         return ParsedStructure(read.replace(**options), columns)
     supports = {"pinned": _read_pins(variables, count), "rollers": _read_rollers(variables, count)}
-    given |= {"node_mass": mass, **supports, **options}
+    given |= {"node_mass": mass, "cables": variables.get("cables", ()), **supports, **options}
     structure = Structure(N.T, bars, strings, **given)
     return ParsedStructure(_lump_string_mass(source, structure), np.arange(count))
 

@@ -40,15 +40,14 @@ def is_tsgfem(variables: Variables) -> bool:
 def convert_tsgfem(source: Source, variables: Variables, options: Variables) -> dict[str, Any]:
     """Convert the variables of TsgFEM into those of MOTES.
 
-    Members are the rows of C. Matrix S, if given, groups members into cables that slide over
-    nodes; each member becomes a string of its own. Values that `options` give are not needed.
-    Raises TypeError, ValueError.
+    Members are the rows of C. Matrix S, if given, groups strings into cables that slide over
+    nodes. Values that `options` give are not needed. Raises TypeError, ValueError.
     """
     N = finite_array("N", variables["N"], (3, None))
     keys = ("C",) if "C" in variables else ("C_b", "C_s")
     given = [read_pairs(key, variables[key], N.shape[1]) for key in keys if key in variables]
     pairs = np.concatenate(given)
-    cable = _read_cables(source, variables, len(pairs))
+    cable = _read_cables(variables, len(pairs))
     lengths = np.linalg.norm(N[:, pairs[:, 1]] - N[:, pairs[:, 0]], axis=0)
     converted = {"node_mass": np.zeros(1), **variables}
     known, variables = 0, _add_rest_lengths(variables, lengths)
@@ -57,12 +56,17 @@ def convert_tsgfem(source: Source, variables: Variables, options: Variables) -> 
         members = np.flatnonzero(np.isin(cable, rows))
         converted[key] = pairs[members] + 1.0
         known += len(members)
+        if key == "C_b" and len(np.unique(cable[members])) < len(members):
+            message = "S groups bars, which cannot slide over nodes"
+            source.leave_out(ValueError(f"{message}: each becomes a bar of its own"))
         for name, (keyword, needed, formula) in table.items():
             if keyword not in options:
                 values = [
                     _read_members(source, variables, key, keyword, cable, lengths) for key in needed
                 ]
                 converted[name] = formula(*values)[members]
+    if "cables" not in options:
+        converted["cables"] = _order_cables(source, pairs, cable[members], members)
     if known != len(pairs):
         message = f"C holds {len(pairs)} members, index_b and index_s {known} of them"
         source.leave_out(ValueError(f"{message}: give each member once"))
@@ -72,11 +76,8 @@ def convert_tsgfem(source: Source, variables: Variables, options: Variables) -> 
     return converted
 
 
-def _read_cables(source: Source, variables: Variables, count: int) -> Indices:
-    """Read the cable of each member, its row in S.
-
-    Raises ValueError if import is strict.
-    """
+def _read_cables(variables: Variables, count: int) -> Indices:
+    """Read the cable of each member, its row in S."""
     S: Any = variables.get("S")
     S = S.toarray() if issparse(S) and np.prod(S.shape) <= count**2 else S
     if (
@@ -87,10 +88,35 @@ def _read_cables(source: Source, variables: Variables, count: int) -> Indices:
         or (S.sum(axis=0) != 1).any()
     ):  # without cables, or modes of prestress, which are called S too
         return np.arange(count)
-    if len(S) < count:
-        message = f"S groups {count} members into {len(S)} that slide over nodes"
-        source.leave_out(ValueError(f"{message}: each member becomes one of its own"))
     return np.asarray(np.argmax(S, axis=0))
+
+
+def _order_cables(
+    source: Source, pairs: Indices, cable: Indices, strings: Indices
+) -> list[list[int]]:
+    """Order the strings of each cable from end to end.
+
+    Strings (α,) are rows of `pairs`, and `cable` (α,) numbers their cables. Strings that form no
+    path stay single. Raises ValueError if the import is strict.
+    """
+    found = []
+    for own in (np.flatnonzero(cable == row) for row in np.unique(cable)):
+        if len(own) == 1:
+            continue
+        nodes, left, ordered = pairs[strings[own]], list(range(len(own))), []
+        ends, meeting = np.unique(nodes, return_counts=True)
+        tip = ends[np.argmin(meeting)]  # any node of a closed cable
+        while following := [k for k in left if tip in nodes[k]]:
+            ordered.append(following[0])
+            left.remove(following[0])
+            tip = nodes[following[0]].sum() - tip
+        if left:
+            names = ", ".join(f"{member + 1}" for member in strings[own])
+            message = f"S groups the members {names}, which do not meet end to end"
+            source.leave_out(ValueError(f"{message}: each becomes a string of its own"))
+        else:
+            found.append(own[ordered].tolist())
+    return found
 
 
 def _add_rest_lengths(variables: Variables, lengths: Array) -> Variables:

@@ -224,20 +224,51 @@ def clustered() -> dict:
     return {**workspace, "data": data, "index_s": data["index_s"], "rho": 7870.0}
 
 
-def test_sliding_cables_become_strings_with_a_warning(tmp_path):
+def test_groups_of_strings_become_cables(tmp_path):
     savemat(tmp_path / "x.mat", clustered())
-    with pytest.raises(ValueError, match="S groups 6 members into 5 that slide over nodes"):
-        tc.load_mat(tmp_path / "x.mat")
-    with pytest.warns(tc.InexactImportWarning) as caught:
-        read = tc.load_mat(tmp_path / "x.mat", strict=False)
-    first, last = caught[0].message.changes
-    assert first.startswith("S groups 6 members into 5")
-    assert last == "the variables rho are not read"
+    read = tc.load_mat(tmp_path / "x.mat")
+    assert read.cables == ((0, 1),)
     savemat(tmp_path / "y.mat", tsgfem())
     apart = tc.load_mat(tmp_path / "y.mat")
     assert read.strings.tolist() == apart.strings.tolist()
     assert read.rest_length == pytest.approx(apart.rest_length, rel=1e-12)
     assert read.stiffness == pytest.approx(apart.stiffness, rel=1e-12)
+    assert tc.load_mat(tmp_path / "x.mat", cables=()).cables == ()
+
+
+def test_cables_are_ordered_from_end_to_end(tmp_path):
+    workspace = clustered()
+    workspace["data"]["S"] = np.array([[1, 0, 0, 0, 0, 0], [0, 1, 0, 0, 0, 0], [0, 0, 1, 1, 1, 1]])
+    for key in ("E", "A"):
+        workspace["data"][key] = workspace["data"][key][:3]
+    workspace["data"] |= {"l0_t": [[1.0], [1.0], [5.0]], "index_s": [[3.0]]}
+    savemat(tmp_path / "x.mat", {**workspace, "index_s": [[3.0]]})
+    read = tc.load_mat(tmp_path / "x.mat")
+    assert [sorted(cable) for cable in read.cables] == [[0, 1, 2, 3]]
+    assert read.rest_length.sum() == pytest.approx(5.0)
+
+
+@pytest.mark.parametrize(
+    ("group", "message"),
+    [
+        ([0, 0, 1, 0, 1, 0], "S groups the members 3, 5, which do not meet end to end"),
+        ([1, 1, 0, 0, 0, 0], "S groups bars, which cannot slide over nodes"),
+    ],
+)
+def test_groups_that_are_no_cables_need_a_lenient_import(tmp_path, group, message):
+    workspace = tsgfem()
+    alone = [row for row in np.eye(6) if not (row * group).any()]
+    S = np.array([group, *alone])
+    bars = [[1.0]] if group[0] else [[2.0], [3.0]]
+    strings = [[k + 1.0] for k in range(5) if [k + 1.0] not in bars]
+    data = {key: workspace["data"][key][:5] for key in ("E", "A", "l0")}
+    data |= {"N": workspace["data"]["N"], "C": workspace["data"]["C"], "S": S}
+    data |= {"index_b": bars, "index_s": strings}
+    savemat(tmp_path / "x.mat", {"data": data, "index_s": strings, "mass": np.ones((5, 1))})
+    with pytest.raises(ValueError, match=message):
+        tc.load_mat(tmp_path / "x.mat")
+    with pytest.warns(tc.InexactImportWarning, match=message):
+        assert tc.load_mat(tmp_path / "x.mat", strict=False).cables == ()
 
 
 def test_data_is_read_of_several_structures(tmp_path):
