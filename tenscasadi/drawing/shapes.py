@@ -59,7 +59,7 @@ class MotionShapes:
 
     def __init__(self, content: ViewContent, index: int = 0, tint: Rgb | None = None) -> None:
         self.motion, self.tint = content.motions[index], tint
-        self.radius = content.bar_radius
+        self.radius, self.least = content.bar_radius, content.least_radius
         extent = float(np.ptp(self.motion.nodes[0], axis=0).max(initial=0.0))
         self.reach = STYLE.arrow_length * (extent if 0 < extent < np.inf else content.size)
         self._scales: dict[str, float] = {}
@@ -94,14 +94,13 @@ class MotionShapes:
             colors = _fill(STYLE.slack if tint is None else tint, count)
         else:
             colors = scale.colors(np.nan_to_num(values))
+        strings = np.maximum(STYLE.string_radius * radius * taut, self.least)
         bars = _fill(STYLE.bar if tint is None else tint, len(motion.bars))
         supports = _fill(STYLE.support if tint is None else tint, len(motion.pinned))
         pins = np.full(len(motion.pinned), 2.2 * radius)
         return [
             DrawnShape("member", nodes[motion.bars], np.full(len(motion.bars), radius), bars),
-            DrawnShape(
-                "member", nodes[motion.strings], STYLE.string_radius * radius * taut, colors
-            ),
+            DrawnShape("member", nodes[motion.strings], strings, colors),
             DrawnShape("ball", nodes, self._node_radius, self._node_colors),
             DrawnShape("cone", nodes[motion.pinned], pins, supports),
             *self._build_arrows(frame, kinds),

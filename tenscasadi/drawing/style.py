@@ -32,7 +32,7 @@ class Style:
     string_radius : float
         Radius of a taut string, relative to that of a bar; a slack one has half of it.
     min_radius : float
-        Smallest radius of a bar, relative to the whole picture: half a pixel.
+        Smallest radius of a member, relative to the whole picture: half a pixel.
     arrow_length : float
         Length of an arrow of a large force, relative to the structure.
     grid_lines : int
@@ -76,7 +76,7 @@ class Style:
     body_opacity: float = 0.35
     bar_radius: float = 0.014
     string_radius: float = 0.4
-    min_radius: float = 0.0008
+    min_radius: float = 0.001
     arrow_length: float = 0.25
     grid_lines: int = 20
     saturation: float = 0.99

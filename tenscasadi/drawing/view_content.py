@@ -240,14 +240,16 @@ class ViewContent:
 
         Outliers are ignored, such as the nodes of a motion that diverged.
         """
-        rows = [motion.nodes[0] for motion in self.motions]
-        rows += [motion.nodes.reshape(-1, 3) for motion in self.motions]
-        first = _finite(np.concatenate(rows[: len(self.motions)]))
+        first = np.concatenate([motion.nodes[0] for motion in self.motions])
+        first = first[np.isfinite(first).all(axis=1)]
         if not len(first):
             return np.full(3, -0.5), np.full(3, 0.5)
         center, extent = (first.max(0) + first.min(0)) / 2, float(np.ptp(first, axis=0).max()) or 1
-        points = _finite(np.concatenate(rows))
-        points = points[(np.abs(points - center) <= 20 * extent).all(axis=1)]
+        ends = [(motion.nodes.min(axis=0), motion.nodes.max(axis=0)) for motion in self.motions]
+        points = np.concatenate([corner for pair in ends for corner in pair])
+        if not (np.abs(points - center) <= 20 * extent).all():
+            points = np.concatenate([motion.nodes.reshape(-1, 3) for motion in self.motions])
+            points = points[(np.abs(points - center) <= 20 * extent).all(axis=1)]
         low, high = points.min(axis=0), points.max(axis=0)
         margin = 0.0 if np.any(high > low) else 0.5
         return low - margin, high + margin
@@ -257,6 +259,11 @@ class ViewContent:
         """Largest extent of all motions [m]."""
         low, high = self.corners
         return float((high - low).max())
+
+    @property
+    def least_radius(self) -> float:
+        """Smallest radius of a member that is visible [m]."""
+        return STYLE.min_radius * self.size
 
     @cached_property
     def bar_radius(self) -> float:
@@ -270,11 +277,7 @@ class ViewContent:
         lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
         typical = float(np.median(lengths)) if len(members) else 0.0
         length = typical if 0 < typical < np.inf else whole
-        return max(STYLE.min_radius * whole, STYLE.bar_radius * length)
-
-
-def _finite(points: Array) -> Array:
-    return points[np.isfinite(points).all(axis=1)]
+        return max(self.least_radius, STYLE.bar_radius * length)
 
 
 def choose_frame_times(content: ViewContent, speed: float, frames_per_second: int) -> Array:

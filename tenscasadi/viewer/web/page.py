@@ -13,7 +13,7 @@ from tenscasadi.viewer.canvas import Canvas
 from tenscasadi.viewer.charts import build_charts
 from tenscasadi.viewer.controls import FRAME_RATE
 from tenscasadi.viewer.legend import build_legend
-from tenscasadi.viewer.web.frames import add_frame_rate
+from tenscasadi.viewer.web.frames import adapt_quality
 
 if TYPE_CHECKING:
     import viser
@@ -59,7 +59,7 @@ def record_page(server: viser.ViserServer, canvas: Canvas, speed: float) -> str:
         canvas.show(float(time))
     if len(times) > 1:
         serializer.insert_sleep(pause)
-    return add_frame_rate(serializer.as_html())
+    return adapt_quality(serializer.as_html())
 
 
 def add_panel(page: str, canvas: Canvas, title: str, speed: float) -> str:

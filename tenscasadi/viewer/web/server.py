@@ -6,7 +6,6 @@ It serves only this machine by default, and ignores all messages that a page has
 from __future__ import annotations
 
 import contextlib
-import gzip
 import ipaddress
 import math
 import socket
@@ -18,7 +17,7 @@ from urllib.parse import urlsplit
 
 from tenscasadi.util.troubleshooting import add_address, append_address
 from tenscasadi.util.validate import format_value, instance, whole_number
-from tenscasadi.viewer.web.frames import add_frame_rate
+from tenscasadi.viewer.web.frames import adapt_quality
 from tenscasadi.viewer.web.hover import add_hover
 
 LOOPBACK = "127.0.0.1"
@@ -211,8 +210,10 @@ def _guard_server(local: bool) -> Iterator[list[bool]]:
             refusal = refuse_request(request.path, request.headers, local)
             if refusal:
                 return connection.respond(403, refusal + "\n")
-            response = process_request(connection, request)
             is_page = request.path.partition("?")[0] in ("/", "/index.html")
+            if is_page:  # it is compressed within itself
+                request.headers.pop("Accept-Encoding", None)
+            response = process_request(connection, request)
             return response if response is None or not is_page else _extend_page(response)
 
         # a message of a page has some hundred bytes, and a picture that was asked for more
@@ -227,10 +228,7 @@ def _guard_server(local: bool) -> Iterator[list[bool]]:
 
 def _extend_page(response: Any) -> Any:
     """Add the display of the frame rate and the names on hover to a response."""
-    packed = response.headers.get("Content-Encoding") == "gzip"
-    page = gzip.decompress(response.body) if packed else response.body
-    body = add_hover(add_frame_rate(page.decode())).encode()
-    response.body = gzip.compress(body, 1) if packed else body
+    response.body = add_hover(adapt_quality(response.body.decode())).encode()
     del response.headers["Content-Length"]
     response.headers["Content-Length"] = str(len(response.body))
     return response

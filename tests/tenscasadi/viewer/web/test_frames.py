@@ -32,3 +32,16 @@ def test_few_frames_are_told_by_the_server_s_page_and_by_a_saved_one(open_page, 
             assert page.faults == []
             page.close()
     assert saved.url is None
+
+
+@pytest.mark.slow
+def test_pages_without_a_graphics_card_leave_edges_rough(open_page):
+    with view(thrown(0.1), browser=False, wait=False) as served:
+        page = open_page(served.url)
+        page.wait_for_selector("canvas")
+        read = "document.createElement('canvas').getContext('webgl2', {antialias: true, alpha: false}).getContextAttributes()"
+        found = page.evaluate(read)
+        assert not found["antialias"]
+        assert not found["alpha"]
+        assert page.evaluate("devicePixelRatio") == 1
+        assert page.faults == []
