@@ -59,7 +59,8 @@ def solve(
         of the structure's size.
     time_limit : float, optional
         Wall time of building, solving and replaying [s]. After it, as after Ctrl-C, the plan is the
-        best so far. By default there is no limit.
+        best so far. A step that cannot be interrupted, such as a large factorization, is then
+        abandoned in its thread. By default there is no limit.
     n_starts : int
         Number of initial guesses with different seeds (see `InverseDynamics`; with `Sampling` its
         own). The plan is the best of all; `Plan.start_objectives` holds all objectives.

@@ -17,7 +17,7 @@ from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.results.diagnosis import explain_failure
 from ocp.results.result import PlanResult
-from ocp.solvers.base import Outcome, Solution, Solver
+from ocp.solvers.base import Outcome, Solution, Solver, find_best_iterate
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.ipopt import Ipopt
 from ocp.solvers.monitor import Monitor
@@ -148,22 +148,27 @@ def solve_phased(
     if not isinstance(solver, Ipopt):
         raise ValueError(f"solver is {type(solver).__name__}: phases take ocp.Ipopt()")
     task = link_problem(problem, transcription, guess)
-    solution = solver.solve(task.program, monitor)
-    if not solution.success:
-        return _read_outcome(task, solution)
-    corrected = correct(
-        task.program,
-        task.harder,
-        problem.model,
-        solver,
-        solution,
-        task.joined,
-        task.targets,
-        tolerance,
-        monitor,
-    )
-    # The goals of the program were shifted, so that only the replay decides on success.
-    return _read_outcome(task, corrected._replace(success=True))
+
+    def run() -> Solution:
+        solution = solver.solve(task.program, monitor)
+        if not solution.success:
+            return solution
+        corrected = correct(
+            task.program,
+            task.harder,
+            problem.model,
+            solver,
+            solution,
+            task.joined,
+            task.targets,
+            tolerance,
+            monitor,
+        )
+        # The goals of the program were shifted, so that only the replay decides on success.
+        return corrected._replace(success=True)
+
+    solution = monitor.run(run, lambda: find_best_iterate(task.program, monitor))
+    return _read_outcome(task, solution)
 
 
 def link_problem(

@@ -23,7 +23,8 @@ from ocp.transcription.mesh import held_values
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import Array
 
-Replay = Callable[[PlanResult, bool], Trajectory]  # of a plan, in open loop or under `track`
+# of a plan, in open loop or under `track`; None if the search stopped before
+Replay = Callable[[PlanResult, bool], Trajectory | None]
 
 RELIABLE = 1e-2  # × the structure's size: default tolerance of replays
 
@@ -183,6 +184,8 @@ def _verify(plan: PlanResult, target: Target, replay: Replay, tracked: bool) -> 
         if not tracked:
             raise
         return _Verified(None, np.nan, np.nan, f"ocp.track does not keep to it: {error}")
+    if motion is None:
+        return _Verified(None, np.nan, np.nan, "its replay was not finished in time")
     if not motion.success:
         return _Verified(None, np.nan, np.nan)
     errors = measure_errors(plan, target, interpolate_replays(motion.time, motion.states[None]))

@@ -78,7 +78,8 @@ def solve_sampled(
         Tolerance of goals [m], and of velocities [m per duration].
     """
     check_sampling(problem, transcription, solver)
-    return _Method(problem, transcription, solver, monitor, tolerance).run(guess)
+    method = _Method(problem, transcription, solver, monitor, tolerance)
+    return monitor.run(lambda: method.run(guess), method.stop)
 
 
 class _Method:
@@ -209,11 +210,17 @@ class _Method:
         """Report progress, and return whether to stop."""
         if self._solver.verbose:
             sys.stdout.write(line + "\n")
-        if self._solver.callback is not None and self._solver.callback(line) is False:
+        watch = self._solver.callback
+        if watch is not None and self._monitor.ask(lambda: watch(line)) is False:
             self._stopped = "stopped on request, by Sampling(callback=...), with the best so far"
         status = self._monitor.follow(Progress(self._iterations, np.nan, self._miss))
         self._stopped = self._stopped or _STOPS.get(status, "")
         return bool(self._stopped)
+
+    def stop(self) -> Outcome:
+        """Return the best so far of an abandoned run."""
+        self._stopped = _STOPS.get(self._monitor.status(), "")
+        return self._outcome()
 
     def _outcome(self) -> Outcome:
         motions, best, solver = self._motions, self._best, self._solver

@@ -158,13 +158,16 @@ def _try(search: _PlanSearch, attempt: Attempt) -> tuple[PlanResult, Target | No
         outcome = outcome._replace(iterations=count)
         plan = _record(task, attempt, outcome)
 
-    def replay(plan: PlanResult, tracked: bool) -> Trajectory:
+    def replay(plan: PlanResult, tracked: bool) -> Trajectory | None:
         given = plan if search.reduced is None else search.reduced.restore(plan)
-        if tracked:
-            motion = replay_tracked(given)
-        else:
-            motion = replay_open(given, given.require_model("replay"), None, None)
-        return motion if search.reduced is None else search.reduced.lower(motion)
+
+        def simulate() -> Trajectory | None:
+            if tracked:
+                return replay_tracked(given)
+            return replay_open(given, given.require_model("replay"), None, None)
+
+        motion = task.monitor.run(simulate, lambda: None, patience=0.6)
+        return motion if motion is None or search.reduced is None else search.reduced.lower(motion)
 
     plan = assess_plan(plan, target, outcome, task.tolerance, replay, search.tracked)
     return plan, task.target

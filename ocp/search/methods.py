@@ -19,7 +19,7 @@ from ocp.sampling.solver import Sampling
 from ocp.search.policy import Attempt
 from ocp.search.rest_lengths import build_force_density_problem, convert_outcome
 from ocp.search.task import PlanningTask, prepare
-from ocp.solvers.base import Outcome, Solution
+from ocp.solvers.base import Outcome, Solution, Solver, find_best_iterate
 from ocp.solvers.condensed_newton.method import REMARKS
 from ocp.solvers.correction import (
     TOO_COARSE,
@@ -27,7 +27,7 @@ from ocp.solvers.correction import (
     solve_corrected,
 )
 from ocp.solvers.ipopt import Ipopt
-from ocp.solvers.monitor import TIME_UP
+from ocp.solvers.monitor import TIME_UP, Monitor
 from ocp.solvers.multipliers import name_duals, warm_start_program
 from ocp.solvers.relaxation import find_rate_relaxation
 from ocp.targets.target import Target
@@ -127,9 +127,31 @@ def _solve_program(task: PlanningTask, attempt: Attempt, target: Target, guess: 
         raise TypeError("Sampling solves no programs")
     if not isinstance(solver, Ipopt) or problem.free_start:
         guess = guess.perturb(*problem.control_limits)
-    program = build_program(transcription, problem, target, task.scales, guess)
-    if isinstance(origin, PlanResult) and origin.duals is not None:
-        program = warm_start_program(program, target, origin.duals)
+
+    def build() -> Program | None:
+        program = build_program(transcription, problem, target, task.scales, guess)
+        if isinstance(origin, PlanResult) and origin.duals is not None:
+            program = warm_start_program(program, target, origin.duals)
+        return program
+
+    program = monitor.run(build, lambda: None)
+    if program is None:
+        return _stop_early(task, transcription, guess, monitor.status())
+    found = monitor.run(
+        lambda: _run_solver(problem, transcription, solver, program, monitor),
+        lambda: Corrected(find_best_iterate(program, monitor), None, 0.0),
+    )
+    return _read_outcome(problem, transcription, target, program, found)
+
+
+def _run_solver(
+    problem: Problem,
+    transcription: Transcription,
+    solver: Solver,
+    program: Program,
+    monitor: Monitor,
+) -> Corrected:
+    """Solve the program, and correct or relax it."""
     accuracy = transcription.accuracy
     if accuracy is not None:
         measure = transcription.measure_residual(program, problem.model)
@@ -139,7 +161,7 @@ def _solve_program(task: PlanningTask, attempt: Attempt, target: Target, guess: 
     if isinstance(solver, Ipopt):
         relaxed = find_rate_relaxation(program, solver, found.solution, monitor)
         found = found if relaxed is None else Corrected(relaxed, None, 0.0)
-    return _read_outcome(problem, transcription, target, program, found)
+    return found
 
 
 def _read_outcome(

@@ -83,6 +83,15 @@ class Outcome(NamedTuple):
     coarse: bool = False
 
 
+def find_best_iterate(program: Program, monitor: Monitor) -> Solution:
+    """Build the solution of a solver that was abandoned.
+
+    Relaxed programs have their further unknowns at the end.
+    """
+    count, w = monitor.iterate or (0, program.first)
+    return Solution(w[: len(program.first)], False, monitor.status(), count)
+
+
 class NamedSolver(Value):
     """Solver with a kind in files."""
 

@@ -322,9 +322,10 @@ class BestIterate(ca.Callback):
         now = Progress(self._count, float(f[0]) * self._objective, violation)
         self._count += 1
         try:
-            if self._watch is not None and self._watch(now) is False:
+            watch = self._watch
+            if watch is not None and self._monitor.ask(lambda: watch(now)) is False:
                 self.status = STOPPED
-            self.status = self.status or self._monitor.follow(now)
+            self.status = self.status or self._monitor.follow(now, self.w)
         except KeyboardInterrupt:
             self.status = STOPPED
         except Exception as error:  # noqa: BLE001  # raised again once the solver has stopped, which would make a failure of it

@@ -7,9 +7,13 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
+from ocp.solvers.worker import Worker
 from tenscasadi.util.processes import on_interrupt
+from tenscasadi.util.validate import Array
+
+Result = TypeVar("Result")
 
 STOPPED = "User_Requested_Stop"
 TIME_UP = "Time_Limit_Reached"  # of the whole search, with all that comes before the solver
@@ -60,6 +64,8 @@ class Monitor:
         Current part of the search, for the progress.
     interrupted : bool
         Whether a stop was requested, as from the keyboard.
+    iterate : tuple of int and ndarray, or None
+        Number of the last iteration, and the best iterate.
     """
 
     def __init__(
@@ -73,6 +79,8 @@ class Monitor:
         self.interrupted, self.phase = False, ""
         self._show, self._next_line = show, self.began + 2.0  # s
         self._watch = watch
+        self.iterate: tuple[int, Array] | None = None
+        self._worker: Worker | None = None
 
     def limit(self, time_limit: float | None) -> Monitor:
         """Build a monitor of a part of the search, with a time limit [s] of its own."""
@@ -94,17 +102,43 @@ class Monitor:
             return STOPPED
         return TIME_UP if self.left <= 0 else ""
 
-    def follow(self, now: Progress) -> str:
-        """Show the progress of a solver, and return `status`."""
+    def run(
+        self,
+        work: Callable[[], Result],
+        otherwise: Callable[[], Result],
+        patience: float = 0.3,
+    ) -> Result:
+        """Run work in a thread, and abandon it if it does not stop soon.
+
+        `otherwise` builds the result of abandoned work, from `iterate`. `patience` is the time that
+        work has to stop by itself [s]. Callbacks of the user run in the calling thread.
+        """
+        self.iterate, self._worker = None, Worker(work)
+        return self._worker.wait(self.status, otherwise, patience)
+
+    def ask(self, call: Callable[[], Result]) -> Result:
+        """Call a function of the user in the thread of the search."""
+        return call() if self._worker is None else self._worker.ask(call)
+
+    def follow(self, now: Progress, iterate: Array | None = None) -> str:
+        """Show the progress of a solver, and return `status`.
+
+        `iterate` are the unknowns of the best iterate so far.
+        """
+        if iterate is not None:
+            self.iterate = now.iteration, iterate
         clock = time.perf_counter()
         if self._show is not None and clock >= self._next_line:
             self._next_line = clock + 0.5
             left = "" if math.isinf(self.deadline) else f", {max(self.left, 0.0):.0f} s left"
-            self._show(
+            line = (
                 f"{self.phase}: iteration {now.iteration}, violation {now.infeasibility:.1e}, "
                 f"objective {now.objective:.5g}, {self.elapsed:.0f} s{left}"
             )
-        if self._watch is not None and self._watch(now) is False:
+            show = self._show
+            self.ask(lambda: show(line))
+        watch = self._watch
+        if watch is not None and self.ask(lambda: watch(now)) is False:
             self._stop()
         return self.status()
 

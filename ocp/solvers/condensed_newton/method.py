@@ -132,7 +132,8 @@ class CondensedNewton(NamedSolver, kind="CondensedNewton"):
                 return NOT_SETTLED if search.is_still(20, np.inf) else "iterations"
             point = search.point
             objective = point.cost * search.of.program.objective
-            if status := monitor.follow(Progress(search.iterations, objective, point.worst)):
+            now = Progress(search.iterations, objective, point.worst)
+            if status := monitor.follow(now, search.of.join(point.u, point.s)):
                 return status
             if not search.advance():
                 return "nearly settled" if search.is_still(5, 1e-2) else "stuck"

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import threading
+import time
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -12,7 +17,8 @@ import tenscasadi as tc
 from ocp.results.diagnosis import interpolate_plan
 from ocp.search.find_plan import find_plan
 from ocp.search.task import prepare
-from ocp.solvers.monitor import Monitor
+from ocp.solvers.base import Solution
+from ocp.solvers.monitor import Monitor, Progress
 
 
 @pytest.mark.parametrize("solver", [ocp.Ipopt(), ocp.CondensedNewton()])
@@ -76,3 +82,83 @@ def test_interruption_before_the_solver_begins_blames_no_limit():
     plan = find_plan(raising(), ocp.Variational(6), monitor=monitor)
     assert "before the solver began" in plan.message
     assert "time_limit" not in plan.message
+
+
+class Stubborn:
+    """Solver that reports an iterate, and then computes without checking for a stop."""
+
+    tolerance = 1e-8
+
+    def __init__(self):
+        self.release = threading.Event()
+
+    def solve(self, program, monitor=None):
+        monitor.follow(Progress(3, 1.0, 0.1), program.first + 1e-3)
+        self.release.wait(30)
+        return Solution(program.first, True, "too late", 9)
+
+
+def test_time_limit_ends_a_solver_that_does_not_stop():
+    problem, solver = raising(), Stubborn()
+    monitor = Monitor(30.0)
+    monitor.deadline = time.perf_counter() + 0.5
+    plan = find_plan(problem, ocp.Variational(6), solver, monitor=monitor)
+    solver.release.set()
+    assert plan.status == "Time_Limit_Reached"
+    assert plan.iterations == 3
+    assert plan.seconds < 10
+    assert np.all(np.isfinite(plan.trajectory.states))
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals")
+def test_ctrl_c_ends_a_solver_that_does_not_stop():
+    usual = signal.signal(signal.SIGINT, signal.default_int_handler)
+    solver = Stubborn()
+    timer = threading.Timer(0.3, lambda: os.kill(os.getpid(), signal.SIGINT))
+    timer.start()
+    try:
+        plan = find_plan(raising(), ocp.Variational(6), solver)
+    finally:
+        timer.join()
+        solver.release.set()
+        signal.signal(signal.SIGINT, usual)
+    assert plan.status == "User_Requested_Stop"
+    assert plan.iterations == 3
+
+
+def test_callbacks_run_in_the_calling_thread():
+    threads = set()
+    solver = ocp.Ipopt(callback=lambda now: threads.add(threading.current_thread()))
+    plan = ocp.solve(
+        raising(),
+        ocp.Variational(6),
+        solver,
+        progress=lambda now: threads.add(threading.current_thread()),
+    )
+    assert plan.success
+    assert threads == {threading.current_thread()}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("limit", [0.5, 2.0])
+@pytest.mark.parametrize(
+    ("transcription", "solver"),
+    [
+        (None, None),
+        (ocp.MultipleShooting(), None),
+        (ocp.DirectCollocation(), None),
+        (ocp.Variational(30), None),
+        (None, ocp.CondensedNewton()),
+        (None, ocp.Sampling()),
+    ],
+)
+def test_every_method_keeps_the_time_limit(transcription, solver, limit):
+    tower = tc.shapes.prism_tower(8, height=0.8)
+    longer = tower.string_lengths[0] * 1.05
+    goals = [ocp.StringLengths({0: longer}), ocp.AtRest()]
+    bounds = [ocp.ForceDensityLimits(1.0, 200.0)]
+    problem = ocp.Problem(driven(tower), 1.0, goals=goals, bounds=bounds, costs=[ocp.Effort()])
+    began = time.perf_counter()
+    ocp.solve(problem, transcription, solver, time_limit=limit)
+    # ten times the permitted excess, as other programs may run at the same time
+    assert time.perf_counter() - began < limit + 10.0

@@ -1,0 +1,122 @@
+"""Work in a thread that a search can abandon.
+
+Compiled code, such as a factorization of IPOPT, cannot be interrupted. The calling thread waits for
+the work only as long as the search may take.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from concurrent.futures import TimeoutError as NotYet
+from contextvars import copy_context
+from queue import Empty, SimpleQueue
+from threading import Thread, current_thread, stack_size
+from typing import Any, TypeVar
+
+from tenscasadi.util.processes import one_blas_thread
+
+Result = TypeVar("Result")
+
+
+class Abandoned(Exception):
+    """Raised in abandoned work that calls a function of the user."""
+
+
+class Worker:
+    """Thread that works for a waiting one.
+
+    Abandoned work goes on until it checks for a stop. Its result is lost.
+
+    Parameters
+    ----------
+    work : callable
+        Function without arguments.
+
+    Examples
+    --------
+    >>> from ocp.solvers.worker import Worker
+    >>> Worker(lambda: 6 * 7).wait(lambda: "", lambda: None)
+    42
+    """
+
+    def __init__(self, work: Callable[[], Any]) -> None:
+        self._calls: SimpleQueue[tuple[Callable[[], Any] | None, Future[Any]]] = SimpleQueue()
+        self._result: Future[Any] = Future()
+        self._abandoned = False
+        context = copy_context()
+        self._thread = Thread(target=lambda: context.run(self._run, work), name="plan")
+
+    def _run(self, work: Callable[[], Any]) -> None:
+        try:
+            with one_blas_thread():
+                self._result.set_result(work())
+        except BaseException as error:  # noqa: BLE001  # raised again in the waiting thread
+            self._result.set_exception(error)
+        self._calls.put((None, self._result))
+
+    def wait(
+        self,
+        status: Callable[[], str],
+        otherwise: Callable[[], Result],
+        patience: float = 0.3,
+    ) -> Result:
+        """Wait for the result of the work.
+
+        Parameters
+        ----------
+        status : callable
+            Function that returns why to stop, or "".
+        otherwise : callable
+            Function that builds the result if the work does not stop soon.
+        patience : float
+            Time for it to stop by itself, with a better result [s].
+
+        Returns
+        -------
+        object
+            Result of the work, or of `otherwise`.
+        """
+        before = stack_size(64 * 2**20)  # some systems' default is too small for expressions
+        self._thread.start()
+        stack_size(before)
+        latest = float("inf")
+        try:
+            while time.perf_counter() < latest:
+                if status():
+                    latest = min(latest, time.perf_counter() + patience)
+                try:
+                    call, reply = self._calls.get(timeout=0.05)
+                except Empty:
+                    continue
+                if call is None:
+                    return self._result.result()  # type: ignore[no-any-return]
+                _answer(call, reply)
+        finally:
+            self._abandoned = True
+        return otherwise()
+
+    def ask(self, call: Callable[[], Result]) -> Result:
+        """Call a function in the waiting thread, for its result.
+
+        Raises Abandoned if that thread no longer waits.
+        """
+        if current_thread() is not self._thread:
+            return call()
+        reply: Future[Result] = Future()
+        self._calls.put((call, reply))
+        while not self._abandoned:
+            try:
+                return reply.result(0.05)
+            except NotYet:
+                if reply.done():  # the function raised this error
+                    raise
+        raise Abandoned
+
+
+def _answer(call: Callable[[], Any], reply: Future[Any]) -> None:
+    try:
+        reply.set_result(call())
+    except BaseException as error:  # noqa: BLE001  # raised again in the thread that asked
+        reply.set_exception(error)

@@ -1,0 +1,78 @@
+"""Work in a thread that a search can abandon."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import pytest
+
+from ocp.solvers.worker import Abandoned, Worker
+
+
+def never() -> str:
+    return ""
+
+
+def test_result_is_that_of_the_work():
+    assert Worker(lambda: 7).wait(never, lambda: 0) == 7
+
+
+def test_errors_of_the_work_are_raised():
+    def fail():
+        raise ValueError("wrong")
+
+    with pytest.raises(ValueError, match="wrong"):
+        Worker(fail).wait(never, lambda: None)
+
+
+def test_work_that_does_not_stop_is_abandoned():
+    release = threading.Event()
+    began = time.perf_counter()
+    found = Worker(lambda: release.wait(30)).wait(lambda: "late", lambda: "best", patience=0.01)
+    release.set()
+    assert found == "best"
+    assert time.perf_counter() - began < 5
+
+
+def test_work_that_stops_soon_gives_its_own_result():
+    stop = threading.Event()
+    found = Worker(lambda: stop.wait(30)).wait(lambda: stop.set() or "late", lambda: "best")
+    assert found is True
+
+
+def test_calls_of_the_user_run_in_the_waiting_thread():
+    names = []
+
+    def work():
+        return worker.ask(lambda: names.append(threading.current_thread()) or "seen")
+
+    worker = Worker(work)
+    assert worker.wait(never, lambda: "") == "seen"
+    assert names == [threading.current_thread()]
+
+
+def test_errors_of_calls_are_raised_in_the_work():
+    def fail():
+        raise TimeoutError("of the user")
+
+    worker = Worker(lambda: worker.ask(fail))
+    with pytest.raises(TimeoutError, match="of the user"):
+        worker.wait(never, lambda: None)
+
+
+def test_abandoned_work_calls_nothing():
+    release, ended, seen = threading.Event(), threading.Event(), []
+
+    def work():
+        release.wait(30)
+        try:
+            worker.ask(lambda: seen.append(1))
+        except Abandoned:
+            ended.set()
+
+    worker = Worker(work)
+    worker.wait(lambda: "late", lambda: None, patience=0.01)
+    release.set()
+    assert ended.wait(30)
+    assert not seen
