@@ -78,8 +78,27 @@ def solve_sampled(
         Tolerance of goals [m], and of velocities [m per duration].
     """
     check_sampling(problem, transcription, solver)
-    method = _Method(problem, transcription, solver, monitor, tolerance)
-    return monitor.run(lambda: method.run(guess), method.stop)
+
+    def build() -> _Method | None:
+        return _Method(problem, transcription, solver, monitor, tolerance)
+
+    def stop() -> Outcome:
+        best = None if method is None else method.best
+        if method is None or best is None or not np.isfinite(best.merit):
+            return _stop_at_start(problem, transcription, monitor.status())
+        return method.stop()
+
+    method = monitor.run(build, lambda: None)
+    return stop() if method is None else monitor.run(lambda: method.run(guess), stop)
+
+
+def _stop_at_start(problem: Problem, transcription: Transcription, status: str) -> Outcome:
+    """Return the start state as result of a run without a motion."""
+    count = transcription.count
+    states = np.tile(problem.initial_state, (count + 1, 1))
+    gamma = np.tile(choose_defaults(problem).force_density, (count, 1))
+    why = f"{_STOPS[status]}: no motion was simulated"
+    return Outcome(states, gamma, problem.longest, np.nan, False, status, 0, why=why)
 
 
 class _Method:
@@ -114,7 +133,7 @@ class _Method:
             solver.threads,
         )
         self._law = elastic_law(problem, self._defaults.strength, self._defaults.mass, interval)
-        self._best: Candidate | None = None
+        self.best: Candidate | None = None
         self._miss = np.inf  # residual of the best, in units of the tolerance
         self._stopped = ""
         self._iterations = 0
@@ -182,8 +201,8 @@ class _Method:
         miss = max(
             point.worst, descent.measure_finer(point, self._finer) if len(misses) == 3 else np.inf
         )
-        if self._best is None or (miss, point.worst) < (self._miss, self._best.worst):
-            self._best, self._miss = point, miss
+        if self.best is None or (miss, point.worst) < (self._miss, self.best.worst):
+            self.best, self._miss = point, miss
 
     def _levels(self) -> list[Array]:
         """Return directions (g, α) for groups, then for single strings."""
@@ -223,7 +242,7 @@ class _Method:
         return self._outcome()
 
     def _outcome(self) -> Outcome:
-        motions, best, solver = self._motions, self._best, self._solver
+        motions, best, solver = self._motions, self.best, self._solver
         if best is None or not np.isfinite(best.merit):
             best = simulate_defaults(motions, self._defaults)
         success = self._miss <= 1.0
