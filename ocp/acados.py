@@ -83,7 +83,7 @@ def export_acados(mpc: Mpc, folder: str | Path) -> list[Path]:
                 "acados has no control: leave that limit out, or keep to ocp.export_mpc"
             )
         end.add(rows, free)
-    least, most = mpc.problem.force_density_limits
+    least, most = mpc.problem.control_limits
     functions = {
         "ode": model.ode,
         "output": own.output,
@@ -97,7 +97,7 @@ def export_acados(mpc: Mpc, folder: str | Path) -> list[Path]:
         "horizon": mpc.intervals,
         "period": mpc.period,
         "substeps": own.substeps,
-        "control_scale": own.control_scale,
+        "control_scale": own.control_scale.tolist(),
         "control": {"lower": _finite(least), "upper": _finite(most)},
         "path": path.numbers(),
         "end": end.numbers(),
@@ -174,7 +174,7 @@ def expressions():
         "xdot": xdot,
         "f_expl": rate,
         "f_impl": xdot - rate,
-        "y": ca.vertcat(output, u / DATA["control_scale"]),
+        "y": ca.vertcat(output, u / ca.DM(DATA["control_scale"])),
         "y_e": output,
         "h": FUNCTIONS["path"](x, u, p),
         "h_e": FUNCTIONS["end"](x, 0, p),
@@ -185,7 +185,7 @@ def references(time):
     """Return yref of all stages, with the terminal one last."""
     output, control = (value.full() for value in FUNCTIONS["reference"](time))
     along = np.column_stack([output[:, :1], output[:, :-1]])  # the output now is no choice
-    stages = np.vstack([along, control / DATA["control_scale"]])
+    stages = np.vstack([along, control / np.array(DATA["control_scale"])[:, None]])
     return [*stages.T, output[:, -1]]
 
 

@@ -15,7 +15,6 @@ from tqdm import tqdm
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.stabilization import build_projection
-from tenscasadi.scene.strings import ForceDensity
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
 from tenscasadi.simulation.verdict.starts import off_constraints
 from tenscasadi.util.immutable import ReadOnlyArrays
@@ -35,7 +34,7 @@ from tenscasadi.util.validate import (
 
 @runtime_checkable
 class Controller(Protocol):
-    """Controller that decides force densities from time and state."""
+    """Controller that decides the control of strings from time and state."""
 
     @property
     def period(self) -> float:
@@ -46,7 +45,7 @@ class Controller(Protocol):
         """Model of the controller."""
 
     def control(self, time: float, state: Array) -> Array:
-        """Decide the force densities (α,) until the next decision [N/m]."""
+        """Decide the control (nu,) until the next decision."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,14 +97,14 @@ def run(
     Parameters
     ----------
     controller : Mpc, Tracker or Controller
-        Controller, with a `model`, a `period` [s] and `control(time, state)`, which returns force
-        densities (α,) [N/m].
+        Controller, with a `model`, a `period` [s] and `control(time, state)`, which returns the
+        control (nu,), such as force densities [N/m].
     t_end : float
         End of the run [s]. The last decision may be shorter than the period.
     model : Model, optional
         Plant. It may differ from the controller's model in masses, gravity and loads such as gusts
-        (`tenscasadi.NodalForce` of time), but not in nodes and strings. Default: the controller's
-        model.
+        (`tenscasadi.NodalForce` of time), but not in nodes, strings and kind of control. Default:
+        the controller's model.
     state : array_like, shape (nx,), optional
         Initial state, which satisfies bars and joints. If it has a clock, this is the time that
         the controller receives; it need not begin at 0. Default: the model's initial state.
@@ -221,7 +220,7 @@ def _run_periods(
 ) -> Iterator[tuple[Array | None, Array, float]]:
     """Simulate period after period.
 
-    Yields the states (steps, nx), None after a divergence, the force densities (α,), and the wall
+    Yields the states (steps, nx), None after a divergence, the control (nu,), and the wall
     time of the decision [s].
     """
     chain = RungeKutta4().step(plant.ode).mapaccum(steps)
@@ -254,9 +253,10 @@ def _run_periods(
 def _check_plant(plant: Any, believed: Model) -> None:
     """Raise ValueError if plant and controller do not fit."""
     instance("model", plant, Model, "a tenscasadi.Model or None")
-    if not isinstance(plant.scene.control, ForceDensity):
+    own_control, known = plant.scene.control, believed.scene.control
+    if own_control is None or type(own_control) is not type(known):
         raise ValueError(
-            f"model has the control {plant.scene.control}: give a model of Scene(..., control=ForceDensity())"
+            f"model has the control {own_control}: give a model of Scene(..., control={known})"
         )
     own, other = plant.structure, believed.structure
     same = (

@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import combinations
 
 import casadi as ca
+import numpy as np
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.casadi_tools import column_norms
@@ -14,8 +15,9 @@ def build_departures(model: Model, place: float, speed: float) -> ca.Function:
     """Build the scaled output of a regulator and its Jacobian.
 
     The output is the coordinates in units of `place` [m] and the velocities in units of `speed`
-    [m/s]. Free structures may drift and turn: their output is the distances between nodes, and
-    the rates of these.
+    [m/s]. Rest lengths and winding speeds of winches follow in the same units of their strings,
+    because the tensions of a self-stress change no coordinate. Free structures may drift and turn:
+    their output is the distances between nodes, and the rates of these.
     """
     x = ca.SX.sym("x", model.nx)
     if model.scene.structure.held.any() or model.scene.ground is not None:
@@ -28,5 +30,11 @@ def build_departures(model: Model, place: float, speed: float) -> ca.Function:
         ]
         q = column_norms(N[:, [b for _, b in pairs]] - N[:, [a for a, _ in pairs]])
         v = ca.jtimes(q, x, ca.vertcat(model.split(x).velocities, ca.DM.zeros(model.nx - model.nq)))
-    value = ca.vertcat(q / place, v / speed)
+    typical = float(model.scene.structure.string_lengths.mean())
+    parts = [
+        part.scale / typical * (speed if part.unit.endswith("/s") else place)
+        for part in model.scene.internal_states
+    ]
+    own = model.split(x).internal / ca.DM(np.concatenate([np.zeros(0), *parts]))
+    value = ca.vertcat(q / place, v / speed, own)
     return ca.Function("departures", [x], [value, ca.jacobian(value, x)], {"cse": True})

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import casadi as ca
 
 from ocp.problem.path_constraints import ScaledRows
+from tenscasadi.util.validate import Array
 
 
 class Formulation(NamedTuple):
@@ -18,20 +19,20 @@ class Formulation(NamedTuple):
         Function x → scaled output, whose squares are minimized.
     reference : casadi.Function
         Function time → references of the output (·, N) at the ends of the intervals, and of the
-        force densities (α, N) in them [N/m].
-    control_scale : float
-        Scale of departures of force densities [N/m].
+        control (nu, N) in them.
+    control_scale : ndarray, shape (nu,)
+        Scale of departures of the control.
     substeps : int
         Number of Runge-Kutta steps in each period.
     limits : list of ScaledRows
-        Limits of functions of one instant, except those of force densities.
+        Limits of functions of one instant, except those of the control.
     rates : list of str
         Names of limited rates.
     """
 
     output: ca.Function
     reference: ca.Function
-    control_scale: float
+    control_scale: Array
     substeps: int
     limits: list[ScaledRows]
     rates: list[str]

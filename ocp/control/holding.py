@@ -8,18 +8,24 @@ import numpy as np
 import scipy.linalg
 import scipy.optimize
 
+from ocp.problem.bounds.string_bounds import TensionLimits
+from ocp.problem.control import build_force_model, has_elastic_strings
+from ocp.problem.problem import Problem
 from tenscasadi.dynamics.linearization import EquationDerivatives
 from tenscasadi.dynamics.model import Model
-from tenscasadi.util.validate import Array
+from tenscasadi.scene.internal_states import join_initial
+from tenscasadi.scene.winches import Winch
+from tenscasadi.structure.cables import add_compliances
+from tenscasadi.util.validate import Array, per_item
 
 
 class HeldState(NamedTuple):
-    """Force densities that hold a state at rest.
+    """Forces of strings that hold a state at rest.
 
     Attributes
     ----------
-    force_density : ndarray, shape (α,)
-        Force densities [N/m].
+    force_density : ndarray, shape (nu,)
+        Force densities [N/m], or tensions [N] if these are the control.
     left : float
         Largest acceleration that remains [m/s²].
     coordinate : str
@@ -35,9 +41,10 @@ class HeldState(NamedTuple):
 
 
 def find_equilibrium(model: Model, state: Array, lower: Array, upper: Array) -> HeldState:
-    """Find the least force densities that hold a state at rest.
+    """Find the least forces of strings that hold a state at rest.
 
-    Loads are those at the time of the state. If nothing holds it, the accelerations are least.
+    The control of the model is force densities or tensions. Loads are those at the time of the
+    state. If nothing holds it, the accelerations are least.
     """
     count = model.nu
     still = EquationDerivatives.of(model).at(at_rest(model, state)[None], np.zeros((1, count)))
@@ -74,52 +81,112 @@ def find_equilibrium(model: Model, state: Array, lower: Array, upper: Array) -> 
 
 
 class Rest(NamedTuple):
-    """State at rest and the force densities that hold it.
+    """State at rest and the control that holds it.
 
     Attributes
     ----------
     state : ndarray, shape (nx,), or None
         State; None if nothing holds it.
-    force_density : ndarray, shape (α,)
-        Force densities [N/m].
+    control : ndarray, shape (nu,)
+        Control of the model.
     message : str
         Result in words, with the reason of a failure.
     """
 
     state: Array | None
-    force_density: Array
+    control: Array
     message: str
 
 
 def find_rest(
     model: Model, end: Array, lower: Array, upper: Array, slow: float, margin: float = 0.0
 ) -> Rest:
-    """Find force densities that hold the end of a motion.
+    """Find the control that holds the end of a motion.
+
+    Forces of strings are found first. Rest lengths follow from the tensions and the stiffness, and
+    winches hold these.
 
     Parameters
     ----------
+    lower, upper : ndarray, shape (nu,)
+        Limits of the forces, see `force_limits`.
     slow : float
         Speed of coordinates that counts as rest [m/s].
     margin : float
-        Distance from the limits that force densities keep if they can [N/m]. About strings at
-        their limits, a regulator could only tighten them, and would hardly be stable.
+        Distance from the limits that forces keep if they can. About strings at their limits, a
+        regulator could only tighten them, and would hardly be stable.
     """
-    fastest = float(np.abs(model.split(end)[1]).max(initial=0.0))
+    parts = model.split(end)
+    fastest = float(np.abs(parts.velocities).max(initial=0.0))
     if fastest > slow:
         return Rest(None, np.zeros(0), f"the end is not held: it moves at {fastest:.2g} m/s")
+    forced = build_force_model(model)
+    own = np.concatenate([parts.positions, parts.velocities, parts.clock])
     room = np.minimum(margin, (upper - lower) / 2)
-    found = find_equilibrium(model, end, lower + room, upper - room)
+    found = find_equilibrium(forced, own, lower + room, upper - room)
     if margin and not found.exact:
-        found = find_equilibrium(model, end, lower, upper)
+        found = find_equilibrium(forced, own, lower, upper)
+    control = forced.scene.control
+    quantity, unit = ("forces", "N") if control is None else (control.quantity, control.unit)
     if not found.exact:
         told = f"{found.coordinate} accelerates by {found.left:.2g} m/s² at best"
-        message = f"the end is not held, as no force densities within their limits do: {told}"
+        message = f"the end is not held, as no {quantity} within their limits do: {told}"
         return Rest(None, np.zeros(0), message)
-    return Rest(
-        at_rest(model, end),
-        found.force_density,
-        f"the end is held by force densities up to {found.force_density.max(initial=0.0):.3g} N/m",
-    )
+    state, held = _follow_forces(model, at_rest(model, end), found.force_density)
+    largest = found.force_density.max(initial=0.0)
+    return Rest(state, held, f"the end is held by {quantity} up to {largest:.3g} {unit}")
+
+
+def force_limits(model: Model, problem: Problem | None, state: Array) -> tuple[Array, Array]:
+    """Compute the limits (nu,) of the forces of strings in a state.
+
+    These are force densities [N/m] if they are the control. Otherwise they are the tensions [N] of
+    cables and lone strings, limited by all limits of the problem. Without a problem, they are 0 and
+    inf.
+    """
+    if problem is None:
+        return np.zeros(model.nu), np.full(model.nu, np.inf)
+    structure, control = model.scene.structure, model.scene.control
+    lower, upper = problem.force_density_limits
+    if control is None or control.commands_densities:
+        return lower, upper
+    of, lengths = structure.cable_of, _string_lengths(model, state)
+    low, high = problem.limits(TensionLimits)
+    low, high = np.maximum(low, 0.0), np.array(high)
+    np.maximum.at(low, of, lower * lengths)
+    np.minimum.at(high, of, upper * lengths)
+    if has_elastic_strings(model):
+        stiffness, total = add_compliances(of, structure.stiffness), np.bincount(of, lengths)
+        shortest, longest = problem.rest_length_limits
+        low = np.maximum(low, stiffness * (total - longest))
+        high = np.minimum(high, stiffness * (total - shortest))
+    if isinstance(control, Winch):
+        high = np.minimum(
+            high, problem.control_limits[1] / per_item("Winch.radius", control.radius, len(high))
+        )
+    return low, np.maximum(low, high)
+
+
+def _follow_forces(model: Model, state: Array, forces: Array) -> tuple[Array, Array]:
+    """Compute internal states and control with given forces of strings."""
+    control, structure = model.scene.control, model.scene.structure
+    if control is None or control.commands_forces:
+        return state, forces
+    of = structure.cable_of
+    total = np.bincount(of, _string_lengths(model, state))
+    rest = np.asarray(total - forces / add_compliances(of, structure.stiffness))
+    if not model.na:
+        return state, rest
+    state = np.array(state)
+    model.split(state).internal[:] = join_initial(control.internal_states(rest))
+    return state, control.initial_inputs(rest, forces)
+
+
+def _string_lengths(model: Model, state: Array) -> Array:
+    """Compute the lengths (α,) of parent strings [m]."""
+    structure = model.scene.structure
+    ends = model.nodes(state)[structure.strings]
+    return np.asarray(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1))
 
 
 def at_rest(model: Model, state: Array) -> Array:

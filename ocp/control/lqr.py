@@ -12,13 +12,9 @@ from numpy.typing import ArrayLike
 
 from ocp.control.closed_loop import run
 from ocp.control.departures import build_departures
-from ocp.control.holding import Rest, compute_stationary_cost, find_rest
-from ocp.problem.control import (
-    build_force_density_model,
-    controls_force_densities,
-    controls_rest_lengths,
-    reject_internal_states,
-)
+from ocp.control.holding import Rest, compute_stationary_cost, find_rest, force_limits
+from ocp.problem.bounds.string_bounds import StringLimits
+from ocp.problem.control import controls_force_densities, controls_rest_lengths
 from ocp.problem.path_constraints import control_limits
 from ocp.results.result import STEPS, PlanResult
 from ocp.transcription.mesh import profile_at
@@ -27,7 +23,7 @@ from tenscasadi.dynamics.linearization import tangents
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.stability import fastest_rate
-from tenscasadi.scene.strings import rest_length
+from tenscasadi.scene.winches import Winch
 from tenscasadi.simulation.inputs.feedback import Feedback
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.immutable import ReadOnlyArrays
@@ -38,6 +34,7 @@ from tenscasadi.util.validate import (
     Array,
     finite_array,
     instance,
+    per_item,
     positive_number,
     whole_number,
 )
@@ -54,9 +51,9 @@ class Hold(NamedTuple):
     ----------
     state : ndarray, shape (nx,)
         State at rest [m, m/s].
-    force_density : ndarray, shape (α,)
-        Control at rest [N/m], or rest lengths [m].
-    gains : ndarray, shape (α, nx)
+    force_density : ndarray, shape (nu,)
+        Control at rest, see `Tracker`.
+    gains : ndarray, shape (nu, nx)
         Feedback gains.
     """
 
@@ -69,9 +66,9 @@ class Hold(NamedTuple):
 class Tracker(ReadOnlyArrays):
     """Time-varying LQR about a plan, made by `track`.
 
-    It is a controller for `run` with the law γ = γ_plan − G (x − x_plan), within limits. After a plan
-    that ends at rest it holds that state. The control is then the least force density in equilibrium,
-    with the gains of a stationary regulator. If there is none, `message` gives the reason, and the
+    It is a controller for `run` with the law u = u_plan − G (x − x_plan), within limits. After a plan
+    that ends at rest it holds that state. The control is then that of the least forces of strings in
+    equilibrium, with the gains of a stationary regulator. If there is none, `message` gives the reason, and the
     last gain holds the last state.
 
     Attributes
@@ -82,14 +79,15 @@ class Tracker(ReadOnlyArrays):
         Times of the decisions, and the end of the plan [s].
     states : ndarray, shape (K + 1, nx)
         The plan's states at these times [m, m/s].
-    force_density : ndarray, shape (K, α)
-        The plan's force densities [N/m], or rest lengths [m].
-    gains : ndarray, shape (K, α, nx)
+    force_density : ndarray, shape (K, nu)
+        The plan's control: force densities [N/m], tensions [N], rest lengths [m], their rates [m/s],
+        or motor torques [N m].
+    gains : ndarray, shape (K, nu, nx)
         Gains G.
-    lower, upper : ndarray, shape (α,)
-        Limits of the force densities [N/m], or rest lengths [m].
+    lower, upper : ndarray, shape (nu,)
+        Limits of the control.
     hold : Hold or None
-        Law that holds the end of the plan: `state` (nx,), `force_density` (α,) and `gains` (α, nx);
+        Law that holds the end of the plan: `state` (nx,), `force_density` (nu,) and `gains` (nu, nx);
         None if the plan does not end at rest.
     message : str
         Whether the end of the plan is held, and why not.
@@ -142,19 +140,19 @@ class Tracker(ReadOnlyArrays):
         return Feedback(time, controls, states, gains, self.lower, self.upper)
 
     def control(self, time: float, state: Array) -> Array:
-        """Decide the force densities until the next decision.
+        """Decide the control until the next decision.
 
         Parameters
         ----------
         time : float
             Time since the beginning [s].
         state : array_like, shape (nx,)
-            Measured state [m, m/s].
+            Measured state.
 
         Returns
         -------
-        ndarray, shape (α,)
-            Force densities [N/m].
+        ndarray, shape (nu,)
+            Control.
         """
         time, state = (
             positive_number("time", time, zero=True),
@@ -197,12 +195,13 @@ def track(
         Departure of a coordinate that costs as much as `control_scale` [m]; of velocities, 10 of it
         in the duration. Default: 1 % of the structure's size.
     control_scale : float, optional
-        Departure of a force density [N/m], or of a rest length [m] if these are the controls.
-        Default: a tenth of the plan's mean force density, or the change of rest lengths that
-        causes it.
-    lower, upper : array_like, scalar or shape (α,), optional
-        Limits of the force densities [N/m], as in `ForceDensityLimits`, or of the rest lengths [m].
-        Default: those of the plan's problem; if it is unknown, 0 and infinity.
+        Departure of a force density [N/m], or of another control in its unit. Default: a tenth of
+        the plan's mean force density, or the change of tensions or rest lengths that causes it. Of
+        rest-length rates, the departure of velocities; of torques, those that hold the mean tension.
+    lower, upper : array_like, scalar or shape (nu,), optional
+        Limits of the control, such as force densities [N/m] as in `ForceDensityLimits`. Default:
+        those of the plan's problem; if it is unknown, 0 (rates and torques: −infinity) and
+        infinity.
 
     Returns
     -------
@@ -240,7 +239,6 @@ def track(
     """
     instance("plan", plan, PlanResult, "an ocp.Plan")
     model, T = plan.require_model("track"), float(plan.time[-1])
-    reject_internal_states(model, "track")
     count = (
         len(plan.time) - 1 if decisions is None else whole_number("decisions", decisions, 1, 10_000)
     )
@@ -249,17 +247,12 @@ def track(
         if position_scale is None
         else positive_number("position_scale", position_scale)
     )
-    usual = 0.1 * float(plan.force_density.mean()) or 1.0
-    if not controls_force_densities(model):  # the change of tension or rest lengths that causes it
-        stiffness = model.scene.structure.stiffness if controls_rest_lengths(model) else 1.0
-        usual *= float(np.mean(model.scene.structure.string_lengths / stiffness))
-    force = usual if control_scale is None else positive_number("control_scale", control_scale)
-    known = (0.0, np.inf) if plan.problem is None else plan.problem.control_limits
-    limits = cast("type[Any]", control_limits(model))(
-        known[0] if lower is None else lower, known[1] if upper is None else upper
+    force = (
+        _default_scale(plan, model, 10 * size / T)
+        if control_scale is None
+        else positive_number("control_scale", control_scale)
     )
-    limits.check(model.scene.structure)
-    own: tuple[Array, Array] = limits.limits(model.scene.structure)
+    own = _read_limits(plan, model, lower, upper)
     time = np.linspace(0.0, T, count + 1)
     gamma = profile_at(plan.control, plan.time, (time[:-1] + time[1:]) / 2)
     states = _planned(plan, model, time)
@@ -280,38 +273,65 @@ def track(
         raise add_address(
             ValueError(f"decisions is {count}: {told}, give more decisions")
         ) from None
-    hold = Hold(rest.state, rest.force_density, gains[count]) if rest.state is not None else None
+    hold = Hold(rest.state, rest.control, gains[count]) if rest.state is not None else None
     return Tracker(model, time, states, gamma, gains[:count], *own, hold, rest.message)
+
+
+def _default_scale(plan: PlanResult, model: Model, speed: float) -> float:
+    """Compute the default departure of the control.
+
+    `speed` is the departure of velocities [m/s].
+    """
+    structure, control = model.scene.structure, model.scene.control
+    usual = 0.1 * float(plan.force_density.mean()) or 1.0
+    if controls_force_densities(model):
+        return usual
+    tension = usual * structure.string_lengths
+    if isinstance(control, Winch):
+        return 10 * float(np.mean(np.asarray(control.radius)) * np.mean(tension))
+    if model.na:
+        return speed
+    change = tension / structure.stiffness if controls_rest_lengths(model) else tension
+    return float(np.mean(change))
+
+
+def _read_limits(
+    plan: PlanResult, model: Model, lower: ArrayLike | None, upper: ArrayLike | None
+) -> tuple[Array, Array]:
+    """Read the limits (nu,) of the control. Raises TypeError, ValueError."""
+    kind, structure = control_limits(model), model.scene.structure
+    signed = not (isinstance(kind, type) and issubclass(kind, StringLimits))
+    known = (-np.inf if signed else 0.0), np.inf
+    least, most = known if plan.problem is None else plan.problem.control_limits
+    if not signed:
+        limits = cast("type[Any]", kind)(
+            least if lower is None else lower, most if upper is None else upper
+        )
+        limits.check(structure)
+        found: tuple[Array, Array] = limits.limits(structure)
+        return found
+    given = [
+        np.broadcast_to(default, model.nu) if value is None else per_item(name, value, model.nu)
+        for name, value, default in (("lower", lower, least), ("upper", upper, most))
+    ]
+    for k in np.flatnonzero(given[0] > given[1])[:1]:
+        raise ValueError(
+            f"lower is {given[0][k]:g} and upper is {given[1][k]:g} for input {k}: give lower ≤ upper"
+        )
+    return np.array(given[0]), np.array(given[1])
 
 
 def _rest(
     plan: PlanResult, model: Model, limits: tuple[Array, Array], slow: float, margin: float
 ) -> Rest:
-    """Find the control that holds the end of a plan.
-
-    It is a force density, or the rest length at which an elastic string has this force density.
-    """
+    """Find the control that holds the end of a plan."""
     end = plan.trajectory.states[-1]
-    if controls_force_densities(model):
+    if model.scene.commands_forces:
         return find_rest(model, end, *limits, slow, margin)
-    structure = model.scene.structure
-    if structure.cables or not controls_rest_lengths(model):
-        message = "the end is not held: give a model without cables, under force densities"
-        return Rest(None, np.zeros(0), message)
-    lower, upper = (
-        (np.zeros(model.nu), np.full(model.nu, np.inf))
-        if plan.problem is None
-        else plan.problem.force_density_limits
-    )
-    found = find_rest(build_force_density_model(model), end, lower, upper, slow)
-    if found.state is None:
-        return found
-    lengths = plan.lengths()[-1]
-    return found._replace(
-        force_density=np.clip(
-            rest_length(found.force_density, lengths, structure.stiffness), *limits
-        )
-    )
+    # strings that are about to go slack would not respond
+    margin = 0.1 * float(plan.tension().mean())
+    found = find_rest(model, end, *force_limits(model, plan.problem, end), slow, margin)
+    return found if found.state is None else found._replace(control=np.clip(found.control, *limits))
 
 
 def replay_tracked(plan: PlanResult) -> Trajectory:
@@ -370,7 +390,7 @@ def _regulate(
     if rest.state is not None:
         states, gamma, ends = (
             np.vstack([states[:-1], rest.state]),
-            np.vstack([gamma, rest.force_density]),
+            np.vstack([gamma, rest.control]),
             np.vstack([states, rest.state]),
         )
     else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -11,24 +12,26 @@ import numpy as np
 
 from ocp.control.departures import build_departures
 from ocp.control.formulation import Formulation
-from ocp.control.holding import find_rest
+from ocp.control.holding import find_rest, force_limits
 from ocp.control.mpc_constraints import Horizon, HorizonLimits
 from ocp.control.variational_equation import build_slopes, build_variational
 from ocp.guess.inverse_dynamics import inverse_dynamics
 from ocp.problem.bounds.bound import PathBound, RateBound
-from ocp.problem.control import require_force_densities
+from ocp.problem.control import build_smooth_model, check_control, controls_force_densities
 from ocp.problem.goals.periodic import Periodic
 from ocp.problem.goals.waypoints import Waypoint
 from ocp.problem.path_constraints import scaled_rows
 from ocp.problem.phase import reject_phases
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
+from ocp.problem.scaling import control_scale as typical_change
 from ocp.problem.start import FreeStart
 from ocp.results.result import PlanResult
 from ocp.sampling.horizon_costs import OVERSTEP
 from ocp.solvers.interior_point_qp import solve_qp
 from ocp.targets.find_target import find_target
 from tenscasadi.integrators.runge_kutta import RungeKutta4
+from tenscasadi.scene.winches import RestLengthRate
 from tenscasadi.util.casadi_tools import ArrayFunction, symbol_kind
 from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import (
@@ -51,7 +54,7 @@ class Mpc:
     Parameters
     ----------
     problem : Problem
-        Optimal control problem. Limits of force densities are kept exactly. Other limits are
+        Optimal control problem. Limits of the control are kept exactly. Other limits are
         linearized at the ends of the periods, and violated only if they are infeasible. Costs are
         not used.
     period : float
@@ -59,8 +62,8 @@ class Mpc:
     intervals : int
         Prediction horizon in periods.
     plan : Plan, optional
-        Plan to track, and to hold at its end. Default: the state of the goals, under the force
-        densities that hold it best. Problems with `Waypoint`, `Periodic` or `FreeStart` need a
+        Plan to track, and to hold at its end. Default: the state of the goals, under the control
+        that holds it best. Problems with `Waypoint`, `Periodic` or `FreeStart` need a
         plan.
     iterations : int
         Quadratic programs for each decision. 1 is the real-time iteration [1]_.
@@ -71,7 +74,9 @@ class Mpc:
         in the duration. For free structures, departures are those of distances between nodes.
         Default: 1 % of the structure's size.
     control_scale : float, optional
-        Departure of a force density [N/m]. Default: the mean of the plan or of the goals.
+        Departure of a force density [N/m], or of another control in its unit. Default: the mean
+        force density of the plan or of the goals, or the change of tensions, rest lengths or torques
+        that causes it; of rest-length rates, the departure of velocities.
 
     Raises
     ------
@@ -82,8 +87,8 @@ class Mpc:
 
     Notes
     -----
-    The quadratic program is condensed. Its unknowns are the changes of the force densities, and the
-    states follow by the exact derivatives of the steps, so that bars, joints and momenta need no
+    The quadratic program is condensed. Its unknowns are the changes of the control, and the states
+    follow by the exact derivatives of the steps, so that bars, joints and momenta need no
     rows. DAQP solves it. Rate limits, such as `RestLengthRateLimits`, also hold from the last
     decision to the new one.
 
@@ -121,10 +126,10 @@ class Mpc:
     ) -> None:
         instance("problem", problem, Problem, "an ocp.Problem")
         reject_phases(problem.phases, "Mpc")
-        require_force_densities(problem.model, "Mpc")
+        check_control(problem.model)
         if plan is not None:
             instance("plan", plan, PlanResult, "an ocp.Plan or None")
-            if (plan.trajectory.states.shape[1], plan.force_density.shape[1]) != (
+            if (plan.trajectory.states.shape[1], plan.control.shape[1]) != (
                 problem.model.nx,
                 problem.model.nu,
             ):
@@ -132,6 +137,9 @@ class Mpc:
                     "plan is of another structure than the problem: give one whose model has the same nodes and strings"
                 )
         self.problem, self.model = problem, problem.model
+        # slack strings would not respond to changes of their rest lengths
+        problem = replace(problem, model=build_smooth_model(problem.model))
+        self._predicted = problem.model
         self.period = positive_number("period", period)
         self.intervals = whole_number("intervals", intervals, 1, MAX_REPETITIONS)
         self._iterations = whole_number("iterations", iterations, 1, MAX_REPETITIONS)
@@ -146,11 +154,16 @@ class Mpc:
         self._reference, strength = _build_reference(
             problem, scales, plan, self._departures, self.intervals, self.period, size
         )
-        self._control_scale = (
-            strength if control_scale is None else positive_number("control_scale", control_scale)
-        )
+        if control_scale is not None:
+            own = np.full(self.model.nu, positive_number("control_scale", control_scale))
+        elif isinstance(self.model.scene.control, RestLengthRate):
+            own = np.full(self.model.nu, 10 * size / scales.time)  # as velocities
+        else:
+            own = typical_change(problem, strength)
+        self._control_scale = own
+        self._weights = np.tile(self._control_scale**-2, self.intervals)
         self._lower, self._upper = (
-            np.tile(limit, self.intervals) for limit in problem.force_density_limits
+            np.tile(limit, self.intervals) for limit in problem.control_limits
         )
         self._limits = HorizonLimits(problem, scales, strength, self.period)
         self._scales, self._strength = scales, strength
@@ -172,7 +185,7 @@ class Mpc:
         )
 
     def control(self, time: float, state: Array) -> Array:
-        """Decide the force densities until the next decision.
+        """Decide the control until the next decision.
 
         A time before that of the last decision begins a new run.
 
@@ -181,12 +194,12 @@ class Mpc:
         time : float
             Time since the beginning [s].
         state : array_like, shape (nx,)
-            Measured state [m, m/s].
+            Measured state.
 
         Returns
         -------
-        ndarray, shape (α,)
-            Force densities [N/m].
+        ndarray, shape (nu,)
+            Control.
         """
         time, state = (
             positive_number("time", time, zero=True),
@@ -204,8 +217,9 @@ class Mpc:
     def formulation(self) -> Formulation:
         """Costs and limits of the predictive control problem."""
         x = symbol_kind(self._departures).sym("x", self.model.nx)
-        limits = scaled_rows(self.problem, PathBound, self._scales, self._strength)
-        rates = scaled_rows(self.problem, RateBound, self._scales, self._strength)
+        smooth = replace(self.problem, model=self._predicted)
+        limits = scaled_rows(smooth, PathBound, self._scales, self._strength)
+        rates = scaled_rows(smooth, RateBound, self._scales, self._strength)
         return Formulation(
             ca.Function("output", [x], [self._departures(x)[0]]),
             self._reference,
@@ -303,7 +317,7 @@ class Mpc:
         )
         given, before = (ca.MX.sym(name, model.nu, count) for name in ("given", "before"))
         wanted, held = self._reference(time)
-        roll = RungeKutta4().step(model.ode).mapaccum(count * self._substeps)
+        roll = RungeKutta4().step(self._predicted.ode).mapaccum(count * self._substeps)
         ends = roll(
             state, ca.kron(given, ca.DM.ones(1, self._substeps)), self.period / self._substeps
         )
@@ -314,9 +328,8 @@ class Mpc:
         G = ca.vertcat(
             *(C @ effect for C, effect in zip(slopes, horizon.state_effects[2:], strict=True))
         )
-        g = (
-            G.T @ ca.vec(ca.horzcat(*reached) - wanted)
-            + ca.vec(gamma - held) / self._control_scale**2
+        g = G.T @ ca.vec(ca.horzcat(*reached) - wanted) + ca.DM(self._weights) * ca.vec(
+            gamma - held
         )
         a, b = self._limits.rows(horizon, time, begun)
         outputs = [gamma, *(ca.densify(value) for value in (G, g, a, b))]
@@ -331,7 +344,7 @@ class Mpc:
     def _horizon(self, state: Any, gamma: Any, earlier: Any, last: Any) -> Horizon:
         """Predict the motion under γ (α, intervals), with its derivatives."""
         (nx, nu), count = (self.model.nx, self.model.nu), self.intervals
-        slopes, h = build_slopes(self.model), self.period / self._substeps
+        slopes, h = build_slopes(self._predicted), self.period / self._substeps
         x, effect = state, ca.DM(nx, 0)  # by the γ of intervals so far
         states, effects = [earlier, state], [ca.DM(nx, count * nu)] * 2
         for k in range(count):
@@ -354,7 +367,7 @@ class Mpc:
         """Improve γ (intervals, α) by DAQP; keep it after a failure."""
         slack = self._slack
         H, now = G @ G.T, gamma.ravel()
-        H[np.diag_indices(len(H))] += self._control_scale**-2
+        H[np.diag_indices(len(H))] += self._weights
         if slack:
             H = np.pad(H, (0, 1))
             H[-1, -1] = OVERSTEP
@@ -373,11 +386,13 @@ class Mpc:
     def _improve_symbolically(self, gamma: Any, G: Any, g: Any, a: Any, b: Any) -> Any:
         """Build γ + ΔU (α, intervals) by an interior-point method."""
         size, now = g.shape[0], ca.vec(gamma)
-        H, own = G.T @ G + ca.DM.eye(size) / self._control_scale**2, ca.DM.eye(size)
-        most = np.flatnonzero(np.isfinite(self._upper)).tolist()
+        H, own = G.T @ G + ca.diag(ca.DM(self._weights)), ca.DM.eye(size)
+        least, most = (
+            np.flatnonzero(np.isfinite(limit)).tolist() for limit in (self._lower, self._upper)
+        )
         A, room = (
-            ca.vertcat(-own, own[most, :]),
-            ca.vertcat(now - self._lower, self._upper[most] - now[most]),
+            ca.vertcat(-own[least, :], own[most, :]),
+            ca.vertcat(now[least, :] - self._lower[least], self._upper[most] - now[most, :]),
         )
         if self._slack:
             A = ca.vertcat(ca.horzcat(a, -ca.DM.ones(a.shape[0], 1)), ca.diagcat(A, ca.DM(-1)))
@@ -414,16 +429,13 @@ def _build_reference(
     """
     time = ca.MX.sym("time")
     if plan is None:
-        state, gamma = _find_goal(problem, scales)
-        wanted, held = (ca.repmat(ca.DM(value), 1, count) for value in (output(state)[0], gamma))
+        state, control, forces = _find_goal(problem, scales)
+        wanted, held = (ca.repmat(ca.DM(value), 1, count) for value in (output(state)[0], control))
     else:
-        gamma, end = plan.force_density, float(plan.time[-1])
-        rest = find_rest(
-            problem.model,
-            plan.trajectory.states[-1],
-            *problem.force_density_limits,
-            place / scales.time,
-        )
+        forces, end = plan.force_density, float(plan.time[-1])
+        final = plan.trajectory.states[-1]
+        limits = force_limits(problem.model, problem, final)
+        rest = find_rest(problem.model, final, *limits, place / scales.time)
         times = [time + period * k for k in range(count + 1)]
         wanted = ca.horzcat(
             *(
@@ -432,24 +444,24 @@ def _build_reference(
             )
         )
         columns = [
-            _interpolate(gamma, plan.time, (ca.fmin(a, end) + ca.fmin(b, end)) / 2)
+            _interpolate(plan.control, plan.time, (ca.fmin(a, end) + ca.fmin(b, end)) / 2)
             for a, b in pairwise(times)
         ]
         if rest.state is not None:
             columns = [
-                ca.if_else((a + b) / 2 < end, own, ca.DM(rest.force_density))
+                ca.if_else((a + b) / 2 < end, own, ca.DM(rest.control))
                 for own, (a, b) in zip(columns, pairwise(times), strict=True)
             ]
         held = ca.horzcat(*columns)
     # moves the mass by the structure's size within the duration; much smaller means are rounding
     moving = scales.mass / scales.time**2
-    strength = float(gamma.mean())
+    strength = float(forces.mean())
     reference = ca.Function("reference", [time], [ca.densify(wanted), ca.densify(held)])
     return reference, strength if strength > 1e-6 * moving else moving
 
 
-def _find_goal(problem: Problem, scales: Scales) -> tuple[Array, Array]:
-    """Find the goals' state, and the force densities holding it."""
+def _find_goal(problem: Problem, scales: Scales) -> tuple[Array, Array, Array]:
+    """Find the goals' state, the control that holds it, and force densities."""
     asked = [
         type(part).__name__
         for part in (problem.start, *problem.goals)
@@ -461,12 +473,16 @@ def _find_goal(problem: Problem, scales: Scales) -> tuple[Array, Array]:
         )
     target = find_target(problem, scales)
     state = target.start if target.state is None else target.state
-    rest = find_rest(
-        problem.model, state, *problem.force_density_limits, 1e-3 * scales.length / scales.time
-    )
-    if rest.state is not None:
-        return rest.state, rest.force_density
-    return state, np.asarray(inverse_dynamics(problem, np.array([state, state]), 1.0)[1][0])
+    model = problem.model
+    slow = 1e-3 * scales.length / scales.time
+    rest = find_rest(model, state, *force_limits(model, problem, state), slow)
+    held, control = rest.state, rest.control
+    if held is None:
+        states, inputs, _ = inverse_dynamics(problem, np.array([state, state]), 1.0)
+        held, control = states[-1], inputs[0]
+    if controls_force_densities(model):
+        return held, control, control
+    return held, control, np.asarray(model.force_density(held, control))
 
 
 def _interpolate(values: Array, nodes: Array, time: Any) -> Any:

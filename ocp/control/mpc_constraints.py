@@ -104,6 +104,7 @@ def _one_sided(bound: ScaledRows) -> ca.Function:
         np.flatnonzero(np.isfinite(limit)).tolist() for limit in (bound.upper, bound.lower)
     )
     room = ca.vertcat(
-        ca.DM(bound.upper)[upper] - value[upper], value[lower] - ca.DM(bound.lower)[lower]
+        ca.DM(bound.upper)[upper, :] - value[upper, :],
+        value[lower, :] - ca.DM(bound.lower)[lower, :],
     )
     return ca.Function("room", inputs, [room, *(-ca.jacobian(room, z) for z in inputs)])

@@ -11,10 +11,11 @@ from numpy.typing import ArrayLike
 
 from ocp.control.holding import at_rest
 from ocp.guess.inverse_dynamics import inverse_dynamics
-from ocp.problem.control import require_force_densities
+from ocp.problem.control import check_control, control_unit, controls_force_densities
 from ocp.problem.costs import Cost
 from ocp.problem.expressions import Integral
 from ocp.problem.instant import Instant
+from ocp.problem.path_constraints import control_limits
 from ocp.problem.phase import reject_phases
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
@@ -45,7 +46,7 @@ class Mppi:
     """Model predictive path integral control (MPPI) by sampled motions.
 
     It is a controller for `run` that works through contact and friction, where gradients mislead.
-    At each decision, many motions are simulated from the measured state. Their force densities are
+    At each decision, many motions are simulated from the measured state. Their controls are
     the last decision, shifted, with smooth noise. The new decision is their mean, weighted by the
     costs, and its first period is applied.
 
@@ -54,7 +55,7 @@ class Mppi:
     problem : Problem, Cost, casadi.Function, callable, or a list of the last three
         Optimal control problem, or costs per second: CasADi Functions (x, u) or (x, u, t), or
         functions of an `Instant`. Costs of a problem are integrated over the horizon, and goals are
-        terminal costs. Limits of force densities are kept, and violations of other limits at the
+        terminal costs. Limits of the control are kept, and violations of other limits at the
         end of a period are penalized. The duration is only a scale. Without a problem, force
         densities have the lower limit 0.
     period : float
@@ -63,11 +64,11 @@ class Mppi:
         Prediction horizon [s], rounded up to whole periods.
     samples : int
         Motions in each iteration. 8 are simulated at once if the processor can.
-    noise : SplineNoise, float or array_like of shape (α,), optional
-        Noise, or its standard deviation [N/m]. Default: a tenth of the distance between the limits
-        of the force densities.
-    initial : float or array_like of shape (α,), optional
-        Initial force densities [N/m]. Default: those that hold the start best.
+    noise : SplineNoise, float or array_like of shape (nu,), optional
+        Noise of the control, or its standard deviation, such as [N/m]. Default: a tenth of the
+        distance between the limits of the control.
+    initial : float or array_like of shape (nu,), optional
+        Initial control, such as force densities [N/m]. Default: that which holds the start best.
     temperature : float
         Temperature λ of the weights, in units of the difference between the median and the least
         cost. Towards 0, only the best motion counts.
@@ -152,7 +153,7 @@ class Mppi:
     ) -> None:
         problem = _read_problem(problem, model)
         reject_phases(problem.phases, "Mppi")
-        require_force_densities(problem.model, "Mppi")
+        check_control(problem.model)
         self.model: Model = problem.model
         self.period = positive_number("period", period)
         ratio = positive_number("horizon", horizon) / self.period
@@ -166,18 +167,17 @@ class Mppi:
         self._iterations = whole_number("iterations", iterations, 1, MAX_REPETITIONS)
         self._steps = whole_number("steps", steps, 1, MAX_REPETITIONS)
         self._seed = whole_number("seed", seed, 0)
-        self._lower, self._upper = problem.force_density_limits
+        self._lower, self._upper = problem.control_limits
         smooth = noise if isinstance(noise, SplineNoise) else SplineNoise(self._deviation(noise))
         self._sizes, self._directions, self._basis = (
             smooth.sizes(self.samples),
             smooth.directions(self.model.nu),
             smooth.basis(self.intervals),
         )
-        held = (
-            _find_initial(problem)
-            if initial is None
-            else per_item("initial", initial, self.model.nu)
-        )
+        held, strength = _find_initial(problem)
+        if initial is not None:
+            held = per_item("initial", initial, self.model.nu)
+            strength = float(held.mean()) if controls_force_densities(self.model) else strength
         self._initial = np.tile(np.clip(held, self._lower, self._upper), (self.intervals, 1))
         scales = Scales.of(problem)
         size = (
@@ -186,7 +186,7 @@ class Mppi:
             else positive_number("position_scale", position_scale)
         )
         costs = build_horizon_costs(
-            problem, scales, self.period, self.intervals, size, float(held.mean()) or 1.0
+            problem, scales, self.period, self.intervals, size, strength or 1.0
         )
         self._kernel = build_kernel(self.model, RungeKutta4(), stage=costs.stage, final=costs.final)
         self._control_cost = (
@@ -210,7 +210,7 @@ class Mppi:
         return f"Mppi({self.model.nu} strings, every {self.period:g} s over {self.intervals} periods, {self.samples} samples)"
 
     def control(self, time: float, state: Array) -> Array:
-        """Decide the force densities until the next decision.
+        """Decide the control until the next decision.
 
         A time before that of the last decision begins a new run.
 
@@ -219,12 +219,12 @@ class Mppi:
         time : float
             Time since the beginning [s].
         state : array_like, shape (nx,)
-            Measured state [m, m/s].
+            Measured state.
 
         Returns
         -------
-        ndarray, shape (α,)
-            Force densities [N/m].
+        ndarray, shape (nu,)
+            Control.
         """
         time, state = (
             positive_number("time", time, zero=True),
@@ -257,10 +257,12 @@ class Mppi:
             return nonnegative("noise", per_item("noise", given, self.model.nu), "string")
         unlimited = np.flatnonzero(np.isinf(self._upper))
         if unlimited.size:
+            limits = control_limits(self.model)
+            kind = limits.__name__ if isinstance(limits, type) else "limit"
             raise add_address(
                 ValueError(
                     f"noise is None, and string {unlimited[0]} has no upper limit: "
-                    "give noise=, N/m, or the problem a ForceDensityLimits(lower, upper)"
+                    f"give noise=, {control_unit(self.model)}, or the problem a {kind}(lower, upper)"
                 )
             )
         return np.asarray(0.1 * (self._upper - self._lower))
@@ -376,7 +378,10 @@ def _read_cost(k: int, cost: Any, model: Model) -> Cost:
     return Integral(name, lambda now: cost(*now.symbols[: cost.n_in()]))
 
 
-def _find_initial(problem: Problem) -> Array:
-    """Find the force densities (α,) that hold the start best."""
+def _find_initial(problem: Problem) -> tuple[Array, float]:
+    """Find the control (nu,) that holds the start best, and the mean force density."""
     state = at_rest(problem.model, problem.initial_state)
-    return np.asarray(inverse_dynamics(problem, np.array([state, state]), 1.0)[1][0])
+    states, inputs, _ = inverse_dynamics(problem, np.array([state, state]), 1.0)
+    if controls_force_densities(problem.model):
+        return inputs[0], float(inputs[0].mean())
+    return inputs[0], float(np.mean(problem.model.force_density(states[0], inputs[0])))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tenscasadi.scene.strings import ForceDensity, Linear, RestLength
+from tenscasadi.scene.strings import ForceDensity, Linear, RestLength, Tension
 from tenscasadi.util.troubleshooting import add_address
 
 if TYPE_CHECKING:
@@ -54,6 +54,15 @@ def build_force_density_model(model: Model) -> Model:
     return _change(model, control=ForceDensity(), structure=structure.replace(cables=()))
 
 
+def build_force_model(model: Model) -> Model:
+    """Build the model of the same structure under forces of strings.
+
+    These are force densities if they are the control, and otherwise tensions of cables and lone
+    strings. Both are linear in the accelerations.
+    """
+    return model if model.scene.commands_forces else _change(model, control=Tension())
+
+
 def build_smooth_model(model: Model) -> Model:
     """Build the model whose elastic strings do not go slack.
 
@@ -69,8 +78,9 @@ def _change(model: Model, **changes: Any) -> Model:
 
     It is cached in the model, as its functions take time to build.
     """
+    kinds = ((name, type(value)) for name, value in changes.items())
     return model.keep(
-        ("changed", *changes), lambda: model.with_scene(replace(model.scene, **changes))
+        ("changed", *kinds), lambda: model.with_scene(replace(model.scene, **changes))
     )
 
 

@@ -221,9 +221,8 @@ def _describe_growth(plan: PlanResult) -> str:
     Returns "" if the growth is small or unknown.
     """
     # A small error shifts the times of contact, which the state transition does not describe.
-    # Without a tracker, as for winches, the open-loop replay counts.
     model = plan.require_model("solve")
-    if model.scene.grounds or model.na or np.isnan(plan.trajectory.states).any():
+    if model.scene.grounds or np.isnan(plan.trajectory.states).any():
         return ""
     growth = plan.error_growth
     return f"errors grow {growth:.2g}-fold in open loop" if growth > UNSTABLE else ""

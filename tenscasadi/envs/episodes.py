@@ -55,6 +55,10 @@ class Episodes:
         self._kernel = build_kernel(model, RungeKutta4(), correction)
         self._project = ArrayFunction(build_projection(model, 10))
         self._spread = task.spread
+        parts = model.scene.internal_states
+        self._least = np.concatenate(
+            [np.zeros(0), *(np.full(len(part.scale), part.least) for part in parts)]
+        )
         self._width: int | None = None
         self.nodes, self.velocities = self._places(self.states)
 
@@ -70,6 +74,9 @@ class Episodes:
                 -1, 1, model.np
             )
             x = self._first.copy()
+            model.split(x).internal[:] += model.internal_at(p) - model.internal_at(
+                model.parameters.nominal
+            )
             if any(self._start):
                 q, v, *_ = model.split(x)
                 q += self._start[0] * rng.uniform(-1, 1, model.nq)
@@ -108,6 +115,7 @@ class Episodes:
         before = self.nodes, self.velocities
         after = self._places(rolled.states)
         lost = (rolled.status != 0) | self._find_broken(after[0])
+        lost |= np.any(task.model.split(rolled.states).internal < self._least, axis=1)
         self.states = np.where(lost[:, None], self.states, rolled.states)
         self.nodes, self.velocities = (
             np.where(lost[:, None, None], *places) for places in zip(before, after, strict=True)
@@ -140,6 +148,7 @@ class Episodes:
                 self.nodes.reshape(n, -1),
                 self.velocities.reshape(n, -1),
                 *([self.control] if task.controls_rest_lengths else []),
+                task.model.split(self.states).internal,
             ]
             seen = np.concatenate(rows, axis=1)
         return np.clip(seen, -FARTHEST, FARTHEST).astype(np.float32)

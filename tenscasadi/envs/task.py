@@ -73,11 +73,13 @@ class Task:
     ----------
     model : Model
         The model. Under ``control=ForceDensity()`` actions are force densities, under ``Tension()``
-        tensions, under ``RestLength()`` rates of rest lengths; they run from −1 to 1 in each case.
+        tensions, under ``RestLength()`` and ``RestLengthRate()`` rates of rest lengths, under
+        ``Winch(...)`` torques; they run from −1 to 1 in each case.
     reward : callable
         Function of a `Transition` of n episodes that returns rewards (n,).
-    lower, upper : array_like, scalar or shape (α,)
-        Force densities at the actions −1 and 1 [N/m], or limits of rest lengths [m].
+    lower, upper : array_like, scalar or shape (nu,)
+        Controls at the actions −1 and 1, such as force densities [N/m]; under ``RestLength()``, limits
+        of rest lengths [m].
     rest_length_rate : array_like, scalar or shape (α,), optional
         Rate of rest lengths at the action 1 [m/s]. Only for `RestLength`.
     period : float
@@ -96,8 +98,8 @@ class Task:
         has its own values (domain randomization).
     observation : callable, optional
         Function of nodes (n, N, 3), velocities (n, N, 3) and control (n, α) that returns
-        observations (n, k), clipped to ±1e6. Default: all of these, under force densities without
-        the control.
+        observations (n, k), clipped to ±1e6. Default: nodes and velocities, rest lengths that are
+        controlled, and internal states of winches.
     terminated : callable, optional
         Function of a `Transition` that returns the terminated episodes (n,). Default: those that
         diverge.
@@ -112,8 +114,8 @@ class Task:
 
     Notes
     -----
-    All draws are uniform within ± their spread. An episode is terminated if it diverges or a bar
-    length has an error over 10 %. Its reward is then 0, and its last state is kept.
+    All draws are uniform within ± their spread. An episode is terminated if it diverges, a bar
+    length has an error over 10 %, or a winch has wound up a whole string. Its reward is then 0, and its last state is kept.
 
     Examples
     --------
@@ -143,8 +145,8 @@ class Task:
     def __post_init__(self) -> None:
         model = self.model
         instance("Task.model", model, Model, "a tenscasadi.Model")
-        if model.scene.control is None or model.na or not model.nu:
-            cure = "give Scene(..., control=ForceDensity(), Tension() or RestLength())"
+        if model.scene.control is None or not model.nu:
+            cure = "give Scene(..., control=ForceDensity()), Tension(), RestLength() or a winch"
             raise ValueError(f"Task.model has the control {model.scene.control}: {cure}")
         for name in ("reward", "observation", "terminated"):
             given = getattr(self, name)
@@ -162,7 +164,7 @@ class Task:
             "parameters": _read_spreads(model, self.parameters),
         }
         if self.controls_rest_lengths != (self.rest_length_rate is not None):
-            cure = "give the greatest rate, m/s, for RestLength(), and None for ForceDensity()"
+            cure = "give the greatest rate, m/s, for RestLength(), and None for other controls"
             raise ValueError(
                 f"Task.rest_length_rate is {format_value(self.rest_length_rate)}: {cure}"
             )
@@ -183,6 +185,8 @@ class Task:
     def _per_string(self, name: str, strict: bool = False) -> Array:
         field = f"Task.{name}"
         array = per_item(field, getattr(self, name), self.model.nu)
+        if self.model.na:  # rates and torques have two directions
+            return array
         return nonnegative(field, array, "string", strict=strict)
 
     @property

@@ -96,10 +96,16 @@ def test_tension_limits_bound_the_decisions_under_tension_control():
     assert free[0].tolist() == [0.0, 0.0]
 
 
-def test_controllers_for_force_densities_reject_cables():
-    problem = lift(hung(tc.Tension()), ocp.TensionLimits(0.5))
-    with pytest.raises(ValueError, match="Mpc is for force densities"):
-        ocp.Mpc(problem, period=0.1, intervals=5)
+@pytest.mark.parametrize("control", [tc.RestLength(), tc.Tension(), tc.RestLengthRate()])
+def test_controllers_hold_a_load_by_cables(control):
+    rates = [ocp.RestLengthRateLimits(2.0)] * isinstance(control, tc.RestLengthRate)
+    problem = lift(hung(control), ocp.TensionLimits(0.5), *rates)
+    loop = ocp.run(ocp.Mpc(problem, 0.05, 10, substeps=4), 3.0, steps=20).trajectory
+    residual = ocp.run(ocp.track(ocp.solve(problem)), 3.0, steps=20).trajectory
+    for run in (loop, residual):
+        assert run.success
+        assert run.nodes[-1] == pytest.approx(loop.nodes[-1], abs=2e-3)
+        assert np.abs(run.velocities[-1]).max() < 2e-3
 
 
 @pytest.mark.parametrize("control", [tc.RestLength(), tc.Tension()])

@@ -164,9 +164,9 @@ BAD = {
         lambda: ocp.Problem(limp()),
         "string 3 without stiffness, which no rest length pulls: give Structure",
     ),
-    "Mpc": (
-        lambda: ocp.Mpc(ocp.Problem(MODEL, goals=GOALS), 0.05),
-        r"Mpc is for force densities, and the model has control=RestLength\(\)",
+    "Sampling": (
+        lambda: ocp.solve(ocp.Problem(MODEL, goals=GOALS), solver=ocp.Sampling()),
+        r"Sampling is for force densities, and the model has control=RestLength\(\)",
     ),
     "crossed": (
         lambda: ocp.Problem(

@@ -88,8 +88,6 @@ def test_limits_of_rest_lengths_are_path_constraints() -> None:
 @pytest.mark.parametrize(
     ("use", "cure"),
     [
-        (lambda: ocp.Mpc(problem(), period=0.1), r"Mpc .*control=ForceDensity"),
-        (lambda: ocp.Mppi(problem(), period=0.1, horizon=0.3), r"Mppi .*control=ForceDensity"),
         (
             lambda: ocp.solve(problem(), ocp.MultipleShooting(5), ocp.Sampling()),
             r"Sampling .*control=ForceDensity",
@@ -98,7 +96,6 @@ def test_limits_of_rest_lengths_are_path_constraints() -> None:
             lambda: ocp.Problem(problem().model, phases=[ocp.Phase(0.3)]),
             r"phases .*control=ForceDensity",
         ),
-        (lambda: ocp.track(ocp.solve(problem())), r"track .*control=RestLength\(\)"),
     ],
 )
 def test_unsupported_uses_name_the_cure(use: Any, cure: str) -> None:

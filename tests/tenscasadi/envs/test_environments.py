@@ -50,7 +50,52 @@ def wound(**options):
     return Task(WOUND, forward, 0.2, 2.0, rest_length_rate=0.5, **given)
 
 
-TASKS = {"force densities": driven, "rest lengths": wound}
+CABLED = tc.shapes.prism(stiffness=500.0, damping=1.0, prestress=50.0).replace(
+    cables=[[0, 1], [3, 4]]
+)
+
+
+def with_winches(control, most):
+    model = tc.Model(tc.Scene(CABLED, control=control, **OPTIONS))
+    return Task(model, forward, -most, most, start=(0.01, 0.05), duration=0.5)
+
+
+def reeled(**options):
+    return with_winches(tc.RestLengthRate(), 0.5)
+
+
+def motored(**options):
+    return with_winches(tc.Winch(0.02, 1e-3, 1e-3), 2.0)
+
+
+TASKS = {
+    "force densities": driven,
+    "rest lengths": wound,
+    "winding speeds": reeled,
+    "motors": motored,
+}
+
+
+def test_winches_follow_their_actions_and_are_observed():
+    env = TensegrityEnv(reeled())
+    first, _ = env.reset(seed=0)
+    before = CABLED.rest_length[CABLED.cable_of == CABLED.cable_of[0]].sum()
+    assert env.action_space.shape == (7,)
+    assert first.shape == (2 * 18 + 7,)
+    assert before == pytest.approx(first[36], rel=1e-6)
+    action = np.zeros(7)
+    action[0] = -1.0
+    seen = env.step(action)[0]
+    assert seen[36] == pytest.approx(before - 0.5 * 0.05, rel=1e-6)
+    assert seen[37:] == pytest.approx(first[37:], rel=1e-6)
+
+
+def test_a_string_wound_up_ends_the_episode():
+    model = tc.Model(tc.Scene(CABLED, control=tc.RestLengthRate()))
+    env = TensegrityEnv(Task(model, forward, -100.0, 100.0, period=0.1, steps=100))
+    env.reset(seed=0)
+    ended = env.step(-np.ones(7))[2]
+    assert ended
 
 
 @pytest.mark.parametrize("make", TASKS.values(), ids=TASKS)
