@@ -31,7 +31,7 @@ class Mass(NamedTuple):
     inertia: Array
 
 
-class Rod(NamedTuple):
+class RodGeom(NamedTuple):
     """Axis of a geom.
 
     Attributes
@@ -63,7 +63,7 @@ class Geom(NamedTuple):
         XML element.
     frame : Pose
         Pose in the world.
-    rod : Rod or None
+    rod : RodGeom or None
         Its axis; None for planes and others without one.
     mass : Mass or None
         Its mass; None if it has none or it is unknown.
@@ -71,7 +71,7 @@ class Geom(NamedTuple):
 
     element: Element
     frame: Pose
-    rod: Rod | None
+    rod: RodGeom | None
     mass: Mass | None
 
 
@@ -87,7 +87,7 @@ def read_geom(element: Element, outer: Pose, units: Units, has_mass: bool) -> Ge
         long = int(np.argmax(half))
         reach = half[long] * frame.turn[:, long]
         radius = float(np.delete(half, long).mean())
-        rod = Rod(np.array([frame.place - reach, frame.place + reach]), radius, kind)
+        rod = RodGeom(np.array([frame.place - reach, frame.place + reach]), radius, kind)
     size = "mass" if "mass" in element.attributes else "density"
     amount = element.number(size, 1000.0)  # MuJoCo's default density, kg/m³
     if amount < 0:
@@ -103,7 +103,7 @@ def read_geom(element: Element, outer: Pose, units: Units, has_mass: bool) -> Ge
     return Geom(element, frame, rod, mass)
 
 
-def _read_rod(element: Element, outer: Pose, frame: Pose, kind: str) -> Rod:
+def _read_rod(element: Element, outer: Pose, frame: Pose, kind: str) -> RodGeom:
     """Read the axis of a sphere, capsule or cylinder."""
     size = element.numbers("size", (1, 2, 3))
     if "fromto" in element.attributes:
@@ -119,11 +119,11 @@ def _read_rod(element: Element, outer: Pose, frame: Pose, kind: str) -> Rod:
     if size[0] <= 0 or (kind != "sphere" and not np.any(ends[0] != ends[1])):
         message = f"is {element.text('size')!r}: give lengths greater than 0"
         raise element.error(message, "size")
-    return Rod(ends, float(size[0]), kind)
+    return RodGeom(ends, float(size[0]), kind)
 
 
 def _compute_mass(
-    element: Element, frame: Pose, rod: Rod, mass: float | None, density: float
+    element: Element, frame: Pose, rod: RodGeom, mass: float | None, density: float
 ) -> Mass:
     """Compute the mass of a geom, by its density if not given."""
     if rod.kind in ("box", "ellipsoid"):
