@@ -143,16 +143,7 @@ def run(
     >>> bool(abs(reached.string_lengths - lengths).max() < 0.01)
     True
     """
-    if (
-        isinstance(controller, type)
-        or not isinstance(controller, Controller)
-        or not callable(controller.control)
-    ):
-        raise TypeError(
-            f"controller is {format_value(controller)}: give an ocp.Mpc(...), ocp.track(plan), or an object with model, period, control(time, state)"
-        )
-    instance("controller.model", controller.model, Model, "a tenscasadi.Model")
-    period = positive_number("controller.period", controller.period)
+    period = _check_controller(controller)
     plant = controller.model if model is None else model
     if model is None and parameters is not None and not plant.np:
         raise ValueError(
@@ -166,12 +157,7 @@ def run(
         raise TypeError(
             f"disturbance is {format_value(disturbance)}: give a function (time, x) -> x, or None"
         )
-    ratio = positive_number("t_end", t_end) / period
-    if ratio > MAX_ENTRIES:
-        raise ValueError(
-            f"t_end is {t_end:g}: that takes {ratio:.1g} decisions of {period:g} s, give at most {MAX_ENTRIES:g}"
-        )
-    ends = np.append(period * np.arange(max(1, np.ceil(ratio - 1e-9))), t_end)
+    ends = _find_decision_times(t_end, period)
     x = _find_start(plant, state)
     periods = _run_periods(controller, plant, x, ends, n, disturbance)
     states, controls, seconds, interrupted = [x[None]], [], [], False
@@ -185,6 +171,44 @@ def run(
                 controls.append(np.repeat(u[None], n, axis=0))
     except KeyboardInterrupt:
         interrupted = True
+    trajectory = _record(plant, states, controls, ends, n, sum(seconds), interrupted)
+    return ClosedLoop(trajectory, np.array(seconds))
+
+
+def _check_controller(controller: Any) -> float:
+    """Check a controller, and return its period [s]."""
+    if (
+        isinstance(controller, type)
+        or not isinstance(controller, Controller)
+        or not callable(controller.control)
+    ):
+        raise TypeError(
+            f"controller is {format_value(controller)}: give an ocp.Mpc(...), ocp.track(plan), or an object with model, period, control(time, state)"
+        )
+    instance("controller.model", controller.model, Model, "a tenscasadi.Model")
+    return positive_number("controller.period", controller.period)
+
+
+def _find_decision_times(t_end: float, period: float) -> Array:
+    """Compute the times of decisions and the end [s]."""
+    ratio = positive_number("t_end", t_end) / period
+    if ratio > MAX_ENTRIES:
+        raise ValueError(
+            f"t_end is {t_end:g}: that takes {ratio:.1g} decisions of {period:g} s, give at most {MAX_ENTRIES:g}"
+        )
+    return np.append(period * np.arange(max(1, np.ceil(ratio - 1e-9))), t_end)
+
+
+def _record(
+    plant: Model,
+    states: list[Array],
+    controls: list[Array],
+    ends: Array,
+    n: int,
+    seconds: float,
+    interrupted: bool,
+) -> Trajectory:
+    """Record the periods that were simulated, of n steps each."""
     rows = np.concatenate(states)
     done = len(controls) == len(ends) - 1
     held = np.concatenate([*controls, controls[-1][-1:]]) if controls else np.zeros((1, plant.nu))
@@ -196,18 +220,17 @@ def run(
         if done
         else f"{cause} after t = {times[-1]:g} s: {reason}"
     )
-    trajectory = record_trajectory(
+    return record_trajectory(
         plant,
         times,
         rows,
         held,
-        step=period / n,
+        step=float(ends[1] - ends[0]) / n,
         message=message,
         success=done,
-        seconds=sum(seconds),
+        seconds=seconds,
         interrupted=interrupted,
     )
-    return ClosedLoop(trajectory, np.array(seconds))
 
 
 def _run_periods(

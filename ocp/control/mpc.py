@@ -30,6 +30,7 @@ from ocp.results.result import PlanResult
 from ocp.sampling.horizon_costs import OVERSTEP
 from ocp.solvers.interior_point_qp import solve_qp
 from ocp.targets.find_target import find_target
+from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.scene.winches import RestLengthRate
 from tenscasadi.util.casadi_tools import ArrayFunction, symbol_kind
@@ -127,15 +128,7 @@ class Mpc:
         instance("problem", problem, Problem, "an ocp.Problem")
         reject_phases(problem.phases, "Mpc")
         check_control(problem.model)
-        if plan is not None:
-            instance("plan", plan, PlanResult, "an ocp.Plan or None")
-            if (plan.trajectory.states.shape[1], plan.control.shape[1]) != (
-                problem.model.nx,
-                problem.model.nu,
-            ):
-                raise ValueError(
-                    "plan is of another structure than the problem: give one whose model has the same nodes and strings"
-                )
+        _check_plan(plan, problem.model)
         self.problem, self.model = problem, problem.model
         # slack strings would not respond to changes of their rest lengths
         problem = replace(problem, model=build_smooth_model(problem.model))
@@ -145,11 +138,7 @@ class Mpc:
         self._iterations = whole_number("iterations", iterations, 1, MAX_REPETITIONS)
         self._substeps = whole_number("substeps", substeps, 1, MAX_REPETITIONS)
         scales = Scales.of(problem)
-        size = (
-            0.01 * scales.length
-            if position_scale is None
-            else positive_number("position_scale", position_scale)
-        )
+        size = scales.read_position(position_scale)
         self._departures = build_departures(self.model, size, 10 * size / scales.time)
         self._reference, strength = _build_reference(
             problem, scales, plan, self._departures, self.intervals, self.period, size
@@ -171,11 +160,7 @@ class Mpc:
         self._array_steps = tuple(ArrayFunction(step) for step in self._steps)
         unknowns, rows = (self._steps[1].size1_out(name) for name in ("g", "b"))
         self._slack = int(rows > 0)  # one unknown, by which limits of the path are overstepped
-        shapes = {
-            "h": ca.Sparsity.dense(unknowns + self._slack, unknowns + self._slack),
-            "a": ca.Sparsity.dense(rows, unknowns + self._slack),
-        }
-        self._solver = ArrayFunction(ca.conic("qp", "daqp", shapes, {"error_on_fail": False}))
+        self._solver = _build_solver(unknowns + self._slack, rows)
         self._last: _MpcDecision
         self.reset()
 
@@ -410,6 +395,25 @@ class _MpcDecision(NamedTuple):
     time: float
     force_density: Array
     state: Array
+
+
+def _check_plan(plan: PlanResult | None, model: Model) -> None:
+    if plan is None:
+        return
+    instance("plan", plan, PlanResult, "an ocp.Plan or None")
+    if (plan.trajectory.states.shape[1], plan.control.shape[1]) != (model.nx, model.nu):
+        raise ValueError(
+            "plan is of another structure than the problem: give one whose model has the same nodes and strings"
+        )
+
+
+def _build_solver(unknowns: int, rows: int) -> ArrayFunction:
+    """Build the solver of dense quadratic programs of this size."""
+    shapes = {
+        "h": ca.Sparsity.dense(unknowns, unknowns),
+        "a": ca.Sparsity.dense(rows, unknowns),
+    }
+    return ArrayFunction(ca.conic("qp", "daqp", shapes, {"error_on_fail": False}))
 
 
 def _build_reference(

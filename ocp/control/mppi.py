@@ -156,12 +156,7 @@ class Mppi:
         check_control(problem.model)
         self.model: Model = problem.model
         self.period = positive_number("period", period)
-        ratio = positive_number("horizon", horizon) / self.period
-        if ratio > MAX_REPETITIONS:
-            raise ValueError(
-                f"horizon is {horizon:g}: that is {ratio:.1g} periods of {self.period:g} s, give at most {MAX_REPETITIONS}"
-            )
-        self.intervals = max(1, int(np.ceil(ratio - 1e-9)))
+        self.intervals = _count_intervals(horizon, self.period)
         self.samples = whole_number("samples", samples, 2, 1_000_000)
         self._temperature = positive_number("temperature", temperature)
         self._iterations = whole_number("iterations", iterations, 1, MAX_REPETITIONS)
@@ -180,23 +175,13 @@ class Mppi:
             strength = float(held.mean()) if controls_force_densities(self.model) else strength
         self._initial = np.tile(np.clip(held, self._lower, self._upper), (self.intervals, 1))
         scales = Scales.of(problem)
-        size = (
-            0.01 * scales.length
-            if position_scale is None
-            else positive_number("position_scale", position_scale)
-        )
+        size = scales.read_position(position_scale)
         costs = build_horizon_costs(
             problem, scales, self.period, self.intervals, size, strength or 1.0
         )
         self._kernel = build_kernel(self.model, RungeKutta4(), stage=costs.stage, final=costs.final)
-        self._control_cost = (
-            None if costs.control is None else ArrayFunction(costs.control.map(self.samples))
-        )
-        self._rate_cost = (
-            None
-            if costs.rates is None
-            else ArrayFunction(costs.rates.map(self.samples * self.intervals))
-        )
+        self._control_cost = _map_cost(costs.control, self.samples)
+        self._rate_cost = _map_cost(costs.rates, self.samples * self.intervals)
         self.effective_samples: float
         self._plan: Array  # γ (K, α) of the last decision
         self._last: _Decision | None
@@ -376,6 +361,19 @@ def _read_cost(k: int, cost: Any, model: Model) -> Cost:
             f"{name} is {cost}: give a casadi.Function (x[{model.nx}], u[{model.nu}]) or (x, u, t) that returns a scalar"
         )
     return Integral(name, lambda now: cost(*now.symbols[: cost.n_in()]))
+
+
+def _count_intervals(horizon: float, period: float) -> int:
+    ratio = positive_number("horizon", horizon) / period
+    if ratio > MAX_REPETITIONS:
+        raise ValueError(
+            f"horizon is {horizon:g}: that is {ratio:.1g} periods of {period:g} s, give at most {MAX_REPETITIONS}"
+        )
+    return max(1, int(np.ceil(ratio - 1e-9)))
+
+
+def _map_cost(cost: ca.Function | None, count: int) -> ArrayFunction | None:
+    return None if cost is None else ArrayFunction(cost.map(count))
 
 
 def _find_initial(problem: Problem) -> tuple[Array, float]:

@@ -17,7 +17,7 @@ from ocp.problem.costs import cost_terms
 from ocp.problem.instant import symbolic
 from tenscasadi.scene.internal_states import join_scales
 from tenscasadi.scene.winches import Winch
-from tenscasadi.util.validate import Array, per_item
+from tenscasadi.util.validate import Array, per_item, positive_number
 
 if TYPE_CHECKING:
     from ocp.problem.problem import Problem
@@ -63,6 +63,12 @@ class Scales:
             np.full(int(model.has_clock), time),
         ]
         return Scales(length, time, float(model.mechanism.M.sum()), np.concatenate(parts))
+
+    def read_position(self, position_scale: float | None) -> float:
+        """Read the `position_scale` of a controller [m]; by default 1 % of the length."""
+        if position_scale is None:
+            return 0.01 * self.length
+        return positive_number("position_scale", position_scale)
 
     @property
     def units(self) -> dict[str, float]:
