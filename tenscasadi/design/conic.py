@@ -41,10 +41,16 @@ class ConicSolution(NamedTuple):
         Unknowns; the last iterate if there is no solution.
     status : str
         "solved", "infeasible", "unbounded" or "failed".
+    duals : ndarray (rows,)
+        Multipliers of all constraints: equal, below, then semidefinite.
+    gap : float
+        Bound of the relative distance from the optimum, where it exceeds that of the solver.
     """
 
     x: Array
     status: str
+    duals: Array
+    gap: float = 0.0
 
 
 def solve_conic(
@@ -94,7 +100,8 @@ def solve_conic(
     solution = clarabel.DefaultSolver(
         sp.csc_matrix(P), cost, sp.csc_matrix(A), b, kept, settings
     ).solve()
-    return ConicSolution(np.array(solution.x), _status(str(solution.status)))
+    status = _status(str(solution.status))
+    return ConicSolution(np.array(solution.x), status, np.array(solution.z))
 
 
 def scaled_triangle(matrix: Array) -> Array:
@@ -104,6 +111,17 @@ def scaled_triangle(matrix: Array) -> Array:
     """
     rows, columns = np.tril_indices(len(matrix))  # of the transpose: column by column
     return np.asarray(matrix[columns, rows] * np.where(rows == columns, 1.0, np.sqrt(2.0)))
+
+
+def unscaled_matrix(entries: Array) -> Array:
+    """Build the symmetric matrix of a scaled upper triangle, see `scaled_triangle`."""
+    count = _order(len(entries))
+    matrix = np.zeros((count, count))
+    columns, rows = np.tril_indices(count)
+    matrix[rows, columns] = matrix[columns, rows] = entries * np.where(
+        rows == columns, 1.0, np.sqrt(0.5)
+    )
+    return matrix
 
 
 def _order(entries: int) -> int:

@@ -196,24 +196,35 @@ class _PrestressSearch:
 
     def run(self, goal: PrestressGoal) -> PrestressDesign:
         """Find the optimal prestress for a goal."""
-        strings, none = len(self.least), np.zeros((len(self.least), 1))
         if not len(self.cases):
+            none = np.zeros((len(self.least), 1))
             found = goal.solve(self.program(none, self.least))
             if found.status != "solved":
                 return self.fail(self.explain(found.status))
-            return self.report(self.basis @ found.x)
+            return self.report(self.basis @ found.x, found.gap)
         moved = np.abs(
             self.tangent.rigid_body.T
             @ (self.tangent.free.T @ self.cases.reshape(len(self.cases), -1).T)
         ).max(axis=0, initial=0.0)
         for case in np.flatnonzero(moved > NEGLIGIBLE * np.abs(self.cases).max(initial=0.0)):
             return self.fail(f"load case {case} moves the structure as a whole: pin some nodes")
-        first = Even().solve(self.program(none, np.maximum(self.least, self.scale)))
-        q = np.zeros(len(self.tangent.lengths))
+        return self.settle(goal)
+
+    def settle(self, goal: PrestressGoal) -> PrestressDesign:
+        """Repeat the program until prestress and response to the loads agree.
+
+        The responses of a degenerate program jump with its solutions. Aitken's relaxation makes
+        them settle.
+        """
+        strings, none = len(self.least), np.zeros((len(self.least), 1))
+        force = self.scale * float(self.tangent.lengths.mean())
+        level = self.least if self.least.any() else np.minimum(force, self.most)
+        first = Even().solve(self.program(none, level))
+        q, found = np.zeros(len(self.tangent.lengths)), first
         if first.status == "solved":
             q = self.basis @ first.x
         assumed = last = np.zeros((strings, len(self.cases)))
-        share = 1.0
+        margin, share = none, 1.0
         for k in range(MAX_ITERATIONS):
             try:
                 response = self.tangent.tension_change(q, self.cases)[:strings]
@@ -227,13 +238,21 @@ class _PrestressSearch:
             # degenerate programs, whose solutions are not unique, may settle to their tolerance only
             allowed = NEGLIGIBLE if k < MAX_ITERATIONS // 4 else TOLERANCE
             if k and np.abs(error).max(initial=0.0) <= allowed * size:
-                return self.report(q)
+                return self.report(q, found.gap)
+            if found.gap > TOLERANCE:  # the solution jumps within its gap: limit the worst response
+                under = tension[:, None] + np.hstack([none, response])
+                inside = (under.min(axis=1) >= self.least - TOLERANCE * size) & (
+                    under.max(axis=1) <= self.most + TOLERANCE * size
+                )
+                if inside.all():
+                    return self.report(q, found.gap)
+                margin = np.hstack([margin, response])
             if k > 1:
-                turn = error - last  # Aitken's relaxation: solutions of degenerate programs jump
+                turn = error - last
                 share *= -float(np.sum(last * turn)) / float(np.sum(turn**2) or 1.0)
                 share = float(np.clip(share, 0.1, 1.0))
             assumed, last = assumed + share * error, error
-            found = goal.solve(self.program(assumed, self.least))
+            found = goal.solve(self.program(np.hstack([assumed, margin]), self.least))
             if found.status != "solved":
                 return self.fail(self.explain(found.status))
             q = self.basis @ found.x
@@ -275,8 +294,8 @@ class _PrestressSearch:
         strings, bars = np.zeros(len(structure.strings)), np.zeros(len(structure.bars))
         return PrestressDesign(strings, bars, strings, 0.0, structure, False, message)
 
-    def report(self, q: Array) -> PrestressDesign:
-        """Build the result for force densities q (α + β,)."""
+    def report(self, q: Array, gap: float = 0.0) -> PrestressDesign:
+        """Build the result for force densities q (α + β,), with their distance from the optimum."""
         structure, strings = self.tangent.structure, len(self.least)
         members = strings + len(structure.bars)
         forces = (q * self.tangent.lengths)[:members]
@@ -293,6 +312,8 @@ class _PrestressSearch:
         softest = float(values[0]) if len(values) else np.inf
         stable = softest > 0.0
         message = "within all limits"
+        if gap > TOLERANCE:
+            message += f", the least stiffness is within {gap:.1g} of the largest, relative to it"
         if not stable:
             message = f"unstable within the limits, the least stiffness is {softest:.3g} N/m: add members or supports"
         return PrestressDesign(

@@ -8,10 +8,16 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import scipy.sparse as sp
 
-from tenscasadi.design.conic import ConicSolution, LinearRows, scaled_triangle, solve_conic
+from tenscasadi.design.conic import (
+    ConicSolution,
+    LinearRows,
+    scaled_triangle,
+    solve_conic,
+    unscaled_matrix,
+)
 from tenscasadi.design.tangent_stiffness import SOFTEST, TangentStiffness, extend_basis
 from tenscasadi.schema.value import Value
-from tenscasadi.util.validate import MAX_ITERATIONS, NEGLIGIBLE, Array
+from tenscasadi.util.validate import MAX_ITERATIONS, TOLERANCE, Array
 
 
 class PrestressProgram(NamedTuple):
@@ -47,6 +53,10 @@ class PrestressProgram(NamedTuple):
         equal, below = self.in_units()
         found = solve_conic(cost, equal, below, quadratic)
         return found._replace(x=found.x * self.scale)
+
+    def softest(self, p: Array) -> tuple[Array, Array]:
+        """Compute the least stiffnesses [N/m] of force densities p, and their motions."""
+        return self.stiffness.softest(self.basis @ p, SOFTEST)
 
     def fit(self, p: Array, up: bool) -> Array:
         """Scale p to the limits.
@@ -96,7 +106,8 @@ class Stiffest(Value, kind="Stiffest"):
     """Goal of `find_prestress`: the largest stiffness of the softest motion.
 
     It maximizes the least eigenvalue of the tangent stiffness on motions that keep rigid bars: a
-    semidefinite program.
+    semidefinite program. The message of the result tells the distance from the largest stiffness if
+    it is above 1e-6, as for symmetric structures with many self-stresses.
 
     Examples
     --------
@@ -111,7 +122,10 @@ class Stiffest(Value, kind="Stiffest"):
     def solve(self, program: PrestressProgram) -> ConicSolution:
         """Find force densities by a sequence of semidefinite programs.
 
-        Each considers more motions. The sequence ends when the softest motion is among them.
+        Each adds the softest motions to those of the one before. The sequence ends when the softest
+        motion is as stiff as in the program. Once there are many motions, only the active ones
+        are kept, and a damping keeps force densities near the best ones: a spectral bundle method
+        [1]_. After ten programs, the tolerance doubles with each.
 
         Parameters
         ----------
@@ -121,24 +135,36 @@ class Stiffest(Value, kind="Stiffest"):
         Returns
         -------
         ConicSolution
-            Force densities p (u,) [N/m] and status.
+            Force densities p (u,) [N/m], status, and gap.
+
+        References
+        ----------
+        .. [1] C. Helmberg, F. Rendl, A spectral bundle method for semidefinite programming, SIAM
+           Journal on Optimization 10 (2000), 673-696.
         """
-        tangent = program.stiffness
         found = program.minimize(np.zeros(program.basis.shape[1]))
-        seen, bound = np.zeros((tangent.J.shape[1], 0)), np.inf
-        for _ in range(MAX_ITERATIONS):
+        if found.status != "solved":
+            return found
+        best, (values, motions) = found.x, program.softest(found.x)
+        seen, most, damping = motions[:, :0], SOFTEST + SOFTEST // 2, 0.0
+        for k in range(MAX_ITERATIONS):
+            least = float(values[0]) if len(values) else np.inf
+            more = extend_basis(seen, motions)[:, :most]
+            near = Proximity(best, damping)
+            found, bound, active = _maximize_least(program, more, near)
             if found.status != "solved":
                 return found
-            values, motions = tangent.softest(program.basis @ found.x, SOFTEST)
-            enough = (
-                bound - NEGLIGIBLE * max(abs(bound), program.scale) if seen.shape[1] else np.inf
-            )
-            more = extend_basis(seen, np.asarray(motions[:, values < bound]))
-            # without further motions, the next program is the last one
-            if not len(values) or values[0] >= enough or more.shape[1] == seen.shape[1]:
-                return found._replace(x=program.fit(found.x, up=False))
-            seen = more
-            found, bound = _maximize_least(program, seen)
+            gain, size = bound - least, max(abs(bound), TOLERANCE * program.scale)
+            if gain <= TOLERANCE * 2.0 ** max(k - 10, 0) * size:
+                return found._replace(x=program.fit(best, up=False), gap=max(gain / size, 0.0))
+            crowded = more.shape[1] == most
+            seen = active if crowded else more
+            there, motions = program.softest(found.x)
+            motions = motions[:, there < bound]
+            if there[0] - least >= 0.1 * gain:
+                best, values, damping = found.x, there, 0.25 * damping
+            elif crowded and not damping:
+                damping = gain * program.scale / float(np.sum((found.x - best) ** 2))
         return found._replace(status="failed")
 
 
@@ -219,10 +245,28 @@ class Least(Value, kind="Least"):
         return found._replace(x=program.fit(found.x, up=True))
 
 
-def _maximize_least(program: PrestressProgram, motions: Array) -> tuple[ConicSolution, float]:
+class Proximity(NamedTuple):
+    """Cost ½ w |p − center|² of a distance.
+
+    Attributes
+    ----------
+    center : ndarray (u,)
+        Force densities [N/m].
+    weight : float
+        w, per squared unit of force density.
+    """
+
+    center: Array
+    weight: float
+
+
+def _maximize_least(
+    program: PrestressProgram, motions: Array, near: Proximity
+) -> tuple[ConicSolution, float, Array]:
     """Maximize the least eigenvalue of the projected stiffness.
 
-    The stiffness is projected onto given orthonormal motions. Returns p and this eigenvalue.
+    The stiffness is projected onto given orthonormal motions. Returns p, this eigenvalue, and the
+    active motions, which determine it: a program in these alone has the same solution.
     """
     materials, slopes = program.stiffness.reduce(motions)
     material = np.einsum("k,kij->ij", program.stiffness.stiffness, materials)
@@ -237,6 +281,10 @@ def _maximize_least(program: PrestressProgram, motions: Array) -> tuple[ConicSol
     ]
     cost = np.zeros(unknown + 1)
     cost[-1] = -1.0
-    found = solve_conic(cost, wider[0], wider[1], semidefinite=[cone])
+    cost[:-1] = -near.weight * near.center / program.scale
+    square = sp.diags_array(np.append(np.full(unknown, near.weight), 0.0), format="csc")
+    found = solve_conic(cost, wider[0], wider[1], square, semidefinite=[cone])
     p, least = found.x[:-1] * program.scale, float(found.x[-1]) * program.scale
-    return found._replace(x=p), least
+    weights, vectors = np.linalg.eigh(unscaled_matrix(found.duals[-len(cone.b) :]))
+    active = vectors[:, weights > TOLERANCE * weights.max(initial=0.0)]
+    return found._replace(x=p), least, motions @ active

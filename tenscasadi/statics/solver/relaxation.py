@@ -28,7 +28,8 @@ from tenscasadi.simulation.engine.step_code import Account
 from tenscasadi.simulation.inputs.run_inputs import read_inputs
 from tenscasadi.simulation.verdict.starts import constraint_violation
 from tenscasadi.simulation.verdict.thresholds import THRESHOLDS
-from tenscasadi.util.validate import MAX_COUNT, MAX_ITERATIONS, ROUNDING, Array
+from tenscasadi.statics.solver.trust_region import SEARCH_COST
+from tenscasadi.util.validate import MAX_ITERATIONS, ROUNDING, Array
 
 _ROWS = 200  # steps of a round, among which the maximum is sought
 _LONGEST = 1e-2  # s, longest step of a structure without stiff members
@@ -66,7 +67,7 @@ def relax(scene: Scene, nodes: Array, control: Array, parameters: Array, time: f
     duration, highest, taken = _ROWS * step, 0.0, 0.0
     for _ in range(MAX_ITERATIONS):
         taken += duration / step
-        if taken > MAX_COUNT:
+        if taken * nodes.size > SEARCH_COST:
             break
         run = _move(model, state, control, duration, step)
         kinetic = run.measured[0, :, MEASURED.index("kinetic")]

@@ -78,6 +78,26 @@ def test_load_that_needs_an_unstable_prestress_is_named() -> None:
     assert "unstable" in pre.message
 
 
+def test_stiffest_prestress_of_a_symmetric_dome_tells_its_gap() -> None:
+    """Accumulating all motions takes minutes; its stiffness is 9.4354 N/m then."""
+    dome = tc.shapes.levy_dome(12, 3)
+    pre = tc.find_prestress(dome, tc.Stiffest(), maximum=1000.0)
+    assert pre.success, pre.message
+    assert pre.least_stiffness == pytest.approx(9.4354, rel=1e-4)
+    assert "of the largest" in pre.message
+    assert pre.tension.min() > -1e-6
+    assert pre.tension.max() <= 1000.0 * (1 + 1e-9)
+
+
+def test_stiffest_prestress_settles_under_a_load() -> None:
+    ball = tc.shapes.truncated_tetrahedron(pinned=[0, 1, 2])
+    load = np.zeros(ball.nodes.shape)
+    load[:, 2] = -1.0
+    pre = tc.find_prestress(ball, tc.Stiffest(), load_cases=[load], minimum=5.0, maximum=300.0)
+    assert pre.success, pre.message
+    assert pre.tension.max() <= 300.0 * (1 + 1e-6)
+
+
 def test_stiffest_prestress_beats_all_others_of_a_tower() -> None:
     s = tc.shapes.prism_tower(2, height=0.6, stiffness=300.0)
     maximum = np.where(np.arange(15) < 6, 40.0, 100.0)
