@@ -68,23 +68,28 @@ def symmetric_self_stress(
 ) -> Array:
     """Compute the self-stress γ (α,) that is equal within groups.
 
-    Its scale is arbitrary. Raises ValueError if there is no such self-stress with all strings in
-    tension, or more than one.
+    That of the free-standing structure goes before one that needs the supports. Its scale is
+    arbitrary. Raises ValueError if there is no such self-stress with all strings in tension, or
+    more than one.
     """
     sizes = [len(pairs) for pairs in (*strings, *bars)]
     count = sum(sizes)
     members = sp.csc_array(
         (np.ones(count), (np.arange(count), np.repeat(np.arange(len(sizes)), sizes)))
     )
-    _, values, right = np.linalg.svd((equilibrium_matrix(structure) @ members).toarray())
-    rank = int(np.sum(values > NEGLIGIBLE * values.max(initial=0.0)))
-    of_groups = right[-1][: len(strings)] * np.sign(right[-1][: len(strings)].sum())
-    if rank != len(sizes) - 1 or of_groups.min(initial=np.inf) <= 0.0:
-        raise ValueError(
-            "prestress: this geometry has no symmetric self-stress with all strings in tension: "
-            "leave prestress out or change the dimensions"
-        )
-    return np.repeat(of_groups, sizes[: len(strings)])
+    held = bool(structure.held.any())
+    for supported in (
+        [structure.replace(pinned=(), node_mass=1.0), structure] if held else [structure]
+    ):
+        _, values, right = np.linalg.svd((equilibrium_matrix(supported) @ members).toarray())
+        rank = int(np.sum(values > NEGLIGIBLE * values.max(initial=0.0)))
+        of_groups = right[-1][: len(strings)] * np.sign(right[-1][: len(strings)].sum())
+        if rank == len(sizes) - 1 and of_groups.min(initial=np.inf) > 0.0:
+            return np.repeat(of_groups, sizes[: len(strings)])
+    raise ValueError(
+        "prestress: this geometry has no symmetric self-stress with all strings in tension: "
+        "leave prestress out or change the dimensions"
+    )
 
 
 def place_ring(count: int, radius: float, start: float, z: float) -> Array:

@@ -36,6 +36,14 @@ def test_tower_of_class_one_overlaps(stages: int, bars: int) -> None:
         np.testing.assert_allclose(heights[1:-1:2] - heights[2::2], overlap)
 
 
+@pytest.mark.parametrize("pinned", [[0, 1, 2], {0: "z", 1: "xyz"}])
+def test_supports_keep_the_self_stress_of_class_one(pinned) -> None:
+    """Pins add self-stresses, among which that of the free tower is taken."""
+    free = shapes.prism_tower(4, joint_class=1, prestress=10.0, stiffness=1e5)
+    held = shapes.prism_tower(4, joint_class=1, prestress=10.0, stiffness=1e5, pinned=pinned)
+    np.testing.assert_allclose(held.rest_length, free.rest_length, rtol=1e-9)
+
+
 def test_overlap_grows_with_the_twist() -> None:
     overlaps = []
     for degrees in (152.0, 160.0, 170.0):
