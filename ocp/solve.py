@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from concurrent.futures import Executor
 from typing import Any
@@ -16,7 +15,7 @@ from ocp.search.multistart import find_best_plan
 from ocp.search.task import Method
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.ipopt import Ipopt
-from ocp.solvers.monitor import Monitor, Progress, write_line
+from ocp.solvers.monitor import Progress, build_monitor
 from ocp.transcription.base import Transcription
 from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import MAX_REPETITIONS, flag, instance, positive_number, whole_number
@@ -146,18 +145,13 @@ def solve(
             "an ocp.Ipopt, ocp.CondensedNewton or ocp.Sampling",
         )
     flag("tracked", tracked)
-    watch = progress if callable(progress) else None
-    if progress is not None and watch is None:
-        flag("progress", progress)
+    monitor = build_monitor(time_limit, progress)
     count = whole_number("n_starts", n_starts, 1, MAX_REPETITIONS)
     if executor is not None:
         instance("executor", executor, Executor, "a concurrent.futures.Executor, or None")
-    for name, value in (("tolerance", tolerance), ("time_limit", time_limit)):
-        if value is not None:
-            positive_number(name, value)
+    if tolerance is not None:
+        positive_number("tolerance", tolerance)
     problem = problem if parameters is None else problem.with_parameters(parameters)
-    shown = sys.stderr.isatty() if progress is None else progress is True
-    monitor = Monitor(time_limit, write_line if shown else None, watch)
     options = transcription, solver, guess, tolerance
     if count == 1:
         return Plan.of(find_plan(problem, *options, monitor=monitor, tracked=tracked))

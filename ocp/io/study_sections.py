@@ -84,9 +84,9 @@ class RobustnessStudy:
         if self.tolerance is not None:
             positive_number("tolerance", self.tolerance)
 
-    def run(self, plan: Any) -> Any:
-        """Replay a plan many times."""
-        return plan.robustness(**vars(self))
+    def run(self, plan: Any, progress: bool = False) -> Any:
+        """Replay a plan many times. With `progress` a bar is shown."""
+        return plan.robustness(**vars(self), progress=progress)
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,7 @@ from tenscasadi.scene.strings import RestLength, Tension, rest_length
 from tenscasadi.simulation.inputs.controls import ControlProfile
 from tenscasadi.simulation.inputs.feedback import Feedback
 from tenscasadi.simulation.rollouts import rollouts
+from tenscasadi.simulation.verdict.endings import INTERRUPTED
 from tenscasadi.util.validate import MAX_ENTRIES, Array, positive_number, whole_number
 
 
@@ -42,6 +43,7 @@ def measure_robustness(
     seed: int,
     tolerance: float | None,
     track: Callable[..., Any] | None,
+    progress: bool = False,
 ) -> Robustness:
     """Replay a plan with varied parameters and initial states.
 
@@ -83,27 +85,33 @@ def measure_robustness(
         feedback,
         factors if names else None,
         save_every=1 if ways else None,
+        progress=progress,
     )
     seconds = clock.perf_counter() - began
+    ended = ~np.char.startswith(rolled.message, INTERRUPTED)
+    if not ended.any():
+        raise KeyboardInterrupt
     target = None
     if problem is not None:
         target = find_target(problem, Scales.of(problem)).begin_at(plan.trajectory.states[0])
-    misses = measure_errors(plan, target, interpolate_replays(rolled.time, rolled.states))
+    misses = measure_errors(plan, target, interpolate_replays(rolled.time, rolled.states[ended]))
+    success, draws = rolled.success[ended], draws[ended]
     size = float(np.linalg.norm(np.ptp(planned.structure.nodes, axis=0))) or 1.0
     varied = {name: draws[:, [k]] for k, name in enumerate(names)} | (
-        {"start": changes} if any(place) else {}
+        {"start": changes[ended]} if any(place) else {}
     )
     return Robustness(
         names=tuple(varied),
-        factors=factors,
-        starts=starts,
-        error=np.where(rolled.success, misses.position, np.inf),
-        speed_error=np.where(rolled.success, misses.velocity, np.inf),
+        factors=factors[ended],
+        starts=starts[ended],
+        error=np.where(success, misses.position, np.inf),
+        speed_error=np.where(success, misses.velocity, np.inf),
         duration=float(plan.time[-1]),
         tolerance=RELIABLE * size if limit is None else limit,
-        importance=share_variance(varied, np.where(rolled.success[:, None], misses.rows, np.nan)),
+        importance=share_variance(varied, np.where(success[:, None], misses.rows, np.nan)),
         tracked=track is not None,
         seconds=seconds,
+        interrupted=rolled.interrupted,
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -20,6 +20,7 @@ from ocp.results.report import Report, report_of
 from ocp.results.result import PlanResult
 from ocp.results.view_content import describe_plan
 from ocp.search.find_plan import find_plan
+from ocp.solvers.monitor import Progress, build_monitor
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.io.document import read_tables
@@ -230,7 +231,13 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
             self.problem, self.time, self.trajectory.states, self.control, self.replay(), self.duals
         )
 
-    def refine(self, tolerance: float, attempts: int = 5) -> Plan:
+    def refine(
+        self,
+        tolerance: float,
+        attempts: int = 5,
+        time_limit: float | None = None,
+        progress: bool | Callable[[Progress], object] | None = None,
+    ) -> Plan:
         """Refine the mesh until the replay meets a tolerance.
 
         Each attempt solves on a finer mesh, starting from the last plan. If finer meshes are not
@@ -243,6 +250,11 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
             Permitted distance of the replay from the goals [m], also for velocities × duration.
         attempts : int
             Maximum number of attempts.
+        time_limit : float, optional
+            Wall time of all attempts [s]. After it, as after Ctrl-C, the plan is the best so far.
+            By default there is no limit.
+        progress : bool or callable, optional
+            Progress of each attempt, as in `solve`.
 
         Returns
         -------
@@ -258,8 +270,9 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
         """
         limit = positive_number("tolerance", tolerance)
         whole_number("attempts", attempts, 1)
+        monitor = build_monitor(time_limit, progress)
         self.require_model("refine")
-        found = refine_until_accurate(self, limit, attempts, find_plan)
+        found = refine_until_accurate(self, limit, attempts, find_plan, monitor)
         return found if isinstance(found, Plan) else Plan.of(found)
 
     def robustness(
@@ -270,6 +283,7 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
         seed: int = 0,
         tracked: bool = False,
         tolerance: float | None = None,
+        progress: bool = False,
     ) -> Robustness:
         """Simulate the plan under random parameter and state errors.
 
@@ -297,11 +311,14 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
         tolerance : float, optional
             Permitted distance of a replay from the goals [m], also for velocities × duration.
             Default: 1 % of the structure's size.
+        progress : bool
+            Whether to show a progress bar.
 
         Returns
         -------
         Robustness
             Errors of all replays, their success rate, and the importance of each varied quantity.
+            After Ctrl-C it holds the replays that have ended, and is `interrupted`.
 
         Raises
         ------
@@ -310,8 +327,16 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
             the model is unknown.
         """
         flag("tracked", tracked)
+        flag("progress", progress)
         return measure_robustness(
-            self, parameters, start, samples, seed, tolerance, track if tracked else None
+            self,
+            parameters,
+            start,
+            samples,
+            seed,
+            tolerance,
+            track if tracked else None,
+            progress,
         )
 
     @classmethod

@@ -50,6 +50,8 @@ class Robustness(ReadOnlyArrays):
         Whether the replays are under `track`.
     seconds : float
         Wall time of the replays [s].
+    interrupted : bool
+        Whether Ctrl-C ended the study. It then holds the replays that had ended.
 
     Examples
     --------
@@ -73,6 +75,7 @@ class Robustness(ReadOnlyArrays):
     importance: dict[str, float]
     tracked: bool
     seconds: float
+    interrupted: bool = False
 
     def __repr__(self) -> str:
         return f"Robustness({len(self.error)} replays, {self.success_rate:.1%} within {self.tolerance:.2g} m, tracked={self.tracked})"
@@ -154,7 +157,8 @@ class Robustness(ReadOnlyArrays):
         ]
         lines = [
             f"replays       {len(self.error)}, {how}, {self.seconds:.3g} s"
-            + (f"; {lost} diverge" if lost else ""),
+            + (f"; {lost} diverge" if lost else "")
+            + ("; interrupted from the keyboard" if self.interrupted else ""),
             f"tolerance     {self.success_rate:.1%} end within {self.tolerance:.3g} m",
             f"error         below {', '.join(told)}",
             f"what matters  {', '.join(parts)}"

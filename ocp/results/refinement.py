@@ -29,14 +29,18 @@ Again = Callable[..., PlanResult]  # (plan, new options of its transcription) â†
 
 
 def refine_until_accurate(
-    plan: PlanResult, tolerance: float, attempts: int, find_plan: Callable[..., PlanResult]
+    plan: PlanResult,
+    tolerance: float,
+    attempts: int,
+    find_plan: Callable[..., PlanResult],
+    monitor: Any,
 ) -> PlanResult:
     """Refine the mesh until the replay meets a tolerance [m].
 
     Each attempt subdivides intervals and solves again, starting from the last plan. Deferred
     correction is tried once, if the error is too large for one finer mesh or if a finer mesh does
-    not halve it. `find_plan` has the arguments of `ocp.search.find_plan.find_plan`. Returns the
-    best plan, whose message reports if it misses the tolerance. A plan that is no optimum is
+    not halve it. `find_plan` has the arguments of `ocp.search.find_plan.find_plan`, one of
+    which is the `monitor`. Returns the best plan, whose message reports if it misses the tolerance. A plan that is no optimum is
     returned unchanged. Raises ValueError if problem, transcription or solver of the plan are
     unknown.
     """
@@ -50,15 +54,11 @@ def refine_until_accurate(
 
     def again(known: PlanResult, **changes: Any) -> PlanResult:
         changed = replace(known.transcription or transcription, **changes)
-        return find_plan(problem, changed, solver, known, tolerance, tracked=plan.tracked)
+        options = {"monitor": monitor, "tracked": plan.tracked}
+        return find_plan(problem, changed, solver, known, tolerance, **options)
 
-    if isinstance(solver, Sampling):
-        found, missed = _sample_again(plan, tolerance, again)
-    else:
-        correctable = isinstance(solver, (Ipopt, CondensedNewton)) and not (
-            plan.tracked or problem.phases
-        )
-        found, missed = _refine(plan, tolerance, attempts, again, correctable)
+    with monitor.catching_interrupts():
+        found, missed = _search(plan, tolerance, attempts, again, monitor)
     if not missed:
         return found
     ends = f"its replay ends {found.replay_error:.2g} m and {found.replay_speed_error:.2g} m/s from the goal"
@@ -66,15 +66,24 @@ def refine_until_accurate(
     return replace(found, success=False, message=told)
 
 
-def _refine(
-    plan: PlanResult, tolerance: float, attempts: int, again: Again, correctable: bool
+def _search(
+    plan: PlanResult, tolerance: float, attempts: int, again: Again, monitor: Any
 ) -> tuple[PlanResult, str]:
-    """Refine a plan by finer meshes and deferred correction.
+    """Refine a plan by its solver.
 
     Returns the plan and "", or the best plan and the reason why it misses the tolerance.
     """
+    solver = plan.solver
+    if isinstance(solver, Sampling):
+        return _sample_again(plan, tolerance, again)
+    phases = plan.problem.phases if plan.problem is not None else ()
+    correctable = isinstance(solver, (Ipopt, CondensedNewton)) and not (plan.tracked or phases)
     why = f"in {attempts} attempts: give more, or substeps"
     for _ in range(attempts):
+        if monitor.status():
+            late = "within the time limit: increase time_limit"
+            why = "before the search was stopped" if monitor.interrupted else late
+            break
         error = plan.worst_error
         if error <= tolerance or not (plan.duals or plan.success):
             return plan, ""
@@ -86,6 +95,9 @@ def _refine(
             plan, correctable = _better(plan, again(plan, accuracy=CAUTION * tolerance)), False
             continue
         finest = again(plan, **_finer_mesh(plan, tolerance))
+        if monitor.status():
+            plan = _better(plan, finest)
+            continue
         if finest.duals is not None and not finest.worst_error <= max(tolerance, error / 2):
             why = f"and {len(finest.time) - 1} intervals in place of {len(plan.time) - 1} do not halve the error: give a larger tolerance"
             plan = min(plan, finest, key=lambda one: one.worst_error)

@@ -7,11 +7,11 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from ocp.solvers.worker import Worker
 from tenscasadi.util.processes import on_interrupt
-from tenscasadi.util.validate import Array
+from tenscasadi.util.validate import Array, flag, positive_number
 
 Result = TypeVar("Result")
 
@@ -78,7 +78,7 @@ class Monitor:
         self.deadline = math.inf if time_limit is None else self.began + time_limit
         self.interrupted, self.phase = False, ""
         self._show, self._next_line = show, self.began + 2.0  # s
-        self._watch = watch
+        self._watch, self._catches = watch, False
         self.iterate: tuple[int, Array] | None = None
         self._worker: Worker | None = None
 
@@ -145,11 +145,32 @@ class Monitor:
     @contextmanager
     def catching_interrupts(self) -> Iterator[None]:
         """Turn the first Ctrl-C into a stop request."""
-        with on_interrupt(self._stop, then_raise=False):
+        if self._catches:  # the search within a refinement
             yield
+            return
+        self._catches = True
+        try:
+            with on_interrupt(self._stop, then_raise=False):
+                yield
+        finally:
+            self._catches = False
 
     def _stop(self) -> None:
         self.interrupted = True
+
+
+def build_monitor(time_limit: Any, progress: Any) -> Monitor:
+    """Build the monitor of a search from the arguments of `ocp.solve`.
+
+    Raises TypeError, ValueError.
+    """
+    watch = progress if callable(progress) else None
+    if progress is not None and watch is None:
+        flag("progress", progress)
+    if time_limit is not None:
+        positive_number("time_limit", time_limit)
+    shown = sys.stderr.isatty() if progress is None else progress is True
+    return Monitor(time_limit, write_line if shown else None, watch)
 
 
 def write_line(line: str) -> None:

@@ -81,6 +81,8 @@ def plan_motion(
     content = find_scalars(plan) | {"success": plan.success}
     if studies.robustness is not None:
         content["robustness"] = _study_robustness(found, plan, studies.robustness, report)
+        if content["robustness"]["interrupted"]:
+            return report.finish(INTERRUPTED, **content)
     return report.finish(0 if plan.success else FAILED, **content)
 
 
@@ -171,13 +173,16 @@ def _study_robustness(
     Returns its numbers by name.
     """
     with _named(found, "robustness"):
-        result = study.run(plan)
+        result = study.run(plan, progress=sys.stderr.isatty() and not report.quiet)
     report.say("\nrobustness", result.summary())
     title = f"{found.stem}: errors of {len(result.error)} replays"
     draw = {".png": lambda path: load_plots().robustness(result, title=title, path=path)}
     report.write(f"{found.stem}-robustness", {}, draw)
     quantiles = dict(zip(("5 %", "50 %", "95 %"), result.quantiles(), strict=True))
     return {
-        **{name: getattr(result, name) for name in ("success_rate", "tolerance", "tracked")},
+        **{
+            name: getattr(result, name)
+            for name in ("success_rate", "tolerance", "tracked", "interrupted")
+        },
         **{"error": quantiles, "importance": result.importance},
     }

@@ -28,6 +28,7 @@ from tenscasadi.util.validate import Array
 if TYPE_CHECKING:
     from tenscasadi.simulation.engine.roll import Runs
 
+INTERRUPTED = "interrupted from the keyboard"
 FAULTS = {
     NOT_FINITE: "the state is not finite",
     BEYOND: "the state is beyond any physical size",
@@ -82,7 +83,7 @@ def explain_end(runs: Runs, k: int) -> str:
         return f"{lost}; {_explain_loss(runs, k)}"
     last = float(runs.times(runs.last_step(k)))
     if status == STOPPED and not runs.late:
-        return f"interrupted from the keyboard, the last state kept is at t = {last:g} s"
+        return f"{INTERRUPTED}, the last state kept is at t = {last:g} s"
     return f"stopped after t = {last:g} s: {_explain_failure(runs, k)}"
 
 

@@ -14,6 +14,7 @@ import tenscasadi as tc
 from ocp.plan.robustness import share_variance
 from ocp.results.rest_length_schedule import compute_rest_lengths
 from tenscasadi.scene.strings import rest_length
+from tenscasadi.simulation.rollouts import rollouts
 
 
 @pytest.fixture(scope="module")
@@ -264,6 +265,28 @@ def test_the_same_seed_draws_the_same_within_the_spread(plan):
     assert 0.005 < abs(one.starts - plan.trajectory.states[0])[:, :18].max() < 0.03
 
 
+def test_an_interrupted_study_keeps_the_replays_that_ended(plan, monkeypatch, capsys):
+    def interrupt(*arguments, **options):
+        found = rollouts(*arguments, **options)
+        states, message = found.states.copy(), found.message.astype("U60")
+        states[6:], message[6:] = (
+            np.nan,
+            "interrupted from the keyboard, the last state kept is ...",
+        )
+        ended = found.success & (np.arange(len(states)) < 6)
+        return replace(found, states=states, message=message, success=ended, interrupted=True)
+
+    whole = plan.robustness({"bar_mass": 0.05}, start=0.005, samples=8, progress=True)
+    assert "steps" in capsys.readouterr().err
+    monkeypatch.setattr("ocp.plan.many_replays.rollouts", interrupt)
+    found = plan.robustness({"bar_mass": 0.05}, start=0.005, samples=8)
+    assert found.interrupted
+    assert not whole.interrupted
+    for name in ("error", "speed_error", "factors", "starts"):
+        assert np.array_equal(getattr(found, name), getattr(whole, name)[:6])
+    assert "; interrupted from the keyboard" in found.summary()
+
+
 def test_quantiles_and_text(plan):
     found = plan.robustness({"bar_mass": 0.05}, samples=101, tolerance=0.003)
     ordered = np.sort(found.worst_error)
@@ -279,6 +302,11 @@ def test_quantiles_and_text(plan):
 
 
 BAD = {
+    "progress": (
+        lambda plan: plan.robustness({"bar_mass": 0.05}, progress="yes"),
+        TypeError,
+        "progress is 'yes': give True or False",
+    ),
     "nothing varies": (
         lambda plan: plan.robustness(),
         ValueError,

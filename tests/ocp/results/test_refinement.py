@@ -11,6 +11,7 @@ from planning import driven, integrated, prism, raising, taller
 import ocp
 import tenscasadi as tc
 from ocp.results.refinement import defects, refine_until_accurate
+from ocp.solvers.monitor import Monitor
 
 
 def test_a_refined_plan_meets_its_tolerance(coarse):
@@ -46,6 +47,25 @@ def test_a_good_plan_is_left_alone(coarse):
     assert coarse.refine(1e-2) is coarse
 
 
+def test_a_stopped_refinement_keeps_the_best_plan(coarse):
+    seen = []
+    found = coarse.refine(1e-9, progress=lambda now: seen.append(now) or len(seen) < 2)
+    assert len(seen) == 2
+    assert not found.success
+    assert found.worst_error <= coarse.worst_error
+    assert "the tolerance of 1e-09 m was not met before the search was stopped" in found.message
+    late = coarse.refine(1e-9, time_limit=1e-3)
+    assert "was not met within the time limit: increase time_limit" in late.message
+    assert late.worst_error <= coarse.worst_error
+
+
+def test_wrong_limits_of_a_refinement_are_told(coarse):
+    with pytest.raises(ValueError, match="time_limit is 0"):
+        coarse.refine(1e-9, time_limit=0.0)
+    with pytest.raises(TypeError, match="progress is 'yes': give True or False"):
+        coarse.refine(1e-9, progress="yes")
+
+
 def test_a_plan_that_is_too_coarse_is_refined():
     rough = ocp.solve(taller(), ocp.MultipleShooting(3))
     assert not rough.success
@@ -62,7 +82,7 @@ def test_a_tolerance_that_is_not_met_is_said(coarse):
 def test_refining_stops_where_it_no_longer_helps(coarse, lowered):
     asked = []
 
-    def find_plan(problem, transcription, solver, plan, tolerance, *, tracked):
+    def find_plan(problem, transcription, solver, plan, tolerance, **options):
         asked.append(transcription.count)
         return replace(
             plan,
@@ -71,7 +91,7 @@ def test_refining_stops_where_it_no_longer_helps(coarse, lowered):
         )
 
     rough = replace(coarse, solver=object())  # of which no corrections are known
-    plan = refine_until_accurate(rough, 1e-9, 5, find_plan)
+    plan = refine_until_accurate(rough, 1e-9, 5, find_plan, Monitor())
     assert len(asked) == 1
     assert not plan.success
     assert plan.worst_error == min(
