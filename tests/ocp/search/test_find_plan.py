@@ -90,10 +90,11 @@ class Stubborn:
     tolerance = 1e-8
 
     def __init__(self):
-        self.release = threading.Event()
+        self.begun, self.release = threading.Event(), threading.Event()
 
     def solve(self, program, monitor=None):
         monitor.follow(Progress(3, 1.0, 0.1), program.first + 1e-3)
+        self.begun.set()
         self.release.wait(30)
         return Solution(program.first, True, "too late", 9)
 
@@ -114,12 +115,17 @@ def test_time_limit_ends_a_solver_that_does_not_stop():
 def test_ctrl_c_ends_a_solver_that_does_not_stop():
     usual = signal.signal(signal.SIGINT, signal.default_int_handler)
     solver = Stubborn()
-    timer = threading.Timer(0.3, lambda: os.kill(os.getpid(), signal.SIGINT))
-    timer.start()
+
+    def interrupt():
+        solver.begun.wait(30)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    keyboard = threading.Thread(target=interrupt)
+    keyboard.start()
     try:
         plan = find_plan(raising(), ocp.Variational(6), solver)
     finally:
-        timer.join()
+        keyboard.join()
         solver.release.set()
         signal.signal(signal.SIGINT, usual)
     assert plan.status == "User_Requested_Stop"
