@@ -20,6 +20,7 @@ from tenscasadi.integrators.stabilization import BarLengthCorrection, Projection
 from tenscasadi.integrators.sundials import Cvodes, Idas
 from tenscasadi.io.scene_files import load_scene, save_scene
 from tenscasadi.scene.bar_contact import BarContact
+from tenscasadi.scene.breaking import Breaking
 from tenscasadi.scene.control_function import ControlFunction
 from tenscasadi.scene.ground import Ground, Terrain
 from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
@@ -184,6 +185,7 @@ __all__ = [
     "Smooth",
     "Gravity",
     "BarContact",
+    "Breaking",
     "Ground",
     "Terrain",
     "Pressure",

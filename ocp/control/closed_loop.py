@@ -13,8 +13,11 @@ import numpy as np
 from tqdm import tqdm
 
 from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.breaks import split_at_breaks
+from tenscasadi.integrators.events import count_breakable
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.stabilization import build_projection
+from tenscasadi.simulation.string_breaks import describe_breaks, find_breaks
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
 from tenscasadi.simulation.verdict.starts import off_constraints
 from tenscasadi.util.immutable import ReadOnlyArrays
@@ -103,8 +106,8 @@ def run(
         End of the run [s]. The last decision may be shorter than the period.
     model : Model, optional
         Plant. It may differ from the controller's model in masses, gravity and loads such as gusts
-        (`tenscasadi.NodalForce` of time), but not in nodes, strings and kind of control. Default:
-        the controller's model.
+        (`tenscasadi.NodalForce` of time), but not in nodes, strings and kind of control. Its strings
+        can break (`tenscasadi.Breaking`). Default: the controller's model.
     state : array_like, shape (nx,), optional
         Initial state, which satisfies bars and joints. If it has a clock, this is the time that
         the controller receives; it need not begin at 0. Default: the model's initial state.
@@ -220,6 +223,7 @@ def _record(
         if done
         else f"{cause} after t = {times[-1]:g} s: {reason}"
     )
+    message += describe_breaks(find_breaks(plant.scene, rows))
     return record_trajectory(
         plant,
         times,
@@ -246,7 +250,7 @@ def _run_periods(
     Yields the states (steps, nx), None after a divergence, the control (nu,), and the wall
     time of the decision [s].
     """
-    chain = RungeKutta4().step(plant.ode).mapaccum(steps)
+    chain = split_at_breaks(RungeKutta4().step(plant.ode), plant).mapaccum(steps)
     project = build_projection(plant, 2)
     for now, after in pairwise(ends):
         if disturbance is not None:
@@ -287,7 +291,8 @@ def _check_plant(plant: Any, believed: Model) -> None:
         and np.array_equal(own.fixed, other.fixed)
         and own.rollers == other.rollers
     )
-    if not same or plant.nu != believed.nu or plant.nq != believed.nq or plant.na != believed.na:
+    internal = plant.na - 2 * count_breakable(plant), believed.na - 2 * count_breakable(believed)
+    if not same or plant.nu != believed.nu or plant.nq != believed.nq or internal[0] != internal[1]:
         raise ValueError(
             "model has other nodes, pins or strings than the controller's: give one with the same"
         )
@@ -304,6 +309,6 @@ def _find_start(plant: Model, state: Any) -> Array:
 
 def _observe(believed: Model, plant: Model, x: Array, now: float) -> Array:
     """Convert the plant's state to that of the controller's model."""
-    known = believed.moving.stop
-    passed = x[known:] if plant.nx > known else np.array([now])
+    known, own = believed.moving.stop, plant.moving.stop
+    passed = x[own:] if plant.nx > own else np.array([now])
     return np.append(x[:known], passed[: believed.nx - known])

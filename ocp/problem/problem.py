@@ -59,7 +59,8 @@ class Problem(Value, kind="Problem"):
         Soft goals (`Goal.soft`) are added to the costs.
     bounds : iterable of bounds, optional
         Limits along the whole plan, such as `ForceDensityLimits`, `TensionLimits`, `BarClearance`
-        and `Constraint`.
+        and `Constraint`. `Scene.strength` adds `TensionLimits`, and `Problem.model` is then the
+        model of strings that cannot break.
     costs : iterable of costs, optional
         Terms of the objective, such as `Effort`, `Tracking` and `Integral`; their sum is minimized.
         Without costs, all feasible plans are equally good; if a force density has no upper limit,

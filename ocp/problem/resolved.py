@@ -25,6 +25,7 @@ from ocp.problem.phase import Phase, check_phases, phases_between
 from ocp.problem.reading import Duration, limits_of, read_duration, read_items
 from ocp.problem.start import FreeStart, read_start
 from tenscasadi.dynamics.base_model import check_model
+from tenscasadi.scene.strength import limit_tensions
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, format_value
 
@@ -73,6 +74,10 @@ def resolve(
     """
     check_model(model, "Problem.model")
     model = model.with_parameters(parameters)
+    strength = limit_tensions(model.scene)
+    start = _drop_strength_states(model, start)
+    if model.scene.strength is not None:
+        model = model.with_scene(replace(model.scene, strength=None))
     check_control(model)
     if model.nq == 0:
         raise ValueError("Problem.model has all nodes pinned: there is nothing to move")
@@ -87,6 +92,8 @@ def resolve(
     own_goals, parts = _divide(structure, own_goals, own_phases, time)
     begin = read_start(model, start)
     own_bounds = read_items("Problem.bounds", bounds, Bound, "[ForceDensityLimits(0, 200)]")
+    if np.isfinite(strength).any():
+        own_bounds = (*own_bounds, TensionLimits(upper=strength))
     own_costs = read_items("Problem.costs", costs, Cost, "[Effort()]")
     first_goals = begin.goals if isinstance(begin, FreeStart) else ()
     for item in (*own_goals, *own_bounds, *own_costs, *first_goals):
@@ -98,7 +105,7 @@ def resolve(
     own_costs = tuple(
         cost.bind(model, state) if isinstance(cost, SoftGoal) else cost for cost in own_costs
     )
-    _check_limits(structure, own_bounds)
+    _check_limits(structure, own_bounds, strength)
     upper = string_limits(structure, own_bounds, ForceDensityLimits)[1]
     if not own_costs and np.isposinf(upper).any():
         # Without a cost, the barrier function of the solver lets force densities diverge.
@@ -210,12 +217,33 @@ def join_soft(
     return tuple(given), tuple(own)
 
 
-def _check_limits(structure: Structure, bounds: tuple[Bound, ...]) -> None:
+def _drop_strength_states(model: Model, start: Any) -> Any:
+    """Remove the states of the strength from a start (nx,).
+
+    Raises ValueError if a string is broken.
+    """
+    count = len(model.scene.breakable_inputs)
+    if not count or isinstance(start, FreeStart) or np.shape(start) != (model.nx,):
+        return start
+    state, end = np.asarray(start), model.moving.stop
+    if np.any(state[end - 2 * count : end - count] != 1):
+        raise ValueError(
+            "Problem.start has a broken string: give a model of a structure without this string"
+        )
+    return np.delete(state, np.arange(end - 2 * count, end))
+
+
+def _check_limits(structure: Structure, bounds: tuple[Bound, ...], strength: Array) -> None:
     for kind in (ForceDensityLimits, TensionLimits, RestLengthLimits):
         lower, upper = string_limits(structure, bounds, kind)
         crossed = np.flatnonzero(lower > upper)
         if crossed.size:
             i = int(crossed[0])
+            if kind is TensionLimits and upper[i] == strength[i]:
+                raise ValueError(
+                    f"TensionLimits.lower is {lower[i]:g} for {kind.names_of(structure)[i]}: "
+                    f"Scene.strength leaves {upper[i]:g} N to plans, give a smaller one"
+                )
             raise ValueError(
                 f"Problem.bounds: {kind.__name__} leave {kind.names_of(structure)[i]} nothing, lower {lower[i]:g} and upper {upper[i]:g}: widen one"
             )

@@ -20,6 +20,7 @@ from ocp.results.terminal_limits import measure_terminal_limits
 from ocp.solvers.base import Outcome
 from ocp.targets.target import StateAt, Target
 from ocp.transcription.mesh import held_values
+from tenscasadi.scene.strength import describe_overload
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import Array
 
@@ -156,9 +157,11 @@ def assess_plan(
         open_loop_error=open_loop.worst(duration),
     )
     kept = found.success or found.coarse or not _violated(plan)
-    success = counts.worst(duration) <= tolerance and kept
+    good = counts.worst(duration) <= tolerance and kept
+    overload = _describe_overload(plan, counts.motion)
+    success = good and not overload
     name = "tracked replay" if plan.tracked else "replay"
-    verdict = _accepted(found) if success else _rejected(plan, found, tolerance, name, missed)
+    verdict = _accepted(found) if good else _rejected(plan, found, tolerance, name, missed)
     ends = counts.describe(name, success)
     if plan.tracked:
         reason = growth or "tracked=True"
@@ -167,7 +170,7 @@ def assess_plan(
     elif growth:
         ends = f"{growth}: {ends}"
     beyond = _describe_violation(plan, counts.motion) if success else ""
-    parts = verdict, found.imposed, ends, beyond
+    parts = verdict, found.imposed, ends, overload, beyond
     planned = replace(plan.trajectory, success=plan.trajectory.success or success)
     message = "; ".join(part for part in parts if part)
     return replace(plan, success=success, message=message, trajectory=planned)
@@ -260,6 +263,17 @@ def _advise(plan: PlanResult, found: Outcome) -> str:
         model = plan.require_model("solve")
         too_long = find_long_steps(model, found.states, held, step, found.duration)
     return too_long or "give more intervals, or substeps"
+
+
+def _describe_overload(plan: PlanResult, motion: Trajectory | None) -> str:
+    """Describe a string that breaks between mesh points of a replay; "" if there is none."""
+    if plan.problem is None or motion is None:
+        return ""
+    scene = plan.problem.given["model"].scene
+    found = describe_overload(scene, motion.tension.max(axis=0, initial=0.0))
+    return (
+        found and f"{found} between mesh points: give more intervals, or a larger Breaking.margin"
+    )
 
 
 def _describe_violation(plan: PlanResult, motion: Trajectory | None) -> str:

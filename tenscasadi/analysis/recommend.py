@@ -19,7 +19,7 @@ from tenscasadi.analysis.tradeoff_table import abbreviate
 from tenscasadi.dynamics.coordinates import compare_coordinates
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.collocation import Collocation
-from tenscasadi.integrators.events import build_switching
+from tenscasadi.integrators.events import build_events
 from tenscasadi.integrators.rattle import Rattle
 from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853, RungeKutta4
 from tenscasadi.integrators.scheme import Scheme, extent
@@ -274,7 +274,7 @@ def _find_cheapest(ways: Sequence[Case], goal: _AccuracyTarget) -> tuple[_Choice
     """
     best: _Choice | None = None
     told, late = [], []
-    events = build_switching(ways[0].model) is not None
+    events = build_events(ways[0].model) is not None
     coarsest, speed = 0, 0.0  # steps at the stability limit and instructions per second of `best`
     for case in sorted(
         ways, key=lambda case: (case.scheme.implicit, events and not case.scheme.adaptive)

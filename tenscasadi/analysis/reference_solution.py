@@ -16,7 +16,7 @@ import numpy as np
 from tenscasadi.dynamics.base_model import check_model
 from tenscasadi.dynamics.instruction_count import count_instructions
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.events import build_switching
+from tenscasadi.integrators.events import build_events
 from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853
 from tenscasadi.integrators.scheme import Scheme, extent
 from tenscasadi.integrators.stability import find_limit
@@ -235,7 +235,7 @@ class _Pairs:
     ) -> None:
         self._model, self._t_end, self._deadline = model, t_end, deadline
         self._options = {**options, "energy_balance": False}
-        self.has_events = build_switching(model) is not None
+        self.has_events = build_events(model) is not None
         self.best: ReferenceSolution | None = None
         self.apart, self.fault = np.inf, "not tried"
         self.rounding = self._round_clock()

@@ -15,9 +15,11 @@ from tenscasadi.scene.ground import Grounds, Surface, read_grounds
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Clip, StringLaw
 from tenscasadi.simulation.motions import Rollouts, node_positions
+from tenscasadi.simulation.string_breaks import hide_broken
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.cables import add_compliances
 from tenscasadi.structure.structure import Structure
+from tenscasadi.util.tables import MOST_LISTED
 from tenscasadi.util.validate import Indices, format_value, text
 
 _KINDS = "Structure, Scene, Model, Trajectory, Rollouts or ocp.Plan"
@@ -73,7 +75,9 @@ def _describe(thing: Any, name: str) -> ViewContent | None:
         motion = replace(motion, forces=describe_scene_forces(thing))
         return ViewContent((motion,), thing.grounds)
     if isinstance(thing, Trajectory):
-        notes = () if thing.success else (f"{name or 'trajectory'}: {thing.message}",)
+        notes = tuple(map(str, thing.breaks[:MOST_LISTED]))
+        if not thing.success:
+            notes = (f"{name or 'trajectory'}: {thing.message}",)
         motion = describe_trajectory(thing, name or "trajectory")
         return ViewContent((motion,), find_grounds(thing), notes=notes)
     if isinstance(thing, Rollouts):
@@ -123,7 +127,10 @@ def describe_structure(
 def describe_trajectory(trajectory: Trajectory, name: str) -> Motion:
     """Describe a trajectory."""
     t = trajectory
-    values = (t.velocities, t.tension, t.force_density)
+    tension, density = (
+        hide_broken(t.scene, t.states, values) for values in (t.tension, t.force_density)
+    )
+    values = t.velocities, tension, density
     forces = describe_trajectory_forces(t)
     structure = None if t.scene is None else t.scene.modelled
     members = t.bars, t.strings, t.pinned

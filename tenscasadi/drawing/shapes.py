@@ -84,12 +84,15 @@ class MotionShapes:
     ) -> list[DrawnShape]:
         """Build bars, strings, nodes and supports, arrows of kinds of forces, and faces of bodies.
 
-        Strings are colored by the quantity of the scale; slack strings are thin.
+        Strings are colored by the quantity of the scale; slack strings are thin, and strings without
+        a value, which are broken, have no width.
         """
         motion, radius, tint = self.motion, self.radius, self.tint
         nodes, values = frame.nodes, None if scale is None else frame.values(scale.quantity)
         count = len(motion.strings)
-        taut = np.ones(count) if values is None else np.where(np.nan_to_num(values) != 0, 1.0, 0.5)
+        taut = np.ones(count)
+        if values is not None:
+            taut = np.where(np.isnan(values), 0.0, np.where(values != 0, 1.0, 0.5))
         if tint is not None or values is None or scale is None:
             colors = _fill(STYLE.slack if tint is None else tint, count)
         else:

@@ -89,7 +89,7 @@ class Motion:
     velocities : ndarray, shape (T, n, 3), optional
         Velocities [m/s] for the interpolation between rows. Default: linear.
     tension, force_density : ndarray, shape (T, α), optional
-        Forces [N] and force densities [N/m] of the strings.
+        Forces [N] and force densities [N/m] of the strings; NaN for broken strings.
     copies : int
         Number of equal structures in the arrays.
     forces : tuple of NodeForces

@@ -56,6 +56,10 @@ class ForceElement:
         """Compute switching functions (1×k) [m], positive in mode 1."""
         return ca.DM(1, 0)
 
+    def margins(self, at: NodeMotion) -> Any:
+        """Compute the elongations (1×m) [m] that members bear before they break."""
+        return ca.DM(1, 0)
+
     def internal_rates(self, at: NodeMotion) -> Any:
         """Compute the rates of the element's internal states, a column."""
         return ca.DM(0, 1)

@@ -21,6 +21,7 @@ from tenscasadi.scene.binding import bind, sets_rest_lengths
 from tenscasadi.scene.cables import CableRows
 from tenscasadi.scene.control import Control
 from tenscasadi.scene.dissipation import has_cable_friction, is_damped
+from tenscasadi.scene.strength import list_strengths
 from tenscasadi.scene.strings import ForceDensity, Linear, Smooth, StringLaw
 from tenscasadi.util.casadi_tools import constant_row, is_expression, scale_and_multiply, sparse
 from tenscasadi.util.validate import Array, Indices
@@ -177,6 +178,13 @@ class StringForces(ForceElement):
         `squared` are squared lengths [m²] of strings, and `rate` is c sᵀṡ [N·m] of cables and lone
         strings. Cables have no friction.
         """
+        gamma = self._intact_density(squared, rate)
+        if not len(self.scene.breakable_inputs):
+            return gamma
+        return gamma * self._intact(self.scene.input_of)
+
+    def _intact_density(self, squared: Any, rate: Any) -> Any:
+        """Compute γ (1×α) of strings that are not broken."""
         scene = self.scene
         if isinstance(scene.control, ForceDensity):  # tension is constant along a parent string
             return self._per_segment(1 / scene.modelled.string_fraction)
@@ -226,7 +234,33 @@ class StringForces(ForceElement):
             ca.sum1(S * S),
             None,
         )
+        if len(self.scene.breakable_inputs):
+            inputs = self.scene.structure.cable_of[self._inputs.string_parent]
+            energies = energies * self._intact(inputs)
         return ca.sum2(energies)
+
+    def margins(self, at: NodeMotion) -> Any:
+        """Compute the elongations (1×m) that breakable inputs bear before they break [m].
+
+        They are divided by the stiffness, so that they compare with slack events.
+        """
+        s, scene = self.scene.modelled, self.scene
+        if not len(scene.breakable_inputs):
+            return ca.DM(1, 0)
+        gamma, S = self.force_density(at.N, at.V)
+        strength = list_strengths(scene)[s.string_parent]
+        unit = constant_row(s.stiffness)
+        if scene.commands_forces:
+            unit = ca.DM(np.where(np.isfinite(strength), strength, 1.0)).T / constant_row(
+                s.rest_length
+            )
+        left = (ca.DM(strength).T - gamma * ca.sqrt(ca.sum1(S * S))) / unit
+        return ca.horzcat(
+            *(
+                ca.mmin(left[:, np.flatnonzero(own & np.isfinite(strength)).tolist()])
+                for own in (scene.input_of == k for k in scene.breakable_inputs)
+            )
+        )
 
     def switches(self, at: NodeMotion) -> Any:
         """Compute the switching functions of cables and strings with slack events."""
@@ -234,19 +268,41 @@ class StringForces(ForceElement):
         return self.excess_lengths(ca.sum1(S * S), self._rate(S, at.V))
 
     def internal_rates(self, at: NodeMotion) -> Any:
-        """Compute the rates of the control's internal states."""
-        if not self.scene.internal_states:
+        """Compute the rates of the internal states of the control, then of the strength."""
+        count = len(self.scene.breakable_inputs)
+        if not count:
+            return self._control_rates(at)
+        intact = self._own_states[1]
+        return ca.vertcat(self._control_rates(at), ca.DM.zeros(count), intact)
+
+    def _control_rates(self, at: NodeMotion) -> Any:
+        if self._own_states[0].shape[0] == 0:
             return ca.DM(0, 1)
         gamma, S = self.force_density(at.N, at.V)
         unit = 1e-9 * constant_row(self.scene.modelled.rest_length)
         tension = (gamma * ca.sqrt(ca.sum1(S * S) + unit**2)).T
         return self._law.internal_rates(
-            self.control, self.internal, tension[self.scene.winch_strings.tolist(), :]
+            self.control, self._own_states[0], tension[self.scene.winch_strings.tolist(), :]
         )
 
     def internal_kinetic_energy(self) -> Any:
         """Compute the kinetic energy of the control's internal states [J]."""
-        return self._law.kinetic_energy(self.internal)
+        own = self._own_states[0]
+        return self._law.kinetic_energy(own) if own.shape[0] else ca.DM(0)
+
+    @property
+    def _own_states(self) -> tuple[Any, Any]:
+        """Internal states of the control, and 1 for each breakable input that is intact."""
+        count = len(self.scene.breakable_inputs)
+        end = self.internal.shape[0] - 2 * count
+        return self.internal[:end], self.internal[end : end + count]
+
+    def _intact(self, inputs: Indices) -> Any:
+        """Select 1 for members of intact inputs and 0 for broken ones, a row."""
+        breakable = self.scene.breakable_inputs
+        place = np.minimum(np.searchsorted(breakable, inputs), len(breakable) - 1)
+        place = np.where(breakable[place] == inputs, place, len(breakable))
+        return ca.vertcat(self._own_states[1], 1)[place.tolist(), :].T
 
     @property
     def _law(self) -> Control:
@@ -255,7 +311,7 @@ class StringForces(ForceElement):
     @property
     def _command(self) -> Any:
         """Forces or rest lengths (nu,) that the control sets."""
-        return self._law.command(self.control, self.internal)
+        return self._law.command(self.control, self._own_states[0])
 
     def excess_lengths(self, squared: Any, rate: Any = None) -> Any:
         """Compute the switching functions (1×k) [m] of cables and lone strings.

@@ -6,6 +6,7 @@ from typing import Any
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.internal_states import join_initial
+from tenscasadi.scene.strength import declare_strength
 from tenscasadi.util.validate import Array
 
 
@@ -51,7 +52,8 @@ class OperatingPoint:
         """
         own, control = None, model.scene.control
         if control is not None and model.na and len(self.control):  # else initial rest lengths
-            own = join_initial(control.internal_states(self.control))
+            parts = (*control.internal_states(self.control), *declare_strength(model.scene))
+            own = join_initial(parts)
         x = model.state(self.nodes, internal=own)
         model.split(x).clock[:] = self.time
         return x
@@ -61,7 +63,7 @@ class OperatingPoint:
         control = model.scene.control
         if not len(self.control) or control is None:
             return None
-        if not model.na:
+        if control.locked is control:
             return self.control
         tension = model.tension(self.state_of(model))[model.scene.winch_strings]
         return control.initial_inputs(self.control, tension)

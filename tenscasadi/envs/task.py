@@ -145,6 +145,8 @@ class Task:
     def __post_init__(self) -> None:
         model = self.model
         instance("Task.model", model, Model, "a tenscasadi.Model")
+        if model.scene.strength is not None:
+            raise ValueError("Task.model has strings that can fail: give Scene(..., strength=None)")
         if model.scene.control is None or not model.nu:
             cure = "give Scene(..., control=ForceDensity()), Tension(), RestLength() or a winch"
             raise ValueError(f"Task.model has the control {model.scene.control}: {cure}")

@@ -7,11 +7,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import casadi as ca
 
 from tenscasadi.integrators.events import (
+    build_events,
     build_hidden,
+    build_latch,
+    build_margins,
     build_mode_ode,
     build_potential,
     build_root,
-    build_switching,
+    count_breakable,
 )
 from tenscasadi.integrators.runge_kutta import EmbeddedRungeKutta, build_trial
 from tenscasadi.integrators.scheme import equations
@@ -101,9 +104,9 @@ def build_control(
 
     With `power`, z has one more entry, the energy supplied [J].
     """
-    gaps = build_switching(model)
+    gaps = build_events(model)
     if gaps is not None:
-        ode = build_mode_ode(model, power)
+        ode = build_mode_ode(model, power, count_breakable(model))
     else:
         ode = equations(
             model,
@@ -146,6 +149,7 @@ def _build_decision(
     }
     z, packed, u, limits, trial, held, after, errors, slope, end_slope = symbols.values()
     m, (longest, rtol, atol) = Memory(*ca.vertsplit(packed)), StepTolerances(*ca.vertsplit(limits))
+    overloaded, z = _break_strings(model, z, u, power)
     x, mode = z[: model.nx], held[model.nw :]
     if gaps is not None and power:
         stored = build_potential(model)
@@ -164,7 +168,7 @@ def _build_decision(
     if gaps is not None:
         path = x, slope[: model.nx], after[: model.nx], end_slope[: model.nx], u, trial, mode
         events = _find_events(model, gaps, ode, m, path, after, scale, longest)
-    again, memory = _decide(m, trial, error, events, scheme.order, longest)
+    again, memory = _decide(m, trial, error, events, scheme.order, longest, overloaded)
     outputs = [ca.if_else(again, z, after), memory]
     return ca.Function(
         "decide", list(symbols.values()), outputs, list(symbols), ["z_next", "memory_next"]
@@ -200,7 +204,9 @@ def _find_events(
     _, _, end, _, u, trial, mode = path
     mode_after = gaps(end, u) > 0
     changed = ca.sum1(mode_after != mode)
-    jump = _jump(ode, scale.shape[0])(
+    power = after.shape[0] > model.nx
+    latch = build_latch(model, power) if count_breakable(model) else None
+    jump = _jump(ode, scale.shape[0], latch)(
         after, ca.vertcat(u, mode), ca.vertcat(u, mode_after), scale, changed
     )
     bracket = ca.if_else(changed > 0, m.low, trial), ca.if_else(changed > 0, trial, m.high)
@@ -211,10 +217,30 @@ def _find_events(
     )
 
 
+def _break_strings(model: Model, z: Any, u: Any, power: bool) -> tuple[Any, Any]:
+    """Break the strings that are overloaded at the start of a step.
+
+    Returns whether there is any, None if no string can break, and z.
+    """
+    if not count_breakable(model):
+        return None, z
+    overloaded = ca.mmin(build_margins(model)(z[: model.nx], u)) <= 0
+    return overloaded, build_latch(model, power)(z, u)
+
+
 def _decide(
-    m: Memory, trial: Any, error: Any, events: Events, order: int, longest: Any
+    m: Memory,
+    trial: Any,
+    error: Any,
+    events: Events,
+    order: int,
+    longest: Any,
+    overloaded: Any,
 ) -> tuple[Any, Any]:
-    """Decide whether to repeat a step, and update the memory."""
+    """Decide whether to repeat a step, and update the memory.
+
+    Steps from an `overloaded` start are repeated from the start with broken strings.
+    """
     # Step-size factor of Hairer, Nørsett, Wanner I, (II.4.13).
     growth = ca.fmin(8.0, ca.fmax(0.2, 0.9 * ca.fmax(error, 1e-300) ** (-1 / order)))
     passed, bracketed, zero = error <= 1, m.high > 0, ca.MX(0)  # NaN does not pass
@@ -247,14 +273,18 @@ def _decide(
     )
 
     memory = ca.vertcat(*taken)
-    for condition, outcome in (
+    outcomes = [
         (early, lengthened),
         (crossing, shortened),
         (suspect, inspected),
         (ca.logic_not(passed), rejected),
-    ):
-        memory = ca.if_else(condition, ca.vertcat(*outcome), memory)
+    ]
     again = ca.logic_or(ca.logic_not(passed), ca.logic_or(suspect, ca.logic_or(crossing, early)))
+    if overloaded is not None:
+        outcomes.append((overloaded, m._replace(located=m.located + 1)))
+        again = ca.logic_or(again, overloaded)
+    for condition, outcome in outcomes:
+        memory = ca.if_else(condition, ca.vertcat(*outcome), memory)
     return again, memory
 
 
@@ -269,11 +299,11 @@ def _aim(m: Memory, root: Any) -> Memory:
     return m._replace(aim=ca.if_else(inside, aim, (m.low + m.high) / 2), trials=m.trials + 1)
 
 
-def _jump(ode: ca.Function, moving: int) -> ca.Function:
+def _jump(ode: ca.Function, moving: int, latch: ca.Function | None) -> ca.Function:
     """Build the norm of the slope change between two modes.
 
     Function (z, w, w_after, scale, changed) → norm. It evaluates nothing and returns 0 if no mode
-    has changed.
+    has changed. `latch` breaks the strings of z.
     """
     z, w, after = (
         ca.MX.sym("z", ode.sparsity_in(0)),
@@ -282,8 +312,9 @@ def _jump(ode: ca.Function, moving: int) -> ca.Function:
     )
     scale = ca.MX.sym("scale", moving)
     arguments = [z, w, after, scale]
+    later = z if latch is None else latch(z, w[: latch.size1_in(1)])
     difference = ca.Function(
-        "difference", arguments, [_norm([(ode(z, after) - ode(z, w))[:moving] / scale])]
+        "difference", arguments, [_norm([(ode(later, after) - ode(z, w))[:moving] / scale])]
     )
     nothing = ca.Function("nothing", arguments, [ca.MX(0)])
     changed = ca.MX.sym("changed")

@@ -3,6 +3,8 @@
 Strings go slack or taut, and nodes meet or leave the ground. A mode is 1 for each taut string and
 each closed contact, else 0. Within a mode all forces are smooth. The mode changes at sign changes
 of its switching functions.
+
+Strings also break, where their margins vanish. That changes the state instead of the mode.
 """
 
 from __future__ import annotations
@@ -40,17 +42,19 @@ def build_switching(model: Model) -> ca.Function | None:
     )
 
 
-def build_mode_ode(model: Model, work: bool = False) -> ca.Function:
+def build_mode_ode(model: Model, work: bool = False, spare: int = 0) -> ca.Function:
     """Build the equations of motion in a fixed mode.
 
     Function (z, w) → ż with z = x and w = (u, mode (k,)), whatever the switching functions are.
+    `spare` more entries of w have no effect.
 
     With `work`, z has one more entry, the work of all forces [J]. `build_potential` gives its part
     from stored energy. That part has kinks where a stretched, damped string goes slack, so
     integrating it would lose the order.
     """
     kind: Any = ca.MX if model.mechanism.large else ca.SX  # staged functions have no mode input
-    z, w = kind.sym("z", model.nx + work), kind.sym("w", model.nw + count_switches(model))
+    size = model.nw + count_switches(model) + spare
+    z, w = kind.sym("z", model.nx + work), kind.sym("w", size)
     x = z[: model.nx]
     N, V, time = model.unpack(x)
     own, mode = split_mode(model, w)
@@ -71,7 +75,8 @@ def build_mode_ode(model: Model, work: bool = False) -> ca.Function:
 
 def split_mode(model: Model, w: Any) -> tuple[Any, Any]:
     """Split w = (u, mode) into the input (nw,), of control and parameters, and the mode (1×k)."""
-    return w[: model.nw], w[model.nw :].T if count_switches(model) else None
+    count = count_switches(model)
+    return w[: model.nw, :], w[model.nw : model.nw + count, :].T if count else None
 
 
 def build_potential(model: Model) -> ca.Function:
@@ -93,6 +98,67 @@ def count_switches(model: Model) -> int:
     w = model.extend_inputs(ca.DM(model.initial_state), ca.DM(model.stack_inputs()))
     elements = forces.build_elements(model.scene, model.mechanism, w)
     return sum(element.switch_count for element in elements)
+
+
+def count_breakable(model: Model) -> int:
+    """Count the inputs, of cables and lone strings, that can break."""
+    return len(model.scene.breakable_inputs)
+
+
+def build_margins(model: Model) -> ca.Function:
+    """Build the elongations that breakable inputs bear before they break.
+
+    Function (x, u) → margins (m,) [m], positive for intact and for broken inputs.
+    """
+    x, u = model.symbols(not model.mechanism.large)
+    N, V, time = model.unpack(x)
+    w = model.add_schedule(model.extend_inputs(x, u), time)
+    elements = forces.build_elements(model.scene, model.mechanism, w)
+    at = NodeMotion(N, V, time)
+    rows = ca.horzcat(*(element.margins(at) for element in elements))
+    return ca.Function("margins", [x, u], ca.cse([ca.densify(rows.T)]), ["x", "u"], ["margins"])
+
+
+def build_events(model: Model) -> ca.Function | None:
+    """Build the switching functions of a model, followed by its margins.
+
+    Function (x, u) → (k + m,) [m]; None if the scene has no events.
+    """
+    gaps = build_switching(model)
+    if not count_breakable(model):
+        return gaps
+    x, u = model.symbols(False)
+    rows = [] if gaps is None else [gaps(x, u)]
+    return ca.Function(
+        "events", [x, u], [ca.vertcat(*rows, build_margins(model)(x, u))], ["x", "u"], ["g"]
+    )
+
+
+def build_latch(model: Model, work: bool) -> ca.Function:
+    """Build the transition at a break.
+
+    Function (z, u) → z, in which strings without a margin are broken. With `work`, the last entry
+    of z is the energy supplied [J], to which the lost elastic energy is added. It evaluates the
+    margins alone if no string breaks.
+    """
+    count, margins = count_breakable(model), build_margins(model)
+    z, u = ca.MX.sym("z", model.nx + work), ca.MX.sym("u", model.nw)
+    whole = ca.MX.sym("whole", count)
+    x = z[: model.nx]
+    end = model.moving.stop - count  # the last internal states are the times
+    states = ca.vertcat(x[: end - count], x[end - count : end] * whole, x[end:])
+    outputs = [states]
+    if work:
+        stored = build_potential(model)
+        outputs.append(z[model.nx :] + stored(states, u) - stored(x, u))
+    symbols = [z, u, whole]
+    broken = ca.Function("broken", symbols, [ca.densify(ca.vertcat(*outputs))])
+    intact = ca.Function("intact", symbols, [z])
+    choice = ca.Function.if_else("break_choice", broken, intact)
+    left = margins(x, u) > 0
+    return ca.Function(
+        "latch", [z, u], [choice(ca.mmin(left) <= 0, z, u, left)], ["z", "u"], ["z_next"]
+    )
 
 
 def build_hidden(gaps: ca.Function, model: Model) -> ca.Function:
@@ -117,13 +183,31 @@ def build_root(gaps: ca.Function, model: Model) -> ca.Function:
     switches. It evaluates nothing unless `wanted`.
     """
     x, slope, after, end, u, h, mode = path = _path(gaps, model)
-    low, high, t = ca.MX.sym("low"), ca.MX.sym("high"), ca.MX.sym("t")
+    t = ca.MX.sym("t")
     sign = 2 * mode - 1
     value = ca.Function(
         "value",
         [t, *path],
         [ca.mmin(sign * gaps(hermite_cubic(x, slope, after, end, h, t / h), u))],
     )
+    found = search_root(value, path)
+    arguments = [*path, ca.MX.sym("low"), ca.MX.sym("high")]
+    nothing = ca.Function("nothing", arguments, [ca.MX(0)])
+    wanted = ca.MX.sym("wanted")
+    return ca.Function(
+        "root",
+        [*arguments, wanted],
+        [ca.Function.if_else("root_choice", found, nothing)(wanted, *arguments)],
+    )
+
+
+def search_root(value: ca.Function, path: list[ca.MX]) -> ca.Function:
+    """Build Ridders' search for a root in a bracket.
+
+    Function (*path, low, high) → time [s] just after the root, at which `value` (t, *path) is
+    negative. It is an end of the bracket if the signs of both ends do not differ.
+    """
+    low, high = ca.MX.sym("low"), ca.MX.sym("high")
     a, b, at_a, at_b = (ca.MX.sym(name) for name in ("a", "b", "at_a", "at_b"))
     middle = (a + b) / 2
     at_middle = value(middle, *path)
@@ -144,15 +228,7 @@ def build_root(gaps: ca.Function, model: Model) -> ca.Function:
     outside = ca.if_else(bracket[2] > 0, high, low)
     for _ in range(8):
         bracket = list(ridders(*bracket, *path))
-    arguments = [*path, low, high]
-    found = ca.Function("found", arguments, [ca.if_else(sure, bracket[1], outside)])
-    nothing = ca.Function("nothing", arguments, [ca.MX(0)])
-    wanted = ca.MX.sym("wanted")
-    return ca.Function(
-        "root",
-        [*arguments, wanted],
-        [ca.Function.if_else("root_choice", found, nothing)(wanted, *arguments)],
-    )
+    return ca.Function("found", [*path, low, high], [ca.if_else(sure, bracket[1], outside)])
 
 
 def _path(gaps: ca.Function, model: Model) -> list[ca.MX]:

@@ -14,7 +14,15 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.integrators.adaptive import EVENT_SHARE, MAX_INTERPOLATIONS
-from tenscasadi.integrators.events import build_hidden, build_mode_ode, build_potential, build_root
+from tenscasadi.integrators.events import (
+    build_hidden,
+    build_latch,
+    build_mode_ode,
+    build_potential,
+    build_root,
+    count_breakable,
+    count_switches,
+)
 from tenscasadi.integrators.scheme import extent
 from tenscasadi.integrators.sundials import Sundials
 from tenscasadi.util.casadi_tools import hermite_cubic
@@ -72,6 +80,8 @@ class EventSteps:
         self._start, self._power = scheme.algebraic_start(model), power
         self._advance = scheme.advance_in_mode(model, work, 2 * _PARTS)
         self._ode, self._potential = build_mode_ode(model), build_potential(model)
+        self._switches = count_switches(model)
+        self._latch = build_latch(model, power) if count_breakable(model) else None
         self._look_at = _build_look(
             model, gaps, self._ode, 10.0 * (self._atol + self._rtol * extent(model))
         )
@@ -90,7 +100,7 @@ class EventSteps:
         Returns z after each step (steps, nz).
         """
         rows: list[Array] = []
-        step = float(lengths[0])
+        step, z = float(lengths[0]), self._break_strings(z, u)
         while (rest := len(lengths) - len(rows)) > 0:
             many = rest if self._ahead is None else min(rest, self._ahead)
             try:
@@ -113,6 +123,13 @@ class EventSteps:
         mode: Array = (self._gaps(z[: self._nx], u).full() > 0).astype(float).ravel()
         return mode
 
+    def _break_strings(self, z: Array, u: Array) -> Array:
+        return z if self._latch is None else np.asarray(self._latch(z, u).full().ravel())
+
+    def _stack(self, u: Array, mode: Array) -> Array:
+        """Stack the input and the modes of the equations, without those of breaks."""
+        return np.concatenate([u, mode[: self._switches]])
+
     def _integrate(self, z: Array, u: Array, step: float, many: int) -> list[Array]:
         """Integrate `many` grid steps up to the first possible event.
 
@@ -126,9 +143,7 @@ class EventSteps:
             )
         mode = self._mode(z, u)
         guess = {} if self._start is None else {"z0": self._start(z[: self._nx], u)}
-        rows = (
-            self._integrators[many, step](x0=z, u=np.concatenate([u, mode]), **guess)["xf"].full().T
-        )
+        rows = self._integrators[many, step](x0=z, u=self._stack(u, mode), **guess)["xf"].full().T
         shares, seen = self._look(z, rows, u, mode, many * step)
         quiet = ((shares == 0).all(axis=0) & seen).reshape(many, _PARTS).all(axis=1)
         smooth = many if quiet.all() else int(np.argmin(quiet))
@@ -153,7 +168,7 @@ class EventSteps:
             z,
             u,
             mode,
-            self._convert_work(z, u, self._advance(z, np.concatenate([u, mode]), h).full().T),
+            self._convert_work(z, u, self._advance(z, self._stack(u, mode), h).full().T),
             h,
         )
 
@@ -183,10 +198,10 @@ class EventSteps:
                     if (self._mode(part.after, u) != mode).any():
                         piece = self._locate(part, step)
                         break
-            z, rest, h = piece.after, rest - piece.h, max(h, 2 * piece.h)
-            after = self._mode(z, u)
-            self.events += int((after != mode).sum())
-            mode = after
+            rest, h = rest - piece.h, max(h, 2 * piece.h)
+            self.events += int((self._mode(piece.after, u) != mode).sum())
+            z = self._break_strings(piece.after, u)
+            mode = self._mode(z, u)
             if rest <= 0:
                 return z
         raise RuntimeError(
@@ -202,7 +217,7 @@ class EventSteps:
         for trial in count():
             jump = self._jump(high)
             slopes = [
-                self._ode(end[: self._nx], np.concatenate([high.u, high.mode]))
+                self._ode(end[: self._nx], self._stack(high.u, high.mode))
                 for end in (high.z, high.after)
             ]
             root = float(
@@ -238,9 +253,10 @@ class EventSteps:
         It is relative to the tolerance.
         """
         moving, x = self._moving, piece.after[: self._nx]
+        later = self._break_strings(piece.after, piece.u)[: self._nx]
         slopes = [
-            self._ode(x, np.concatenate([piece.u, mode])).full().ravel()[moving]
-            for mode in (piece.mode, self._mode(x, piece.u))
+            self._ode(at, self._stack(piece.u, mode)).full().ravel()[moving]
+            for at, mode in ((x, piece.mode), (later, self._mode(x, piece.u)))
         ]
         scale = self._atol + self._rtol * np.maximum(abs(piece.z[moving]), abs(x[moving]))
         return float(np.sqrt(np.mean(((slopes[1] - slopes[0]) / scale) ** 2)))
@@ -257,7 +273,7 @@ def _build_look(model: Model, gaps: ca.Function, ode: ca.Function, floor: float)
     """
     before, middle, after = (ca.MX.sym(name, model.nx) for name in ("before", "middle", "after"))
     u, h, mode = ca.MX.sym("u", model.nw), ca.MX.sym("h"), ca.MX.sym("mode", gaps.size1_out(0))
-    w, hidden = ca.vertcat(u, mode), build_hidden(gaps, model)
+    w, hidden = ca.vertcat(u, mode[: count_switches(model)]), build_hidden(gaps, model)
     slopes = [ode(x, w) for x in (before, middle, after)]
     first = hidden(before, slopes[0], middle, slopes[1], u, h / 2, mode) / 2
     second = hidden(middle, slopes[1], after, slopes[2], u, h / 2, mode)

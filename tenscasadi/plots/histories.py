@@ -20,6 +20,7 @@ from tenscasadi.plots.panels import (
     save_figure,
 )
 from tenscasadi.scene.binding import fix
+from tenscasadi.simulation.string_breaks import hide_broken
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.tables import MOST_LISTED
 from tenscasadi.util.validate import (
@@ -116,7 +117,8 @@ def tensions(
 ) -> Figure:
     """Draw the tensions of strings over time.
 
-    Strings of equal tension share a color and a label. Times with contact to a ground are shaded.
+    Strings of equal tension share a color and a label. The curve of a string ends where it breaks.
+    Times with contact to a ground are shaded.
 
     Parameters
     ----------
@@ -150,7 +152,7 @@ def tensions(
     instance("trajectory", trajectory, Trajectory, EXAMPLE)
     chosen, names = _choose(trajectory, "string", strings, trajectory.tension.shape[1])
     contacts = find_contact_intervals(trajectory)
-    values = trajectory.tension[:, chosen]
+    values = hide_broken(trajectory.scene, trajectory.states, trajectory.tension)[:, chosen]
     chart = Chart("tension", "N", trajectory.time, values, names, shaded=contacts)
     return save_figure(draw_charts([chart], title), path)
 

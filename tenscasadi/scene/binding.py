@@ -14,6 +14,7 @@ import scipy.sparse as sp
 
 from tenscasadi.scene.internal_states import InternalStates
 from tenscasadi.scene.quantities import BODIES, ELASTIC_BARS, QUANTITIES, build_inertia
+from tenscasadi.scene.strength import declare_strength
 from tenscasadi.structure.cables import add_compliances
 from tenscasadi.util.casadi_tools import is_expression
 from tenscasadi.util.validate import Array
@@ -117,11 +118,11 @@ def initial_control(scene: Any, p: Array) -> Array:
 def declare_internal_states(scene: Any, p: Array) -> tuple[InternalStates, ...]:
     """Declare the internal states of a scene with parameters (np,)."""
     if scene.control is None:
-        return ()
+        return declare_strength(scene)
     s = scene.structure
     rest = scene.layout.item_values("rest_length", p, s.rest_length)
     total = np.asarray(np.bincount(s.cable_of, weights=rest), dtype=float)
-    return scene.control.internal_states(total)  # type: ignore[no-any-return]
+    return (*scene.control.internal_states(total), *declare_strength(scene))
 
 
 def fix(scene: Any, p: Array) -> Any:

@@ -11,6 +11,7 @@ import numpy as np
 
 from tenscasadi.scene.bar_contact import BarContact
 from tenscasadi.scene.binding import declare_internal_states
+from tenscasadi.scene.breaking import Strength
 from tenscasadi.scene.control import Control
 from tenscasadi.scene.ground import Surface, read_grounds
 from tenscasadi.scene.internal_states import InternalStates
@@ -18,6 +19,7 @@ from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
 from tenscasadi.scene.parameter_layout import EMPTY, ParameterLayout, build_layout
 from tenscasadi.scene.parameters import Parameters
 from tenscasadi.scene.slack import read_slack
+from tenscasadi.scene.strength import find_breakable
 from tenscasadi.scene.strings import Clip, ForceDensity, StringLaw
 from tenscasadi.scene.supports import SupportMotion
 from tenscasadi.schema.containers import Either, ListOf, MapOf
@@ -66,6 +68,8 @@ class Scene(Value, Viewable, kind="Scene"):
         Quantities whose values each run can set. Default: all are constant.
     bar_contact : BarContact, optional
         Contact of bars with each other. Default: bars pass through each other.
+    strength : Breaking, optional
+        Tensions at which strings break. Default: strings carry any tension.
 
     Raises
     ------
@@ -102,6 +106,7 @@ class Scene(Value, Viewable, kind="Scene"):
     fractions: Sequence[float] | None = None
     parameters: Parameters | None = None
     bar_contact: BarContact | None = None
+    strength: Strength | None = None
 
     def __post_init__(self) -> None:
         instance("Scene.structure", self.structure, Structure, "a tenscasadi.Structure")
@@ -135,6 +140,9 @@ class Scene(Value, Viewable, kind="Scene"):
             self.supports.check(self.structure)
         if self.bar_contact is not None:
             self.bar_contact.check(self.structure)
+        if self.strength is not None:
+            instance("Scene.strength", self.strength, Strength, "a tenscasadi.Breaking or None")
+            self.strength.check(len(self.structure.strings))
         if self.parameters is not None:
             instance(
                 "Scene.parameters",
@@ -278,9 +286,11 @@ class Scene(Value, Viewable, kind="Scene"):
 
     @cached_property
     def locked(self) -> Scene:
-        """Scene of statics, in which internal states are inputs: winches are locked."""
+        """Scene of statics without internal states: winches are locked, and no string breaks."""
         control = self.control and self.control.locked
-        return self if control is self.control else replace(self, control=control)
+        if control is self.control and self.strength is None:
+            return self
+        return replace(self, control=control, strength=None)
 
     def has_parameter(self, name: str) -> bool:
         """Return whether a quantity is a parameter.
@@ -296,6 +306,11 @@ class Scene(Value, Viewable, kind="Scene"):
             Whether p has the quantity or its scale.
         """
         return self.parameters is not None and name in self.parameters
+
+    @cached_property
+    def breakable_inputs(self) -> Indices:
+        """Inputs, of cables and lone strings, that can break."""
+        return find_breakable(self)
 
     @property
     def nu(self) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
@@ -14,7 +13,13 @@ from tenscasadi.scene.control import Control
 from tenscasadi.scene.internal_states import InternalStates
 from tenscasadi.scene.strings import RestLength
 from tenscasadi.schema.field_types import LIMITS, PER_ITEM
-from tenscasadi.util.validate import Array, nonnegative, number_or_vector, per_item
+from tenscasadi.util.validate import (
+    Array,
+    nonnegative,
+    number_or_vector,
+    per_item,
+    replace_inf,
+)
 
 
 @dataclass(frozen=True)
@@ -206,7 +211,7 @@ class Winch(Control, kind="Winch"):
         for name in ("torque", "speed"):
             value, field = getattr(self, name), f"Winch.{name}"
             if value is not None:
-                array = number_or_vector(field, _replace_inf(value))
+                array = number_or_vector(field, replace_inf(value))
                 nonnegative(field, array, "input", strict=True)
 
     @property
@@ -382,12 +387,3 @@ class Winch(Control, kind="Winch"):
 
     def _values(self, name: str, count: int) -> Array:
         return per_item(f"Winch.{name}", getattr(self, name), count)
-
-
-def _replace_inf(value: Any) -> Any:
-    """Replace infinite limits by 1, so that the others can be checked."""
-    with suppress(Exception):  # values that are not arrays are rejected later, by field
-        array = np.asarray(value)
-        if array.dtype.kind in "iuf" and not np.ma.is_masked(value):
-            return np.where(np.isposinf(array), 1.0, array)
-    return value

@@ -14,6 +14,7 @@ import numpy as np
 
 from tenscasadi.dynamics.base_model import check_model
 from tenscasadi.dynamics.model import Model
+from tenscasadi.integrators.breaks import split_at_breaks
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme, check_scheme
 from tenscasadi.integrators.stabilization import Projection, correct
@@ -153,7 +154,7 @@ def _step(model: Model, scheme: Scheme) -> ca.Function:
     given, h = _inputs(model), ca.MX.sym("h")
     x, *held = given.values()
     w: Any = ca.vertcat(*held)
-    after: Any = scheme.advance(model)(x, w, h)
+    after: Any = split_at_breaks(scheme.advance(model), model)(x, w, h)
     project = Projection().step(model)
     return ca.Function(
         "step",

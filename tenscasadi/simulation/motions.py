@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from tenscasadi.scene.scene import Scene
 from tenscasadi.schema.stored import check_indices
 from tenscasadi.simulation.scene_result import SceneResult, format_largest
+from tenscasadi.simulation.string_breaks import StringBreak, find_breaks
 from tenscasadi.util.tables import MOST_LISTED
 from tenscasadi.util.validate import Array, Indices, node_index
 from tenscasadi.util.viewable import Viewable
@@ -141,6 +142,16 @@ class Rollouts(Viewable, SceneResult, form="tenscasadi rollouts 1", title="file 
     def final(self) -> Array:
         """Final states (n, nx); NaN for diverged runs."""
         return self.states[:, -1]
+
+    @property
+    def breaks(self) -> list[tuple[StringBreak, ...]]:
+        """Strings and cables that break in each run, in the order of time; see `Breaking`."""
+        if self.scene is None:
+            return [()] * len(self.states)
+        good: Any = np.isfinite(self.states).all(axis=2)
+        return [
+            find_breaks(self.scene, own[rows]) for own, rows in zip(self.states, good, strict=True)
+        ]
 
     def path(self, node: int) -> Array:
         """Compute the positions of a node in all runs.

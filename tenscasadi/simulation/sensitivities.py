@@ -227,11 +227,12 @@ def sensitivities(  # noqa: PLR0913  options of the run and of the derivatives
     rows, columns = observed.size1_out(0), int(np.prod(task.shape))
     # A gradient costs about as much as two tangents.
     chosen = mode or ("forward" if columns <= 2.0 * rows else "adjoint")
-    if run.time[-1] < request.t_end * (1 - 1e-9):
+    if run.time[-1] < request.t_end * (1 - 1e-9) or run.breaks:
         unknown = np.full(rows, np.nan), np.full((rows, *task.shape), np.nan)
-        found = Sensitivities(
-            *unknown, run.states[-1].copy(), chosen, False, run.message, 0.0, False
-        )
+        message = run.message
+        if run.breaks:
+            message += ": derivatives across a break are not computed, give a smaller t_end"
+        found = Sensitivities(*unknown, run.states[-1].copy(), chosen, False, message, 0.0, False)
     else:
         _compare(request, run)
         found = _differentiate(task, observed, run, chosen, compiled)

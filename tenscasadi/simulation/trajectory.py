@@ -13,10 +13,12 @@ import numpy as np
 from tenscasadi.dynamics.body_motion import body_angular_velocity, body_orientation
 from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.scene import Scene
+from tenscasadi.scene.strength import INTACT, TIME_INTACT
 from tenscasadi.schema.stored import array_fields, check_indices
 from tenscasadi.simulation.scene_result import SceneResult, format_largest
+from tenscasadi.simulation.string_breaks import StringBreak, find_breaks, name_breakable
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.tables import Quantity, Tabular
+from tenscasadi.util.tables import MOST_LISTED, Quantity, Tabular
 from tenscasadi.util.troubleshooting import describe_address
 from tenscasadi.util.validate import LARGEST, Array, Indices
 from tenscasadi.util.viewable import Viewable
@@ -152,7 +154,10 @@ class Trajectory(
 
     @property
     def internal_states(self) -> dict[str, Array]:
-        """Internal states (T, nu) by name, such as "rest length" under `RestLengthRate`."""
+        """Internal states (T, nu) by name, such as "rest length" under `RestLengthRate`.
+
+        "intact" and "time intact" are (T, m), for the strings and cables that can break.
+        """
         if self.scene is None or not self.scene.internal_states:
             return {}
         parts = self.scene.internal_states
@@ -162,6 +167,11 @@ class Trajectory(
             part.quantity: self.states[:, begin : begin + len(part.initial)]
             for part, begin in zip(parts, begins.tolist(), strict=True)
         }
+
+    @property
+    def breaks(self) -> tuple[StringBreak, ...]:
+        """Strings and cables that break, in the order of time; see `Breaking`."""
+        return () if self.scene is None else find_breaks(self.scene, self.states)
 
     def orientation(self, body: int) -> Array:
         """Compute the orientation of a rigid body.
@@ -242,6 +252,7 @@ class Trajectory(
             )
         if self.tension.size:
             lines.append(f"tension       {self.tension.min():.4g} … {self.tension.max():.4g} N")
+        lines += [f"break         {one}" for one in self.breaks[:MOST_LISTED]]
         return "\n".join([*lines, *describe_address(self.message)])
 
     def _quantities(self) -> Iterable[Quantity]:
@@ -263,6 +274,8 @@ class Trajectory(
             Quantity("control", "control {}", self.control, ("input",)),
             *(
                 Quantity(name.replace(" ", "_"), f"input {{}} {name}", values, ("input",))
+                if name not in (INTACT, TIME_INTACT)
+                else Quantity(name.replace(" ", "_"), f"{{}} {name}", values, ("breakable",))
                 for name, values in self.internal_states.items()
             ),
         )
@@ -271,7 +284,8 @@ class Trajectory(
         if self.scene is None:
             return {}
         structure = self.scene.modelled
-        return {"node": structure.node_names, "string": structure.string_names}
+        names = {"node": structure.node_names, "string": structure.string_names}
+        return names | {"breakable": name_breakable(self.scene)}
 
     @classmethod
     def _check_loaded(cls, given: Mapping[str, Any]) -> None:

@@ -14,6 +14,7 @@ from tenscasadi.dynamics.operating_point import OperatingPoint
 from tenscasadi.scene.binding import fix, initial_control
 from tenscasadi.scene.loads import NodalForce
 from tenscasadi.scene.scene import Scene
+from tenscasadi.scene.strength import describe_overload
 from tenscasadi.scene.strings import RestLength
 from tenscasadi.statics.self_stress import rigid_body_motions
 from tenscasadi.statics.solver.newton_system import NewtonSystem
@@ -258,7 +259,7 @@ def read_problem(
         model = model_of(source)
         state = finite_array("start", start, (model.nx,))
         nodes, clock = model.nodes(state), model.split(state).clock
-        if control is None and model.na:
+        if control is None and scene.locked.control is not scene.control:
             u = np.asarray(model.split(state).internal[: scene.nu])
         time = float(clock[0]) if len(clock) else 0.0
     elif start is not None:
@@ -313,14 +314,16 @@ def describe_rest(
     total = point.applied + equations.bar_forces(point, rest.tension)
     unbalanced = (equations.free @ rest.residual).reshape(total.shape)
     residual = float(np.linalg.norm(unbalanced, axis=1).max(initial=0.0))
-    scene = equations.scene
+    scene, tension = equations.scene, (point.gamma * lengths)[:strings]
+    bare = source if isinstance(source, Scene) else source.scene
+    overload = describe_overload(bare, tension)
     return Equilibrium(
         success=rest.converged,
-        message=_message(system, rest, unbalanced, residual),
+        message=_message(system, rest, unbalanced, residual) + (overload and f"; {overload}"),
         residual=residual,
         nodes=point.nodes,
         force_density=point.gamma[:strings],
-        tension=(point.gamma * lengths)[:strings],
+        tension=tension,
         bar_force=bar_force,
         reactions=equations.support_forces(total) + point.ground,
         stable=rest.stable,

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.loads import NodalForce
 from tenscasadi.scene.scene import Scene
+from tenscasadi.scene.strength import describe_overload
 from tenscasadi.scene.strings import RestLength
 from tenscasadi.statics.equilibrium import (
     describe_rest,
@@ -180,12 +181,12 @@ def load_path(
     rest = settle(system, nodes, change.at(first))
     if not rest.converged:
         eq = describe_rest(scene, system, rest, change.at(first))
-        return _collect(system, [], f"no equilibrium at factor {first:g}: {eq.message}")
+        return _collect(bare, system, [], f"no equilibrium at factor {first:g}: {eq.message}")
     change = change._replace(given=prepare_friction(system, nodes, change.given))
     tracer = Tracer(system, change, (low, high))
     begin = tracer.start(rest.point, rest.tension, first)
     rows, fault = tracer.follow(begin, MAX_REPETITIONS)
-    return _collect(system, rows, fault)
+    return _collect(bare, system, rows, fault)
 
 
 def _read_factors(factors: Any) -> tuple[float, float]:
@@ -244,7 +245,7 @@ def _read_parameters(scene: Scene, given: Any) -> Array:
     return changes
 
 
-def _collect(system: NewtonSystem, rows: list[PathRow], fault: str) -> LoadPath:
+def _collect(scene: Scene, system: NewtonSystem, rows: list[PathRow], fault: str) -> LoadPath:
     """Compute all quantities of a path."""
     equations = system.equations
     strings, bars = len(equations.structure.strings), len(equations.structure.bars)
@@ -259,6 +260,9 @@ def _collect(system: NewtonSystem, rows: list[PathRow], fault: str) -> LoadPath:
     kinds = np.array([row.kind for row in rows], dtype="U11")
     factor = np.array([row.place.factor for row in rows])
     end = f"from factor {factor[0]:g} to {factor[-1]:g} in {count} rows" if count else ""
+    overloads = [describe_overload(scene, row) for row in tension]
+    for k in [k for k, overload in enumerate(overloads) if overload][:1]:
+        end += f"; at factor {factor[k]:.4g} {overloads[k]}"
     return LoadPath(
         factor=factor,
         nodes=np.array(nodes).reshape(count, len(equations.structure.nodes), 3),

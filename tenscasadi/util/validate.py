@@ -191,6 +191,15 @@ def nonnegative(field: str, array: Array, item: str, strict: bool = False) -> Ar
     return array
 
 
+def replace_inf(value: Any) -> Any:
+    """Replace infinite limits by 1, so that the others can be checked."""
+    with suppress(Exception):  # values that are not arrays are rejected later, by field
+        array = np.asarray(value)
+        if array.dtype.kind in "iuf" and not np.ma.is_masked(value):
+            return np.where(np.isposinf(array), 1.0, array)
+    return value
+
+
 def positive_number(field: str, value: Any, zero: bool = False) -> float:
     """Convert a value to a positive float.
 

@@ -139,5 +139,5 @@ def describe_item(motion: Motion, frame: Frame, kind: str, index: int) -> str:
     if kind == "strings" and frame.tension is not None and frame.force_density is not None:
         tension, density = frame.tension[index], frame.force_density[index]
         forces = f"tension {tension:.4g} N, force density {density:.4g} N/m"
-        lines.append(forces if tension or density else "slack")
+        lines.append("broken" if np.isnan(tension) else forces if tension or density else "slack")
     return "\n".join(lines)

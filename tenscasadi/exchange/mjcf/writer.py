@@ -58,6 +58,11 @@ class SpatialTendon(NamedTuple):
 
 def list_tendons(scene: Scene) -> list[SpatialTendon]:
     """List the cables and lone strings of a scene, in the order of their inputs."""
+    if scene.strength is not None:
+        raise ValueError(
+            f"scene.strength is {scene.strength}, which MJCF files cannot hold: "
+            "export a scene with strength=None"
+        )
     if scene.internal_states:
         raise ValueError(
             f"scene.control is {scene.control}, which MJCF files cannot hold: "

@@ -12,6 +12,7 @@ import numpy as np
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.collocation import Collocation
+from tenscasadi.integrators.events import count_breakable
 from tenscasadi.integrators.runge_kutta import EmbeddedRungeKutta
 from tenscasadi.integrators.scheme import Scheme, check_scheme
 from tenscasadi.integrators.stabilization import Correction
@@ -101,6 +102,7 @@ def build_kernel(
     if account is None:
         account = Account(kind != "nothing", kind != "nothing" and model.nu > 0)
     branches = scheme.adaptive or scheme.implicit or isinstance(compiled, Single)
+    branches = branches or count_breakable(model) > 0
     width = 1 if branches else lanes
     options = _Options(
         scheme,

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import casadi as ca
 
 from tenscasadi.integrators.adaptive import build_control
+from tenscasadi.integrators.breaks import split_at_breaks
+from tenscasadi.integrators.events import count_breakable
 from tenscasadi.integrators.runge_kutta import (
     SEVERAL,
     EmbeddedRungeKutta,
@@ -106,7 +108,7 @@ def write_program(
     power = (
         model.with_stacked_input(model.power) if account.power and model.power is not None else None
     )
-    tableau = _tableau(scheme)
+    tableau = None if count_breakable(model) and not scheme.adaptive else _tableau(scheme)
     sizes = dict.fromkeys(_OWN, 0) | {"nx": model.nx, "nu": model.nu}
     if isinstance(scheme, EmbeddedRungeKutta) and scheme.adaptive:
         functions = dict(build_control(model, scheme, correction, power is not None)._asdict())
@@ -159,7 +161,8 @@ def _build_steps(
     if tableau is not None:
         functions["ode"] = _merge_power(equations(model, power), model, power)
     else:  # the loop passes the tolerance, if the scheme takes one
-        functions["step"] = getattr(scheme, "advance_within", scheme.advance)(model, power)
+        step = getattr(scheme, "advance_within", scheme.advance)(model, power)
+        functions["step"] = split_at_breaks(step, model)
     project = None if correction is None else build_correction(model, correction)
     if project is not None:
         functions |= {"project": project, "effect": build_effect(model)}

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.events import build_switching
+from tenscasadi.integrators.events import build_events, count_breakable
 from tenscasadi.integrators.stabilization import Correction, build_correction
 from tenscasadi.integrators.sundials import Sundials
 from tenscasadi.integrators.sundials_events import EventSteps
@@ -62,7 +62,12 @@ class SundialsRuns(Interpreted):
         self._integrators: dict[tuple[int, float], ca.Function] = {}  # by number and length
         self._equations, self._atol = scheme.equations(model, power), scheme.absolute(model)
         self._start, self._advance = scheme.algebraic_start(model), scheme.advance(model, power)
-        gaps = build_switching(model) if scheme.locate_events else None
+        if count_breakable(model) and not scheme.locate_events:
+            raise ValueError(
+                f"{type(scheme).__name__}.locate_events is False, and strings of the scene can break: "
+                "give locate_events=True, or another scheme"
+            )
+        gaps = build_events(model) if scheme.locate_events else None
         self._events = (
             None
             if gaps is None

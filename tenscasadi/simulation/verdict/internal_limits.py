@@ -24,10 +24,11 @@ def check_internal_states(runs: Runs) -> Doubts:
         return Doubts(text, failed)
     states = model.split(runs.saved[:, :, : model.nx]).internal
     parts = model.scene.internal_states
+    inputs = name_inputs(model.scene.structure)
     names = [
-        f"{part.quantity} of {name}"
+        f"{part.quantity} of {inputs[k] if len(part.initial) == len(inputs) else k}"
         for part in parts
-        for name in name_inputs(model.scene.structure)
+        for k in range(len(part.initial))
     ]
     least = np.concatenate([np.full(len(part.initial), part.least) for part in parts])
     for k in range(n):

@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.events import build_switching
+from tenscasadi.integrators.events import build_events
 from tenscasadi.integrators.scheme import extent
 from tenscasadi.simulation.engine.request import FINISHED, WORST
 from tenscasadi.simulation.engine.roll import Runs
 from tenscasadi.simulation.inputs.resolution import describe_unresolved
+from tenscasadi.simulation.string_breaks import describe_breaks, find_breaks
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.simulation.verdict.endings import (
     describe_limit,
@@ -72,6 +73,10 @@ def judge(runs: Runs, found: StepErrors | None) -> Verdict:
     success &= ~doubts.failed
     for k in finished.tolist():
         message[k] += doubts.text[k]
+    if runs.request.inputs.model.scene.breakable_inputs.size:
+        for k, states in enumerate(runs.saved[:, :, : runs.request.inputs.model.nx]):
+            rows = states[: len(runs.saved_steps(k))]
+            message[k] += describe_breaks(find_breaks(runs.request.inputs.model.scene, rows))
     doubts = check_internal_states(runs)
     success &= ~doubts.failed
     message = [text + more for text, more in zip(message, doubts.text, strict=True)]
@@ -227,7 +232,7 @@ def _explain_error(runs: Runs, k: int, error: float, factor: float, finer: float
     if step > limit:
         cause = describe_limit(scheme, step, limit, when)
         return f"{cause} (position error about {error:.1g} m): try step={0.9 * limit:.2g}"
-    if factor > 2 or build_switching(model) is None:
+    if factor > 2 or build_events(model) is None:
         return f"the step {step:g} s is too large (position error about {error:.1g} m): try step={step / finer:.2g}"
     events = "strings go slack or taut" + (
         ", or contacts change," if model.scene.contact_laws else ""

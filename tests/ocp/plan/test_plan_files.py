@@ -115,6 +115,8 @@ OTHER: dict[str, Callable[[], tc.Model]] = {
         made=structure(bars=[(0, 1), (2, 3)], bar_radius=0.01),
         bar_contact=tc.BarContact([(0, 1)], damping=2.0),
     ),
+    "Scene.strength": lambda: model(strength=tc.Breaking(40.0, margin=0.1)),
+    "Scene.strength ": lambda: model(strength=tc.Breaking({1: 40.0})),
     "Scene.pressure": lambda: model(pressure=tc.Pressure([(0, 1, 2)], 3.0)),
     "Scene.forces": lambda: model(forces=tc.NodalForce(np.ones((5, 3)))),
     "Scene.forces ": lambda: model(forces=tc.NodalForce(np.ones((5, 3)), bars={1: 1})),

@@ -1,0 +1,143 @@
+"""Strength of strings: the tension at which they break."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tenscasadi.schema.containers import for_items
+from tenscasadi.schema.field_types import LIMITS, NUMBER
+from tenscasadi.schema.value import Value
+from tenscasadi.util.validate import (
+    Array,
+    node_index,
+    nonnegative,
+    number_or_vector,
+    positive_number,
+    replace_inf,
+)
+
+
+class Strength(Value):
+    """Failure of strings at a tension."""
+
+    def check(self, strings: int) -> None:
+        """Check that the fields fit the number of strings."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Breaking(Strength, kind="Breaking", implied="Breaking"):
+    """Strings that break where their tension reaches a force.
+
+    A broken string exerts no force for the rest of the run. A cable breaks as a whole, and so does
+    a string that is divided into segments.
+
+    Parameters
+    ----------
+    force : float or array_like, shape (α,), or mapping of int to float
+        Tension at which each string breaks [N], greater than 0; inf for strings that cannot break.
+        Strings that a mapping such as ``{3: 500.0}`` does not name cannot break.
+    margin : float
+        Share of the force by which plans stay below it, at least 0 and less than 1. Their motion may
+        exceed a limit a little between the mesh points at which it holds.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a force is wrong. In a `Scene`: if the number of forces differs from that of strings.
+
+    See Also
+    --------
+    Trajectory.breaks : Strings that break in a run, with their times.
+
+    Notes
+    -----
+    Each input whose strings can break has two internal states: 1 while it is intact and 0 when it
+    is broken, and the time for which it has been intact [s]. The tension includes damping. The
+    elastic energy of a string that breaks is lost; the energy balance includes it.
+
+    Examples
+    --------
+    A mass of 1 kg falls onto a string that carries at most 15 N:
+
+    >>> import tenscasadi as tc
+    >>> hung = tc.Structure([(0, 0, 0), (0, 0, -1)], strings=[(0, 1)], node_mass=1.0, pinned=[0], stiffness=1000.0)
+    >>> scene = tc.Scene(hung, gravity=tc.Gravity(), strength=tc.Breaking(15.0))
+    >>> run = tc.simulate(tc.Model(scene), 0.2, 1e-3, compiled=False)
+    >>> [(found.member, round(found.time, 6)) for found in run.breaks]
+    [('string 0', 0.067302)]
+    """
+
+    force: Annotated[
+        ArrayLike | Mapping[int, float],
+        for_items("string", NUMBER, LIMITS),
+    ]
+
+    margin: float = 0.05
+
+    def __post_init__(self) -> None:
+        if positive_number("Breaking.margin", self.margin, zero=True) >= 1:
+            raise ValueError(f"Breaking.margin is {self.margin:g}: give less than 1")
+        given, field = self.force, "Breaking.force"
+        if isinstance(given, Mapping):
+            own: Any = {key: positive_number(f"{field}[{key}]", one) for key, one in given.items()}
+            if not own:
+                raise ValueError(
+                    f"{field} is empty: give the force of a string, such as {{3: 500.0}}"
+                )
+        else:
+            array = number_or_vector(field, replace_inf(given))
+            nonnegative(field, array, "string", strict=True)
+            own = tuple(np.asarray(given, dtype=float).tolist()) if array.ndim else float(given)  # type: ignore[arg-type]
+        object.__setattr__(self, "force", own)
+
+    def check(self, strings: int) -> None:
+        """Check that the forces fit the strings.
+
+        Parameters
+        ----------
+        strings : int
+            Number of strings.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If there is no such string, or the number of forces differs.
+        """
+        self.list_forces(strings)
+
+    def list_forces(self, strings: int) -> Array:
+        """List the force of each string.
+
+        Parameters
+        ----------
+        strings : int
+            Number of strings.
+
+        Returns
+        -------
+        ndarray, shape (α,)
+            Tensions at which strings break [N], inf for strings that cannot break.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If there is no such string, or the number of forces differs.
+        """
+        if isinstance(self.force, Mapping):
+            found = np.full(strings, np.inf)
+            for key, one in self.force.items():
+                found[node_index("Breaking.force, string", key, strings, "string")] = one
+            return found
+        found = np.asarray(self.force, dtype=float)
+        if found.ndim and found.shape != (strings,):
+            raise ValueError(
+                f"Breaking.force has {len(found)} entries: "
+                f"give one number, or one for each of {strings} strings"
+            )
+        return np.broadcast_to(found, (strings,))

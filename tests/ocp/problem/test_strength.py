@@ -1,0 +1,83 @@
+"""Plans of strings that can break, and closed loops in which they do."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+import ocp
+import tenscasadi as tc
+
+FORCE = 11.5
+
+
+@cache
+def cross(force: float | None = None, margin: float = 0.05) -> tc.Model:
+    strength = None if force is None else tc.Breaking(force, margin)
+    scene = tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity(), strength=strength)
+    return tc.Model(scene)
+
+
+def problem(model: tc.Model, **changes: object) -> ocp.Problem:
+    goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()]
+    fields = {"duration": 0.3, "goals": goals, "costs": [ocp.Effort()]}
+    return ocp.Problem(model, **fields | changes)
+
+
+def test_plans_stay_below_the_strength():
+    free, bounded = (
+        ocp.solve(problem(model), ocp.MultipleShooting(15)) for model in (cross(), cross(FORCE))
+    )
+    assert free.success
+    assert free.tension().max() > FORCE
+    assert bounded.success, bounded.message
+    assert bounded.tension().max() <= 0.95 * FORCE * (1 + 1e-6)
+    assert bounded.replay().tension.max() < FORCE
+    assert bounded.problem.model.na == 0
+    # under the same control, the strings of the other plan break
+    again, broken = (
+        tc.simulate(cross(FORCE), 0.3, 1e-3, control=plan.force_density, compiled=False)
+        for plan in (bounded, free)
+    )
+    assert not again.breaks
+    assert broken.breaks
+
+
+def test_plans_whose_replay_reaches_the_strength_are_rejected():
+    structure = tc.shapes.d_bar(pinned=[0], prestress=20.0, stiffness=500.0)
+    strength = tc.Breaking(17.46, margin=0.0)  # 17.45 N at mesh points, and 17.50 N between them
+    tight = tc.Model(tc.Scene(structure, control=tc.RestLength(), strength=strength))
+    plan = ocp.solve(problem(tight, duration=0.6), ocp.MultipleShooting(4, substeps=8))
+    assert not plan.success
+    assert "between mesh points: give more intervals, or a larger Breaking.margin" in plan.message
+
+
+def test_limits_that_contradict_the_strength_are_rejected():
+    with pytest.raises(
+        ValueError, match=r"TensionLimits\.lower is 11 .*Scene\.strength leaves 10\.925 N"
+    ):
+        problem(cross(FORCE), bounds=[ocp.TensionLimits(lower=11.0)])
+
+
+def test_starts_have_no_broken_string():
+    model = cross(FORCE)
+    start = model.initial_state.copy()
+    assert np.array_equal(problem(model, start=start).start, cross().initial_state)
+    start[-4:-2] = [1, 0]
+    with pytest.raises(ValueError, match=r"Problem\.start has a broken string"):
+        problem(model, start=start)
+
+
+def test_closed_loops_go_on_after_a_break():
+    controller = ocp.Mpc(problem(cross(), duration=1.0), period=0.1, intervals=5)
+    loop = ocp.run(controller, 0.4)
+    weak = 0.9 * loop.trajectory.tension.max()
+    broken = ocp.run(controller, 0.4, model=cross(float(weak)))
+    assert broken.trajectory.success
+    assert broken.trajectory.breaks
+    assert "breaks at t =" in broken.trajectory.message
+    first = broken.trajectory.breaks[0]
+    late = broken.trajectory.time > first.time + 1e-9
+    assert (broken.trajectory.tension[late][:, list(first.strings)] == 0).all()
