@@ -310,7 +310,8 @@ class Scene(Value, Viewable, kind="Scene"):
     @cached_property
     def breakable_inputs(self) -> Indices:
         """Inputs, of cables and lone strings, that can break."""
-        return find_breakable(self)
+        found: Indices = read_only(find_breakable(self))
+        return found
 
     @property
     def nu(self) -> int:
