@@ -169,6 +169,14 @@ def test_a_control_that_overloads_a_string_breaks_it_at_once(scheme):
     assert (run.tension[101:, 3] == 0).all()
 
 
+def test_a_control_function_breaks_strings():
+    scene = tc.Scene(hanging(), control=tc.Tension(), strength=tc.Breaking(FORCE))
+    run = tc.simulate(tc.Model(scene), 0.2, 1e-3, control=lambda t: [100.0 * t], compiled=False)
+    assert run.breaks[0].time == pytest.approx(FORCE / 100.0, abs=1e-9)
+    assert "breaks at t = 0.15 s" in run.message
+    assert run.internal_states["intact"][-1] == 0
+
+
 @pytest.mark.parametrize(
     "control", [tc.ForceDensity(), tc.RestLengthRate(), tc.Winch(0.02, 1e-3)], ids=str
 )

@@ -73,10 +73,12 @@ def judge(runs: Runs, found: StepErrors | None) -> Verdict:
     success &= ~doubts.failed
     for k in finished.tolist():
         message[k] += doubts.text[k]
-    if runs.request.inputs.model.scene.breakable_inputs.size:
-        for k, states in enumerate(runs.saved[:, :, : runs.request.inputs.model.nx]):
+    model = runs.request.inputs.model
+    if model.scene.breakable_inputs.size:
+        own = model.moving.stop + int(model.scene.has_clock)  # without a control function's clock
+        for k, states in enumerate(runs.saved[:, :, :own]):
             rows = states[: len(runs.saved_steps(k))]
-            message[k] += describe_breaks(find_breaks(runs.request.inputs.model.scene, rows))
+            message[k] += describe_breaks(find_breaks(model.scene, rows))
     doubts = check_internal_states(runs)
     success &= ~doubts.failed
     message = [text + more for text, more in zip(message, doubts.text, strict=True)]
