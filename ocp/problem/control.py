@@ -63,6 +63,12 @@ def build_force_model(model: Model) -> Model:
     return model if model.scene.commands_forces else _change(model, control=Tension())
 
 
+def build_locked_model(model: Model) -> Model:
+    """Build the model whose rest lengths are the control, in place of states."""
+    control = model.scene.control
+    return model if control is None or not model.na else _change(model, control=control.locked)
+
+
 def build_smooth_model(model: Model) -> Model:
     """Build the model whose elastic strings do not go slack.
 

@@ -16,8 +16,8 @@ from ocp.results.diagnosis import build_interpolant, explain_failure
 from ocp.results.result import PlanResult
 from ocp.sampling.method import solve_sampled
 from ocp.sampling.solver import Sampling
-from ocp.search.policy import Attempt
-from ocp.search.rest_lengths import build_force_density_problem, convert_outcome
+from ocp.search.policy import Attempt, build_force_density_task
+from ocp.search.rest_lengths import convert_outcome
 from ocp.search.task import PlanningTask, prepare
 from ocp.solvers.base import Outcome, Solution, Solver, find_best_iterate
 from ocp.solvers.condensed_newton.method import REMARKS
@@ -68,12 +68,13 @@ def run_attempt(task: PlanningTask, attempt: Attempt) -> tuple[Outcome, Target]:
 
 
 def _plan_force_densities(task: PlanningTask, attempt: Attempt) -> tuple[Outcome, Target]:
-    """Run an attempt in force densities, and convert its result to rest lengths."""
-    twin = build_force_density_problem(task.problem)
-    if twin is None:
+    """Run an attempt in force densities, and convert its result to rest lengths or rates."""
+    twin = build_force_density_task(task)
+    if twin is None or task.target is None:
         raise ValueError("the problem has no counterpart in force densities")
-    found, target = run_attempt(task._replace(problem=twin), attempt._replace(forces=False))
-    return convert_outcome(task.problem, attempt.transcription.fractions, found), target
+    found, target = run_attempt(twin, attempt._replace(forces=False))
+    outcome = convert_outcome(task.problem, attempt.transcription.fractions, found)
+    return outcome, task.target if task.problem.model.na else target
 
 
 def program_of(

@@ -24,6 +24,7 @@ from ocp.search.task import Method, PlanningTask
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.condensed_newton.method import NOT_SETTLED
 from ocp.solvers.ipopt import Ipopt
+from ocp.targets.find_target import find_target
 from ocp.targets.target import Target
 from ocp.transcription.base import Transcription
 from ocp.transcription.mesh import Guess, PiecewiseLinear
@@ -139,13 +140,13 @@ def attempts(task: PlanningTask, guess: InitialGuess | None) -> Iterator[Attempt
     # to follow, 0.6 more), 9 to 12 bars 1.9 and 3.0, above 2.7 and 19.7.
     few = model.mechanism.bars < CONDENSED_BARS
     solver = Ipopt() if few else CondensedNewton()
-    twin = build_force_density_problem(problem)
+    twin = build_force_density_task(task)
     # CPU time with strings of 1e3 to 1e6 N/m: 1 to 2 s; the attempts below take over 18 s from 2e4 on
-    if twin is not None:
+    if twin is not None and twin.target is not None:
         known = convert_guess(problem, first)
-        forces = evaluate_guess(known, twin, task.target, MIN_INTERVALS)
+        forces = evaluate_guess(known, twin.problem, twin.target, MIN_INTERVALS)
         coarse = Variational(
-            choose_intervals(twin, forces), control=PiecewiseLinear(), accuracy=accuracy
+            choose_intervals(twin.problem, forces), control=PiecewiseLinear(), accuracy=accuracy
         )
         yield Attempt(coarse, solver, known, "stiff strings", after, forces=True)
         after = FAILED
@@ -161,6 +162,19 @@ def attempts(task: PlanningTask, guess: InitialGuess | None) -> Iterator[Attempt
     yield Attempt(shooting, Ipopt(), start, "mesh too coarse", INEXACT)
     if sampled and not near:
         yield Attempt(_for_sampling(problem), Sampling(), guess, "contact after all", FAILED)
+
+
+def build_force_density_task(task: PlanningTask) -> PlanningTask | None:
+    """Build the same task with force densities as controls.
+
+    Returns None if there is none, see `build_force_density_problem`.
+    """
+    twin = build_force_density_problem(task.problem)
+    if twin is None or not task.problem.model.na:
+        return None if twin is None else task._replace(problem=twin)
+    scales = Scales.of(twin)
+    target = find_target(twin, scales).permit(0.5 * task.tolerance / scales.length)
+    return task._replace(problem=twin, target=target, scales=scales)
 
 
 def repeat_method(problem: Problem, guess: InitialGuess | None) -> Attempt | None:

@@ -6,11 +6,13 @@ vibrations of the strings do not limit the mesh.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
 from ocp.guess.initial_guess import TrajectoryGuess
+from ocp.problem.bounds.bound import Limit, PathBound
 from ocp.problem.bounds.string_bounds import (
     ForceDensityLimits,
     RestLengthLimits,
@@ -18,18 +20,21 @@ from ocp.problem.bounds.string_bounds import (
 )
 from ocp.problem.control import (
     build_force_density_model,
+    build_locked_model,
     build_smooth_model,
     controls_rest_lengths,
 )
 from ocp.problem.costs import Smoothness
 from ocp.problem.expressions import AtEnd, Constraint, Integral
-from ocp.problem.instant import forces_of
+from ocp.problem.instant import Instant, forces_of
 from ocp.problem.problem import Problem
 from ocp.problem.rows import RESOLUTION
 from ocp.results.diagnosis import build_interpolant
 from ocp.results.report import violated_limits
 from ocp.solvers.base import Outcome
 from ocp.transcription.mesh import Guess, profile_at
+from tenscasadi.dynamics.model import Model
+from tenscasadi.scene.winches import RestLengthRate
 from tenscasadi.util.validate import Array
 
 # Their values differ between the controls: of expressions, and of the change of the control.
@@ -43,12 +48,20 @@ MAX_PARTS = 10  # of an interval: enough for prisms with strings of 1e6 N/m
 def build_force_density_problem(problem: Problem) -> Problem | None:
     """Build the same problem with force densities as controls.
 
-    Returns None if the controls are no rest lengths, if cables have one tension along several
-    strings, or if limits or costs would have other values.
+    Returns None if the controls are no rest lengths or their rates, if cables have one tension along
+    several strings, or if limits or costs would have other values. Under rates, the force densities
+    begin at those of the initial rest lengths.
     """
     items = (*problem.bounds, *problem.costs)
     if problem.model.scene.structure.cables:
         return None
+    if isinstance(problem.model.scene.control, RestLengthRate):
+        locked = lock_winches(problem)
+        first = None if locked is None else _initial_forces(problem)
+        if locked is None or first is None:
+            return None
+        twin = build_force_density_problem(locked)
+        return twin and replace(twin, bounds=[*twin.bounds, InitialForces(first)])
     own = all(type(item).__module__.startswith("ocp.") for item in items)
     if not controls_rest_lengths(problem.model) or not own or problem.phases:
         return None
@@ -66,14 +79,83 @@ def build_force_density_problem(problem: Problem) -> Problem | None:
     return replace(problem, model=model, bounds=bounds)
 
 
+@dataclass(frozen=True, eq=False)
+class InitialForces(PathBound):
+    """Force densities (α,) [N/m] at the beginning of a plan.
+
+    They are those of rest lengths that only change over time.
+    """
+
+    ends: ClassVar[tuple[str, ...]] = ("first",)
+    force_density: Array
+
+    def limit(self, now: Instant) -> Limit:
+        """Build the force densities and their values."""
+        names = tuple(
+            f"initial force density of string {k}" for k in range(len(self.force_density))
+        )
+        return Limit(now.force_density, self.force_density, self.force_density, names, "N/m")
+
+
+def _initial_forces(problem: Problem) -> Array | None:
+    """Compute the initial force densities (α,) [N/m]; None if they violate limits."""
+    model = build_smooth_model(problem.model)
+    first = np.asarray(model.force_density(problem.start, np.zeros(model.nu)))
+    lower, upper = problem.force_density_limits
+    own = len(first) == len(lower) and bool(np.all((lower <= first) & (first <= upper)))
+    return first if own else None
+
+
+def lock_winches(problem: Problem) -> Problem | None:
+    """Build the same problem with rest lengths in place of their rates.
+
+    Returns None if the start is free.
+    """
+    if problem.free_start or problem.phases:
+        return None
+    model = problem.model
+    start = drop_internal_states(model, np.asarray(problem.start))
+    return replace(problem, model=build_locked_model(model), start=start)
+
+
+def drop_internal_states(model: Model, states: Array) -> Array:
+    """Select positions, velocities and clock of states (…, nx)."""
+    parts = model.split(states)
+    return np.concatenate([parts.positions, parts.velocities, parts.clock], axis=-1)
+
+
 def convert_guess(problem: Problem, guess: Guess) -> TrajectoryGuess:
-    """Convert an initial guess from rest lengths to force densities."""
+    """Convert an initial guess from rest lengths or their rates to force densities."""
     middle = (guess.states[1:] + guess.states[:-1]) / 2
     forces = forces_of(build_smooth_model(problem.model), middle, guess.force_density)
-    return TrajectoryGuess(guess.states, forces, guess.duration)
+    states = drop_internal_states(problem.model, guess.states)
+    return TrajectoryGuess(states, forces, guess.duration)
 
 
 def convert_outcome(problem: Problem, fractions: Array, found: Outcome) -> Outcome:
+    """Convert piecewise-linear force densities to rest lengths or to their rates.
+
+    Rates are constant where rest lengths are linear, and lag behind where damping asks for more than
+    the limits. See `_convert_rest_lengths`.
+    """
+    locked = lock_winches(problem) if problem.model.na else problem
+    if locked is None:
+        raise ValueError("the problem has no counterpart in rest lengths")
+    found = _convert_rest_lengths(locked, fractions, found)
+    control = problem.model.scene.control
+    if not problem.model.na or found.time is None or control is None:
+        return found
+    rest, start = np.array(found.force_density), problem.model.split(np.asarray(problem.start))
+    rest[0] = start.internal
+    tension = np.zeros(rest[1:].shape)  # which the rates do not depend on
+    internal, rates = control.follow(rest, tension, np.diff(found.time), problem.control_limits)
+    kept = locked.model.split(found.states)
+    own = np.vstack([rest[:1], internal])
+    states = np.hstack([kept.positions, kept.velocities, own, kept.clock])
+    return found._replace(states=states, force_density=rates)
+
+
+def _convert_rest_lengths(problem: Problem, fractions: Array, found: Outcome) -> Outcome:
     """Convert piecewise-linear force densities to rest lengths.
 
     `fractions` are the lengths of the intervals relative to the duration. The rest lengths are

@@ -240,16 +240,18 @@ def _build_goal_blocks(
 
 
 def _build_bound(v: Variables, rows: ScaledRows, end: str) -> Block:
-    share, at_end = (0.0, slice(-1)) if end == "start" else (1.0, slice(1, None))
+    begins = end in ("start", "first")
+    share, at_end = (0.0, slice(-1)) if begins else (1.0, slice(1, None))
     z, (x, c, T, part) = split_symbol(
         symbol_kind(rows.function), v.model.nx, v.interval_controls.shape[1], 1, 1
     )
     function = ca.Function("bound", [z], [rows.function(x, v.gamma(c, share), T * part)])
     index = np.hstack([v.states[at_end], v.interval_controls, v.repeat(v.duration), v.time[at_end]])
-    side = "start" if end == "start" else "end"
+    side = "start" if begins else "end"
     names = tuple(f"{name}, {side} of interval {k}" for k in range(v.count) for name in rows.names)
     block = Block(function, index, names, rows.lower, rows.upper, rows.scale, kind="path")
-    return _select(v.count - 1, block, len(rows.names)) if end == "last" else block
+    instance = {"first": 0, "last": v.count - 1}.get(end)
+    return block if instance is None else _select(instance, block, len(rows.names))
 
 
 def _select(k: int, block: Block, count: int) -> Block:

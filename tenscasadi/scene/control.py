@@ -98,17 +98,17 @@ class Control(Value):
         return ca.DM(0, 1)
 
     def follow(
-        self, rest: Array, tension: Array, interval: float, limits: tuple[Array, Array]
+        self, rest: Array, tension: Array, interval: Any, limits: tuple[Array, Array]
     ) -> tuple[Array, Array]:
         """Compute internal states and inputs that nearly follow given rest lengths.
 
         Parameters
         ----------
         rest : ndarray, shape (K + 1, nu)
-            Rest lengths at equal times, from the initial ones [m].
+            Rest lengths over time, from the initial ones [m].
         tension : ndarray, shape (K, nu)
             Tensions between these times [N].
-        interval : float
+        interval : float or ndarray, shape (K,)
             Time between them [s].
         limits : tuple of ndarray, shape (nu,)
             Limits of the inputs.

@@ -125,17 +125,17 @@ class RestLengthRate(Control, kind="RestLengthRate"):
         return u
 
     def follow(
-        self, rest: Array, tension: Array, interval: float, limits: tuple[Array, Array]
+        self, rest: Array, tension: Array, interval: Any, limits: tuple[Array, Array]
     ) -> tuple[Array, Array]:
         """Compute rest lengths and rates within the limits.
 
         Parameters
         ----------
         rest : ndarray, shape (K + 1, nu)
-            Rest lengths at equal times, from the initial ones [m].
+            Rest lengths over time, from the initial ones [m].
         tension : ndarray, shape (K, nu)
             Tensions between these times [N].
-        interval : float
+        interval : float or ndarray, shape (K,)
             Time between them [s].
         limits : tuple of ndarray, shape (nu,)
             Limits of the inputs.
@@ -145,8 +145,12 @@ class RestLengthRate(Control, kind="RestLengthRate"):
         tuple of ndarray, shapes (K, na) and (K, nu)
             Internal states after the first time, and inputs.
         """
-        rates = np.clip(np.diff(rest, axis=0) / interval, *limits)
-        return rest[0] + interval * np.cumsum(rates, axis=0), rates
+        steps = np.broadcast_to(interval, len(rest) - 1)[:, None]
+        own, rates = np.array(rest, dtype=float), np.zeros(rest[1:].shape)
+        for k, step in enumerate(steps):  # what the limits left over is made up for
+            rates[k] = np.clip((rest[k + 1] - own[k]) / step, *limits)
+            own[k + 1] = own[k] + step * rates[k]
+        return own[1:], rates
 
 
 @dataclass(frozen=True, eq=False)
@@ -339,17 +343,17 @@ class Winch(Control, kind="Winch"):
         return ca.vertcat(-radius * speed, (u - friction * speed - radius * tension) / inertia)
 
     def follow(
-        self, rest: Array, tension: Array, interval: float, limits: tuple[Array, Array]
+        self, rest: Array, tension: Array, interval: Any, limits: tuple[Array, Array]
     ) -> tuple[Array, Array]:
         """Compute rest lengths, winding speeds and torques within the limits.
 
         Parameters
         ----------
         rest : ndarray, shape (K + 1, nu)
-            Rest lengths at equal times, from the initial ones [m].
+            Rest lengths over time, from the initial ones [m].
         tension : ndarray, shape (K, nu)
             Tensions between these times [N].
-        interval : float
+        interval : float or ndarray, shape (K,)
             Time between them [s].
         limits : tuple of ndarray, shape (nu,)
             Limits of the inputs.
@@ -363,8 +367,9 @@ class Winch(Control, kind="Winch"):
         radius, inertia, friction = (
             self._values(name, count) for name in ("radius", "inertia", "friction")
         )
-        speeds = -np.diff(rest, axis=0) / (interval * radius)
-        gains = np.diff(speeds, axis=0, prepend=0.0) / interval
+        steps = np.broadcast_to(interval, len(rest) - 1)[:, None]
+        speeds = -np.diff(rest, axis=0) / (steps * radius)
+        gains = np.diff(speeds, axis=0, prepend=0.0) / steps
         torques = np.clip(inertia * gains + friction * speeds + radius * tension, *limits)
         return np.hstack([rest[1:], speeds]), torques
 

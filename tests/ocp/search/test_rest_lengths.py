@@ -51,3 +51,32 @@ def test_costs_of_rest_lengths_have_no_counterpart():
     problem = replace(stiff(1e3), costs=[ocp.Effort(), ocp.Smoothness()])
     assert build_force_density_problem(problem) is None
     assert build_force_density_problem(build_force_density_problem(stiff(1e3))) is None
+
+
+def wind(problem, rate):
+    scene = replace(problem.model.scene, control=tc.RestLengthRate())
+    bounds = [*problem.bounds, ocp.RestLengthRateLimits(rate)]
+    return replace(problem, model=tc.Model(scene), start=None, bounds=bounds)
+
+
+@pytest.mark.parametrize("stiffness", [1e3, 1e4])
+def test_rates_of_rest_lengths_are_planned_in_force_densities(stiffness):
+    problem = wind(stiff(stiffness), 0.5)
+    plan = ocp.solve(problem)
+    assert plan.success, plan.message
+    assert "in force densities" in plan.message
+    assert plan.replay_error < 2e-3
+    rest = plan.trajectory.internal_states["rest length"]
+    assert np.array_equal(rest[0], plan.structure.rest_length)
+    steps = np.diff(plan.time)[:, None] * plan.rest_length_rate
+    assert np.diff(rest, axis=0) == pytest.approx(steps, abs=1e-7)
+    assert np.abs(plan.rest_length_rate).max() <= 0.5 + 1e-6
+    assert plan.force_density.min() > 4.5
+
+
+def test_rates_from_forces_beyond_limits_have_no_counterpart():
+    problem = wind(stiff(1e3), 0.5)
+    assert build_force_density_problem(problem) is not None
+    tight = replace(problem, bounds=[*problem.bounds, ocp.ForceDensityLimits(upper=45.0)])
+    assert build_force_density_problem(tight) is None
+    assert build_force_density_problem(replace(problem, start=ocp.FreeStart())) is None
