@@ -169,9 +169,10 @@ class Winch(Control, kind="Winch"):
     friction : float or array_like, shape (nu,)
         Viscous friction c [N·m·s].
     torque : float or array_like, shape (nu,), optional
-        Largest torque in plans, in both directions [N·m]. None or inf for no limit.
+        Largest torque in both directions [N·m], a limit in plans and controllers. Simulations apply the
+        given torques, and their message names those beyond it. None or inf for no limit.
     speed : float or array_like, shape (nu,), optional
-        Largest winding speed in plans, in both directions [rad/s]. None or inf for no limit.
+        Largest winding speed in both directions [rad/s], likewise. None or inf for no limit.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Check that internal states stay where the equations have a meaning."""
+"""Limits of internal states, and of the motors that drive them."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tenscasadi.scene.winches import Winch
 from tenscasadi.simulation.verdict.thresholds import Doubts
 from tenscasadi.structure.cables import name_inputs
+from tenscasadi.util.validate import TOLERANCE
 
 if TYPE_CHECKING:
     from tenscasadi.simulation.engine.roll import Runs
@@ -44,3 +46,31 @@ def check_internal_states(runs: Runs) -> Doubts:
             "give inputs that wind up less, or a smaller t_end"
         )
     return Doubts(text, failed)
+
+
+def describe_overload(runs: Runs, k: int) -> str:
+    """Describe the motor that exceeds a limit of its `Winch` most; "" if none does.
+
+    Torques of a feedback are not known, and it has limits of its own.
+    """
+    inputs = runs.request.inputs
+    model, steps = inputs.model, runs.saved_steps(k)
+    control, count = model.scene.control, model.nu
+    if not isinstance(control, Winch):
+        return ""
+    states = runs.saved[k, : len(steps), : model.nx]
+    reached = {"speed": (model.split(states).internal[:, count:], "winding speed", "rad/s")}
+    if inputs.feedback is None:
+        given = inputs.add_schedule(inputs.stack(k, steps), runs.times(steps))[:, :count]
+        reached["torque"] = given, control.name, control.unit
+    found = []
+    for field, (values, quantity, unit) in reached.items():
+        largest, limit = np.abs(values).max(axis=0), control.limits(field, count)
+        entry = int(np.argmax(largest / limit))
+        if largest[entry] > (1 + TOLERANCE) * limit[entry]:
+            name, most = name_inputs(model.scene.structure)[entry], f"{limit[entry]:g} {unit}"
+            found.append(
+                f"; the {quantity} of {name} is up to {largest[entry]:.3g} {unit}, "
+                f"beyond the {most} of Winch.{field}"
+            )
+    return "".join(found)

@@ -22,7 +22,7 @@ from tenscasadi.simulation.verdict.endings import (
     find_stable_step,
     sample_run,
 )
-from tenscasadi.simulation.verdict.internal_limits import check_internal_states
+from tenscasadi.simulation.verdict.internal_limits import check_internal_states, describe_overload
 from tenscasadi.simulation.verdict.starts import (
     constraint_violation,
     describe_violation,
@@ -81,7 +81,10 @@ def judge(runs: Runs, found: StepErrors | None) -> Verdict:
             message[k] += describe_breaks(find_breaks(model.scene, rows))
     doubts = check_internal_states(runs)
     success &= ~doubts.failed
-    message = [text + more for text, more in zip(message, doubts.text, strict=True)]
+    message = [
+        text + more + describe_overload(runs, k)
+        for k, (text, more) in enumerate(zip(message, doubts.text, strict=True))
+    ]
     error, finer = np.full(len(status), np.nan), np.ones(len(status))
     if not len(finished):  # stopped runs return at once, however many steps remain
         return Verdict(success, message, error, finer)

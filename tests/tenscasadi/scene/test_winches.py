@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -240,3 +241,30 @@ def test_files_hold_the_control(tmp_path: Path) -> None:
 def test_unsupported_uses_name_the_cure(call: Any, cure: str) -> None:
     with pytest.raises(ValueError, match=cure.replace("(", r"\(").replace(")", r"\)")):
         call(lifting())
+
+
+@pytest.mark.parametrize(
+    ("limits", "told"),
+    [
+        (
+            {"torque": 1.0},
+            "the motor torque of string 0 is up to 1.5 N m, beyond the 1 N m of Winch",
+        ),
+        (
+            {"speed": [2.0]},
+            r"the winding speed of string 0 is up to \d.* rad/s, beyond the 2 rad/s",
+        ),
+        ({"torque": 1.5, "speed": 1e3}, None),
+    ],
+)
+def test_message_names_motors_beyond_their_limits(limits, told):
+    hanging = tc.Structure(
+        [(0, 0, 0), (0, 0, -1)], strings=[(0, 1)], pinned=[0], node_mass=[0, 2.0], stiffness=500.0
+    )
+    winch = tc.Winch(0.05, 2e-3, 1e-3, **limits)
+    model = tc.Model(tc.Scene(hanging, control=winch, gravity=tc.Gravity()))
+    for message in (
+        tc.simulate(model, 0.2, 1e-3, control=[1.5]).message,
+        tc.simulate(model, 0.2, 1e-3, control=lambda t: [1.5]).message,
+    ):
+        assert "beyond" not in message if told is None else re.search(told, message), message
