@@ -23,6 +23,7 @@ from scipy.sparse.linalg import splu
 
 from tenscasadi.statics.solver.motions import neutral_motions, softest_motions
 from tenscasadi.statics.solver.newton_system import NewtonSystem
+from tenscasadi.statics.solver.sparse_pattern import join_blocks
 from tenscasadi.statics.solver.static_equations import Conditions, StaticPoint
 from tenscasadi.statics.solver.trust_region import allowed_residual
 from tenscasadi.util.validate import ROUNDING, TOLERANCE, Array
@@ -293,26 +294,25 @@ class Tracer:
         """
         system, size, rigid = self.system, self.system.size, self.system.rigid
         scale = system.stiffness_scale(point, tension)
-        K = system.tangent(point, tension) + system.load_tangent(point)
-        K = K + sp.diags_array(np.full(size, ROUNDING * scale))
         J = system.lengthening(point)
         push = self._push(point, factor)
         weight = np.linalg.norm(push) or 1.0  # of the factor's column
         unit = scale  # of the rows of bars and the plane
-        slack = sp.diags_array(np.full(rigid, -1e-10 / scale))
-        row = across[:size][None, :] * unit
-        free = sp.csc_array(neutral * unit)
-        blocks = [
-            [K, J.T, -(push / weight)[:, None] * unit, free],
-            [J, slack, None, None],
-            [row, None, np.array([[across[-1] / weight * unit * unit]]), None],
-            [free.T, None, None, None],
+        slack, shift = np.full(rigid, -1e-10 / scale), np.full(size, ROUNDING * scale)
+        diagonal = np.concatenate([shift, slack, [across[-1] / weight * unit * unit]])
+        parts = [
+            (0, 0, system.tangent(point, tension)),
+            (0, 0, sp.diags_array(diagonal)),
+            (size, 0, J),
+            (0, size, J.T),
+            (0, size + rigid, -(push / weight)[:, None] * unit),
+            (size + rigid, 0, across[:size][None, :] * unit),
+            (0, size + rigid + 1, neutral * unit),
+            (size + rigid + 1, 0, neutral.T * unit),
         ]
-        matrix = sp.csc_array(
-            sp.block_array(
-                [[None if part is None else sp.csc_array(part) for part in line] for line in blocks]
-            )
-        )
+        if self.equations.follows:
+            parts.append((0, 0, system.load_tangent(point)))
+        matrix = join_blocks(parts, size + rigid + 1 + neutral.shape[1])
         try:
             factors = splu(matrix)
         except RuntimeError as error:

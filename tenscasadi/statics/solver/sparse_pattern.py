@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -95,3 +96,25 @@ class SparsePattern:
             The matrix.
         """
         return sp.csc_array((self._onto @ values, self.indices, self.indptr), shape=self.shape)
+
+
+def join_blocks(parts: Sequence[tuple[int, int, Any]], size: int) -> sp.csc_array:
+    """Assemble a square matrix of blocks, in much less time than `block_array` for small ones.
+
+    Parameters
+    ----------
+    parts : sequence of tuple
+        First row, first column, and matrix of each block, sparse or dense. Entries add up.
+    size : int
+        Number of rows.
+
+    Returns
+    -------
+    csc_array
+        The matrix.
+    """
+    entries = [(row, column, sp.coo_array(block)) for row, column, block in parts]
+    rows = np.concatenate([row + block.coords[0] for row, _, block in entries])
+    columns = np.concatenate([column + block.coords[1] for _, column, block in entries])
+    values = np.concatenate([block.data for _, _, block in entries])
+    return sp.csc_array((values, (rows, columns)), shape=(size, size))
