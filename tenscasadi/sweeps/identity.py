@@ -77,7 +77,9 @@ def _find_content(function: Callable[..., Any]) -> Any:
         owner = getattr(function, "__self__", function)
         if isinstance(owner, type):
             return None
-        return owner if is_dataclass(owner) else dict(getattr(owner, "__dict__", {}))
+        own = getattr(owner, "__dict__", {})
+        kept = {name: value for name, value in own.items() if name != "_kept"}
+        return owner if is_dataclass(owner) else kept
     if not inspect.isfunction(function):
         return None
     values = dict(inspect.getclosurevars(function).nonlocals)

@@ -10,8 +10,6 @@ import numpy as np
 
 Kept = TypeVar("Kept")
 
-_STORES: dict[int, dict[Hashable, Any]] = {}  # by the identity of the owner
-
 
 def read_only(value: Any) -> Any:
     """Make a read-only view of an array.
@@ -43,6 +41,20 @@ class ReadOnlyArrays:
             object.__setattr__(self, name, read_only(value))
 
 
+class _Store(dict[Hashable, Any]):
+    """Kept values of one owner, which copies of it do not take over.
+
+    It is an attribute of the owner, so that both are freed together: values refer to the owner.
+    """
+
+    def __init__(self, owner: Any = None) -> None:
+        super().__init__()
+        self.owner = weakref.ref(owner) if owner is not None else lambda: None
+
+    def __reduce__(self) -> Any:
+        return _Store, ()
+
+
 def keep(owner: Any, key: Hashable, build: Callable[[], Kept]) -> Kept:
     """Return the stored value of a key, building it once.
 
@@ -60,10 +72,9 @@ def keep(owner: Any, key: Hashable, build: Callable[[], Kept]) -> Kept:
     object
         The value.
     """
-    store = _STORES.get(id(owner))
-    if store is None:
-        store = _STORES[id(owner)] = {}
-        weakref.finalize(owner, _STORES.pop, id(owner), None)
+    store = vars(owner).get("_kept")
+    if store is None or store.owner() is not owner:
+        store = vars(owner)["_kept"] = _Store(owner)
     if key not in store:
         store[key] = build()
     value: Kept = store[key]

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import copy
+import gc
 import pickle
 import warnings
+import weakref
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ import pytest
 import ocp
 import tenscasadi as tc
 from tenscasadi.analysis.modes import Modes
+from tenscasadi.util.immutable import keep
 
 COPIES = {"pickle": lambda value: pickle.loads(pickle.dumps(value)), "deepcopy": copy.deepcopy}  # noqa: S301
 
@@ -168,3 +171,22 @@ def test_arrays_that_a_value_was_made_of_may_still_be_written():
     shape[0] = 1.0
     assert modes.shape[0].min() == 1.0
     assert not modes.shape.flags.writeable
+
+
+def test_kept_values_are_freed_with_their_owner():
+    """They refer to the owner: a model to its scene."""
+    scene = tc.Scene(tc.shapes.prism(prestress=50.0))
+    assert tc.stability(tc.find_equilibrium(scene)).stable
+    seen = weakref.ref(scene)
+    del scene
+    gc.collect()
+    assert seen() is None
+
+
+def test_copies_do_not_take_over_kept_values(copied):
+    structure = tc.shapes.prism()
+    kept = keep(structure, "list", list)
+    assert keep(structure, "list", list) is kept
+    for again in (copied(structure), copy.copy(structure)):
+        assert keep(again, "list", list) is not kept
+    assert keep(structure, "list", list) is kept
