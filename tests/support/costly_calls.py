@@ -58,6 +58,16 @@ def tracker() -> ocp.Tracker:
 
 
 @cache
+def reeled() -> ocp.Plan:
+    """A plan of winding speeds, which has not converged."""
+    wound = tc.shapes.d_bar(pinned=[0], prestress=20.0, stiffness=500.0, damping=2.0)
+    model = tc.Model(tc.Scene(wound, control=tc.RestLengthRate()))
+    goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.75).string_lengths), ocp.AtRest()]
+    problem = ocp.Problem(model, 0.6, goals=goals, bounds=[ocp.RestLengthRateLimits(1.0)])
+    return ocp.solve(problem, ocp.MultipleShooting(3), ocp.Ipopt(max_iterations=3))
+
+
+@cache
 def costly_calls() -> dict[str, Call]:
     """Each with input that is right."""
     return measuring_calls() | planning_calls() | drawing_calls()
@@ -180,6 +190,14 @@ def planning_calls() -> dict[str, Call]:
                 "position_scale": 1.0,
                 "control_scale": 1.0,
             },
+        ),
+        "Mpc, of winches": (
+            ocp.Mpc,
+            {"problem": reeled().problem, "plan": reeled(), "intervals": 2, "control_scale": 1.0},
+        ),
+        "track, of winches": (
+            ocp.track,
+            {"plan": reeled(), "control_scale": 1.0, "lower": -1.0, "upper": np.ones(2)},
         ),
         "Mpc.control": (mpc().control, {"time": 0.0, "state": m.initial_state}),
         "Tracker.control": (tracker().control, {"time": 0.0, "state": m.initial_state}),
