@@ -24,7 +24,7 @@ from tenscasadi.design.force_density_method import (
     solve_form,
 )
 from tenscasadi.design.form_program import FEASIBLE, FormProgram, Goals
-from tenscasadi.structure.cables import reject_cables
+from tenscasadi.structure.cables import reject_cable_friction
 from tenscasadi.structure.equilibrium_matrix import balance_columns, free_directions, member_pairs
 from tenscasadi.structure.rigid_body import reject_bodies
 from tenscasadi.structure.structure import Structure
@@ -108,7 +108,7 @@ def form_find(
     groups : sequence of sequence of int, optional
         Groups of members that share their force density: strings first, then bars.
     equal_tension : sequence of sequence of int, optional
-        Groups of strings whose tensions are equal.
+        Groups of strings whose tensions are equal. Each cable is one.
     loads : array_like, shape (n, 3), optional
         Forces on the nodes [N]; by default none.
 
@@ -147,7 +147,7 @@ def form_find(
     (True, [-1.732051, -1.732051, -1.732051])
     """
     instance("structure", structure, Structure, "a tenscasadi.Structure")
-    reject_cables(structure, "form_find")
+    reject_cable_friction(structure, "form_find")
     reject_bodies(structure, "form_find")
     if not len(structure.strings):
         raise ValueError("structure has no strings: add some, or keep its nodes")
@@ -214,7 +214,8 @@ def _read_goals(
                 )
         found_positions[node] = found
     tensions = [] if equal_tension is None else as_tuple("equal_tension", equal_tension, "[[0, 1]]")
-    groups = [
+    cables = [list(cable) for cable in structure.cables if len(cable) > 1]
+    groups = cables + [
         np.flatnonzero(item_mask(f"equal_tension[{k}]", group, strings, "string")).tolist()
         for k, group in enumerate(tensions)
     ]

@@ -175,9 +175,31 @@ def test_displacement_under_a_small_load_is_that_of_the_tangent():
     assert factor.success
 
 
-def test_form_finding_rejects_cables():
-    with pytest.raises(ValueError, match="does not take: give structure"):
-        tc.form_find(laced())
+def crooked_net() -> tc.Structure:
+    """A net with irregular supports."""
+    net = tc.shapes.hyperbolic_paraboloid(cells=4, stiffness=1e4)
+    shift = 0.1 * np.random.default_rng(1).normal(size=net.nodes.shape)
+    return net.replace(nodes=net.nodes + shift * net.fixed)
+
+
+def test_form_finding_gives_each_cable_one_tension():
+    alone = tc.form_find(crooked_net())
+    assert np.ptp((alone.force_density * alone.structure.string_lengths)[:4]) > 0.03
+    form = tc.form_find(crooked_net().replace(cables=[[0, 1, 2, 3]]))
+    assert form.success, form.message
+    tension = form.force_density * form.structure.string_lengths
+    np.testing.assert_allclose(tension[:4], tension[0], rtol=1e-9)
+    eq = tc.find_equilibrium(tc.Scene(form.structure))
+    np.testing.assert_allclose(eq.nodes, form.structure.nodes, atol=1e-8)
+    np.testing.assert_allclose(eq.tension, tension, rtol=1e-6)
+
+
+def test_form_finding_refuses_friction_and_unequal_tensions_of_cables():
+    with pytest.raises(ValueError, match=r"cable_friction of cable 0 is 0\.1"):
+        tc.form_find(laced().replace(cable_friction=0.1))
+    form = tc.form_find(crooked_net().replace(cables=[[0, 1, 2, 3]]), force_density=2.0)
+    assert not form.success
+    assert "cannot be as prescribed" in form.message
 
 
 def test_functions_other_than_find_equilibrium_reject_friction_of_cables():
