@@ -20,7 +20,7 @@ from tenscasadi.integrators.stabilization import BarLengthCorrection, Projection
 from tenscasadi.integrators.sundials import Cvodes, Idas
 from tenscasadi.io.scene_files import load_scene, save_scene
 from tenscasadi.scene.bar_contact import BarContact
-from tenscasadi.scene.breaking import Breaking
+from tenscasadi.scene.breaking import Breaking, Yielding
 from tenscasadi.scene.control_function import ControlFunction
 from tenscasadi.scene.ground import Ground, Terrain
 from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
@@ -179,6 +179,7 @@ __all__ = [
     "RestLength",
     "RestLengthRate",
     "Winch",
+    "Yielding",
     "Tension",
     "Clip",
     "Linear",

@@ -14,10 +14,10 @@ from tqdm import tqdm
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.breaks import split_at_breaks
-from tenscasadi.integrators.events import count_breakable
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.stabilization import build_projection
-from tenscasadi.simulation.string_breaks import describe_breaks, find_breaks
+from tenscasadi.scene.strength import count_states
+from tenscasadi.simulation.string_breaks import describe_failures
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
 from tenscasadi.simulation.verdict.starts import off_constraints
 from tenscasadi.util.immutable import ReadOnlyArrays
@@ -107,7 +107,7 @@ def run(
     model : Model, optional
         Plant. It may differ from the controller's model in masses, gravity and loads such as gusts
         (`tenscasadi.NodalForce` of time), but not in nodes, strings and kind of control. Its strings
-        can break (`tenscasadi.Breaking`). Default: the controller's model.
+        can break or yield (`tenscasadi.Breaking`). Default: the controller's model.
     state : array_like, shape (nx,), optional
         Initial state, which satisfies bars and joints. If it has a clock, this is the time that
         the controller receives; it need not begin at 0. Default: the model's initial state.
@@ -223,7 +223,7 @@ def _record(
         if done
         else f"{cause} after t = {times[-1]:g} s: {reason}"
     )
-    message += describe_breaks(find_breaks(plant.scene, rows))
+    message += describe_failures(plant.scene, times, rows)
     return record_trajectory(
         plant,
         times,
@@ -291,8 +291,8 @@ def _check_plant(plant: Any, believed: Model) -> None:
         and np.array_equal(own.fixed, other.fixed)
         and own.rollers == other.rollers
     )
-    internal = plant.na - 2 * count_breakable(plant), believed.na - 2 * count_breakable(believed)
-    if not same or plant.nu != believed.nu or plant.nq != believed.nq or internal[0] != internal[1]:
+    sizes = [(one.nu, one.nq, one.na - count_states(one.scene)) for one in (plant, believed)]
+    if not same or sizes[0] != sizes[1]:
         raise ValueError(
             "model has other nodes, pins or strings than the controller's: give one with the same"
         )

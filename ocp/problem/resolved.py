@@ -25,7 +25,8 @@ from ocp.problem.phase import Phase, check_phases, phases_between
 from ocp.problem.reading import Duration, limits_of, read_duration, read_items
 from ocp.problem.start import FreeStart, read_start
 from tenscasadi.dynamics.base_model import check_model
-from tenscasadi.scene.strength import limit_tensions
+from tenscasadi.scene.internal_states import join_initial
+from tenscasadi.scene.strength import count_states, declare_strength, limit_tensions
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, format_value
 
@@ -220,17 +221,19 @@ def join_soft(
 def _drop_strength_states(model: Model, start: Any) -> Any:
     """Remove the states of the strength from a start (nx,).
 
-    Raises ValueError if a string is broken.
+    Raises ValueError if a string has failed.
     """
-    count = len(model.scene.breakable_inputs)
-    if not count or isinstance(start, FreeStart) or np.shape(start) != (model.nx,):
+    size, count = count_states(model.scene), len(model.scene.limited_inputs)
+    if not size or isinstance(start, FreeStart) or np.shape(start) != (model.nx,):
         return start
     state, end = np.asarray(start), model.moving.stop
-    if np.any(state[end - 2 * count : end - count] != 1):
+    initial = join_initial(declare_strength(model.scene))
+    if np.any(state[end - size :][:count] != initial[:count]):
         raise ValueError(
-            "Problem.start has a broken string: give a model of a structure without this string"
+            "Problem.start has a string that is broken or has yielded: "
+            "give a model of a structure without this string, or with its new rest length"
         )
-    return np.delete(state, np.arange(end - 2 * count, end))
+    return np.delete(state, np.arange(end - size, end))
 
 
 def _check_limits(structure: Structure, bounds: tuple[Bound, ...], strength: Array) -> None:

@@ -271,9 +271,8 @@ def _describe_overload(plan: PlanResult, motion: Trajectory | None) -> str:
         return ""
     scene = plan.problem.given["model"].scene
     found = describe_overload(scene, motion.tension.max(axis=0, initial=0.0))
-    return (
-        found and f"{found} between mesh points: give more intervals, or a larger Breaking.margin"
-    )
+    kind = type(scene.strength).__name__
+    return found and f"{found} between mesh points: give more intervals, or a larger {kind}.margin"
 
 
 def _describe_violation(plan: PlanResult, motion: Trajectory | None) -> str:

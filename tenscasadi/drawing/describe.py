@@ -75,7 +75,7 @@ def _describe(thing: Any, name: str) -> ViewContent | None:
         motion = replace(motion, forces=describe_scene_forces(thing))
         return ViewContent((motion,), thing.grounds)
     if isinstance(thing, Trajectory):
-        notes = tuple(map(str, thing.breaks[:MOST_LISTED]))
+        notes = tuple(map(str, [*thing.breaks, *thing.yields][:MOST_LISTED]))
         if not thing.success:
             notes = (f"{name or 'trajectory'}: {thing.message}",)
         motion = describe_trajectory(thing, name or "trajectory")

@@ -21,13 +21,19 @@ from tenscasadi.scene.binding import bind, sets_rest_lengths
 from tenscasadi.scene.cables import CableRows
 from tenscasadi.scene.control import Control
 from tenscasadi.scene.dissipation import has_cable_friction, is_damped
-from tenscasadi.scene.strength import list_strengths
+from tenscasadi.scene.strength import (
+    compute_reserves,
+    count_states,
+    list_strengths,
+    spread_states,
+)
 from tenscasadi.scene.strings import ForceDensity, Linear, Smooth, StringLaw
 from tenscasadi.util.casadi_tools import constant_row, is_expression, scale_and_multiply, sparse
 from tenscasadi.util.validate import Array, Indices
 
 if TYPE_CHECKING:
     from tenscasadi.dynamics.mechanism import Mechanism
+    from tenscasadi.scene.breaking import Yielding
     from tenscasadi.scene.ground import Surface
     from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
     from tenscasadi.scene.scene import Scene
@@ -181,7 +187,7 @@ class StringForces(ForceElement):
         gamma = self._intact_density(squared, rate)
         if not len(self.scene.breakable_inputs):
             return gamma
-        return gamma * self._intact(self.scene.input_of)
+        return gamma * spread_states(self.scene, self._own_states[1], self.scene.input_of, 1)
 
     def _intact_density(self, squared: Any, rate: Any) -> Any:
         """Compute γ (1×α) of strings that are not broken."""
@@ -235,32 +241,26 @@ class StringForces(ForceElement):
             None,
         )
         if len(self.scene.breakable_inputs):
-            inputs = self.scene.structure.cable_of[self._inputs.string_parent]
-            energies = energies * self._intact(inputs)
+            energies = energies * spread_states(self.scene, self._own_states[1], self._members, 1)
         return ca.sum2(energies)
 
     def margins(self, at: NodeMotion) -> Any:
         """Compute the elongations (1×m) that breakable inputs bear before they break [m].
 
-        They are divided by the stiffness, so that they compare with slack events.
+        They compare with slack events.
         """
-        s, scene = self.scene.modelled, self.scene
-        if not len(scene.breakable_inputs):
+        s, breakable = self.scene.modelled, self.scene.breakable_inputs
+        if not len(breakable):
             return ca.DM(1, 0)
+        first = np.array([np.argmax(self.scene.input_of == k) for k in breakable])
+        weakest = list_strengths(self.scene).min()
+        unit = constant_row(s.stiffness) + ca.DM(weakest / s.string_lengths).T
+        return self._reserves(at) / unit[:, first.tolist()]
+
+    def _reserves(self, at: NodeMotion) -> Any:
+        """Compute strength less tension (1×m) of inputs that can break or yield [N]."""
         gamma, S = self.force_density(at.N, at.V)
-        strength = list_strengths(scene)[s.string_parent]
-        unit = constant_row(s.stiffness)
-        if scene.commands_forces:
-            unit = ca.DM(np.where(np.isfinite(strength), strength, 1.0)).T / constant_row(
-                s.rest_length
-            )
-        left = (ca.DM(strength).T - gamma * ca.sqrt(ca.sum1(S * S))) / unit
-        return ca.horzcat(
-            *(
-                ca.mmin(left[:, np.flatnonzero(own & np.isfinite(strength)).tolist()])
-                for own in (scene.input_of == k for k in scene.breakable_inputs)
-            )
-        )
+        return compute_reserves(self.scene, gamma * ca.sqrt(ca.sum1(S * S)))
 
     def switches(self, at: NodeMotion) -> Any:
         """Compute the switching functions of cables and strings with slack events."""
@@ -269,11 +269,13 @@ class StringForces(ForceElement):
 
     def internal_rates(self, at: NodeMotion) -> Any:
         """Compute the rates of the internal states of the control, then of the strength."""
-        count = len(self.scene.breakable_inputs)
-        if not count:
-            return self._control_rates(at)
-        intact = self._own_states[1]
-        return ca.vertcat(self._control_rates(at), ca.DM.zeros(count), intact)
+        strength, own = self.scene.strength, self._own_states[1]
+        rates = [self._control_rates(at)]
+        if len(self.scene.breakable_inputs):
+            rates += [ca.DM.zeros(own.shape[0]), own]
+        elif len(self.scene.limited_inputs):
+            rates.append(ca.fmax(-self._reserves(at), 0).T / cast("Yielding", strength).viscosity)
+        return ca.vertcat(*rates)
 
     def _control_rates(self, at: NodeMotion) -> Any:
         if self._own_states[0].shape[0] == 0:
@@ -292,17 +294,15 @@ class StringForces(ForceElement):
 
     @property
     def _own_states(self) -> tuple[Any, Any]:
-        """Internal states of the control, and 1 for each breakable input that is intact."""
-        count = len(self.scene.breakable_inputs)
-        end = self.internal.shape[0] - 2 * count
-        return self.internal[:end], self.internal[end : end + count]
+        """Internal states of the control, and the first ones of strings that can fail."""
+        count = len(self.scene.limited_inputs)
+        end = self.internal.shape[0] - count_states(self.scene)
+        return self.internal[:end, :], self.internal[end : end + count, :]
 
-    def _intact(self, inputs: Indices) -> Any:
-        """Select 1 for members of intact inputs and 0 for broken ones, a row."""
-        breakable = self.scene.breakable_inputs
-        place = np.minimum(np.searchsorted(breakable, inputs), len(breakable) - 1)
-        place = np.where(breakable[place] == inputs, place, len(breakable))
-        return ca.vertcat(self._own_states[1], 1)[place.tolist(), :].T
+    @property
+    def _members(self) -> Indices:
+        """Input of each cable and modeled lone string."""
+        return np.asarray(self.scene.structure.cable_of[self._inputs.string_parent])
 
     @property
     def _law(self) -> Control:
@@ -356,6 +356,9 @@ class StringForces(ForceElement):
             squared = self._cables.squared_lengths(squared)
         by_control = sets_rest_lengths(self.scene)
         rest = self._per_segment(s.string_fraction) if by_control else constant_row(s.rest_length)
+        if len(self.scene.limited_inputs) > len(self.scene.breakable_inputs):
+            plastic = spread_states(self.scene, self._own_states[1], self._members, 0)
+            rest = rest + plastic * ca.DM(s.string_fraction).T
         rows = squared, rest, constant_row(s.stiffness), constant_row(s.rest_length)
         if len(laws) == 1:
             return evaluate(*laws[0], *rows, rate)
@@ -370,7 +373,7 @@ class StringForces(ForceElement):
 
     def _per_segment(self, factor: Array) -> Any:
         """Expand the control to cables and modeled lone strings, times `factor`."""
-        parent, u = self.scene.structure.cable_of[self._inputs.string_parent], self._command
+        parent, u = self._members, self._command
         row = u.T if len(parent) == u.shape[0] else u[parent.tolist(), :].T
         return row if np.all(factor == 1) else row * ca.DM(factor).T
 

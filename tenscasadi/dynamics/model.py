@@ -367,7 +367,8 @@ def _check_parameters(model: Model) -> None:
             raise ValueError(
                 f"Parameters has {name!r}, which has no effect on this scene{reason}: remove the name"
             )
-    started = ("rest_length",) if model.na else ()  # initial internal states
+    winds = control is not None and control.locked is not control
+    started = ("rest_length",) if winds else ()  # initial internal states
     for name in [name for name in unused if name not in started]:
         warnings.warn(
             f"Parameters has {name!r}, which only sets the default control: under {control} "

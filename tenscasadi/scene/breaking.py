@@ -1,10 +1,10 @@
-"""Strength of strings: the tension at which they break."""
+"""Strength of strings: the tension at which they break or yield."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,16 +22,92 @@ from tenscasadi.util.validate import (
 )
 
 
-class Strength(Value):
-    """Failure of strings at a tension."""
+class Strength(Value, implied="Breaking"):
+    """Failure of strings at a tension.
+
+    Attributes
+    ----------
+    verb : str
+        Failure in messages, "breaks" or "yields".
+    breaks : bool
+        Whether a string fails at an instant, and for good.
+    force, margin
+        Fields of the members.
+    """
+
+    verb: ClassVar[str]
+    breaks: ClassVar[bool]
+    force: Any
+    margin: float
+
+    def __post_init__(self) -> None:
+        name = type(self).__name__
+        if positive_number(f"{name}.margin", self.margin, zero=True) >= 1:
+            raise ValueError(f"{name}.margin is {self.margin:g}: give less than 1")
+        given, field = self.force, f"{name}.force"
+        if isinstance(given, Mapping):
+            own: Any = {key: positive_number(f"{field}[{key}]", one) for key, one in given.items()}
+            if not own:
+                raise ValueError(
+                    f"{field} is empty: give the force of a string, such as {{3: 500.0}}"
+                )
+        else:
+            array = number_or_vector(field, replace_inf(given))
+            nonnegative(field, array, "string", strict=True)
+            own = tuple(np.asarray(given, dtype=float).tolist()) if array.ndim else float(given)
+        object.__setattr__(self, "force", own)
 
     def check(self, strings: int) -> None:
-        """Check that the fields fit the number of strings."""
-        raise NotImplementedError
+        """Check that the forces fit the strings.
+
+        Parameters
+        ----------
+        strings : int
+            Number of strings.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If there is no such string, or the number of forces differs.
+        """
+        self.list_forces(strings)
+
+    def list_forces(self, strings: int) -> Array:
+        """List the force of each string.
+
+        Parameters
+        ----------
+        strings : int
+            Number of strings.
+
+        Returns
+        -------
+        ndarray, shape (α,)
+            Tensions at which strings break [N], inf for strings that cannot break.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If there is no such string, or the number of forces differs.
+        """
+        if isinstance(self.force, Mapping):
+            found = np.full(strings, np.inf)
+            for key, one in self.force.items():
+                found[
+                    node_index(f"{type(self).__name__}.force, string", key, strings, "string")
+                ] = one
+            return found
+        found = np.asarray(self.force, dtype=float)
+        if found.ndim and found.shape != (strings,):
+            raise ValueError(
+                f"{type(self).__name__}.force has {len(found)} entries: "
+                f"give one number, or one for each of {strings} strings"
+            )
+        return np.broadcast_to(found, (strings,))
 
 
 @dataclass(frozen=True)
-class Breaking(Strength, kind="Breaking", implied="Breaking"):
+class Breaking(Strength, kind="Breaking"):
     """Strings that break where their tension reaches a force.
 
     A broken string exerts no force for the rest of the run. A cable breaks as a whole, and so does
@@ -73,6 +149,8 @@ class Breaking(Strength, kind="Breaking", implied="Breaking"):
     [('string 0', 0.067302)]
     """
 
+    verb: ClassVar[str] = "breaks"
+    breaks: ClassVar[bool] = True
     force: Annotated[
         ArrayLike | Mapping[int, float],
         for_items("string", NUMBER, LIMITS),
@@ -80,64 +158,69 @@ class Breaking(Strength, kind="Breaking", implied="Breaking"):
 
     margin: float = 0.05
 
+
+@dataclass(frozen=True)
+class Yielding(Strength, kind="Yielding"):
+    """Strings that yield where their tension exceeds a force.
+
+    The rest length of a string grows at the rate (t − F)/η while its tension t exceeds its force F,
+    with the viscosity η. The tension then stays near F, and the elongation remains. A cable
+    lengthens as a whole, and so does a string that is divided into segments.
+
+    Parameters
+    ----------
+    force : float or array_like, shape (α,), or mapping of int to float
+        Tension F at which each string yields [N], greater than 0; inf for strings that cannot yield.
+        Strings that a mapping such as ``{3: 500.0}`` does not name cannot yield.
+    viscosity : float
+        Viscosity η [N·s/m]: the tension exceeds F by η times the rate of the elongation. η over the
+        stiffness of the string is a time that the steps must resolve.
+    margin : float
+        Share of the force by which plans stay below it, at least 0 and less than 1.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a field is wrong. In a `Scene`: if the number of forces differs from that of strings, or if
+        the control commands forces.
+
+    See Also
+    --------
+    Breaking : Strings that break.
+    Trajectory.yields : Strings that yield in a run.
+
+    Notes
+    -----
+    The elongation p of each string or cable is an internal state: t = k (l − ρ − p). This is
+    Perzyna's viscoplasticity [1]_, which tends to perfect plasticity as η tends to 0. The plastic
+    work ∫ t dp is lost; the energy balance includes it.
+
+    References
+    ----------
+    .. [1] P. Perzyna, Fundamental problems in viscoplasticity, Advances in Applied Mechanics 9,
+       1966.
+
+    Examples
+    --------
+    A mass of 1 kg falls onto a string that yields at 15 N:
+
+    >>> import tenscasadi as tc
+    >>> hung = tc.Structure([(0, 0, 0), (0, 0, -1)], strings=[(0, 1)], node_mass=1.0, pinned=[0], stiffness=1000.0)
+    >>> scene = tc.Scene(hung, gravity=tc.Gravity(), strength=tc.Yielding(15.0, viscosity=5.0))
+    >>> run = tc.simulate(tc.Model(scene), 0.3, 1e-3, compiled=False)
+    >>> [(found.member, round(found.elongation, 3)) for found in run.yields]
+    [('string 0', 0.006)]
+    """
+
+    verb: ClassVar[str] = "yields"
+    breaks: ClassVar[bool] = False
+    force: Annotated[
+        ArrayLike | Mapping[int, float],
+        for_items("string", NUMBER, LIMITS),
+    ]
+    viscosity: float
+    margin: float = 0.05
+
     def __post_init__(self) -> None:
-        if positive_number("Breaking.margin", self.margin, zero=True) >= 1:
-            raise ValueError(f"Breaking.margin is {self.margin:g}: give less than 1")
-        given, field = self.force, "Breaking.force"
-        if isinstance(given, Mapping):
-            own: Any = {key: positive_number(f"{field}[{key}]", one) for key, one in given.items()}
-            if not own:
-                raise ValueError(
-                    f"{field} is empty: give the force of a string, such as {{3: 500.0}}"
-                )
-        else:
-            array = number_or_vector(field, replace_inf(given))
-            nonnegative(field, array, "string", strict=True)
-            own = tuple(np.asarray(given, dtype=float).tolist()) if array.ndim else float(given)  # type: ignore[arg-type]
-        object.__setattr__(self, "force", own)
-
-    def check(self, strings: int) -> None:
-        """Check that the forces fit the strings.
-
-        Parameters
-        ----------
-        strings : int
-            Number of strings.
-
-        Raises
-        ------
-        TypeError, ValueError
-            If there is no such string, or the number of forces differs.
-        """
-        self.list_forces(strings)
-
-    def list_forces(self, strings: int) -> Array:
-        """List the force of each string.
-
-        Parameters
-        ----------
-        strings : int
-            Number of strings.
-
-        Returns
-        -------
-        ndarray, shape (α,)
-            Tensions at which strings break [N], inf for strings that cannot break.
-
-        Raises
-        ------
-        TypeError, ValueError
-            If there is no such string, or the number of forces differs.
-        """
-        if isinstance(self.force, Mapping):
-            found = np.full(strings, np.inf)
-            for key, one in self.force.items():
-                found[node_index("Breaking.force, string", key, strings, "string")] = one
-            return found
-        found = np.asarray(self.force, dtype=float)
-        if found.ndim and found.shape != (strings,):
-            raise ValueError(
-                f"Breaking.force has {len(found)} entries: "
-                f"give one number, or one for each of {strings} strings"
-            )
-        return np.broadcast_to(found, (strings,))
+        positive_number("Yielding.viscosity", self.viscosity)
+        super().__post_init__()

@@ -19,7 +19,7 @@ from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
 from tenscasadi.scene.parameter_layout import EMPTY, ParameterLayout, build_layout
 from tenscasadi.scene.parameters import Parameters
 from tenscasadi.scene.slack import read_slack
-from tenscasadi.scene.strength import find_breakable
+from tenscasadi.scene.strength import find_limited
 from tenscasadi.scene.strings import Clip, ForceDensity, StringLaw
 from tenscasadi.scene.supports import SupportMotion
 from tenscasadi.schema.containers import Either, ListOf, MapOf
@@ -68,8 +68,8 @@ class Scene(Value, Viewable, kind="Scene"):
         Quantities whose values each run can set. Default: all are constant.
     bar_contact : BarContact, optional
         Contact of bars with each other. Default: bars pass through each other.
-    strength : Breaking, optional
-        Tensions at which strings break. Default: strings carry any tension.
+    strength : Breaking or Yielding, optional
+        Tensions at which strings break or yield. Default: strings carry any tension.
 
     Raises
     ------
@@ -141,8 +141,13 @@ class Scene(Value, Viewable, kind="Scene"):
         if self.bar_contact is not None:
             self.bar_contact.check(self.structure)
         if self.strength is not None:
-            instance("Scene.strength", self.strength, Strength, "a tenscasadi.Breaking or None")
+            instance("Scene.strength", self.strength, Strength, "Breaking(), Yielding() or None")
             self.strength.check(len(self.structure.strings))
+            if self.commands_forces and not self.strength.breaks:
+                raise ValueError(
+                    f"Scene.strength is {self.strength}, and the control commands forces: "
+                    "give control=RestLength(), or Breaking()"
+                )
         if self.parameters is not None:
             instance(
                 "Scene.parameters",
@@ -286,7 +291,7 @@ class Scene(Value, Viewable, kind="Scene"):
 
     @cached_property
     def locked(self) -> Scene:
-        """Scene of statics without internal states: winches are locked, and no string breaks."""
+        """Scene of statics without internal states: winches are locked, no string fails."""
         control = self.control and self.control.locked
         if control is self.control and self.strength is None:
             return self
@@ -308,10 +313,16 @@ class Scene(Value, Viewable, kind="Scene"):
         return self.parameters is not None and name in self.parameters
 
     @cached_property
+    def limited_inputs(self) -> Indices:
+        """Inputs, of cables and lone strings, that can break or yield."""
+        found: Indices = read_only(find_limited(self))
+        return found
+
+    @property
     def breakable_inputs(self) -> Indices:
         """Inputs, of cables and lone strings, that can break."""
-        found: Indices = read_only(find_breakable(self))
-        return found
+        breaks = self.strength is not None and self.strength.breaks
+        return self.limited_inputs if breaks else self.limited_inputs[:0]
 
     @property
     def nu(self) -> int:

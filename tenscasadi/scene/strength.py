@@ -1,36 +1,39 @@
-"""Strings that can break: their strengths, internal states and overloads."""
+"""Strings that can break or yield: their strengths, internal states and overloads."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import casadi as ca
 import numpy as np
 
-from tenscasadi.scene.internal_states import InternalStates
+from tenscasadi.scene.internal_states import InternalStates, join_initial
 
 if TYPE_CHECKING:
     from tenscasadi.util.validate import Array, Indices
 
-INTACT, TIME_INTACT = "intact", "time intact"  # internal states of strings that can break
+# internal states of strings that can break, and of strings that can yield
+INTACT, TIME_INTACT, PLASTIC = "intact", "time intact", "plastic elongation"
+STATES = INTACT, TIME_INTACT, PLASTIC
 
 
 def list_strengths(scene: Any) -> Array:
-    """List the tensions (α,) of the scene's strings at which they break [N]."""
+    """List the tensions (α,) of the scene's strings at which they fail [N]."""
     strings = len(scene.structure.strings)
     if scene.strength is None:
         return np.full(strings, np.inf)
     return scene.strength.list_forces(strings)  # type: ignore[no-any-return]
 
 
-def find_breakable(scene: Any) -> Indices:
-    """Find the inputs, of cables and lone strings, that can break."""
+def find_limited(scene: Any) -> Indices:
+    """Find the inputs, of cables and lone strings, that can break or yield."""
     return np.unique(scene.structure.cable_of[np.isfinite(list_strengths(scene))])
 
 
 def limit_tensions(scene: Any) -> Array:
     """Compute the tensions (m,) of inputs, of cables and lone strings, that plans stay below [N].
 
-    They are inf for inputs that cannot break.
+    They are inf for inputs without a strength.
     """
     cable_of = scene.structure.cable_of
     found = np.full(int(cable_of.max(initial=-1)) + 1, np.inf)
@@ -51,18 +54,47 @@ def describe_overload(scene: Any, tension: Array) -> str:
         return ""
     worst = int(np.argmax(share))
     return (
-        f"string {parent[worst]} breaks, its tension of {tension[worst]:.4g} N reaches its "
+        f"string {parent[worst]} {scene.strength.verb}, its tension of {tension[worst]:.4g} N reaches its "
         f"strength of {strength[worst]:.4g} N"
     )
 
 
 def declare_strength(scene: Any) -> tuple[InternalStates, ...]:
-    """Declare the internal states of strings that can break."""
-    count = len(find_breakable(scene))
-    if not count:
+    """Declare the internal states of strings that can break or yield."""
+    inputs = find_limited(scene)
+    one = np.ones(len(inputs))
+    if not len(inputs):
         return ()
-    one = np.ones(count)
-    return (
-        InternalStates(INTACT, "", one, one),
-        InternalStates(TIME_INTACT, "s", one, np.zeros(count)),
-    )
+    if scene.strength.breaks:
+        return (
+            InternalStates(INTACT, "", one, one),
+            InternalStates(TIME_INTACT, "s", one, np.zeros(len(inputs))),
+        )
+    s = scene.structure
+    lengths = np.asarray(np.bincount(s.cable_of, weights=s.string_lengths), dtype=float)
+    return (InternalStates(PLASTIC, "m", lengths[inputs], np.zeros(len(inputs))),)
+
+
+def count_states(scene: Any) -> int:
+    """Count the internal states of strings that can break or yield."""
+    return len(join_initial(declare_strength(scene)))
+
+
+def spread_states(scene: Any, own: Any, inputs: Indices, default: float) -> Any:
+    """Select the states (m,) of given inputs, a row; `default` for those without a strength."""
+    limited = scene.limited_inputs
+    place = np.minimum(np.searchsorted(limited, inputs), len(limited) - 1)
+    place = np.where(limited[place] == inputs, place, len(limited))
+    return ca.vertcat(own, default)[place.tolist(), :].T
+
+
+def compute_reserves(scene: Any, tension: Any) -> Any:
+    """Compute the least difference (1×m) between strength and tension in each input [N].
+
+    `tension` (1×α) [N] is that of the modeled strings.
+    """
+    strength = list_strengths(scene)[scene.modelled.string_parent]
+    left = ca.DM(strength).T - tension
+    own = [scene.input_of == k for k in scene.limited_inputs]
+    which = [np.flatnonzero(one & np.isfinite(strength)).tolist() for one in own]
+    return ca.horzcat(*(ca.mmin(left[:, some]) for some in which))

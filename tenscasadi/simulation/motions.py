@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tenscasadi.scene.scene import Scene
 from tenscasadi.schema.stored import check_indices
 from tenscasadi.simulation.scene_result import SceneResult, format_largest
-from tenscasadi.simulation.string_breaks import StringBreak, find_breaks
+from tenscasadi.simulation.string_breaks import StringBreak, StringYield, find_breaks, find_yields
 from tenscasadi.util.tables import MOST_LISTED
 from tenscasadi.util.validate import Array, Indices, node_index
 from tenscasadi.util.viewable import Viewable
@@ -151,6 +151,17 @@ class Rollouts(Viewable, SceneResult, form="tenscasadi rollouts 1", title="file 
         good: Any = np.isfinite(self.states).all(axis=2)
         return [
             find_breaks(self.scene, own[rows]) for own, rows in zip(self.states, good, strict=True)
+        ]
+
+    @property
+    def yields(self) -> list[tuple[StringYield, ...]]:
+        """Strings and cables that yield in each run, in the order of time; see `Yielding`."""
+        if self.scene is None:
+            return [()] * len(self.states)
+        good: Any = np.isfinite(self.states).all(axis=2)
+        return [
+            find_yields(self.scene, self.time[rows], own[rows])
+            for own, rows in zip(self.states, good, strict=True)
         ]
 
     def path(self, node: int) -> Array:

@@ -1,4 +1,4 @@
-"""Strings that break in a run, found in its states."""
+"""Strings that break or yield in a run, found in its states."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from tenscasadi.scene.strength import list_strengths
 from tenscasadi.structure.cables import name_inputs
 from tenscasadi.structure.names import label
+from tenscasadi.util.validate import NEGLIGIBLE
 
 if TYPE_CHECKING:
     from tenscasadi.scene.scene import Scene
@@ -39,8 +40,36 @@ class StringBreak(NamedTuple):
         return f"{self.member} breaks at t = {self.time:.4g} s ({self.force:.4g} N)"
 
 
-def name_breakable(scene: Scene) -> list[str]:
-    """Name the strings and cables that can break."""
+class StringYield(NamedTuple):
+    """String or cable that yields in a run.
+
+    Attributes
+    ----------
+    member : str
+        Name of the string or cable.
+    strings : tuple of int
+        Its strings in `Scene.structure`.
+    time : float
+        Time of the last saved row before it yields [s].
+    force : float
+        Force at which it yields [N], the least one in a cable.
+    elongation : float
+        Plastic elongation during the run [m].
+    """
+
+    member: str
+    strings: tuple[int, ...]
+    time: float
+    force: float
+    elongation: float
+
+    def __str__(self) -> str:
+        amount = f"by {self.elongation:.3g} m ({self.force:.4g} N)"
+        return f"{self.member} yields after t = {self.time:.4g} s {amount}"
+
+
+def name_limited(scene: Scene) -> list[str]:
+    """Name the strings and cables that can break or yield."""
     s, names = scene.structure, name_inputs(scene.structure)
     for k, (input_, count) in enumerate(
         zip(*np.unique(s.cable_of, return_counts=True), strict=True)
@@ -48,7 +77,7 @@ def name_breakable(scene: Scene) -> list[str]:
         string = int(np.flatnonzero(s.cable_of == input_)[0])
         if count == 1 and s.string_names and s.string_names[string]:
             names[k] = f"string {label(s.string_names, string)!r}"
-    return [names[k] for k in scene.breakable_inputs]
+    return [names[k] for k in scene.limited_inputs]
 
 
 def find_breaks(scene: Scene, states: Array) -> tuple[StringBreak, ...]:
@@ -76,11 +105,43 @@ def find_breaks(scene: Scene, states: Array) -> tuple[StringBreak, ...]:
         own = np.flatnonzero(cable_of == inputs[k])
         found.append(
             StringBreak(
-                name_breakable(scene)[k],
+                name_limited(scene)[k],
                 tuple(own.tolist()),
                 float(time[-1, k] - time[0, k]),
                 float(strength[own].min()),
             )
+        )
+    return tuple(sorted(found, key=lambda one: one.time))
+
+
+def find_yields(scene: Scene, time: Array, states: Array) -> tuple[StringYield, ...]:
+    """Find the strings that yield in a run.
+
+    Parameters
+    ----------
+    scene : Scene
+        The simulated scene.
+    time, states : ndarray, shapes (T,) and (T, nx)
+        Times [s] and states of the run from its start.
+
+    Returns
+    -------
+    tuple of StringYield
+        Strings and cables, in the order of time.
+    """
+    inputs = scene.limited_inputs
+    if len(inputs) == len(scene.breakable_inputs) or not len(states):
+        return ()
+    end = states.shape[1] - int(scene.has_clock)
+    growth = states[:, end - len(inputs) : end] - states[0, end - len(inputs) : end]
+    strength, cable_of, found = list_strengths(scene), scene.structure.cable_of, []
+    lengths = np.bincount(cable_of, weights=scene.structure.string_lengths)[inputs]
+    for k in np.flatnonzero(growth[-1] > NEGLIGIBLE * lengths).tolist():  # more than rounding
+        own = np.flatnonzero(cable_of == inputs[k])
+        row = int(np.argmax(growth[:, k] > NEGLIGIBLE * growth[-1, k])) - 1
+        member, least = name_limited(scene)[k], float(strength[own].min())
+        found.append(
+            StringYield(member, tuple(own.tolist()), float(time[row]), least, float(growth[-1, k]))
         )
     return tuple(sorted(found, key=lambda one: one.time))
 
@@ -101,10 +162,14 @@ def _select_states(scene: Scene, states: Array) -> tuple[Array, Array]:
     return states[:, end - 2 * count : end - count], states[:, end - count : end]
 
 
-def describe_breaks(breaks: tuple[StringBreak, ...]) -> str:
-    """Describe the first break in a message, and count the others; "" if there are none."""
-    if not breaks:
+def describe_failures(scene: Scene, time: Array, states: Array) -> str:
+    """Describe the first string that breaks or yields, and count the others; "" if there is none.
+
+    `time` (T,) [s] and `states` (T, nx) are those of a run.
+    """
+    found = [*find_breaks(scene, states), *find_yields(scene, time, states)]
+    if not found:
         return ""
-    more = len(breaks) - 1
-    others = f", and {more} more break{'s' if more == 1 else ''} later" if more else ""
-    return f"; {breaks[0]}{others}"
+    more = len(found) - 1
+    others = f", and {more} more string{'s' if more > 1 else ''}" if more else ""
+    return f"; {found[0]}{others}"

@@ -13,10 +13,16 @@ import numpy as np
 from tenscasadi.dynamics.body_motion import body_angular_velocity, body_orientation
 from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.strength import INTACT, TIME_INTACT
+from tenscasadi.scene.strength import STATES
 from tenscasadi.schema.stored import array_fields, check_indices
 from tenscasadi.simulation.scene_result import SceneResult, format_largest
-from tenscasadi.simulation.string_breaks import StringBreak, find_breaks, name_breakable
+from tenscasadi.simulation.string_breaks import (
+    StringBreak,
+    StringYield,
+    find_breaks,
+    find_yields,
+    name_limited,
+)
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.tables import MOST_LISTED, Quantity, Tabular
 from tenscasadi.util.troubleshooting import describe_address
@@ -156,7 +162,8 @@ class Trajectory(
     def internal_states(self) -> dict[str, Array]:
         """Internal states (T, nu) by name, such as "rest length" under `RestLengthRate`.
 
-        "intact" and "time intact" are (T, m), for the strings and cables that can break.
+        "intact", "time intact" and "plastic elongation" are (T, m), for the strings and cables that
+        can break or yield.
         """
         if self.scene is None or not self.scene.internal_states:
             return {}
@@ -172,6 +179,11 @@ class Trajectory(
     def breaks(self) -> tuple[StringBreak, ...]:
         """Strings and cables that break, in the order of time; see `Breaking`."""
         return () if self.scene is None else find_breaks(self.scene, self.states)
+
+    @property
+    def yields(self) -> tuple[StringYield, ...]:
+        """Strings and cables that yield, in the order of time; see `Yielding`."""
+        return () if self.scene is None else find_yields(self.scene, self.time, self.states)
 
     def orientation(self, body: int) -> Array:
         """Compute the orientation of a rigid body.
@@ -253,6 +265,7 @@ class Trajectory(
         if self.tension.size:
             lines.append(f"tension       {self.tension.min():.4g} … {self.tension.max():.4g} N")
         lines += [f"break         {one}" for one in self.breaks[:MOST_LISTED]]
+        lines += [f"yield         {one}" for one in self.yields[:MOST_LISTED]]
         return "\n".join([*lines, *describe_address(self.message)])
 
     def _quantities(self) -> Iterable[Quantity]:
@@ -274,8 +287,8 @@ class Trajectory(
             Quantity("control", "control {}", self.control, ("input",)),
             *(
                 Quantity(name.replace(" ", "_"), f"input {{}} {name}", values, ("input",))
-                if name not in (INTACT, TIME_INTACT)
-                else Quantity(name.replace(" ", "_"), f"{{}} {name}", values, ("breakable",))
+                if name not in STATES
+                else Quantity(name.replace(" ", "_"), f"{{}} {name}", values, ("limited",))
                 for name, values in self.internal_states.items()
             ),
         )
@@ -285,7 +298,7 @@ class Trajectory(
             return {}
         structure = self.scene.modelled
         names = {"node": structure.node_names, "string": structure.string_names}
-        return names | {"breakable": name_breakable(self.scene)}
+        return names | {"limited": name_limited(self.scene)}
 
     @classmethod
     def _check_loaded(cls, given: Mapping[str, Any]) -> None:

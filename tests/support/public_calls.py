@@ -176,6 +176,8 @@ def dynamics_calls() -> dict[str, Call]:
         "BarContact": (tc.BarContact, {"pairs": [(0, 1)], "stiffness": 10.0, "damping": 1.0}),
         "Breaking": (tc.Breaking, {"force": 40.0, "margin": 0.1}),
         "Breaking, by string": (tc.Breaking, {"force": {0: 40.0}}),
+        "Yielding": (tc.Yielding, {"force": 40.0, "viscosity": 2.0, "margin": 0.1}),
+        "Scene, yielding": (tc.Scene, {"structure": SEGMENTED, "strength": tc.Yielding([40.0, np.inf], 2.0)}),
         "Scene, strength": (tc.Scene, {"structure": SEGMENTED, "strength": tc.Breaking([40.0, np.inf])}),
         "Pressure": (tc.Pressure, {"faces": [(0, 1, 2)], "difference": 5.0}),
         "Gravity, table": (tc.Gravity, {"acceleration": [(0.0, 0.0, -9.81), (0.0, 0.0, 0.0)], "times": np.array([0.0, 1.0])}),

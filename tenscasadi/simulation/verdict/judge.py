@@ -13,7 +13,7 @@ from tenscasadi.integrators.scheme import extent
 from tenscasadi.simulation.engine.request import FINISHED, WORST
 from tenscasadi.simulation.engine.roll import Runs
 from tenscasadi.simulation.inputs.resolution import describe_unresolved
-from tenscasadi.simulation.string_breaks import describe_breaks, find_breaks
+from tenscasadi.simulation.string_breaks import describe_failures
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.simulation.verdict.endings import (
     describe_limit,
@@ -74,11 +74,11 @@ def judge(runs: Runs, found: StepErrors | None) -> Verdict:
     for k in finished.tolist():
         message[k] += doubts.text[k]
     model = runs.request.inputs.model
-    if model.scene.breakable_inputs.size:
-        own = model.moving.stop + int(model.scene.has_clock)  # without a control function's clock
+    if (scene := model.scene).strength is not None:
+        own = model.moving.stop + int(scene.has_clock)  # without the clock of a control function
         for k, states in enumerate(runs.saved[:, :, :own]):
-            rows = states[: len(runs.saved_steps(k))]
-            message[k] += describe_breaks(find_breaks(model.scene, rows))
+            steps = runs.saved_steps(k)
+            message[k] += describe_failures(scene, runs.times(steps), states[: len(steps)])
     doubts = check_internal_states(runs)
     success &= ~doubts.failed
     message = [

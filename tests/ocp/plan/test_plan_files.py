@@ -116,6 +116,9 @@ OTHER: dict[str, Callable[[], tc.Model]] = {
         bar_contact=tc.BarContact([(0, 1)], damping=2.0),
     ),
     "Scene.strength": lambda: model(strength=tc.Breaking(40.0, margin=0.1)),
+    "Scene.strength  ": lambda: model(
+        control=tc.RestLength(), strength=tc.Yielding([40.0, 50.0, np.inf], 2.0)
+    ),
     "Scene.strength ": lambda: model(strength=tc.Breaking({1: 40.0})),
     "Scene.pressure": lambda: model(pressure=tc.Pressure([(0, 1, 2)], 3.0)),
     "Scene.forces": lambda: model(forces=tc.NodalForce(np.ones((5, 3)))),

@@ -66,7 +66,9 @@ def test_starts_have_no_broken_string():
     start = model.initial_state.copy()
     assert np.array_equal(problem(model, start=start).start, cross().initial_state)
     start[-4:-2] = [1, 0]
-    with pytest.raises(ValueError, match=r"Problem\.start has a broken string"):
+    with pytest.raises(
+        ValueError, match=r"Problem\.start has a string that is broken or has yielded"
+    ):
         problem(model, start=start)
 
 

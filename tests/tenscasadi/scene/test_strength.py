@@ -34,6 +34,15 @@ def test_scene_files_name_strings(tmp_path):
     assert scene.breakable_inputs.tolist() == [0, 1]
 
 
+def test_scene_files_hold_yielding(tmp_path):
+    scene = tc.Scene(NAMED, strength=tc.Yielding({0: 7.0}, 2.0))
+    tc.save_scene(scene, tmp_path / "scene.toml")
+    again = tc.load_scene(tmp_path / "scene.toml")
+    assert again.strength == scene.strength
+    assert again.breakable_inputs.tolist() == []
+    assert again.limited_inputs.tolist() == [0]
+
+
 def test_plans_stay_below_the_least_strength_of_a_cable():
     structure = NAMED.replace(cables=[[0, 1]])
     scene = tc.Scene(structure, strength=tc.Breaking([10.0, 20.0, np.inf], margin=0.1))
