@@ -59,7 +59,9 @@ def describe_overload(runs: Runs, k: int) -> str:
     if not isinstance(control, Winch):
         return ""
     states = runs.saved[k, : len(steps), : model.nx]
-    reached = {"speed": (model.split(states).internal[:, count:], "winding speed", "rad/s")}
+    reached = {
+        "speed": (model.split(states).internal[:, count : 2 * count], "winding speed", "rad/s")
+    }
     if inputs.feedback is None:
         given = inputs.add_schedule(inputs.stack(k, steps), runs.times(steps))[:, :count]
         reached["torque"] = given, control.name, control.unit
