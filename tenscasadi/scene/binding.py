@@ -77,6 +77,13 @@ def bind(scene: Any, w: Any) -> tuple[Any, Any, Any]:
             with_fields(ground, **_own_entries(ground, k, on_grounds))
             for k, ground in enumerate(scene.grounds)
         )
+    touching = {
+        name.removeprefix("bar_contact_"): affine.expression(p, full=True)
+        for name, affine in items.items()
+        if name.startswith("bar_contact_")
+    }
+    if touching:
+        changes["bar_contact"] = with_fields(scene.bar_contact, **touching)
     for name in items.keys() & set(_LOADS):
         load, value = getattr(scene, name), items[name].expression(p, full=True)
         if name in scene.parameters.scale:
@@ -147,6 +154,13 @@ def fix(scene: Any, p: Array) -> Any:
             _fix_ground(ground, _own_entries(ground, k, on_grounds))
             for k, ground in enumerate(scene.grounds)
         )
+    touching = {
+        name.removeprefix("bar_contact_"): float(values[0])
+        for name, values in items.items()
+        if name.startswith("bar_contact_")
+    }
+    if touching:
+        changes["bar_contact"] = replace(scene.bar_contact, **touching)
     for name in items.keys() & set(_LOADS):
         load, value = getattr(scene, name), items[name]
         if name in scene.parameters.scale:

@@ -24,6 +24,7 @@ def has_friction(scene: Any) -> bool:
     """Return whether any contact has damping or friction, or any cable friction."""
     return (
         scene.has_parameter("ground_damping")
+        or scene.has_parameter("bar_contact_damping")
         or any(not law.conservative for law in scene.contact_laws)
         or has_cable_friction(scene)
     )

@@ -341,13 +341,15 @@ def _read_items(scene: Any, parameters: Parameters, name: str) -> tuple[Array, l
         missing = missing or (
             "Ground.friction is None: give a coefficient" if None in values else ""
         )
+    elif part == "bar_contact":
+        values = [getattr(source, name.removeprefix("bar_contact_"), None)]
     if missing:
         cure = ", or remove the name" if ": " in missing else ": remove the name"
         raise ValueError(f"Parameters has {name!r}, but {missing}{cure}")
     if name == "body_inertia":
         return values, [f"{body}, {axes}" for body in range(len(values) // 6) for axes in MOMENTS]
-    if part in ("structure", "ground"):
-        single = part == "ground" and len(values) == 1
+    if part in ("structure", "ground", "bar_contact"):
+        single = part != "structure" and len(values) == 1
         return np.array(values), [""] if single else list(range(len(values)))
     if name in parameters.scale:  # a factor of the whole load, which can vary over time
         return np.ones(1), [""]

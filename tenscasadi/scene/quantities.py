@@ -33,6 +33,8 @@ QUANTITIES = {
     "ground_stiffness": ParameterQuantity("N/m", "ground", "positive", "ground"),
     "ground_damping": ParameterQuantity("N·s/m", "ground", "zero", "ground"),
     "ground_friction": ParameterQuantity("1", "ground", "zero", "ground"),
+    "bar_contact_stiffness": ParameterQuantity("N/m", "bar contact", "positive", "bar_contact"),
+    "bar_contact_damping": ParameterQuantity("N·s/m", "bar contact", "zero", "bar_contact"),
     "pressure": ParameterQuantity("Pa", "pressure", "any", "pressure"),
     "forces": ParameterQuantity("N", "force", "any", "forces"),
 }

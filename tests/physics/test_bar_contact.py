@@ -130,6 +130,29 @@ def test_derivatives_match_differences():
     np.testing.assert_allclose(found.jacobian, by_differences, atol=2e-4)
 
 
+@pytest.mark.parametrize("compiled", [False, True])
+def test_stiffness_and_damping_are_parameters(compiled):
+    names = "bar_contact_stiffness", "bar_contact_damping"
+    model = crossed(1.0, parameters=tc.Parameters(*names))
+    assert model.parameters.names == names
+    given = {"bar_contact_stiffness": 2 * STIFFNESS, "bar_contact_damping": 20.0}
+    one = run(model, parameters=given, compiled=compiled)
+    law = tc.BarContact([(0, 1)], 2 * STIFFNESS, 20.0)
+    other = run(tc.Model(tc.Scene(model.structure, bar_contact=law)), compiled=compiled)
+    np.testing.assert_allclose(one.nodes, other.nodes, atol=1e-12)
+    np.testing.assert_allclose(one.energy, other.energy, atol=1e-12)
+    assert tc.stable_step(model, parameters=given) == pytest.approx(
+        tc.stable_step(tc.Model(tc.Scene(model.structure, bar_contact=law)))
+    )
+    state = model.state(model.structure.nodes, FALL)
+    found = tc.sensitivities(model, state, t_end=0.1, step=1e-3, by="parameters", compiled=False)
+    assert np.abs(found.jacobian).max() > 0
+    with pytest.raises(ValueError, match=r"bar_contact_stiffness.*Scene\.bar_contact is None"):
+        tc.Scene(model.structure, parameters=tc.Parameters("bar_contact_stiffness"))
+    with pytest.raises(ValueError, match="bar_contact_damping is -1"):
+        run(model, parameters={**given, "bar_contact_damping": -1.0})
+
+
 def test_absent_contact_adds_no_term():
     """Bars with a radius pass through each other, and build no expression."""
     model = crossed()
