@@ -15,7 +15,12 @@ from ocp.control.mpc import Mpc
 from ocp.control.mppi import Mppi
 from ocp.export import export_mpc, export_program
 from ocp.guess.initial_guess import EquilibriumGuess, InverseDynamics, TrajectoryGuess
-from ocp.io.problem_files import load_problem, load_solve_arguments, save_problem
+from ocp.io.problem_files import (
+    load_problem,
+    load_solve_arguments,
+    load_studies,
+    save_problem,
+)
 from ocp.plan.plan import Plan
 from ocp.plan.robustness import Robustness
 from ocp.problem.bounds.acceleration_bounds import NodeAccelerationLimits
@@ -137,6 +142,7 @@ __all__ = [
     # files
     "load_problem",
     "load_solve_arguments",
+    "load_studies",
     "save_problem",
     # closed loop
     "Mpc",

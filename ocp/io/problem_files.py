@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from ocp.io.plan_section import SOLVE_ARGUMENTS, read_plan, write_plan
+from ocp.io.study_sections import build_studies, read_studies, write_studies
 from ocp.problem.problem import Problem
 from tenscasadi.io.document import read_document, write_document
 from tenscasadi.io.scene_files import read_scene, write_scene
@@ -115,7 +117,55 @@ def read_arguments(document: Document) -> dict[str, Any]:
     return read_plan(item, _read_simulation(document, scene))
 
 
-def save_problem(problem: Problem, path: str | os.PathLike[str], **solve_arguments: Any) -> Path:
+def load_studies(path: str | os.PathLike[str]) -> dict[str, dict[str, Any]]:
+    """Read the studies of a plan from a scene file.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        TOML file, see docs/scene_files.md.
+
+    Returns
+    -------
+    dict of str to dict
+        Fields of the tables that the file has: "refinement", the arguments of `Plan.refine`;
+        "robustness", those of `Plan.robustness`; and "closed_loop", those of `run`. Its
+        "controller" is built by ``controller.build(problem, plan)``.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    tenscasadi.SceneFileError
+        If the file is not a scene file, or one of the tables is wrong.
+
+    See Also
+    --------
+    save_problem : Write studies.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import ocp
+    >>> import tenscasadi as tc
+    >>> model = tc.Model(tc.Scene(tc.shapes.prism(), control=tc.ForceDensity()))
+    >>> problem = ocp.Problem(model, 0.5, goals=[ocp.AtRest()], bounds=[ocp.ForceDensityLimits(1.0, 200.0)])
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = ocp.save_problem(problem, f"{folder}/prism.toml", studies={"refinement": {"tolerance": 1e-5}})
+    ...     ocp.load_studies(path)["refinement"]
+    {'tolerance': 1e-05, 'attempts': 5}
+    """
+    studies = read_studies(read_document(path))
+    return {name: dict(vars(own)) for name, own in studies._asdict().items() if own is not None}
+
+
+def save_problem(
+    problem: Problem,
+    path: str | os.PathLike[str],
+    *,
+    studies: Mapping[str, Mapping[str, Any]] | None = None,
+    **solve_arguments: Any,
+) -> Path:
     """Write a problem to a scene file.
 
     Numbers read back are equal to the last bit.
@@ -126,6 +176,9 @@ def save_problem(problem: Problem, path: str | os.PathLike[str], **solve_argumen
         Problem, which is written with its model.
     path : str or os.PathLike
         TOML file. An existing file is replaced.
+    studies : mapping of str to mapping, optional
+        Fields of the tables "refinement", "robustness" and "closed_loop", as `load_studies`
+        returns them. A controller may be a mapping, such as ``{"kind": "Mpc", "period": 0.05}``.
     **solve_arguments
         Further arguments of `solve`: ``transcription``, ``solver``, ``guess``, ``tolerance``,
         ``time_limit``, ``n_starts``, ``tracked``.
@@ -148,6 +201,7 @@ def save_problem(problem: Problem, path: str | os.PathLike[str], **solve_argumen
     See Also
     --------
     load_problem : Read a problem.
+    load_studies : Read studies.
 
     Examples
     --------
@@ -166,8 +220,13 @@ def save_problem(problem: Problem, path: str | os.PathLike[str], **solve_argumen
     for name in solve_arguments:
         if name not in SOLVE_ARGUMENTS:
             raise TypeError(f"save_problem takes no {name!r}: give {', '.join(SOLVE_ARGUMENTS)}")
+    asked = build_studies({} if studies is None else studies)
     try:
-        tables = {**write_scene(problem.model.scene), "plan": write_plan(problem, solve_arguments)}
+        tables = {
+            **write_scene(problem.model.scene),
+            "plan": write_plan(problem, solve_arguments),
+            **write_studies(asked),
+        }
     except NotWritten as error:
         raise add_address(ValueError(f"problem cannot be written, {error}")) from None
     return write_document(target, tables)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, NamedTuple
@@ -20,7 +21,13 @@ from tenscasadi.schema.containers import TableOf
 from tenscasadi.schema.definitions import OneOf, definition
 from tenscasadi.schema.field_types import NUMBER, PER_ITEM, SPAN
 from tenscasadi.schema.reading import Document
-from tenscasadi.util.validate import MAX_ENTRIES, flag, positive_number, whole_number
+from tenscasadi.util.validate import (
+    MAX_ENTRIES,
+    flag,
+    format_value,
+    positive_number,
+    whole_number,
+)
 
 
 @dataclass(frozen=True)
@@ -164,12 +171,50 @@ def read_studies(document: Document) -> Studies:
     )
 
 
+def build_studies(given: Any) -> Studies:
+    """Build studies from tables of their fields by name, as `ocp.load_studies` returns them.
+
+    They are read as those of a file. Raises TypeError, SceneFileError.
+    """
+    names = ", ".join(SECTIONS)
+    if not isinstance(given, Mapping) or not all(
+        isinstance(own, Mapping) for own in given.values()
+    ):
+        raise TypeError(f"studies is {format_value(given)}: give mappings by name, {names}")
+    for name in given:
+        if name not in SECTIONS:
+            raise TypeError(f"studies has {format_value(name)}: give some of {names}")
+    tables = {
+        name: {key: value for key, value in own.items() if value is not None}
+        for name, own in given.items()
+    }
+    try:
+        plain = json.loads(json.dumps(tables, default=_make_plain))
+    except Exception:  # noqa: BLE001  values of any class fail in any way
+        cure = "give numbers, texts, lists and mappings of these"
+        raise TypeError(f"studies is {format_value(given)}: {cure}") from None
+    return read_studies(Document("studies", plain, {}))
+
+
+def _make_plain(value: Any) -> Any:
+    """Convert arrays, numbers of NumPy and controllers to lists, numbers and mappings."""
+    if isinstance(value, ControllerOptions):
+        own = {key: entry for key, entry in value.to_fields().items() if entry is not None}
+        return {"kind": type(value).kind, **own}
+    return dict(value) if isinstance(value, Mapping) else value.tolist()
+
+
+def write_studies(studies: Studies) -> dict[str, dict[str, Any]]:
+    """Write studies as tables without defaults. Raises NotWritten."""
+    given = {name: own for name, own in studies._asdict().items() if own is not None}
+    return {name: SECTIONS[name].write(vars(own)) for name, own in given.items()}
+
+
 def describe_studies(studies: Studies) -> list[str]:
     """Describe each study in a line, by the fields that differ from their defaults."""
-    given = {name: own for name, own in studies._asdict().items() if own is not None}
-    fields = {name: SECTIONS[name].write(vars(own)) for name, own in given.items()}
     texts = {
-        name: [f"{key} = {own}" for key, own in table.items()] for name, table in fields.items()
+        name: [f"{key} = {own}" for key, own in table.items()]
+        for name, table in write_studies(studies).items()
     }
     return [f"{name:13} {', '.join(parts)}" for name, parts in texts.items()]
 

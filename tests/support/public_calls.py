@@ -327,7 +327,8 @@ def planning_calls() -> dict[str, Call]:
         "Plan.load": (ocp.Plan.load, {"path": "missing.npz", "problem": problem()}),
         "load_problem": (ocp.load_problem, {"path": "missing.toml"}),
         "load_solve_arguments": (ocp.load_solve_arguments, {"path": "missing.toml"}),
-        "save_problem": (ocp.save_problem, {"problem": problem(), "path": "problem.toml", "tolerance": 1e-3, "time_limit": 1.0, "n_starts": 1}),
+        "load_studies": (ocp.load_studies, {"path": "missing.toml"}),
+        "save_problem": (ocp.save_problem, {"problem": problem(), "path": "problem.toml", "studies": {"refinement": {"tolerance": 1e-3}}, "tolerance": 1e-3, "time_limit": 1.0, "n_starts": 1}),
         "Plan.require_model": (plan().require_model, {"user": "a test"}),
         "Progress": (ocp.Progress, {"iteration": 1, "objective": 1.0, "infeasibility": 0.0}),
     }  # fmt: skip

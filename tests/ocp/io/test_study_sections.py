@@ -142,3 +142,55 @@ def test_refinement_and_robustness_take_the_plan(read):
     found = studies.robustness.run(refined)
     assert len(found.error) == 20
     assert found.error.max() > refined.replay_error
+
+
+STUDIES = {
+    "refinement": {"tolerance": 1e-4, "attempts": 2},
+    "robustness": {"parameters": {"bar_mass": 0.05}, "start": (1e-3, 0.01), "samples": 50},
+    "closed_loop": {"t_end": 2.0, "controller": {"kind": "Mpc", "period": 0.1}, "steps": 5},
+}
+
+
+def test_saved_studies_come_back(read, tmp_path):
+    problem = read_arguments(read(""))["problem"]
+    path = ocp.save_problem(problem, tmp_path / "saved.toml", studies=STUDIES)
+    found = ocp.load_studies(path)
+    assert found["refinement"] == STUDIES["refinement"]
+    assert found["robustness"]["parameters"] == {"bar_mass": 0.05}
+    assert tuple(found["robustness"]["start"]) == (1e-3, 0.01)
+    assert found["closed_loop"]["controller"] == MpcOptions(period=0.1)
+    again = ocp.save_problem(problem, tmp_path / "again.toml", studies=found)
+    assert again.read_text() == path.read_text()
+    assert ocp.load_studies(ocp.save_problem(problem, tmp_path / "none.toml")) == {}
+    controller = found["closed_loop"]["controller"].build(problem, None)
+    assert controller.period == 0.1
+
+
+def test_the_kind_of_a_controller_suffices(read, tmp_path):
+    problem = read_arguments(read(""))["problem"]
+    studies = {"closed_loop": {"t_end": 1.0, "controller": "Track"}}
+    path = ocp.save_problem(problem, tmp_path / "saved.toml", studies=studies)
+    assert ocp.load_studies(path)["closed_loop"]["controller"] == TrackOptions()
+
+
+@pytest.mark.parametrize(
+    ("studies", "message"),
+    [
+        (3, "studies is 3: give mappings by name, refinement, robustness, closed_loop"),
+        ({"refine": {}}, "studies has 'refine': give some of refinement"),
+        ({"refinement": 1e-3}, "give mappings by name"),
+        ({"refinement": {}}, "studies.*refinement has no tolerance"),
+        ({"refinement": {"tolerance": -1.0}}, "studies.*tolerance is -1"),
+        ({"refinement": {"tolerance": np.nan}}, "studies.*tolerance.*nan"),
+        ({"refinement": {"tolerance": 10**400}}, "studies.*tolerance"),
+        ({"refinement": {"tolerance": object()}}, "studies is .*: give numbers, texts, lists"),
+        ({"refinement": {"tol": 1.0}}, "studies.*is no field of refinement"),
+        ({"closed_loop": {"t_end": 1.0, "controller": "Mpcc"}}, "did you mean 'Mpc'"),
+        ({"closed_loop": {"t_end": 1.0, "controller": {"perod": 1}}}, "did you mean 'period'"),
+        ({"closed_loop": {"t_end": 1.0, "parameters": 3}}, "studies.*parameters"),
+    ],
+)
+def test_wrong_studies_are_rejected_by_name(studies, message, read, tmp_path):
+    problem = read_arguments(read(""))["problem"]
+    with pytest.raises((TypeError, ValueError), match=message):
+        ocp.save_problem(problem, tmp_path / "saved.toml", studies=studies)
