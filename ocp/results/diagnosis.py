@@ -111,7 +111,7 @@ def explain_failure(
     worst = int(np.argmax(violation))
     if violation[worst] > TOLERANCE:
         name, amount = program.names[worst], violation[worst]
-        unit = _units(problem).get(name.split(",")[0])
+        unit = list_units(problem).get(name.split(",")[0])
         scaled = f"{amount:.2g} of its scale"
         text = f"{name}, by " + (
             scaled if unit is None else f"{amount * program.scale[worst]:.2g} {unit}".rstrip()
@@ -182,7 +182,7 @@ def _explain_rates(program: Program, solution: Solution, violation: Array, too_l
     return f"{text}, but {too_long}" if too_long else text
 
 
-def _units(problem: Problem) -> Mapping[str, str]:
+def list_units(problem: Problem) -> Mapping[str, str]:
     """List the units of all limited quantities by name.
 
     User-defined constraints have the unit "".

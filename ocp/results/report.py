@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -19,6 +19,7 @@ from ocp.solvers.multipliers import Duals
 from ocp.transcription.mesh import profile_at
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.cables import name_inputs
+from tenscasadi.structure.names import add_names
 from tenscasadi.util.validate import Array
 
 # relative to the range or size of a limit: a value within it is active, one farther beyond violated
@@ -31,7 +32,7 @@ class Finding(NamedTuple):
     Attributes
     ----------
     name : str
-        Name of the limited quantity.
+        Name of the limited quantity, with the user's name of its member.
     side : str
         "lower" or "upper".
     limit, worst : float
@@ -159,10 +160,15 @@ def report_of(
             lambda one: one.share,
         )
     ]
+    structure = problem.model.scene.structure
+
+    def name(findings: Iterable[Any]) -> tuple[Any, ...]:
+        return tuple(one._replace(name=add_names(one.name, structure)) for one in findings)
+
     return Report(
-        tuple(sorted(active, key=lambda one: (-np.nan_to_num(one.dual), -one.share))),
-        _merge(broken, lambda one: abs(one.worst - one.limit)),
-        _measure_soft_goals(problem, replay),
+        name(sorted(active, key=lambda one: (-np.nan_to_num(one.dual), -one.share))),
+        name(_merge(broken, lambda one: abs(one.worst - one.limit))),
+        name(_measure_soft_goals(problem, replay)),
     )
 
 

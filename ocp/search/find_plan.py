@@ -23,18 +23,20 @@ from ocp.results.replay import replay_open
 from ocp.results.result import PlanResult
 from ocp.search.coordinates import ReducedCoordinates, reduce_coordinates
 from ocp.search.methods import run_attempt
+from ocp.search.narrow_limits import explain_limits
 from ocp.search.policy import INEXACT, Attempt, attempts, complete, is_inexact
 from ocp.search.task import Method, PlanningTask, prepare
 from ocp.solvers.base import Outcome
 from ocp.solvers.monitor import Monitor
 from ocp.solvers.relaxation import TOO_SLOW
 from ocp.targets.find_target import find_target
-from ocp.targets.infeasible_goal import TargetNotFoundWarning
+from ocp.targets.infeasible_goal import InfeasibleGoalError, TargetNotFoundWarning
 from ocp.targets.target import StateAt, Target
 from ocp.transcription.base import Transcription
 from ocp.transcription.mesh import PiecewiseConstant
 from ocp.transcription.multiple_shooting import MultipleShooting
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
+from tenscasadi.structure.names import add_names
 from tenscasadi.util.processes import one_blas_thread
 from tenscasadi.util.validate import Array
 
@@ -77,9 +79,15 @@ def find_plan(
     limit = RELIABLE * Scales.of(problem).length if tolerance is None else tolerance
     control = PiecewiseConstant() if given is None else given.transcription.control
     with monitor.catching_interrupts():
-        task = prepare(problem, control, limit, monitor, _interpolate_guess(problem, guess))
+        try:
+            task = prepare(problem, control, limit, monitor, _interpolate_guess(problem, guess))
+        except InfeasibleGoalError as error:
+            named = add_names(str(error), problem.model.scene.structure)
+            raise InfeasibleGoalError(named, error.certificate) from None
         rows = attempts(task, guess) if given is None else [given._replace(guess=guess)]
         result = _walk(_PlanSearch(task, tracked, reduced), rows, automatic)
+    named = add_names(result.message, problem.model.scene.structure)
+    result = replace(result, message=named)
     if reduced is None:
         return result
     note = "; found in reduced coordinates" if result.success else ""
@@ -118,6 +126,9 @@ def _walk(search: _PlanSearch, rows: Iterable[Attempt], automatic: bool) -> Plan
     if not tried:
         raise ValueError("no method takes the problem: give a transcription and a solver")
     chosen, best = max(tried, key=lambda pair: _worth(pair[1]))
+    if not best.success and best.duals is None and not search.task.monitor.status():
+        limits = explain_limits(search.task)
+        best = replace(best, message="; ".join(filter(None, (best.message, limits))))
     if not automatic:
         return best
     others = [name for name, other in tried if other is not best]

@@ -1,8 +1,14 @@
-"""Relaxation of infeasible rate limits."""
+"""Elastic relaxation of limits that are too narrow.
+
+Each limit gets a share by which it may be exceeded, relative to its size. The program minimizes the
+sum of the shares.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -12,6 +18,7 @@ from ocp.solvers.ipopt import NOWHERE, Ipopt
 from ocp.solvers.monitor import Monitor
 from ocp.transcription.sparse_nlp import (
     Block,
+    Kind,
     Program,
     Separable,
     Unknowns,
@@ -26,6 +33,70 @@ TOO_SLOW = "Rates_Too_Slow"  # status: only a motion with wider limits of rates 
 OPTIONS = {"alpha_for_y": "min-dual-infeas", "mu_init": 0.1}
 
 
+class WiderLimit(NamedTuple):
+    """Limit that a relaxed motion exceeds.
+
+    Attributes
+    ----------
+    name : str
+        Quantity and member that exceed it most, such as "tension of string 3".
+    side : str
+        "lower", "upper", or "both" for limits of equal size.
+    limit, needed : float
+        The limit, and the value that permits the motion, in the unit of the quantity.
+    """
+
+    name: str
+    side: str
+    limit: float
+    needed: float
+
+
+@dataclass(frozen=True, eq=False)
+class Relaxation:
+    """Program with relaxed limits.
+
+    Attributes
+    ----------
+    given, program : Program
+        The given program, and the relaxed one. The shares are its last unknowns.
+    blocks : list of Block
+        Rows with relaxed limits, in the unknowns of the given program.
+    groups : list of ndarray of int, shape (2, count, rows)
+        Number of the share of each lower and upper limit of these blocks. The last share is 0.
+    sizes : ndarray, shape (m,)
+        Sizes of the limits of each share, scaled.
+    """
+
+    given: Program
+    program: Program
+    blocks: list[Block]
+    groups: list[Indices]
+    sizes: Array
+
+    def list_wider(self, w: Array) -> list[WiderLimit]:
+        """List the limits that the unknowns w exceed, the largest shares first."""
+        found: dict[int, tuple[float, WiderLimit]] = {}
+        excesses = _find_excess(self.given, self.blocks, w)
+        for block, groups, (value, both) in zip(self.blocks, self.groups, excesses, strict=True):
+            lower, upper, scale = (part.reshape(value.shape) for part in block.limits())
+            for side, limit, group, excess in zip(
+                ("lower", "upper"), (lower, upper), groups, both, strict=True
+            ):
+                last = len(self.sizes) - 1
+                for k, r in np.argwhere((group < last) & (excess > 0)).tolist():
+                    number = int(group[k, r])
+                    share = float(excess[k, r] / self.sizes[number])
+                    name = block.names[k * block.rows + r].split(",")[0]
+                    own = float(limit[k, r] * scale[k, r]), float(value[k, r] * scale[k, r])
+                    wider = WiderLimit(name, side, *own)
+                    if lower[k, r] == -upper[k, r]:
+                        wider = WiderLimit(name, "both", *map(abs, own))
+                    if share > max(1e-3, found[number][0] if number in found else 0.0):
+                        found[number] = share, wider
+        return [wider for _, wider in sorted(found.values(), reverse=True)]
+
+
 def find_rate_relaxation(
     program: Program, solver: Ipopt, failed: Solution, monitor: Monitor | None
 ) -> Solution | None:
@@ -36,6 +107,15 @@ def find_rate_relaxation(
     stopped = (*NOWHERE, "Maximum_Iterations_Exceeded")
     if failed.success or failed.status not in stopped or not program.rows("rate"):
         return None
+    found = solve_relaxed(relax_limits(program, ("rate",)), solver, monitor)
+    w = found.w[: len(program.first)]
+    if not found.success or measure_relaxation(program, w) <= 1e-3:
+        return None
+    return Solution(w, False, TOO_SLOW, failed.iterations + found.iterations)
+
+
+def solve_relaxed(relaxed: Relaxation, solver: Ipopt, monitor: Monitor | None) -> Solution:
+    """Find the motion with the least relaxation."""
     own = replace(
         solver,
         tolerance=max(1e-4, solver.tolerance),
@@ -44,11 +124,7 @@ def find_rate_relaxation(
         callback=None,
         options={**OPTIONS, **solver.options},
     )
-    found = own.solve(relax_rates(program), monitor)
-    w = found.w[:-1]
-    if not found.success or measure_relaxation(program, w) <= 1e-3:
-        return None
-    return Solution(w, False, TOO_SLOW, failed.iterations + found.iterations)
+    return own.solve(relaxed.program, monitor)
 
 
 def measure_relaxation(program: Program, w: Array) -> float:
@@ -64,65 +140,157 @@ def find_rate_rows(program: Program) -> Indices:
     return np.concatenate([np.arange(rows.start, rows.stop) for rows in program.rows("rate")])
 
 
-def relax_rates(program: Program) -> Program:
-    """Build the program that minimizes the relaxation of rate limits."""
-    parts, first = program.parts, measure_relaxation(program, program.first)
-    known = parts.unknowns
-    n = known.count
-    names = (*known.names, "relaxation of rate limits")
-    numbers = (
-        (known.first, first),
-        (known.scale, 1.0),
-        (known.lower, 0.0),
-        (known.upper, np.inf),
-        (known.interval, np.inf),
-    )
-    value, scale, least, most, interval = (np.append(all_of, one) for all_of, one in numbers)
-    unknowns = Unknowns(names, value, scale, least, most, interval, known.constants)
-    place = np.concatenate([np.arange(n), np.arange(n + 1, n + 1 + len(known.constants))])
-    moved = [block.relabel(place) for block in parts.rows]
-    rows = [_relax(block, n) if block.kind == "rate" else block for block in moved]
-    share = ca.SX.sym("share")
-    cost = Block(ca.Function("cost", [share], [share]), np.array([[n]]), ("cost",), kind="cost")
-    separable = Separable(unknowns, rows, [cost], 1.0)
+def relax_limits(program: Program, kinds: Sequence[Kind], controls: bool = False) -> Relaxation:
+    """Relax the limits of rows of some kinds, and those of the controls.
+
+    Equal limits of one quantity have one share, as have lower and upper limits of equal size. A
+    limit 0 stays, as it stands for a sign.
+    """
+    n, known = len(program.first), program.parts.unknowns
+    given = [block for block in program.parts.rows if block.kind in kinds]
+    kept = [block for block in program.parts.rows if block.kind not in kinds]
+    w_lower, w_upper = program.w_lower.copy(), program.w_upper.copy()
+    if controls and (own := _find_control_limits(program)) is not None:
+        w_lower[own.index], w_upper[own.index] = -np.inf, np.inf
+        given.append(own)
+    shares, groups = _find_shares(program, given)
+    m = len(shares.size)
+    place = np.append(np.arange(n), n + m + np.arange(len(known.constants)))
+    rows = [block.relabel(place) for block in kept]
+    rows += [
+        _relax(block.relabel(place), n + group) for block, group in zip(given, groups, strict=True)
+    ]
+    parts = Separable(_add_shares(known, shares), rows, [_build_cost(n, shares.size)], 1.0)
     lower, upper, scale = (
         np.concatenate(limits) for limits in zip(*(block.limits() for block in rows), strict=True)
     )
-    return replace(
+    relaxed = replace(
         program,
-        parts=separable,
-        w_lower=np.append(program.w_lower, 0.0),
-        w_upper=np.append(program.w_upper, np.inf),
-        first=np.append(program.first, first),
+        parts=parts,
+        w_lower=np.append(w_lower, np.zeros(m)),
+        w_upper=np.append(w_upper, shares.most),
+        first=np.append(program.first, shares.first),
         lower=lower,
         upper=upper,
         scale=scale,
         objective=1.0,
-        unpack=ca.Function("unpack", [separable.w], list(program.unpack(separable.w[:n]))),
+        unpack=ca.Function("unpack", [parts.w], list(program.unpack(parts.w[:n]))),
         multipliers=None,
         noise=None,
     )
+    return Relaxation(program, relaxed, given, groups, shares.size)
 
 
-def _relax(block: Block, share: int) -> Block:
-    """Relax lower ≤ f ≤ upper to f − s·upper ≤ upper and f − s·lower ≥ lower.
+def _find_control_limits(program: Program) -> Block | None:
+    """Build the limits of the controls as rows."""
+    known = program.parts.unknowns
+    limited = np.isfinite(program.w_lower) | np.isfinite(program.w_upper)
+    which = np.flatnonzero(limited & np.isfinite(known.interval))
+    if not which.size:
+        return None
+    own = known.scale[which, None]
+    size, c = float(own.max()), ca.SX.sym("c")
+    lower, upper = (limit[which, None] * own / size for limit in (program.w_lower, program.w_upper))
+    names = tuple(known.names[k] for k in which)
+    function = ca.Function("control", [c], [c / size])
+    return Block(function, which[:, None], names, lower, upper, size, kind="path")
 
-    `share` is the number of s among the entries.
+
+class _Shares(NamedTuple):
+    """Names, sizes of the limits, largest and initial values (m,) of shares."""
+
+    names: tuple[str, ...]
+    size: Array
+    most: Array
+    first: Array
+
+
+def _find_shares(program: Program, blocks: Sequence[Block]) -> tuple[_Shares, list[Indices]]:
+    """Find the shares of the limits of blocks, and their groups.
+
+    The last share is 0, for limits that stay. A limit does not change its sign.
     """
-    lower, upper, scale = (limit.reshape(block.count, block.rows)[0] for limit in block.limits())
-    z, (own, s) = split_symbol(symbol_kind(block.function), block.function.size1_in(0), 1)
-    value = block.function(own)
-    sides = [
-        value - ca.DM(np.where(np.isfinite(limit), limit, 0.0)) * s for limit in (upper, lower)
-    ]
-    nothing = np.full(block.rows, np.inf)
-    each = [block.names[k * block.rows : (k + 1) * block.rows] for k in range(block.count)]
+    keys: dict[tuple[str, str, float], int] = {}
+    groups = [_group_limits(block, keys) for block in blocks]
+    size = np.array([*(abs(limit) for *_, limit in keys), 1.0])
+    falls = [limit > 0 if side == "lower" else limit < 0 for _, side, limit in keys]
+    most = np.array([*(1.0 if one else np.inf for one in falls), 0.0])
+    groups = [np.where(group < 0, len(keys), group) for group in groups]
+    first = np.zeros(len(size))
+    for group, (_, excess) in zip(
+        groups, _find_excess(program, blocks, program.first), strict=True
+    ):
+        np.maximum.at(first, group, np.maximum(excess, 0.0) / size[group])
+    names = tuple(f"relaxation of {name}" for name in (*(name for name, *_ in keys), "nothing"))
+    return _Shares(names, size, most, np.minimum(first, most)), groups
+
+
+def _group_limits(block: Block, keys: dict[tuple[str, str, float], int]) -> Indices:
+    """Find the shares of the limits of a block, lower and upper.
+
+    `keys` are the quantity, side and limit of each share.
+    """
+    lower, upper, _ = (limit.reshape(block.count, block.rows) for limit in block.limits())
+    groups = np.full((2, block.count, block.rows), -1)
+    for k, r in np.ndindex(block.count, block.rows):
+        name = block.names[k * block.rows + r].split(",")[0].split(" of ")[0]
+        low, high = float(lower[k, r]), float(upper[k, r])
+        for number, side, limit in ((0, "lower", low), (1, "upper", high)):
+            if np.isfinite(limit) and limit:
+                key = (name, "both", high) if low == -high else (name, side, limit)
+                groups[number, k, r] = keys.setdefault(key, len(keys))
+    return groups
+
+
+def _find_excess(program: Program, blocks: Sequence[Block], w: Array) -> list[tuple[Array, Array]]:
+    """Evaluate rows, and by how much they exceed lower and upper limits."""
+    known = program.parts.unknowns
+    y = np.append(known.scale * w, known.constants)
+    found = []
+    for block in blocks:
+        value = np.asarray(ca.DM(block.value(y[block.index].T)).full()).T
+        lower, upper, _ = (limit.reshape(value.shape) for limit in block.limits())
+        found.append((value, np.array([lower - value, value - upper])))
+    return found
+
+
+def _add_shares(known: Unknowns, shares: _Shares) -> Unknowns:
+    """Append the shares to the unknowns, in units of their limits."""
+    none = np.full(len(shares.size), np.inf)
+    return Unknowns(
+        (*known.names, *shares.names),
+        np.append(known.first, shares.first * shares.size),
+        np.append(known.scale, shares.size),
+        np.append(known.lower, np.zeros(len(none))),
+        np.append(known.upper, none),
+        np.append(known.interval, none),
+        known.constants,
+    )
+
+
+def _build_cost(n: int, sizes: Array) -> Block:
+    """Build the sum of all shares."""
+    share = ca.SX.sym("share", len(sizes))
+    function = ca.Function("cost", [share], [ca.dot(share, ca.DM(1 / sizes))])
+    return Block(function, np.arange(n, n + len(sizes))[None], ("cost",), kind="cost")
+
+
+def _relax(block: Block, shares: Indices) -> Block:
+    """Relax lower ≤ f ≤ upper to f − s ≤ upper and f + s' ≥ lower.
+
+    The entries s' and s are those of `shares`.
+    """
+    lower, upper, scale = (limit.reshape(block.count, block.rows) for limit in block.limits())
+    size, rows = block.function.size1_in(0), block.rows
+    z, (own, below, above) = split_symbol(symbol_kind(block.function), size, rows, rows)
+    value, nothing = block.function(own), np.full(lower.shape, np.inf)
+    each = [block.names[k * rows : (k + 1) * rows] for k in range(block.count)]
     return replace(
         block,
-        function=ca.Function("wider", [z], [ca.vertcat(*sides)]),
-        index=np.hstack([block.index, np.full((block.count, 1), share)]),
+        function=ca.Function("wider", [z], [ca.vertcat(value - above, value + below)]),
+        index=np.hstack([block.index, *shares]),
         names=tuple(name for names in each for name in 2 * names),
-        lower=np.concatenate([-nothing, lower]),
-        upper=np.concatenate([upper, nothing]),
-        scale=np.tile(scale, 2),
+        lower=np.hstack([-nothing, lower]),
+        upper=np.hstack([upper, nothing]),
+        scale=np.hstack([scale, scale]),
     )

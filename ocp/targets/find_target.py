@@ -30,6 +30,7 @@ from ocp.targets.rigid_fit import fit_start
 from ocp.targets.row_reduction import RowFunction, reduce_rows, soft_directions
 from ocp.targets.target import Target, WaypointTarget
 from tenscasadi.dynamics.model import Model
+from tenscasadi.structure.names import add_names
 from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import TOLERANCE, Array, Indices
 
@@ -225,12 +226,12 @@ class _TargetSearch:
         size = abs(values[worst]) * self.goal.row_scale[worst]
         proof = self._prove(y)
         if proof is None:
-            warnings.warn(
+            text = (
                 f"no state was found that meets the goals; at the nearest one, "
-                f"{self.goals.names[worst]} is off by {size:.3g} {self.goals.units[worst]}",
-                TargetNotFoundWarning,
-                stacklevel=2,
+                f"{self.goals.names[worst]} is off by {size:.3g} {self.goals.units[worst]}"
             )
+            text = add_names(text, self.problem.model.scene.structure)
+            warnings.warn(text, TargetNotFoundWarning, stacklevel=2)
             return
         weights = proof.multipliers
         named = [name for name in self.goals.names if weights.get(name)]

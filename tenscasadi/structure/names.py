@@ -10,6 +10,7 @@ from typing import Any
 from tenscasadi.schema.reading import Names
 from tenscasadi.util.validate import as_tuple, format_value, text
 
+_INDEXED = re.compile(r"\b(node|bar|string) (\d+)\b(?! \()")  # of a member in a message
 _MEMBER = re.compile(r"(.*)\[\d+\]")  # name of a member of a group, such as "guys[2]"
 
 
@@ -67,6 +68,25 @@ def reset_item_fields(structure: Any, changes: dict[str, Any]) -> None:
 def label(names: Sequence[str], index: int) -> str:
     """Return the name of an item, or its index."""
     return (names[index] if names else "") or str(index)
+
+
+def add_names(text: str, structure: Any) -> str:
+    """Add the user's names to the indices of members in a message.
+
+    "string 3" becomes "string 3 (guy)" if that string is called "guy".
+    """
+    names = {
+        "node": structure.node_names,
+        "bar": structure.bar_names,
+        "string": structure.string_names,
+    }
+
+    def add(found: re.Match[str]) -> str:
+        own, index = names[found[1]], int(found[2])
+        name = own[index] if index < len(own) else ""
+        return f"{found[0]} ({name})" if name else found[0]
+
+    return _INDEXED.sub(add, text)
 
 
 def find_names(counts: Mapping[Any, int], names: Mapping[Any, Sequence[str]]) -> Names:

@@ -10,7 +10,7 @@ from planning import leaning_arm, raising
 
 import ocp
 from ocp.search.methods import program_of
-from ocp.solvers.relaxation import TOO_SLOW, measure_relaxation, relax_rates
+from ocp.solvers.relaxation import TOO_SLOW, measure_relaxation, relax_limits
 
 
 def leaning(rate):
@@ -71,15 +71,17 @@ def test_wide_limits_need_nothing():
 def test_the_program_of_the_share():
     """Its rows hold at a point if, and only if, rates are within limits that are wider by the share there."""
     program = program_of(winding(0.05), ocp.Variational(6))
-    wider = relax_rates(program)
+    relaxed = relax_limits(program, ["rate"])
+    wider = relaxed.program
     rng = np.random.default_rng(0)
     w = program.first + 0.01 * rng.normal(size=len(program.first))
     share = measure_relaxation(program, w)
+    shares = np.isfinite(wider.w_lower[len(w) :]) * 1.0
     rates = np.concatenate([np.arange(rows.start, rows.stop) for rows in wider.rows("rate")])
     broken = []
     for factor in (0.99, 1.01):
         g = (
-            wider.derivatives()["nlp_jac_g"](np.append(w, factor * share), [])[0]
+            wider.derivatives()["nlp_jac_g"](np.append(w, factor * share * shares), [])[0]
             .full()
             .ravel()[rates]
         )

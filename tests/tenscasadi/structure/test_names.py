@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 import tenscasadi as tc
+from tenscasadi.structure.names import add_names
 
 NODES = [(0, 0, 0), (0, 0, 1), (1, 0, 1)]
 
@@ -50,3 +51,19 @@ def test_groups_are_found_by_the_names_of_their_members():
     assert names.find("node", 3) == [3]
     with pytest.raises(ValueError, match="did you mean 'bottom'"):
         names.find("node", "bottm")
+
+
+def test_messages_show_names_beside_indices():
+    structure = tc.Structure(
+        [[0, 0, 0], [1, 0, 0], [0, 1, 0]],
+        [(0, 1)],
+        [(1, 2)],
+        node_mass=1.0,
+        node_names=["foot", "", "top"],
+        string_names=["guy"],
+    )
+    text = "bar 0, node 0 z, node 1, node 2 and string 0 of 9, string 7, string 0 (guy)"
+    assert add_names(text, structure) == (
+        "bar 0, node 0 (foot) z, node 1, node 2 (top) and string 0 (guy) of 9, string 7, "
+        "string 0 (guy)"
+    )

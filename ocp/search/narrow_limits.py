@@ -1,0 +1,93 @@
+"""Explanation of plans that fail because limits are too narrow."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+
+from ocp.guess.initial_guess import NOISE, InverseDynamics, evaluate_guess
+from ocp.problem.control import control_name, control_unit
+from ocp.problem.costs import Duration
+from ocp.results.diagnosis import list_units
+from ocp.search.policy import MIN_INTERVALS
+from ocp.search.task import PlanningTask, prepare
+from ocp.solvers.ipopt import Ipopt
+from ocp.solvers.relaxation import WiderLimit, relax_limits, solve_relaxed
+from ocp.targets.infeasible_goal import InfeasibleGoalError, TargetNotFoundWarning
+from ocp.targets.target import Target
+from ocp.transcription.assemble import build_program
+from ocp.transcription.multiple_shooting import MultipleShooting
+from ocp.transcription.sparse_nlp import Program
+from ocp.transcription.variational import Variational
+
+
+def explain_limits(task: PlanningTask) -> str:
+    """Explain which limits a failed plan needs wider, and whether more time helps.
+
+    Returns "" if the limits are not its cause, or the cause is unknown. The relaxed program has its
+    own local solution, so that a smaller relaxation may exist.
+    """
+    target = task.target
+    if target is None or not target.met or task.problem.model.scene.grounds:
+        return ""
+    task.monitor.phase = "limits that are too narrow"
+    return task.monitor.run(lambda: _explain(task, target), lambda: "")
+
+
+def _explain(task: PlanningTask, target: Target) -> str:
+    problem = task.problem
+    # no longer than the search itself, but for short ones
+    limit = max(1.0, task.monitor.elapsed)
+    solver = Ipopt(tolerance=1e-4, max_iterations=120, time_limit=limit)
+    program = _build(task, target)
+    relaxed = relax_limits(program, ("path", "rate"), controls=True)
+    found = solve_relaxed(relaxed, solver, task.monitor)
+    wider = relaxed.list_wider(found.w[: len(program.first)]) if found.success else []
+    if not wider:
+        return ""
+    units = {**list_units(problem), control_name(problem.model): control_unit(problem.model)}
+    needed = " and ".join(_describe(one, units) for one in wider)
+    longest = 3 * problem.longest
+    duration = _find_duration(task, longest, solver)
+    longer = (
+        f"or a duration of {duration:.3g} s"
+        if duration
+        else f"durations up to {longest:.3g} s do not help"
+    )
+    return f"limits are too narrow: on a mesh of {MIN_INTERVALS} intervals there is a motion with {needed}, {longer}"
+
+
+def _describe(one: WiderLimit, units: dict[str, str]) -> str:
+    unit = units.get(one.name, units.get(one.name.split(" of ")[0], ""))
+    value = f"{one.needed:.4g} {unit}".rstrip()
+    return (
+        f"{one.name} {'down' if one.side == 'lower' else 'up'} to {value} (limit {one.limit:.4g})"
+    )
+
+
+def _find_duration(task: PlanningTask, longest: float, solver: Ipopt) -> float:
+    """Find the shortest duration within the limits; 0 if none is found."""
+    problem = task.problem
+    if task.monitor.status() or problem.waypoints:
+        return 0.0
+    free = replace(problem, duration=(problem.shortest, longest), costs=[Duration()])
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", TargetNotFoundWarning)
+            longer = prepare(free, Variational(MIN_INTERVALS).control, task.tolerance, task.monitor)
+            if longer.target is None:
+                return 0.0
+            program = _build(longer, longer.target)
+    except (InfeasibleGoalError, ValueError):  # such as of costs that a free duration excludes
+        return 0.0
+    found = solver.solve(program, task.monitor)
+    return float(program.unpack(found.w)[2]) if found.success else 0.0
+
+
+def _build(task: PlanningTask, target: Target) -> Program:
+    """Build a coarse program from the default guess."""
+    problem = task.problem
+    shape = MultipleShooting if problem.model.has_coupled_rates else Variational
+    guess = evaluate_guess(InverseDynamics(noise=NOISE), problem, target, MIN_INTERVALS)
+    guess = guess.perturb(*problem.control_limits)
+    return build_program(shape(MIN_INTERVALS), problem, target, task.scales, guess)
