@@ -38,6 +38,7 @@ from ocp.transcription.multiple_shooting import MultipleShooting
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
 from tenscasadi.structure.names import add_names
 from tenscasadi.util.processes import one_blas_thread
+from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import Array
 
 
@@ -83,7 +84,7 @@ def find_plan(
             task = prepare(problem, control, limit, monitor, _interpolate_guess(problem, guess))
         except InfeasibleGoalError as error:
             named = add_names(str(error), problem.model.scene.structure)
-            raise InfeasibleGoalError(named, error.certificate) from None
+            raise add_address(InfeasibleGoalError(named, error.certificate)) from None
         rows = attempts(task, guess) if given is None else [given._replace(guess=guess)]
         result = _walk(_PlanSearch(task, tracked, reduced), rows, automatic)
     named = add_names(result.message, problem.model.scene.structure)

@@ -40,6 +40,7 @@ _WORDS = {
     "contradicting-bounds": "Problem.bounds leave no controls at the start",
     "no-control": "Problem.model has the control",
     "infeasible-point": "no plan near this one meets all constraints",
+    "narrow-limits": "intervals there is a motion with",
     "solver-failed": "the solver could not go on",
     "contact-derivatives": "through contact with a ground derivatives mislead",
     "vibration-too-fast": "are too long for the fastest vibration",
