@@ -7,8 +7,12 @@ from io import StringIO
 from types import TracebackType
 from typing import Any
 
+from tenscasadi.util.renamed import lazy_module
 from tenscasadi.viewer.web.server import LOOPBACK, address, start_server
 from tenscasadi.viewer.web.serving import check_serving, open_and_wait, stop
+
+diagrams = lazy_module("tenscasadi.plots.diagrams")
+mpl = lazy_module("matplotlib")
 
 
 class ConvergencePage:
@@ -56,11 +60,9 @@ class ConvergencePage:
     def __init__(
         self, browser: bool | None = None, host: str = LOOPBACK, port: int | None = None
     ) -> None:
-        from tenscasadi.plots.diagrams import Convergence  # loads matplotlib
-
         check_serving(browser, None)
         self._server, self._stopped = start_server(host, port), False
-        self._convergence, self._next = Convergence(), 0.0
+        self._convergence, self._next = diagrams.Convergence(), 0.0
         self.url = address(self._server)
         gui = self._server.gui
         gui.set_panel_label("plan")
@@ -85,8 +87,6 @@ class ConvergencePage:
 
     def draw(self) -> None:
         """Draw all iterations so far, as at the end of a search."""
-        import matplotlib as mpl
-
         text = StringIO()
         with mpl.rc_context({"svg.fonttype": "none"}):
             self._convergence.figure().savefig(text, format="svg")
