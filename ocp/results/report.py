@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -19,7 +19,7 @@ from ocp.solvers.multipliers import Duals
 from ocp.transcription.mesh import profile_at
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.cables import name_inputs
-from tenscasadi.structure.names import add_names
+from tenscasadi.structure.names import find_named
 from tenscasadi.util.validate import Array
 
 # relative to the range or size of a limit: a value within it is active, one farther beyond violated
@@ -32,7 +32,7 @@ class Finding(NamedTuple):
     Attributes
     ----------
     name : str
-        Name of the limited quantity, with the user's name of its member.
+        Name of the limited quantity.
     side : str
         "lower" or "upper".
     limit, worst : float
@@ -46,6 +46,8 @@ class Finding(NamedTuple):
     dual : float
         Decrease of the objective per unit of relaxation of the limit over the whole plan, to first
         order. NaN if unknown, as for violations, and for single strings of a control group.
+    member : str
+        The user's name of the string, bar or node; "" if it has none.
     """
 
     name: str
@@ -56,14 +58,16 @@ class Finding(NamedTuple):
     share: float
     unit: str
     dual: float = np.nan
+    member: str = ""
 
     def __str__(self) -> str:
+        member = f" ({self.member})" if self.member else ""
         unit = f" {self.unit}" if self.unit else ""
         cost = (
             f", costs {self.dual:.3g} per {self.unit or 'unit'}" if np.isfinite(self.dual) else ""
         )
         worst = f"{self.worst:.6g}{unit} at t = {self.time:.4g} s, {self.share:.0%} of the time"
-        return f"{self.name}: {self.side} limit {self.limit:g}{unit}, {worst}{cost}"
+        return f"{self.name}{member}: {self.side} limit {self.limit:g}{unit}, {worst}{cost}"
 
 
 class Missed(NamedTuple):
@@ -162,13 +166,16 @@ def report_of(
     ]
     structure = problem.model.scene.structure
 
-    def name(findings: Iterable[Any]) -> tuple[Any, ...]:
-        return tuple(one._replace(name=add_names(one.name, structure)) for one in findings)
+    def name(findings: Sequence[Finding]) -> tuple[Finding, ...]:
+        members = (", ".join(find_named(one.name, structure).values()) for one in findings)
+        return tuple(
+            one._replace(member=member) for one, member in zip(findings, members, strict=True)
+        )
 
     return Report(
         name(sorted(active, key=lambda one: (-np.nan_to_num(one.dual), -one.share))),
         name(_merge(broken, lambda one: abs(one.worst - one.limit))),
-        name(_measure_soft_goals(problem, replay)),
+        _measure_soft_goals(problem, replay),
     )
 
 

@@ -87,8 +87,9 @@ def find_plan(
             raise add_address(InfeasibleGoalError(named, error.certificate)) from None
         rows = attempts(task, guess) if given is None else [given._replace(guess=guess)]
         result = _walk(_PlanSearch(task, tracked, reduced), rows, automatic)
-    named = add_names(result.message, problem.model.scene.structure)
-    result = replace(result, message=named)
+    if not result.success:
+        named = add_names(result.message, problem.model.scene.structure)
+        result = replace(result, message=named)
     if reduced is None:
         return result
     note = "; found in reduced coordinates" if result.success else ""

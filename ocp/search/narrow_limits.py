@@ -19,6 +19,8 @@ from ocp.transcription.assemble import build_program
 from ocp.transcription.multiple_shooting import MultipleShooting
 from ocp.transcription.sparse_nlp import Program
 from ocp.transcription.variational import Variational
+from tenscasadi.structure.names import find_named
+from tenscasadi.structure.structure import Structure
 
 
 def explain_limits(task: PlanningTask) -> str:
@@ -46,7 +48,7 @@ def _explain(task: PlanningTask, target: Target) -> str:
     if not wider:
         return ""
     units = {**list_units(problem), control_name(problem.model): control_unit(problem.model)}
-    needed = " and ".join(_describe(one, units) for one in wider)
+    needed = " and ".join(_describe(one, units, problem.model.scene.structure) for one in wider)
     longest = 3 * problem.longest
     duration = _find_duration(task, longest, solver)
     longer = (
@@ -57,12 +59,12 @@ def _explain(task: PlanningTask, target: Target) -> str:
     return f"limits are too narrow: on a mesh of {MIN_INTERVALS} intervals there is a motion with {needed}, {longer}"
 
 
-def _describe(one: WiderLimit, units: dict[str, str]) -> str:
+def _describe(one: WiderLimit, units: dict[str, str], structure: Structure) -> str:
     unit = units.get(one.name, units.get(one.name.split(" of ")[0], ""))
     value = f"{one.needed:.4g} {unit}".rstrip()
-    return (
-        f"{one.name} {'down' if one.side == 'lower' else 'up'} to {value} (limit {one.limit:.4g})"
-    )
+    member = "".join(f" ({name})" for name in find_named(one.name, structure).values())
+    way = "down" if one.side == "lower" else "up"
+    return f"{one.name}{member} {way} to {value} (limit {one.limit:.4g})"
 
 
 def _find_duration(task: PlanningTask, longest: float, solver: Ipopt) -> float:

@@ -37,7 +37,7 @@ AMD, METIS = 0, 5
 MANY_INTERVALS = 800
 
 BENT = 3  # consecutive iterations with negative curvature at a saddle
-SADDLE = "Saddle"
+SADDLE, UNDEFINED = "Saddle", "Invalid_Number_Detected"
 NOWHERE = "Infeasible_Problem_Detected", "Restoration_Failed"  # no progress to the constraints
 
 Watcher = Callable[[Progress], Any]
@@ -164,11 +164,14 @@ class Ipopt(NamedSolver, kind="Ipopt", earlier="Fatrop"):
         return self._run(run, program, monitor)
 
     def _run(self, run: Callable[..., Solution], program: Program, monitor: Monitor) -> Solution:
-        """Solve, and again from the perturbed guess after a saddle."""
-        if program.noise is None or program.multipliers is not None or self.warm_start:
+        """Solve, and again from the perturbed guess after a saddle.
+
+        Points without derivatives, such as the center of an obstacle, count as saddles.
+        """
+        if program.multipliers is not None or self.warm_start:
             return run(program, monitor)
-        even = run(program, monitor, leaves_saddles=True)
-        if even.status != SADDLE or not self.restart_at_saddle:
+        even = run(program, monitor, leaves_saddles=program.noise is not None)
+        if even.status not in (SADDLE, UNDEFINED) or not self.restart_at_saddle:
             return even
         solution = run(program.perturb_guess(), monitor)
         return solution._replace(iterations=even.iterations + solution.iterations)

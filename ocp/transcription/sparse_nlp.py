@@ -268,11 +268,16 @@ class Program:
     decided: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
     def perturb_guess(self) -> Program:
-        """Add the noise to the initial guess, within the limits."""
-        if self.noise is None:
-            return self
+        """Add the noise to the initial guess, within the limits.
+
+        A little noise on all unknowns leads away from points without derivatives, such as the
+        center of an obstacle.
+        """
+        noise = 1e-5 * np.random.default_rng(0).uniform(-1.0, 1.0, len(self.first))
+        if self.noise is not None:
+            noise += self.noise
         return replace(
-            self, first=np.clip(self.first + self.noise, self.w_lower, self.w_upper), noise=None
+            self, first=np.clip(self.first + noise, self.w_lower, self.w_upper), noise=None
         )
 
     @property

@@ -70,23 +70,31 @@ def label(names: Sequence[str], index: int) -> str:
     return (names[index] if names else "") or str(index)
 
 
-def add_names(text: str, structure: Any) -> str:
-    """Add the user's names to the indices of members in a message.
+def find_named(text: str, structure: Any) -> dict[str, str]:
+    """Find the members of a message that have names.
 
-    "string 3" becomes "string 3 (guy)" if that string is called "guy".
+    An example is {"string 3": "guy"}.
     """
     names = {
         "node": structure.node_names,
         "bar": structure.bar_names,
         "string": structure.string_names,
     }
+    found = {}
+    for match in _INDEXED.finditer(text):
+        own, index = names[match[1]], int(match[2])
+        if index < len(own) and own[index]:
+            found[match[0]] = own[index]
+    return found
 
-    def add(found: re.Match[str]) -> str:
-        own, index = names[found[1]], int(found[2])
-        name = own[index] if index < len(own) else ""
-        return f"{found[0]} ({name})" if name else found[0]
 
-    return _INDEXED.sub(add, text)
+def add_names(text: str, structure: Any) -> str:
+    """Append the names of the members in a message.
+
+    "string 3 is slack" becomes "string 3 is slack (string 3: guy)" if that string is called "guy".
+    """
+    named = ", ".join(f"{member}: {name}" for member, name in find_named(text, structure).items())
+    return f"{text} ({named})" if named else text
 
 
 def find_names(counts: Mapping[Any, int], names: Mapping[Any, Sequence[str]]) -> Names:

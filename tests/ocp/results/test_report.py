@@ -8,6 +8,7 @@ import pytest
 from planning import taller
 
 import ocp
+import tenscasadi as tc
 
 
 def test_a_report_names_what_holds_the_plan():
@@ -32,3 +33,16 @@ def test_a_report_names_what_the_replay_breaks(coarse):
     assert worst.worst == pytest.approx(peak)
     assert 0 <= worst.time <= 1.0
     assert worst.name in str(found)
+
+
+def test_report_shows_the_names_of_members():
+    structure = tc.shapes.d_bar(pinned=[0]).replace(string_names=["long", "short"])
+    model = tc.Model(tc.Scene(structure, control=tc.ForceDensity()))
+    goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()]
+    problem = ocp.Problem(
+        model, goals=goals, bounds=[ocp.ForceDensityLimits(1.0)], costs=[ocp.Effort()]
+    )
+    report = ocp.solve(problem, ocp.MultipleShooting(10)).report()
+    assert report.active[0].name == "force density of string 0"
+    assert report.active[0].member == "long"
+    assert "force density of string 0 (long): lower limit" in str(report)

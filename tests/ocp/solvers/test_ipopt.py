@@ -10,6 +10,7 @@ import pytest
 from planning import prism, raising
 
 import ocp
+import tenscasadi as tc
 
 
 def test_progress_is_told_and_a_stop_keeps_the_best():
@@ -131,3 +132,18 @@ def test_a_plan_as_guess_takes_fewer_iterations():
 def test_wrong_values_are_refused(make, error, words):
     with pytest.raises(error, match=words):
         make()
+
+
+def test_points_without_derivatives_are_left():
+    """A mass on strings starts on a straight way through the center of an obstacle."""
+    anchors = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
+    strings = [(0, k) for k in range(1, 7)]
+    hung = tc.Structure(
+        [(-0.4, 0, 0), *anchors], bars=[], strings=strings, node_mass=0.5, pinned=range(1, 7)
+    )
+    model = tc.Model(tc.Scene(hung, control=tc.ForceDensity(), gravity=tc.Gravity()))
+    bounds = [ocp.ForceDensityLimits(0.5, 60.0), ocp.Obstacle((0, 0, 0), 0.2, bars=[], nodes=[0])]
+    goals = [ocp.NodePositions({0: (0.4, 0, 0)}), ocp.AtRest()]
+    problem = ocp.Problem(model, 1.5, goals=goals, bounds=bounds, costs=[ocp.Effort()])
+    plan = ocp.solve(problem)
+    assert plan.success, plan.message

@@ -64,6 +64,6 @@ def test_messages_show_names_beside_indices():
     )
     text = "bar 0, node 0 z, node 1, node 2 and string 0 of 9, string 7, string 0 (guy)"
     assert add_names(text, structure) == (
-        "bar 0, node 0 (foot) z, node 1, node 2 (top) and string 0 (guy) of 9, string 7, "
-        "string 0 (guy)"
+        "bar 0, node 0 z, node 1, node 2 and string 0 of 9, string 7, string 0 (guy) "
+        "(node 0: foot, node 2: top, string 0: guy)"
     )
