@@ -87,9 +87,6 @@ def find_plan(
             raise add_address(InfeasibleGoalError(named, error.certificate)) from None
         rows = attempts(task, guess) if given is None else [given._replace(guess=guess)]
         result = _walk(_PlanSearch(task, tracked, reduced), rows, automatic)
-    if not result.success:
-        named = add_names(result.message, problem.model.scene.structure)
-        result = replace(result, message=named)
     if reduced is None:
         return result
     note = "; found in reduced coordinates" if result.success else ""
@@ -128,9 +125,8 @@ def _walk(search: _PlanSearch, rows: Iterable[Attempt], automatic: bool) -> Plan
     if not tried:
         raise ValueError("no method takes the problem: give a transcription and a solver")
     chosen, best = max(tried, key=lambda pair: _worth(pair[1]))
-    if not best.success and best.duals is None and not search.task.monitor.status():
-        limits = explain_limits(search.task)
-        best = replace(best, message="; ".join(filter(None, (best.message, limits))))
+    if not best.success:
+        best = replace(best, message=_explain(search.task, best))
     if not automatic:
         return best
     others = [name for name, other in tried if other is not best]
@@ -142,6 +138,15 @@ def _walk(search: _PlanSearch, rows: Iterable[Attempt], automatic: bool) -> Plan
         iterations=sum(other.iterations for _, other in tried),
         seconds=search.task.monitor.elapsed,
     )
+
+
+def _explain(task: PlanningTask, plan: PlanResult) -> str:
+    """Extend the message of a failed plan by names of members and narrow limits."""
+    text = add_names(plan.message, task.problem.model.scene.structure)
+    if plan.duals is not None or task.monitor.status():
+        return text
+    limits = explain_limits(task)
+    return f"{text}; {limits}" if limits else text
 
 
 def _worth(plan: PlanResult) -> tuple[bool, bool, float]:
@@ -179,7 +184,7 @@ def _try(search: _PlanSearch, attempt: Attempt) -> tuple[PlanResult, Target | No
                 return replay_tracked(given)
             return replay_open(given, given.require_model("replay"), None, None)
 
-        motion = task.monitor.run(simulate, lambda: None, patience=0.6)
+        motion = task.monitor.run(simulate, lambda: None, task.monitor.grace)
         return motion if motion is None or search.reduced is None else search.reduced.lower(motion)
 
     plan = assess_plan(plan, target, outcome, task.tolerance, replay, search.tracked)

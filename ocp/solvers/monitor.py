@@ -96,6 +96,12 @@ class Monitor:
         """Wall time that is left [s], inf without a limit."""
         return self.deadline - time.perf_counter()
 
+    @property
+    def grace(self) -> float:
+        """Wall time for a last replay after the limit [s]."""
+        limit = self.deadline - self.began
+        return max(0.6, 0.05 * limit) if math.isfinite(limit) else 0.6
+
     def status(self) -> str:
         """Return why the search has to stop, or ""."""
         if self.interrupted:
