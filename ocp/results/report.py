@@ -67,7 +67,7 @@ class Finding(NamedTuple):
             f", costs {self.dual:.3g} per {self.unit or 'unit'}" if np.isfinite(self.dual) else ""
         )
         worst = f"{self.worst:.6g}{unit} at t = {self.time:.4g} s, {self.share:.0%} of the time"
-        return f"{self.name}{member}: {self.side} limit {self.limit:g}{unit}, {worst}{cost}"
+        return f"{self.name}: {self.side} limit {self.limit:g}{unit}, {worst}{cost}{member}"
 
 
 class Missed(NamedTuple):

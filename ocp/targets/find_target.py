@@ -23,7 +23,7 @@ from ocp.problem.scaling import Scales
 from ocp.targets.certificate import prove_infeasible, read_quadratic
 from ocp.targets.distance_rows import find_distance_rows, list_neighbors, squared_distances
 from ocp.targets.free_start import find_free_start
-from ocp.targets.gauss_newton import NEARLY_SINGULAR, GaussNewton
+from ocp.targets.gauss_newton import NEARLY_SINGULAR, STARTS, GaussNewton
 from ocp.targets.infeasible_goal import InfeasibleGoalError, TargetNotFoundWarning
 from ocp.targets.invariants import invariants
 from ocp.targets.rigid_fit import fit_start
@@ -155,7 +155,7 @@ class _TargetSearch:
         """Yield the starting points of the search.
 
         They are the given state, the initial state, and states that fit the goals, each at several
-        durations.
+        durations, then random changes of the given state.
         """
         problem = self.problem
         times = [self.typical]
@@ -168,6 +168,15 @@ class _TargetSearch:
                 y = np.append(state, time)
                 split(y[:-1]).clock[:] = split(problem.initial_state).clock + time
                 yield y
+        if len(self.goals.names) > problem.model.nq:
+            return  # few states meet such goals, which is costly to find out
+        drawn = np.random.default_rng(0)
+        for size in np.linspace(0.1, 0.5, STARTS):
+            y = np.append(near, self.typical)
+            split(y[:-1]).clock[:] = split(problem.initial_state).clock + self.typical
+            places = split(y[:-1]).positions
+            places += size * self.scales.length * drawn.uniform(-1.0, 1.0, places.shape)
+            yield y
 
     def _find_nearest(self, y: Array) -> Array:
         """Minimize the violation of goals from y.

@@ -45,4 +45,5 @@ def test_report_shows_the_names_of_members():
     report = ocp.solve(problem, ocp.MultipleShooting(10)).report()
     assert report.active[0].name == "force density of string 0"
     assert report.active[0].member == "long"
-    assert "force density of string 0 (long): lower limit" in str(report)
+    assert "force density of string 0: lower limit 1 N/m" in str(report)
+    assert str(report.active[0]).endswith(" (long)")
