@@ -84,20 +84,21 @@ class MotionShapes:
     ) -> list[DrawnShape]:
         """Build bars, strings, nodes and supports, arrows of kinds of forces, and faces of bodies.
 
-        Strings are colored by the quantity of the scale; slack strings are thin, and strings without
-        a value, which are broken, have no width.
+        Strings are colored by the quantity of the scale; slack strings are thin, and broken
+        strings, whose tension is NaN, have no width.
         """
         motion, radius, tint = self.motion, self.radius, self.tint
         nodes, values = frame.nodes, None if scale is None else frame.values(scale.quantity)
         count = len(motion.strings)
-        taut = np.ones(count)
-        if values is not None:
-            taut = np.where(np.isnan(values), 0.0, np.where(values != 0, 1.0, 0.5))
+        known = frame.tension if values is None else values
+        broken = np.zeros(count, dtype=bool) if known is None else np.isnan(known)
+        taut = np.ones(count) if values is None else np.where(values != 0, 1.0, 0.5)
         if tint is not None or values is None or scale is None:
             colors = _fill(STYLE.slack if tint is None else tint, count)
         else:
             colors = scale.colors(np.nan_to_num(values))
-        strings = np.maximum(STYLE.string_radius * radius * taut, self.least)
+        visible = np.maximum(STYLE.string_radius * radius * taut, self.least)
+        strings = np.where(broken, 0.0, visible)
         bars = _fill(STYLE.bar if tint is None else tint, len(motion.bars))
         supports = _fill(STYLE.support if tint is None else tint, len(motion.pinned))
         pins = np.full(len(motion.pinned), 2.2 * radius)

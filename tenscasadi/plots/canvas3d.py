@@ -146,7 +146,8 @@ class Canvas3D:
             cuts = np.linspace(0, 1, (_PIECES if shape.form == "member" else 1) + 1)[:, None]
             points = ends[:, None, 0] + cuts * (ends[:, None, 1] - ends[:, None, 0])
             pieces = np.stack([points[:, :-1], points[:, 1:]], axis=2)
-            widths = np.maximum(2 * self._points_per_meter * shape.radius, 0.5)
+            radius = shape.radius  # 0 of broken strings
+            widths = np.where(radius > 0, np.maximum(2 * self._points_per_meter * radius, 0.5), 0.0)
             count = pieces.shape[1]
             styles = np.repeat(np.column_stack([shape.colors / 255, widths]), count, axis=0)
             parts.append((pieces.reshape(-1, 2, 3), styles))

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 import tenscasadi as tc
+from tenscasadi.drawing.color_scale import ColorScale
 from tenscasadi.drawing.describe import describe_content
 from tenscasadi.drawing.shapes import MotionShapes, choose_tint
 from tenscasadi.drawing.style import STYLE
-from tenscasadi.drawing.view_content import NodeForces
+from tenscasadi.drawing.view_content import Frame, NodeForces
 
 PRISM = tc.shapes.prism()
 
@@ -45,6 +46,18 @@ def test_forces_that_are_not_finite_have_no_arrows():
     shape = arrows([np.nan, 1.0, 1.0, 1.0, 1.0, 1.0])[1]
     assert len(shape.points) == 5
     assert np.isfinite(shape.points).all()
+
+
+@pytest.mark.parametrize("quantity", ["tension", "force density", None])
+def test_broken_strings_are_left_out(quantity):
+    content = describe_content(PRISM)
+    shapes = MotionShapes(content)
+    values = np.array([np.nan, 0.0, *np.ones(7)])
+    frame = Frame(PRISM.nodes, tension=values, force_density=values)
+    scale = quantity and ColorScale.of(quantity, values)
+    radius = shapes.build(frame, scale)[1].radius
+    assert radius[0] == 0
+    assert (radius[1:] >= content.least_radius).all()
 
 
 def test_only_later_motions_are_tinted():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
 import tenscasadi as tc
 from tenscasadi import plots
@@ -61,3 +61,20 @@ def test_bodies_are_translucent_faces(tmp_path):
     run = tc.simulate(tc.Model(tc.Scene(plate, gravity=tc.Gravity())), 0.2, 0.02)
     assert len(draw_surfaces(plots.time_lapse(run, instants=3))[0]) == 3
     assert animate(run, tmp_path / "plate.gif", frames_per_second=5).exists()
+
+
+def test_broken_strings_have_no_lines():
+    hung = tc.Structure(
+        [(0, 0, 0), (0, 0, -1)], strings=[(0, 1)], node_mass=1.0, pinned=[0], stiffness=1000.0
+    )
+    scene = tc.Scene(hung, gravity=tc.Gravity(), strength=tc.Breaking(15.0))
+    run = tc.simulate(tc.Model(scene), 0.1, 1e-3, compiled=False)
+    assert run.breaks
+    for time, drawn in ((0.0, True), (0.1, False)):
+        (lines,) = (
+            part
+            for part in plots.structure(run, time=time).axes[0].collections
+            if isinstance(part, Line3DCollection)
+        )
+        widths = np.asarray(lines.get_linewidths())
+        assert bool((widths == 0).any()) is not drawn
