@@ -25,13 +25,14 @@ from ocp.problem.phase import Phase, check_phases, phases_between
 from ocp.problem.reading import Duration, limits_of, read_duration, read_items
 from ocp.problem.start import FreeStart, read_start
 from tenscasadi.dynamics.base_model import check_model
-from tenscasadi.scene.internal_states import join_initial
-from tenscasadi.scene.strength import count_states, declare_strength, limit_tensions
+from tenscasadi.scene.failed_strings import require_intact
+from tenscasadi.scene.strength import count_states, drop_states, limit_tensions
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, format_value
+from tenscasadi.util.validate import Array, finite_array, format_value, nesting
 
 if TYPE_CHECKING:
     from tenscasadi.dynamics.model import Model
+    from tenscasadi.scene.scene import Scene
 
 
 class Resolved(NamedTuple):
@@ -75,7 +76,7 @@ def resolve(
     """
     check_model(model, "Problem.model")
     model = model.with_parameters(parameters)
-    strength = limit_tensions(model.scene)
+    strength, derived = limit_tensions(model.scene), derive_bounds(model.scene)
     start = _drop_strength_states(model, start)
     if model.scene.strength is not None:
         model = model.with_scene(replace(model.scene, strength=None))
@@ -93,8 +94,7 @@ def resolve(
     own_goals, parts = _divide(structure, own_goals, own_phases, time)
     begin = read_start(model, start)
     own_bounds = read_items("Problem.bounds", bounds, Bound, "[ForceDensityLimits(0, 200)]")
-    if np.isfinite(strength).any():
-        own_bounds = (*own_bounds, TensionLimits(upper=strength))
+    own_bounds = (*own_bounds, *derived)
     own_costs = read_items("Problem.costs", costs, Cost, "[Effort()]")
     first_goals = begin.goals if isinstance(begin, FreeStart) else ()
     for item in (*own_goals, *own_bounds, *own_costs, *first_goals):
@@ -218,22 +218,24 @@ def join_soft(
     return tuple(given), tuple(own)
 
 
+def derive_bounds(scene: Scene) -> tuple[Bound, ...]:
+    """Derive the bounds that keep strings below their strength."""
+    strength = limit_tensions(scene)
+    return (TensionLimits(upper=strength),) if np.isfinite(strength).any() else ()
+
+
 def _drop_strength_states(model: Model, start: Any) -> Any:
     """Remove the states of the strength from a start (nx,).
 
     Raises ValueError if a string has failed.
     """
-    size, count = count_states(model.scene), len(model.scene.limited_inputs)
-    if not size or isinstance(start, FreeStart) or np.shape(start) != (model.nx,):
+    if not count_states(model.scene) or nesting(start) != 1:  # none, nodes or FreeStart
         return start
-    state, end = np.asarray(start), model.moving.stop
-    initial = join_initial(declare_strength(model.scene))
-    if np.any(state[end - size :][:count] != initial[:count]):
-        raise ValueError(
-            "Problem.start has a string that is broken or has yielded: "
-            "give a model of a structure without this string, or with its new rest length"
-        )
-    return np.delete(state, np.arange(end - size, end))
+    state = finite_array("Problem.start", start, (None,))
+    if len(state) != model.nx:
+        return state
+    require_intact("Problem.start", model.scene, model.split(state).internal)
+    return drop_states(model.scene, state)
 
 
 def _check_limits(structure: Structure, bounds: tuple[Bound, ...], strength: Array) -> None:

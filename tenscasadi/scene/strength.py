@@ -49,10 +49,10 @@ def describe_overload(scene: Any, tension: Array) -> str:
     """
     parent = scene.modelled.string_parent
     strength = list_strengths(scene)[parent]
-    share = tension / strength
-    if not (share >= 1).any():
+    fraction = tension / strength
+    if not (fraction >= 1).any():
         return ""
-    worst = int(np.argmax(share))
+    worst = int(np.argmax(fraction))
     return (
         f"string {parent[worst]} {scene.strength.verb}, its tension of {tension[worst]:.4g} N reaches its "
         f"strength of {strength[worst]:.4g} N"
@@ -78,6 +78,18 @@ def declare_strength(scene: Any) -> tuple[InternalStates, ...]:
 def count_states(scene: Any) -> int:
     """Count the internal states of strings that can break or yield."""
     return len(join_initial(declare_strength(scene)))
+
+
+def drop_states(scene: Any, state: Array) -> Array:
+    """Remove the internal states of the strength from a state (nx,)."""
+    end = len(state) - int(scene.has_clock)
+    return np.delete(state, np.arange(end - count_states(scene), end))
+
+
+def insert_states(scene: Any, state: Array) -> Array:
+    """Insert the internal states of intact strings into a state (nx,) without them."""
+    end = len(state) - int(scene.has_clock)
+    return np.insert(state, end, join_initial(declare_strength(scene)))
 
 
 def spread_states(scene: Any, own: Any, inputs: Indices, default: float) -> Any:

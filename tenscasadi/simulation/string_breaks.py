@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from tenscasadi.scene.failed_strings import name_limited
 from tenscasadi.scene.strength import list_strengths
-from tenscasadi.structure.cables import name_inputs
-from tenscasadi.structure.names import label
 from tenscasadi.util.validate import NEGLIGIBLE
 
 if TYPE_CHECKING:
@@ -66,18 +65,6 @@ class StringYield(NamedTuple):
     def __str__(self) -> str:
         amount = f"by {self.elongation:.3g} m ({self.force:.4g} N)"
         return f"{self.member} yields after t = {self.time:.4g} s {amount}"
-
-
-def name_limited(scene: Scene) -> list[str]:
-    """Name the strings and cables that can break or yield."""
-    s, names = scene.structure, name_inputs(scene.structure)
-    for k, (input_, count) in enumerate(
-        zip(*np.unique(s.cable_of, return_counts=True), strict=True)
-    ):
-        string = int(np.flatnonzero(s.cable_of == input_)[0])
-        if count == 1 and s.string_names and s.string_names[string]:
-            names[k] = f"string {label(s.string_names, string)!r}"
-    return [names[k] for k in scene.limited_inputs]
 
 
 def find_breaks(scene: Scene, states: Array) -> tuple[StringBreak, ...]:

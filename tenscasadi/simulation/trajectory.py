@@ -12,6 +12,7 @@ import numpy as np
 
 from tenscasadi.dynamics.body_motion import body_angular_velocity, body_orientation
 from tenscasadi.dynamics.model import Model
+from tenscasadi.scene.failed_strings import name_limited
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strength import STATES
 from tenscasadi.schema.stored import array_fields, check_indices
@@ -21,7 +22,6 @@ from tenscasadi.simulation.string_breaks import (
     StringYield,
     find_breaks,
     find_yields,
-    name_limited,
 )
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.tables import MOST_LISTED, Quantity, Tabular

@@ -12,6 +12,7 @@ import numpy as np
 from tenscasadi.dynamics.model import Model
 from tenscasadi.dynamics.operating_point import OperatingPoint
 from tenscasadi.scene.binding import fix, initial_control
+from tenscasadi.scene.failed_strings import require_intact
 from tenscasadi.scene.loads import NodalForce
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strength import describe_overload
@@ -258,6 +259,7 @@ def read_problem(
     if start is not None and nesting(start) == 1:
         model = model_of(source)
         state = finite_array("start", start, (model.nx,))
+        require_intact("start", model.scene, model.split(state).internal)
         nodes, clock = model.nodes(state), model.split(state).clock
         if control is None and scene.locked.control is not scene.control:
             u = np.asarray(model.split(state).internal[: scene.nu])

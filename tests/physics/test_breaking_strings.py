@@ -198,6 +198,21 @@ def test_a_broken_string_stays_broken_in_the_next_run():
     assert (again.tension == 0).all()
 
 
+def test_statics_rejects_states_with_a_broken_string():
+    rope = tc.Scene(hanging(string_names=["rope"]), strength=tc.Breaking(FORCE))
+    run = tc.simulate(falling(), END, 1e-3, compiled=False)
+    words = r"start has the broken string '?{}'?: give a structure without it"
+    with pytest.raises(ValueError, match=words.format(0)):
+        tc.find_equilibrium(falling(), start=run.states[-1])
+    with pytest.raises(ValueError, match=words.format("rope")):
+        tc.find_equilibrium(tc.Model(rope), start=run.states[-1])
+    load = [(0, 0, 0), (0, 0, -1.0)]
+    with pytest.raises(ValueError, match=words.format(0)):
+        tc.load_path(falling(), load=load, start=run.states[-1])
+    again = tc.find_equilibrium(falling(), start=run.states[0])
+    assert again.tension == pytest.approx([G])
+
+
 def test_rollouts_break_strings_run_by_run():
     model = falling()
     resting = model.state([(0, 0, 0), (0, 0, -1 - G / STIFFNESS)])

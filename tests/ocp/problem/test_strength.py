@@ -67,7 +67,8 @@ def test_starts_have_no_broken_string():
     assert np.array_equal(problem(model, start=start).start, cross().initial_state)
     start[-4:-2] = [1, 0]
     with pytest.raises(
-        ValueError, match=r"Problem\.start has a string that is broken or has yielded"
+        ValueError,
+        match=r"Problem\.start has the broken string 1: give a structure without it",
     ):
         problem(model, start=start)
 

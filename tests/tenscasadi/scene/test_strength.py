@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import tenscasadi as tc
-from tenscasadi.scene.strength import describe_overload, limit_tensions
+from tenscasadi.scene.failed_strings import require_intact
+from tenscasadi.scene.strength import (
+    describe_overload,
+    drop_states,
+    insert_states,
+    limit_tensions,
+)
 
 NAMED = tc.Structure(
     [(0, 0, 0), (1, 0, 0), (2, 0, 0), (3, 0, 0)],
@@ -57,6 +65,36 @@ def test_the_most_overloaded_string_is_named():
     text = describe_overload(scene, np.array([1.0, 2.0, 11.0, 12.0, 3.0, 4.0]))
     assert text == "string 1 breaks, its tension of 12 N reaches its strength of 10 N"
     assert describe_overload(tc.Scene(NAMED), np.full(3, 1e9)) == ""
+
+
+@pytest.mark.parametrize("strength", [tc.Breaking({0: 7.0, 2: 9.0}), tc.Yielding(7.0, 2.0)])
+def test_states_without_strength_come_back(strength):
+    plain = tc.Model(tc.Scene(NAMED, control=tc.RestLengthRate()))
+    model = tc.Model(replace(plain.scene, strength=strength))
+    start = plain.initial_state + 0.1
+    whole = insert_states(model.scene, start)
+    assert whole.shape == (model.nx,)
+    assert np.array_equal(drop_states(model.scene, whole), start)
+    assert np.array_equal(insert_states(plain.scene, start), start)
+    require_intact("start", model.scene, model.split(whole).internal)
+
+
+@pytest.mark.parametrize(
+    ("strength", "words"),
+    [
+        (tc.Breaking({0: 7.0, 2: 9.0}), "the broken string 'top': give a structure without it"),
+        (
+            tc.Yielding({0: 7.0, 2: 9.0}, 2.0),
+            "the yielded string 'top': give a structure with its new rest length",
+        ),
+    ],
+)
+def test_states_with_failed_strings_are_rejected(strength, words):
+    model = tc.Model(tc.Scene(NAMED, strength=strength))
+    state = model.initial_state.copy()
+    state[model.moving.stop - (3 if strength.breaks else 1)] = 0.5
+    with pytest.raises(ValueError, match=f"start has {words}"):
+        require_intact("start", model.scene, model.split(state).internal)
 
 
 @pytest.mark.parametrize(

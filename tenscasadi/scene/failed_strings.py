@@ -1,0 +1,41 @@
+"""Names of strings that can fail, and the check that none has failed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tenscasadi.scene.internal_states import join_initial
+from tenscasadi.scene.strength import declare_strength, find_limited
+from tenscasadi.structure.cables import name_inputs
+from tenscasadi.structure.names import label
+
+if TYPE_CHECKING:
+    from tenscasadi.util.validate import Array
+
+
+def name_limited(scene: Any) -> list[str]:
+    """Name the strings and cables that can break or yield."""
+    s, names = scene.structure, name_inputs(scene.structure)
+    for k, (input_, count) in enumerate(
+        zip(*np.unique(s.cable_of, return_counts=True), strict=True)
+    ):
+        string = int(np.flatnonzero(s.cable_of == input_)[0])
+        if count == 1 and s.string_names and s.string_names[string]:
+            names[k] = f"string {label(s.string_names, string)!r}"
+    return [names[k] for k in find_limited(scene)]
+
+
+def require_intact(name: str, scene: Any, states: Array) -> None:
+    """Raise ValueError if a string has broken or yielded in internal states (na,).
+
+    `name` is that of the state in messages.
+    """
+    count, initial = len(find_limited(scene)), join_initial(declare_strength(scene))
+    own = states[len(states) - len(initial) :]
+    for k in np.flatnonzero(own[:count] != initial[:count])[:1]:
+        kind, cure = "yielded", "give a structure with its new rest length"
+        if scene.strength.breaks:
+            kind, cure = "broken", "give a structure without it"
+        raise ValueError(f"{name} has the {kind} {name_limited(scene)[k]}: {cure}")
