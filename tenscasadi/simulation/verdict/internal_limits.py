@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tenscasadi.scene.failed_strings import name_limited
+from tenscasadi.scene.strength import STATES
 from tenscasadi.scene.winches import Winch
 from tenscasadi.simulation.verdict.thresholds import Doubts
 from tenscasadi.structure.cables import name_inputs
@@ -27,10 +29,11 @@ def check_internal_states(runs: Runs) -> Doubts:
     states = model.split(runs.saved[:, :, : model.nx]).internal
     parts = model.scene.internal_states
     inputs = name_inputs(model.scene.structure)
+    limited = name_limited(model.scene)
     names = [
-        f"{part.quantity} of {inputs[k] if len(part.initial) == len(inputs) else k}"
+        f"{part.quantity} of {name}"
         for part in parts
-        for k in range(len(part.initial))
+        for name in (limited if part.quantity in STATES else inputs)
     ]
     least = np.concatenate([np.full(len(part.initial), part.least) for part in parts])
     for k in range(n):
@@ -48,7 +51,7 @@ def check_internal_states(runs: Runs) -> Doubts:
     return Doubts(text, failed)
 
 
-def describe_overload(runs: Runs, k: int) -> str:
+def describe_motor_overload(runs: Runs, k: int) -> str:
     """Describe the motor that exceeds a limit of its `Winch` most; "" if none does.
 
     Torques of a feedback are not known, and it has limits of its own.

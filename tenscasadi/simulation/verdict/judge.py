@@ -22,7 +22,10 @@ from tenscasadi.simulation.verdict.endings import (
     find_stable_step,
     sample_run,
 )
-from tenscasadi.simulation.verdict.internal_limits import check_internal_states, describe_overload
+from tenscasadi.simulation.verdict.internal_limits import (
+    check_internal_states,
+    describe_motor_overload,
+)
 from tenscasadi.simulation.verdict.starts import (
     constraint_violation,
     describe_violation,
@@ -82,7 +85,7 @@ def judge(runs: Runs, found: StepErrors | None) -> Verdict:
     doubts = check_internal_states(runs)
     success &= ~doubts.failed
     message = [
-        text + more + describe_overload(runs, k)
+        text + more + describe_motor_overload(runs, k)
         for k, (text, more) in enumerate(zip(message, doubts.text, strict=True))
     ]
     error, finer = np.full(len(status), np.nan), np.ones(len(status))
