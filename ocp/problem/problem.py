@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,6 +35,7 @@ from tenscasadi.util.validate import NEGLIGIBLE, Array
 
 if TYPE_CHECKING:
     from tenscasadi.dynamics.model import Model
+    from tenscasadi.scene.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,6 +161,12 @@ class Problem(Value, kind="Problem"):
                 "Scene(..., parameters=Parameters(...)); one from a file or of dataclasses.replace holds values alone"
             )
         return Problem(**{**self.given, "parameters": parameters})
+
+    @property
+    def scene(self) -> Scene:
+        """Scene of the model, with the strength of its strings."""
+        strength = self.given["model"].scene.strength
+        return replace(self.model.scene, strength=strength) if strength else self.model.scene
 
     @property
     def shortest(self) -> float:

@@ -20,6 +20,7 @@ from ocp.results.terminal_limits import measure_terminal_limits
 from ocp.solvers.base import Outcome
 from ocp.targets.target import StateAt, Target
 from ocp.transcription.mesh import held_values
+from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strength import describe_overload
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import Array
@@ -130,13 +131,15 @@ def assess_plan(
     tolerance: float,
     replay: Replay,
     tracked: bool,
+    scene: Scene,
 ) -> PlanResult:
     """Accept or reject a plan by its replay.
 
     The replay must meet goals, waypoints and terminal limits within the tolerance, and the plan all
     limits. Convergence of the solver is not required. By default the open-loop replay counts. The
     replay under `track` counts instead if `tracked` is True, or if errors grow so fast that no
-    open-loop motion follows the plan. Returns the plan with its errors, success and message.
+    open-loop motion follows the plan. `scene` is that of the user's problem, whose strings can break
+    or yield. Returns the plan with its errors, success and message.
     """
     target = target.begin_at(found.states[0])
     duration = float(plan.time[-1])
@@ -158,10 +161,12 @@ def assess_plan(
     )
     kept = found.success or found.coarse or not _violated(plan)
     good = counts.worst(duration) <= tolerance and kept
-    overload = _describe_overload(plan, counts.motion)
+    overload = _describe_overload(scene, counts.motion)
     success = good and not overload
     name = "tracked replay" if plan.tracked else "replay"
     verdict = _accepted(found) if good else _rejected(plan, found, tolerance, name, missed)
+    if good and overload:
+        verdict, overload = f"no plan: {overload}", ""
     ends = counts.describe(name, success)
     if plan.tracked:
         reason = growth or "tracked=True"
@@ -265,11 +270,13 @@ def _advise(plan: PlanResult, found: Outcome) -> str:
     return too_long or "give more intervals, or substeps"
 
 
-def _describe_overload(plan: PlanResult, motion: Trajectory | None) -> str:
-    """Describe a string that breaks between mesh points of a replay; "" if there is none."""
-    if plan.problem is None or motion is None:
+def _describe_overload(scene: Scene, motion: Trajectory | None) -> str:
+    """Describe a string that breaks or yields between mesh points of a replay.
+
+    Returns "" if there is none.
+    """
+    if motion is None:
         return ""
-    scene = plan.problem.given["model"].scene
     found = describe_overload(scene, motion.tension.max(axis=0, initial=0.0))
     kind = type(scene.strength).__name__
     return found and f"{found} between mesh points: give more intervals, or a larger {kind}.margin"

@@ -187,7 +187,8 @@ def _try(search: _PlanSearch, attempt: Attempt) -> tuple[PlanResult, Target | No
         motion = task.monitor.run(simulate, lambda: None, task.monitor.grace)
         return motion if motion is None or search.reduced is None else search.reduced.lower(motion)
 
-    plan = assess_plan(plan, target, outcome, task.tolerance, replay, search.tracked)
+    given = task.problem if search.reduced is None else search.reduced.given
+    plan = assess_plan(plan, target, outcome, task.tolerance, replay, search.tracked, given.scene)
     return plan, task.target
 
 

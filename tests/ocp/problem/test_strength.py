@@ -51,7 +51,30 @@ def test_plans_whose_replay_reaches_the_strength_are_rejected():
     tight = tc.Model(tc.Scene(structure, control=tc.RestLength(), strength=strength))
     plan = ocp.solve(problem(tight, duration=0.6), ocp.MultipleShooting(4, substeps=8))
     assert not plan.success
+    assert plan.message.startswith("no plan: string ")
     assert "between mesh points: give more intervals, or a larger Breaking.margin" in plan.message
+
+
+def test_plans_found_in_reduced_coordinates_are_rejected_too():
+    lengths = tc.shapes.d_bar(angle=0.7).string_lengths
+    goals = [ocp.StringLengths(lengths), ocp.AtRest()]
+
+    def solve_in_full(strength: tc.Breaking | None) -> ocp.Plan:
+        structure = tc.shapes.d_bar(pinned=[0], prestress=20.0, stiffness=500.0)
+        scene = tc.Scene(structure, control=tc.RestLength(), strength=strength)
+        model = tc.Model(scene, coordinates="full")
+        assert model.mechanism.joints
+        given = ocp.Problem(model, 0.6, goals=goals, costs=[ocp.Effort()])
+        return ocp.solve(given, ocp.Variational(4), tolerance=0.3)
+
+    free = solve_in_full(None)
+    assert free.success
+    assert "found in reduced coordinates" in free.message
+    at_mesh, between = free.tension().max(), free.replay().tension.max()
+    assert between > 1.1 * at_mesh
+    plan = solve_in_full(tc.Breaking(float(at_mesh + between) / 2, margin=0.0))
+    assert not plan.success
+    assert plan.message.startswith("no plan: string ")
 
 
 def test_limits_that_contradict_the_strength_are_rejected():

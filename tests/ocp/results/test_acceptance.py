@@ -43,7 +43,9 @@ def test_message_names_the_goal_that_the_planned_motion_misses(plan):
     far = find_goals(plan, ocp.NodePositions({node: (None, None, place[2] - 0.1)}))
     states, gamma = plan.trajectory.states, plan.force_density
     found = Outcome(states, gamma, float(plan.time[-1]), plan.objective, True, "", 1)
-    judged = assess_plan(plan, far, found, 1e-3, lambda plan, tracked: plan.replay(), False)
+    judged = assess_plan(
+        plan, far, found, 1e-3, lambda plan, tracked: plan.replay(), False, plan.model.scene
+    )
     assert not judged.success
     assert f"node {node} z: give another guess" in judged.message
     assert "intervals" not in judged.message
