@@ -19,7 +19,7 @@ from ocp.problem.goals.goal import Goal
 from ocp.problem.instant_formula import InstantFormula
 from ocp.problem.phase import Phase
 from ocp.problem.problem import Problem
-from ocp.problem.resolved import join_soft
+from ocp.problem.resolved import derive_bounds, join_soft
 from ocp.problem.start import FreeStart
 from ocp.solvers.base import NamedSolver
 from ocp.transcription.base import Transcription
@@ -203,9 +203,8 @@ def read_solution(scene: Scene, item: Item, left_out: Mapping[str, str]) -> dict
     if "problem" not in left_out:
         attempt(partial(read_plan, item._replace(value=problem), Simulation(scene, 1.0)))
     options = {name: own for name, own in table.items() if name in ("coordinates", "bar_length")}
-    model = (
-        found["problem"].model if found["problem"] else Model(scene, **PLAN.read_fields(options))
-    )
+    own = scene if "problem" in left_out else replace(scene, strength=None)
+    model = found["problem"].model if found["problem"] else Model(own, **PLAN.read_fields(options))
     reason = {"not_restored": reasons[0]} if reasons else {}
     return {**found, "structure": scene.structure, "model": model, **reason}
 
@@ -217,9 +216,9 @@ def write_plan(problem: Problem, arguments: Mapping[str, Any]) -> dict[str, Any]
     """
     _reject_functions(problem)
     goals, costs = join_soft(problem.goals, problem.costs)
-    model = problem.model
+    model, bounds = problem.model, tuple(problem.bounds)
     fields: dict[str, Any] = {
-        "bounds": problem.bounds,
+        "bounds": bounds[: len(bounds) - len(derive_bounds(problem.scene))],
         "phases": problem.phases,
         "goals": goals,
         "costs": costs,

@@ -223,7 +223,7 @@ def save_problem(
     asked = build_studies({} if studies is None else studies)
     try:
         tables = {
-            **write_scene(problem.model.scene),
+            **write_scene(problem.scene),
             "plan": write_plan(problem, solve_arguments),
             **write_studies(asked),
         }

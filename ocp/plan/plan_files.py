@@ -36,17 +36,17 @@ def write_parts(plan: PlanResult) -> str:
 
     model, problem = plan.model, plan.problem
     tables = {"structure": StructureSection().write(plan.structure)}
-    scene = attempt("model", partial(write_scene, model.scene)) if model else {}
+    asked = attempt("problem", partial(write_plan, problem, {})) if problem else {}
+    if not problem:
+        left_out["problem"] = plan.not_restored
+    source: Any = model if "problem" in left_out else problem  # a problem's scene has the strength
+    scene = attempt("model", partial(write_scene, source.scene)) if model else {}
     if model and scene:
         own = PLAN.write(model.to_fields())
         for name in METHOD:
             value = _drop_functions(getattr(plan, name))
             own |= attempt(name, partial(PLAN.write, {name: value}))
-        if problem:
-            own |= attempt("problem", partial(write_plan, problem, {}))
-        else:
-            left_out["problem"] = plan.not_restored
-        tables = {**scene, "plan": own}
+        tables = {**scene, "plan": own | asked}
     return format_tables({"left_out": left_out, **tables})
 
 

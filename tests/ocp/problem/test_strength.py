@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -94,6 +96,46 @@ def test_starts_have_no_broken_string():
         match=r"Problem\.start has the broken string 1: give a structure without it",
     ):
         problem(model, start=start)
+
+
+@pytest.mark.parametrize("force", [FORCE, {0: FORCE}], ids=["all", "one"])
+def test_problem_files_hold_the_strength(force: object, tmp_path: Path):
+    own = ocp.TensionLimits(upper=50.0)
+    asked = problem(cross(), bounds=[own])
+    scene = replace(cross().scene, strength=tc.Breaking(force, margin=0.1))
+    given = problem(tc.Model(scene), bounds=[own], start=asked.start + 0.0)
+    path = ocp.save_problem(given, tmp_path / "cross.toml")
+    again = ocp.load_problem(path)
+    assert again.scene.strength == scene.strength
+    assert path.read_text(encoding="utf-8").count("TensionLimits") == 1
+    assert [type(bound) for bound in again.bounds] == [ocp.TensionLimits] * 2
+    assert np.array_equal(again.limits(ocp.TensionLimits), given.limits(ocp.TensionLimits))
+    assert np.array_equal(again.start, given.start)
+    second = ocp.save_problem(again, tmp_path / "again.toml")
+    assert second.read_text(encoding="utf-8") == path.read_text(encoding="utf-8")
+
+
+def test_plan_files_hold_the_strength(tmp_path: Path):
+    plan = ocp.solve(problem(cross(FORCE)), ocp.MultipleShooting(15))
+    again = ocp.Plan.load(plan.save(tmp_path / "cross.npz"))
+    assert again.not_restored == ""
+    assert again.problem.scene.strength == cross(FORCE).scene.strength
+    assert len(again.problem.bounds) == 1
+    assert again.model.na == 0
+    finer = again.refine(1e-5)
+    assert finer.success, finer.message
+    assert finer.problem.scene.strength == cross(FORCE).scene.strength
+    assert finer.replay().tension.max() < FORCE
+
+
+def test_plan_files_without_their_problem_hold_the_model(tmp_path: Path):
+    free = ocp.Integral("nothing", lambda now: 0.0 * now.tension[0])
+    plan = ocp.solve(problem(cross(FORCE), costs=[ocp.Effort(), free]), ocp.MultipleShooting(15))
+    again = ocp.Plan.load(plan.save(tmp_path / "cross.npz"))
+    assert again.problem is None
+    assert "nothing" in again.not_restored
+    assert again.model.na == 0
+    assert np.array_equal(again.trajectory.states, plan.trajectory.states)
 
 
 def test_closed_loops_go_on_after_a_break():
