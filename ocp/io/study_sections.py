@@ -17,6 +17,7 @@ from ocp.problem.rows import goal_rows
 from ocp.results.result import PlanResult
 from ocp.results.spreads import check_variation
 from tenscasadi.scene.parameters import Parameters
+from tenscasadi.scene.strength import drop_states, insert_states
 from tenscasadi.schema.containers import TableOf
 from tenscasadi.schema.definitions import OneOf, definition
 from tenscasadi.schema.field_types import NUMBER, PER_ITEM, SPAN
@@ -130,7 +131,9 @@ class ClosedLoopRun:
         `find_plan` is called if the controller follows a plan. With `progress` a bar is shown.
         Raises TypeError, ValueError.
         """
-        plant = None if self.parameters is None else problem.given["model"]
+        plant = problem.given["model"]
+        if self.parameters is None:
+            plant = plant.with_parameters(problem.given["parameters"])
         plan = find_plan() if self.controller.needs_plan else None
         controller = self.controller.build(problem, plan)
         start = problem.initial_state if plan is None else plan.trajectory.states[0]
@@ -138,7 +141,7 @@ class ClosedLoopRun:
             controller,
             self.t_end,
             plant,
-            start,
+            insert_states(plant.scene, start),
             steps=self.steps,
             parameters=self.parameters,
             progress=progress,
@@ -222,9 +225,12 @@ def describe_studies(studies: Studies) -> list[str]:
 def measure_goal_error(problem: Problem, state: Any) -> tuple[float, float]:
     """Measure how far a state is from the terminal goals.
 
-    Returns the largest residuals of positions [m] and of velocities [m/s], 0 without goals.
+    States of the strength may be part of it. Returns the largest residuals of positions [m] and of
+    velocities [m/s], 0 without goals.
     """
     x = ca.SX.sym("x", problem.model.nx)
+    if len(state) > problem.model.nx:
+        state = drop_states(problem.scene, state)
     rows = goal_rows(problem.terminal_goals, problem.model, x)
     residuals = np.abs(ca.Function("rows", [x], [rows.value])(state).full().ravel())
     units = np.array(rows.units)

@@ -133,6 +133,22 @@ def test_controllers_reach_the_goals_of_a_heavier_scene(controller, error, read)
     assert len(solved) == ("Track" in controller or "along_plan" in controller)
 
 
+@pytest.mark.parametrize("parameters", ["", "parameters.bar_mass = 1.1"], ids=["plan", "own"])
+def test_strings_of_the_simulated_scene_break(parameters, read):
+    table = f"[closed_loop]\nt_end = 1.0\ncontroller = 'Track'\n{parameters}\n"
+    strong = ocp.solve(**read_arguments(read(table)))
+    force = 0.9 * strong.tension().max()
+    document = read(f"{table}[scene.strength]\nforce = {force}\n")
+    problem = read_arguments(document)["problem"]
+    run = read_studies(document).closed_loop.run(problem, lambda: strong).trajectory
+    assert run.success, run.message
+    assert run.breaks
+    assert run.scene.structure.bar_mass.tolist() == [1.1 if parameters else 1.0]
+    position, velocity = measure_goal_error(problem, run.states[-1])
+    assert position == pytest.approx(np.abs(run.nodes[-1, 1, :2] - [0.4, 0.2]).max(), abs=1e-9)
+    assert np.isfinite(velocity)
+
+
 def test_refinement_and_robustness_take_the_plan(read):
     document = read("[refinement]\ntolerance = 1e-6\n[robustness]\nstart = 1e-3\nsamples = 20")
     plan = ocp.solve(**read_arguments(document))
