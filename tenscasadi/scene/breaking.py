@@ -119,8 +119,8 @@ class Breaking(Strength, kind="Breaking"):
         Tension at which each string breaks [N], greater than 0; inf for strings that cannot break.
         Strings that a mapping such as ``{3: 500.0}`` does not name cannot break.
     margin : float
-        Share of the force by which plans stay below it, at least 0 and less than 1. Their motion may
-        exceed a limit a little between the mesh points at which it holds.
+        Fraction of the force that plans keep as a reserve, at least 0 and less than 1. Their motion
+        may exceed a limit a little between the mesh points at which it holds.
 
     Raises
     ------
@@ -176,7 +176,7 @@ class Yielding(Strength, kind="Yielding"):
         Viscosity η [N·s/m]: the tension exceeds F by η times the rate of the elongation. η over the
         stiffness of the string is a time that the steps must resolve.
     margin : float
-        Share of the force by which plans stay below it, at least 0 and less than 1.
+        Fraction of the force that plans keep as a reserve, at least 0 and less than 1.
 
     Raises
     ------
