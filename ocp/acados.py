@@ -85,7 +85,7 @@ def export_acados(mpc: Mpc, folder: str | Path) -> list[Path]:
         end.add(rows, free)
     least, most = mpc.problem.control_limits
     functions = {
-        "ode": model.ode,
+        "ode": own.ode,
         "output": own.output,
         "reference": own.reference,
         "path": path.function("path"),

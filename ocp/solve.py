@@ -59,7 +59,7 @@ def solve(
     time_limit : float, optional
         Wall time of building, solving and replaying [s]. After it, as after Ctrl-C, the plan is the
         best so far. A step that cannot be interrupted, such as a large factorization, is then
-        abandoned in its thread. By default there is no limit.
+        abandoned in its thread, for which Python waits at exit. By default there is no limit.
     n_starts : int
         Number of initial guesses with different seeds (see `InverseDynamics`; with `Sampling` its
         own). The plan is the best of all; `Plan.start_objectives` holds all objectives.

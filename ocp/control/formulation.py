@@ -15,6 +15,8 @@ class Formulation(NamedTuple):
 
     Attributes
     ----------
+    ode : casadi.Function
+        Equations of motion, with strings that do not go slack.
     output : casadi.Function
         Function x → scaled output, whose squares are minimized.
     reference : casadi.Function
@@ -30,6 +32,7 @@ class Formulation(NamedTuple):
         Names of limited rates.
     """
 
+    ode: ca.Function
     output: ca.Function
     reference: ca.Function
     control_scale: Array

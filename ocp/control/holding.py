@@ -15,7 +15,7 @@ from tenscasadi.dynamics.linearization import EquationDerivatives
 from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.internal_states import join_initial
 from tenscasadi.scene.winches import Winch
-from tenscasadi.structure.cables import add_compliances
+from tenscasadi.structure.cables import add_compliances, name_inputs
 from tenscasadi.util.validate import Array, per_item
 
 
@@ -120,6 +120,10 @@ def find_rest(
     fastest = float(np.abs(parts.velocities).max(initial=0.0))
     if fastest > slow:
         return Rest(None, np.zeros(0), f"the end is not held: it moves at {fastest:.2g} m/s")
+    for k in np.flatnonzero(lower > upper)[:1]:
+        name = name_inputs(model.scene.structure)[k]
+        told = f"its limits require at least {lower[k]:.3g} and at most {upper[k]:.3g}"
+        return Rest(None, np.zeros(0), f"the end is not held by {name}: {told}")
     forced = build_force_model(model)
     own = np.concatenate([parts.positions, parts.velocities, parts.clock])
     room = np.minimum(margin, (upper - lower) / 2)
@@ -141,8 +145,8 @@ def force_limits(model: Model, problem: Problem | None, state: Array) -> tuple[A
     """Compute the limits (nu,) of the forces of strings in a state.
 
     These are force densities [N/m] if they are the control. Otherwise they are the tensions [N] of
-    cables and lone strings, limited by all limits of the problem. Without a problem, they are 0 and
-    inf.
+    cables and lone strings, limited by all limits of the problem, which may exclude each other.
+    Without a problem, they are 0 and inf.
     """
     if problem is None:
         return np.zeros(model.nu), np.full(model.nu, np.inf)
@@ -164,7 +168,7 @@ def force_limits(model: Model, problem: Problem | None, state: Array) -> tuple[A
         high = np.minimum(
             high, problem.control_limits[1] / per_item("Winch.radius", control.radius, len(high))
         )
-    return low, np.maximum(low, high)
+    return low, high
 
 
 def _follow_forces(model: Model, state: Array, forces: Array) -> tuple[Array, Array]:

@@ -206,6 +206,7 @@ class Mpc:
         limits = scaled_rows(smooth, PathBound, self._scales, self._strength)
         rates = scaled_rows(smooth, RateBound, self._scales, self._strength)
         return Formulation(
+            self._predicted.ode,
             ca.Function("output", [x], [self._departures(x)[0]]),
             self._reference,
             self._control_scale,

@@ -11,11 +11,15 @@ from numpy.typing import ArrayLike
 
 from ocp.control.holding import at_rest
 from ocp.guess.inverse_dynamics import inverse_dynamics
-from ocp.problem.control import check_control, control_unit, controls_force_densities
+from ocp.problem.control import (
+    check_control,
+    control_name,
+    control_unit,
+    controls_force_densities,
+)
 from ocp.problem.costs import Cost
 from ocp.problem.expressions import Integral
 from ocp.problem.instant import Instant
-from ocp.problem.path_constraints import control_limits
 from ocp.problem.phase import reject_phases
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
@@ -25,6 +29,7 @@ from tenscasadi.dynamics.base_model import check_model
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.simulation.engine.build import build_kernel
+from tenscasadi.structure.cables import name_inputs
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.troubleshooting import add_address
@@ -242,12 +247,12 @@ class Mppi:
             return nonnegative("noise", per_item("noise", given, self.model.nu), "string")
         unlimited = np.flatnonzero(np.isinf(self._upper))
         if unlimited.size:
-            limits = control_limits(self.model)
-            kind = limits.__name__ if isinstance(limits, type) else "limit"
+            name = name_inputs(self.model.structure)[unlimited[0]]
+            own = f"{control_name(self.model)} of {name}"
             raise add_address(
                 ValueError(
-                    f"noise is None, and string {unlimited[0]} has no upper limit: "
-                    f"give noise=, {control_unit(self.model)}, or the problem a {kind}(lower, upper)"
+                    f"noise is None, and the {own} has no upper limit: "
+                    f"give noise=, {control_unit(self.model)}, or a limit to the problem"
                 )
             )
         return np.asarray(0.1 * (self._upper - self._lower))

@@ -96,7 +96,8 @@ def check_control(model: Model) -> None:
     if control is None:
         raise add_address(
             ValueError(
-                f"Problem.model has the control {control}: give a model of Scene(..., control=ForceDensity()), Tension() or RestLength()"
+                f"Problem.model has the control {control}: give a model of Scene(..., control=ForceDensity()), "
+                "Tension(), RestLength(), RestLengthRate() or Winch(...)"
             )
         )
     limp = np.flatnonzero(model.scene.structure.stiffness == 0)

@@ -5,13 +5,15 @@ from __future__ import annotations
 import warnings
 from dataclasses import replace
 
+import numpy as np
+
 from ocp.guess.initial_guess import NOISE, InverseDynamics, evaluate_guess
 from ocp.problem.control import control_name, control_unit
 from ocp.problem.costs import Duration
 from ocp.results.diagnosis import list_units
 from ocp.search.policy import MIN_INTERVALS
 from ocp.search.task import PlanningTask, prepare
-from ocp.solvers.ipopt import Ipopt
+from ocp.solvers.ipopt import NOWHERE, Ipopt
 from ocp.solvers.relaxation import WiderLimit, relax_limits, solve_relaxed
 from ocp.targets.infeasible_goal import InfeasibleGoalError, TargetNotFoundWarning
 from ocp.targets.target import Target
@@ -51,12 +53,10 @@ def _explain(task: PlanningTask, target: Target) -> str:
     needed = " and ".join(_describe(one, units, problem.model.scene.structure) for one in wider)
     longest = 3 * problem.longest
     duration = _find_duration(task, longest, solver)
-    longer = (
-        f"or a duration of {duration:.3g} s"
-        if duration
-        else f"durations up to {longest:.3g} s do not help"
-    )
-    return f"limits are too narrow: on a mesh of {MIN_INTERVALS} intervals there is a motion with {needed}, {longer}"
+    longer = "" if duration is None else f", or a duration of {duration:.3g} s"
+    if duration == np.inf:
+        longer = f"; no duration up to {longest:.3g} s was found to help"
+    return f"limits are too narrow: on a mesh of {MIN_INTERVALS} intervals there is a motion with {needed}{longer}"
 
 
 def _describe(one: WiderLimit, units: dict[str, str], structure: Structure) -> str:
@@ -67,23 +67,28 @@ def _describe(one: WiderLimit, units: dict[str, str], structure: Structure) -> s
     return f"{one.name}{member} {way} to {value} (limit {one.limit:.4g})"
 
 
-def _find_duration(task: PlanningTask, longest: float, solver: Ipopt) -> float:
-    """Find the shortest duration within the limits; 0 if none is found."""
+def _find_duration(task: PlanningTask, longest: float, solver: Ipopt) -> float | None:
+    """Find the shortest duration within the limits.
+
+    It is inf if the search ends without one, and None if it is not searched or not completed.
+    """
     problem = task.problem
     if task.monitor.status() or problem.waypoints:
-        return 0.0
+        return None
     free = replace(problem, duration=(problem.shortest, longest), costs=[Duration()])
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", TargetNotFoundWarning)
             longer = prepare(free, Variational(MIN_INTERVALS).control, task.tolerance, task.monitor)
             if longer.target is None:
-                return 0.0
+                return None
             program = _build(longer, longer.target)
     except (InfeasibleGoalError, ValueError):  # such as of costs that a free duration excludes
-        return 0.0
+        return None
     found = solver.solve(program, task.monitor)
-    return float(program.unpack(found.w)[2]) if found.success else 0.0
+    if found.success:
+        return float(program.unpack(found.w)[2])
+    return np.inf if found.status in NOWHERE else None
 
 
 def _build(task: PlanningTask, target: Target) -> Program:

@@ -73,7 +73,8 @@ class Ipopt(NamedSolver, kind="Ipopt", earlier="Fatrop"):
         Whether the guess is nearly a solution, such as another plan. Its duals are used if mesh and
         constraints are the same.
     restart_at_saddle : bool
-        Whether the solver restarts if it meets a saddle; else it stops there.
+        Whether the solver restarts from a perturbed guess at a saddle or a point without
+        derivatives; else it stops there.
 
     Raises
     ------

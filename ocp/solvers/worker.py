@@ -110,8 +110,8 @@ class Worker:
             try:
                 return reply.result(0.05)
             except NotYet:
-                if reply.done():  # the function raised this error
-                    raise
+                if reply.done():  # meanwhile, or the function raised this error
+                    return reply.result()
         raise Abandoned
 
 

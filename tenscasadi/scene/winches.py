@@ -147,7 +147,7 @@ class RestLengthRate(Control, kind="RestLengthRate"):
         """
         steps = np.broadcast_to(interval, len(rest) - 1)[:, None]
         own, rates = np.array(rest, dtype=float), np.zeros(rest[1:].shape)
-        for k, step in enumerate(steps):  # what the limits left over is made up for
+        for k, step in enumerate(steps):  # later steps make up for clipped rates
             rates[k] = np.clip((rest[k + 1] - own[k]) / step, *limits)
             own[k + 1] = own[k] + step * rates[k]
         return own[1:], rates
@@ -172,7 +172,8 @@ class Winch(Control, kind="Winch"):
         Largest torque in both directions [N·m], a limit in plans and controllers. Simulations apply the
         given torques, and their message names those beyond it. None or inf for no limit.
     speed : float or array_like, shape (nu,), optional
-        Largest winding speed in both directions [rad/s], likewise. None or inf for no limit.
+        Largest winding speed in both directions [rad/s], a limit in plans and `ocp.Mpc`. None or inf
+        for no limit.
 
     Raises
     ------

@@ -12,6 +12,7 @@ import pytest
 from moving_prism import PINNED, problem, rise
 
 import ocp
+import tenscasadi as tc
 
 TENSION = ocp.TensionLimits(upper=25.0)
 
@@ -56,6 +57,21 @@ def test_expressions_are_those_of_the_model(tmp_path):
     np.testing.assert_allclose(value[own] / upper[own], tension / 25.0, rtol=1e-12)
     assert data["end"]["names"] == ["z of node 3", "z of node 4", "z of node 5"]
     assert len(evaluate(module, "h_e", x, u)) == 3
+
+
+def test_exported_strings_do_not_go_slack(tmp_path):
+    """As in the predictions of the controller: a slack string would not respond to its rest length."""
+    cross = tc.shapes.d_bar(pinned=[0], prestress=20.0, stiffness=500.0)
+    model = tc.Model(tc.Scene(cross, control=tc.RestLength()))
+    mpc = ocp.Mpc(ocp.Problem(model, goals=[ocp.AtRest()]), period=0.05, intervals=3)
+    ocp.export_acados(mpc, tmp_path)
+    slack = cross.string_lengths * [1.2, 0.9]
+    linear = tc.Model(tc.Scene(cross, control=tc.RestLength(), slack=tc.Linear()))
+    own = evaluate(load(tmp_path), "f_expl", model.initial_state, slack)
+    np.testing.assert_allclose(
+        own, linear.ode(model.initial_state, slack).full().ravel(), rtol=1e-9, atol=1e-9
+    )
+    assert abs(own - model.ode(model.initial_state, slack).full().ravel()).max() > 1.0
 
 
 def test_references_are_those_of_the_plan(tmp_path):

@@ -29,7 +29,7 @@ from tenscasadi.util.validate import MAX_ITERATIONS, ROUNDING, Array
 ACCURACY = 1e-11  # unbalanced force in equilibrium, relative to the largest force
 SEARCH_COST = 1_500_000  # steps times free coordinates, about 20 s; collapses need the most steps
 FARTHEST = 1e3  # displacement of an unsupported structure, relative to its size
-MOVES_AWAY = "nothing holds the structure, which moves away"
+MOVES_AWAY = "the structure moves away, as nothing holds it"
 SINGULAR = "the forces drive a motion that rigid bars block to second order only"
 _ROUNDING = 16 * float(np.finfo(float).eps)
 

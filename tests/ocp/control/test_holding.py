@@ -58,6 +58,14 @@ def test_what_no_limits_allow_is_said():
     )
 
 
+def test_limits_that_exclude_each_other_are_named():
+    model = leaning_bar()
+    low, high = np.array([2.0, 0.0]), np.array([1.0, 9.0])
+    found = find_rest(model, model.initial_state, low, high, 1.0)
+    assert found.state is None
+    assert "by string 0: its limits require at least 2 and at most 1" in found.message
+
+
 def test_the_cost_of_holding_is_that_of_the_algebraic_equation():
     a, b = np.array([[1.0, 0.1], [0.3, 1.0]]), np.array([[0.005], [0.1]])
     Q, R = np.diag([1.0, 0.1]), np.array([[0.5]])

@@ -355,7 +355,7 @@ BAD = {
     "no noise and no limits": (
         lambda: ocp.Mppi(folding(bounds=())),
         ValueError,
-        "noise is None, and string 0 has no upper limit",
+        "noise is None, and the force density of string 0 has no upper limit",
     ),
     "a waypoint": (
         lambda: ocp.Mppi(folding(goals=[ocp.Waypoint([ocp.AtRest()], share=0.5)])),

@@ -76,7 +76,7 @@ def test_message_says_that_more_time_helps():
 def test_message_says_that_more_time_does_not_help():
     plan = ocp.solve(leaning(WIDE, ocp.BarForceLimits(4.01)))
     assert not plan.success
-    assert "durations up to 3 s do not help" in plan.message
+    assert "no duration up to 3 s was found to help" in plan.message
 
 
 def test_lower_limits_do_not_change_their_sign():
