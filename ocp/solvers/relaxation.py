@@ -1,7 +1,7 @@
 """Elastic relaxation of limits that are too narrow.
 
-Each limit gets a share by which it may be exceeded, relative to its size. The program minimizes the
-sum of the shares.
+Each limit gets a relaxation, by which it may be exceeded, relative to its size. The program minimizes the
+sum of the relaxations.
 """
 
 from __future__ import annotations
@@ -59,13 +59,13 @@ class Relaxation:
     Attributes
     ----------
     given, program : Program
-        The given program, and the relaxed one. The shares are its last unknowns.
+        The given program, and the relaxed one. The relaxations are its last unknowns.
     blocks : list of Block
         Rows with relaxed limits, in the unknowns of the given program.
     groups : list of ndarray of int, shape (2, count, rows)
-        Number of the share of each lower and upper limit of these blocks. The last share is 0.
+        Number of the relaxation of each lower and upper limit of these blocks. The last relaxation is 0.
     sizes : ndarray, shape (m,)
-        Sizes of the limits of each share, scaled.
+        Sizes of the limits of each relaxation, scaled.
     """
 
     given: Program
@@ -75,7 +75,7 @@ class Relaxation:
     sizes: Array
 
     def list_wider(self, w: Array) -> list[WiderLimit]:
-        """List the limits that the unknowns w exceed, the largest shares first."""
+        """List the limits that the unknowns w exceed, the largest relaxations first."""
         found: dict[int, tuple[float, WiderLimit]] = {}
         excesses = _find_excess(self.given, self.blocks, w)
         for block, groups, (value, both) in zip(self.blocks, self.groups, excesses, strict=True):
@@ -86,14 +86,14 @@ class Relaxation:
                 last = len(self.sizes) - 1
                 for k, r in np.argwhere((group < last) & (excess > 0)).tolist():
                     number = int(group[k, r])
-                    share = float(excess[k, r] / self.sizes[number])
+                    relaxation = float(excess[k, r] / self.sizes[number])
                     name = block.names[k * block.rows + r].split(",")[0]
                     own = float(limit[k, r] * scale[k, r]), float(value[k, r] * scale[k, r])
                     wider = WiderLimit(name, side, *own)
                     if lower[k, r] == -upper[k, r]:
                         wider = WiderLimit(name, "both", *map(abs, own))
-                    if share > max(1e-3, found[number][0] if number in found else 0.0):
-                        found[number] = share, wider
+                    if relaxation > max(1e-3, found[number][0] if number in found else 0.0):
+                        found[number] = relaxation, wider
         return [wider for _, wider in sorted(found.values(), reverse=True)]
 
 
@@ -143,7 +143,7 @@ def find_rate_rows(program: Program) -> Indices:
 def relax_limits(program: Program, kinds: Sequence[Kind], controls: bool = False) -> Relaxation:
     """Relax the limits of rows of some kinds, and those of the controls.
 
-    Equal limits of one quantity have one share, as have lower and upper limits of equal size. A
+    Equal limits of one quantity have one relaxation, as have lower and upper limits of equal size. A
     limit 0 stays, as it stands for a sign.
     """
     n, known = len(program.first), program.parts.unknowns
@@ -153,14 +153,16 @@ def relax_limits(program: Program, kinds: Sequence[Kind], controls: bool = False
     if controls and (own := _find_control_limits(program)) is not None:
         w_lower[own.index], w_upper[own.index] = -np.inf, np.inf
         given.append(own)
-    shares, groups = _find_shares(program, given)
-    m = len(shares.size)
+    relaxations, groups = _find_relaxations(program, given)
+    m = len(relaxations.size)
     place = np.append(np.arange(n), n + m + np.arange(len(known.constants)))
     rows = [block.relabel(place) for block in kept]
     rows += [
         _relax(block.relabel(place), n + group) for block, group in zip(given, groups, strict=True)
     ]
-    parts = Separable(_add_shares(known, shares), rows, [_build_cost(n, shares.size)], 1.0)
+    parts = Separable(
+        _add_relaxations(known, relaxations), rows, [_build_cost(n, relaxations.size)], 1.0
+    )
     lower, upper, scale = (
         np.concatenate(limits) for limits in zip(*(block.limits() for block in rows), strict=True)
     )
@@ -168,8 +170,8 @@ def relax_limits(program: Program, kinds: Sequence[Kind], controls: bool = False
         program,
         parts=parts,
         w_lower=np.append(w_lower, np.zeros(m)),
-        w_upper=np.append(w_upper, shares.most),
-        first=np.append(program.first, shares.first),
+        w_upper=np.append(w_upper, relaxations.most),
+        first=np.append(program.first, relaxations.first),
         lower=lower,
         upper=upper,
         scale=scale,
@@ -178,7 +180,7 @@ def relax_limits(program: Program, kinds: Sequence[Kind], controls: bool = False
         multipliers=None,
         noise=None,
     )
-    return Relaxation(program, relaxed, given, groups, shares.size)
+    return Relaxation(program, relaxed, given, groups, relaxations.size)
 
 
 def _find_control_limits(program: Program) -> Block | None:
@@ -196,8 +198,8 @@ def _find_control_limits(program: Program) -> Block | None:
     return Block(function, which[:, None], names, lower, upper, size, kind="path")
 
 
-class _Shares(NamedTuple):
-    """Names, sizes of the limits, largest and initial values (m,) of shares."""
+class _Relaxations(NamedTuple):
+    """Names, sizes of the limits, largest and initial values (m,) of relaxations."""
 
     names: tuple[str, ...]
     size: Array
@@ -205,10 +207,12 @@ class _Shares(NamedTuple):
     first: Array
 
 
-def _find_shares(program: Program, blocks: Sequence[Block]) -> tuple[_Shares, list[Indices]]:
-    """Find the shares of the limits of blocks, and their groups.
+def _find_relaxations(
+    program: Program, blocks: Sequence[Block]
+) -> tuple[_Relaxations, list[Indices]]:
+    """Find the relaxations of the limits of blocks, and their groups.
 
-    The last share is 0, for limits that stay. A limit does not change its sign.
+    The last relaxation is 0, for limits that stay. A limit does not change its sign.
     """
     keys: dict[tuple[str, str, float], int] = {}
     groups = [_group_limits(block, keys) for block in blocks]
@@ -222,13 +226,13 @@ def _find_shares(program: Program, blocks: Sequence[Block]) -> tuple[_Shares, li
     ):
         np.maximum.at(first, group, np.maximum(excess, 0.0) / size[group])
     names = tuple(f"relaxation of {name}" for name in (*(name for name, *_ in keys), "nothing"))
-    return _Shares(names, size, most, np.minimum(first, most)), groups
+    return _Relaxations(names, size, most, np.minimum(first, most)), groups
 
 
 def _group_limits(block: Block, keys: dict[tuple[str, str, float], int]) -> Indices:
-    """Find the shares of the limits of a block, lower and upper.
+    """Find the relaxations of the limits of a block, lower and upper.
 
-    `keys` are the quantity, side and limit of each share.
+    `keys` are the quantity, side and limit of each relaxation.
     """
     lower, upper, _ = (limit.reshape(block.count, block.rows) for limit in block.limits())
     groups = np.full((2, block.count, block.rows), -1)
@@ -254,13 +258,13 @@ def _find_excess(program: Program, blocks: Sequence[Block], w: Array) -> list[tu
     return found
 
 
-def _add_shares(known: Unknowns, shares: _Shares) -> Unknowns:
-    """Append the shares to the unknowns, in units of their limits."""
-    none = np.full(len(shares.size), np.inf)
+def _add_relaxations(known: Unknowns, relaxations: _Relaxations) -> Unknowns:
+    """Append the relaxations to the unknowns, in units of their limits."""
+    none = np.full(len(relaxations.size), np.inf)
     return Unknowns(
-        (*known.names, *shares.names),
-        np.append(known.first, shares.first * shares.size),
-        np.append(known.scale, shares.size),
+        (*known.names, *relaxations.names),
+        np.append(known.first, relaxations.first * relaxations.size),
+        np.append(known.scale, relaxations.size),
         np.append(known.lower, np.zeros(len(none))),
         np.append(known.upper, none),
         np.append(known.interval, none),
@@ -269,16 +273,16 @@ def _add_shares(known: Unknowns, shares: _Shares) -> Unknowns:
 
 
 def _build_cost(n: int, sizes: Array) -> Block:
-    """Build the sum of all shares."""
-    share = ca.SX.sym("share", len(sizes))
-    function = ca.Function("cost", [share], [ca.dot(share, ca.DM(1 / sizes))])
+    """Build the sum of all relaxations."""
+    relaxation = ca.SX.sym("relaxation", len(sizes))
+    function = ca.Function("cost", [relaxation], [ca.dot(relaxation, ca.DM(1 / sizes))])
     return Block(function, np.arange(n, n + len(sizes))[None], ("cost",), kind="cost")
 
 
-def _relax(block: Block, shares: Indices) -> Block:
+def _relax(block: Block, relaxations: Indices) -> Block:
     """Relax lower ≤ f ≤ upper to f − s ≤ upper and f + s' ≥ lower.
 
-    The entries s' and s are those of `shares`.
+    The entries s' and s are those of `relaxations`.
     """
     lower, upper, scale = (limit.reshape(block.count, block.rows) for limit in block.limits())
     size, rows = block.function.size1_in(0), block.rows
@@ -288,7 +292,7 @@ def _relax(block: Block, shares: Indices) -> Block:
     return replace(
         block,
         function=ca.Function("wider", [z], [ca.vertcat(value - above, value + below)]),
-        index=np.hstack([block.index, *shares]),
+        index=np.hstack([block.index, *relaxations]),
         names=tuple(name for names in each for name in 2 * names),
         lower=np.hstack([-nothing, lower]),
         upper=np.hstack([upper, nothing]),
