@@ -178,18 +178,7 @@ def link_problem(
 
     Linkage constraints connect the phases. Raises TypeError, ValueError or InfeasibleGoalError.
     """
-    if (
-        not isinstance(transcription, Variational)
-        or transcription.accuracy is not None
-        or transcription.control.linear
-    ):
-        raise ValueError(
-            f"transcription is {transcription}: phases take ocp.Variational(intervals), with PiecewiseConstant() and without accuracy"
-        )
-    if guess is not None and not isinstance(guess, PlanResult):
-        raise TypeError(
-            f"guess is {format_value(guess)}: phases start from a plan of the same phases, or None"
-        )
+    _check_options(transcription, guess)
     scene, count = problem.model.scene, transcription.count
     air = replace(
         problem,
@@ -207,9 +196,9 @@ def link_problem(
         else scales.mass * np.asarray(scene.gravity.acceleration, dtype=float)
     )
     first = (
-        guess_phases(parts, targets, count, scales, float(np.linalg.norm(weight)))
-        if guess is None
-        else split_plan(guess, parts, count)
+        split_plan(guess, parts, count)
+        if isinstance(guess, PlanResult)
+        else guess_phases(parts, targets, count, scales, float(np.linalg.norm(weight)))
     )
     stages: list[Stage] = []
     contacts: list[ContactSet] = []
@@ -245,6 +234,21 @@ def link_problem(
         contacts.append(contact)
     program = assemble(stages, _end_times(problem, stages))
     return PhasedTask(problem, parts, targets, stages, contacts, least, program)
+
+
+def _check_options(transcription: Transcription, guess: InitialGuess | None) -> None:
+    if (
+        not isinstance(transcription, Variational)
+        or transcription.accuracy is not None
+        or transcription.control.linear
+    ):
+        raise ValueError(
+            f"transcription is {transcription}: phases take ocp.Variational(intervals), with PiecewiseConstant() and without accuracy"
+        )
+    if guess is not None and not isinstance(guess, PlanResult):
+        raise TypeError(
+            f"guess is {format_value(guess)}: phases start from a plan of the same phases, or None"
+        )
 
 
 def _end_times(problem: Problem, stages: list[Stage]) -> list[Block]:

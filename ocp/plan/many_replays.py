@@ -6,7 +6,7 @@ Replays are in open loop or under a tracker, by the planned control or by rest l
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -27,6 +27,7 @@ from ocp.results.rest_length_schedule import compute_rest_lengths
 from ocp.results.result import STEPS
 from ocp.results.spreads import check_variation
 from ocp.targets.find_target import find_target
+from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.strings import RestLength, Tension, rest_length
 from tenscasadi.simulation.inputs.controls import ControlProfile
 from tenscasadi.simulation.inputs.feedback import Feedback
@@ -57,13 +58,8 @@ def measure_robustness(
     names = tuple(spreads)
     planned, problem = plan.require_model("robustness"), plan.problem
     reject_phases(() if problem is None else problem.phases, "robustness")
-    own = planned.scene.control
-    elastic = controls_force_densities(planned) and any(name in STRINGS for name in names)
-    if isinstance(own, Tension) and any(name in STRINGS for name in names):
-        raise ValueError(
-            f"parameters is {', '.join(names)}: under {own} tensions do not depend on stiffness or damping, vary others or plan with RestLength()"
-        )
-    model = vary_model(planned, names, RestLength() if elastic else own)
+    elastic = _needs_rest_lengths(planned, names)
+    model = vary_model(planned, names, RestLength() if elastic else planned.scene.control)
     tracker = (
         None
         if track is None
@@ -91,15 +87,13 @@ def measure_robustness(
     ended = ~np.char.startswith(rolled.message, INTERRUPTED)
     if not ended.any():
         raise KeyboardInterrupt
-    target = None
-    if problem is not None:
-        target = find_target(problem, Scales.of(problem)).begin_at(plan.trajectory.states[0])
-    misses = measure_errors(plan, target, interpolate_replays(rolled.time, rolled.states[ended]))
-    success, draws = rolled.success[ended], draws[ended]
-    size = float(np.linalg.norm(np.ptp(planned.structure.nodes, axis=0))) or 1.0
-    varied = {name: draws[:, [k]] for k, name in enumerate(names)} | (
-        {"start": changes[ended]} if any(place) else {}
-    )
+    misses = _measure_misses(plan, rolled.time, rolled.states[ended])
+    success = rolled.success[ended]
+    if limit is None:
+        limit = RELIABLE * (float(np.linalg.norm(np.ptp(planned.structure.nodes, axis=0))) or 1.0)
+    varied = {name: draws[ended][:, [k]] for k, name in enumerate(names)}
+    if any(place):
+        varied["start"] = changes[ended]
     return Robustness(
         names=tuple(varied),
         factors=factors[ended],
@@ -107,12 +101,33 @@ def measure_robustness(
         error=np.where(success, misses.position, np.inf),
         speed_error=np.where(success, misses.velocity, np.inf),
         duration=float(plan.time[-1]),
-        tolerance=RELIABLE * size if limit is None else limit,
+        tolerance=limit,
         importance=share_variance(varied, np.where(success[:, None], misses.rows, np.nan)),
         tracked=track is not None,
         seconds=seconds,
         interrupted=rolled.interrupted,
     )
+
+
+def _measure_misses(plan: Any, time: Array, states: Array) -> Any:
+    """Measure the errors of replays in the goals of the plan."""
+    target = None
+    if plan.problem is not None:
+        found = find_target(plan.problem, Scales.of(plan.problem))
+        target = found.begin_at(plan.trajectory.states[0])
+    return measure_errors(plan, target, interpolate_replays(time, states))
+
+
+def _needs_rest_lengths(planned: Model, names: Sequence[str]) -> bool:
+    """Return whether planned forces become rest lengths, on which varied values act."""
+    if not any(name in STRINGS for name in names):
+        return False
+    control = planned.scene.control
+    if isinstance(control, Tension):
+        raise ValueError(
+            f"parameters is {', '.join(names)}: under {control} tensions do not depend on stiffness or damping, vary others or plan with RestLength()"
+        )
+    return controls_force_densities(planned)
 
 
 def _control_as_planned(plan: Any, tracker: Any) -> tuple[Feedback | ControlProfile, float]:
