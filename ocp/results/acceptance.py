@@ -29,6 +29,7 @@ from tenscasadi.util.validate import Array
 Replay = Callable[[PlanResult, bool], Trajectory | None]
 
 RELIABLE = 1e-2  # × the structure's size: default tolerance of replays
+UNFINISHED = "its replay was not finished in time"
 
 
 class ReplayMeasures(NamedTuple):
@@ -164,7 +165,12 @@ def assess_plan(
     overload = _describe_overload(scene, counts.motion)
     success = good and not overload
     name = "tracked replay" if plan.tracked else "replay"
-    verdict = _accepted(found) if good else _rejected(plan, found, tolerance, name, missed)
+    if good:
+        verdict = _accepted(found)
+    elif counts.note == UNFINISHED:
+        verdict = f"the plan after {found.iterations} iterations is unchecked: increase time_limit"
+    else:
+        verdict = _rejected(plan, found, tolerance, name, missed)
     if good and overload:
         verdict, overload = f"no plan: {overload}", ""
     ends = counts.describe(name, success)
@@ -193,7 +199,7 @@ def _verify(plan: PlanResult, target: Target, replay: Replay, tracked: bool) -> 
             raise
         return _Verified(None, np.nan, np.nan, f"ocp.track does not keep to it: {error}")
     if motion is None:
-        return _Verified(None, np.nan, np.nan, "its replay was not finished in time")
+        return _Verified(None, np.nan, np.nan, UNFINISHED)
     if not motion.success:
         return _Verified(None, np.nan, np.nan)
     errors = measure_errors(plan, target, interpolate_replays(motion.time, motion.states[None]))

@@ -49,3 +49,15 @@ def test_message_names_the_goal_that_the_planned_motion_misses(plan):
     assert not judged.success
     assert f"node {node} z: give another guess" in judged.message
     assert "intervals" not in judged.message
+
+
+def test_message_says_that_time_was_up_before_the_replay(plan):
+    target = find_target(plan.problem, Scales.of(plan.problem))
+    states, gamma = plan.trajectory.states, plan.force_density
+    found = Outcome(states, gamma, float(plan.time[-1]), plan.objective, True, "", 7)
+    judged = assess_plan(
+        plan, target, found, 1e-3, lambda plan, tracked: None, False, plan.model.scene
+    )
+    assert not judged.success
+    assert "the plan after 7 iterations is unchecked: increase time_limit" in judged.message
+    assert "misses" not in judged.message
