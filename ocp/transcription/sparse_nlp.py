@@ -270,12 +270,12 @@ class Program:
     def perturb_guess(self) -> Program:
         """Add the noise to the initial guess, within the limits.
 
-        A little noise on all unknowns leads away from points without derivatives, such as the
-        center of an obstacle.
+        Without it, a little noise on all unknowns leads away from points without derivatives, such
+        as the center of an obstacle.
         """
-        noise = 1e-5 * np.random.default_rng(0).uniform(-1.0, 1.0, len(self.first))
-        if self.noise is not None:
-            noise += self.noise
+        noise = self.noise
+        if noise is None:
+            noise = 1e-5 * np.random.default_rng(0).uniform(-1.0, 1.0, len(self.first))
         return replace(
             self, first=np.clip(self.first + noise, self.w_lower, self.w_upper), noise=None
         )
