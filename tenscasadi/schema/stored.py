@@ -205,27 +205,31 @@ def _restore_part(kind: type[Stored], name: str, content: Fields) -> Stored:
 class _FieldTypes(NamedTuple):
     """Types of the fields of a class.
 
-    Arrays have dimensions, as letters, and a kind.
+    Arrays have dimensions, as letters, and a kind. Those in `optional` can be None.
     """
 
     hints: dict[str, Any]
     arrays: dict[str, tuple[str | None, str]]
+    optional: set[str]
 
 
 @cache
 def _find_fields(cls: Hashable) -> _FieldTypes:
-    found, known = _FieldTypes({}, {}), get_type_hints(cls, include_extras=True)
+    found, known = _FieldTypes({}, {}, set()), get_type_hints(cls, include_extras=True)
     for name, given in ((field.name, known[field.name]) for field in fields(cls)):  # type: ignore[arg-type]
         own = [part for part in get_args(given) if part is not NoneType]
         optional = NoneType in get_args(given) and get_origin(given) is not Annotated
         hint = found.hints[name] = own[0] if optional and len(own) == 1 else given
         if get_origin(hint) is Annotated:
-            _, letters, kind = get_args(hint)
+            values, letters, kind = get_args(hint)
             found.arrays[name] = letters, kind
+            optional = optional or NoneType in get_args(values)
         elif hint in _KINDS:
             found.arrays[name] = "", _KINDS[hint]
         elif get_origin(hint) is np.ndarray:
             found.arrays[name] = None, np.dtype(get_args(get_args(hint)[1])[0]).kind
+        if optional:
+            found.optional.add(name)
     return found
 
 
@@ -245,6 +249,8 @@ def _check_arrays(content: Mapping[str, Any], cls: type) -> None:
     sizes: dict[str, int] = {"2": 2, "3": 3}
     for name, (letters, kind) in array_fields(cls).items():
         if content.get(name) is None:
+            if name in content and name not in _find_fields(cls).optional:
+                raise ValueError(f"field {name!r} is None: give its value")
             continue
         value = _as_array(name, content[name])
         if value.size and value.dtype.kind != kind:  # without entries there is no kind

@@ -71,6 +71,12 @@ def test_the_file_holds_no_objects(tmp_path: Path) -> None:
         assert {archive[name].dtype.kind for name in archive.files} <= set("fibU")
 
 
+@pytest.mark.parametrize("field", ["time", "nodes", "pinned", "success"])
+def test_fields_without_a_value_are_named(field: str) -> None:
+    with pytest.raises(ValueError, match=f"field '{field}' is None: give its value"):
+        example(**{field: None})
+
+
 def test_summary_and_repr() -> None:
     text = example(
         energy_error=np.array([0, 1e-9, np.nan, -2e-9]), bar_length_error=np.array([0, 3e-7, 0, 0])
