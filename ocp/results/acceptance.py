@@ -167,7 +167,7 @@ def assess_plan(
     name = "tracked replay" if plan.tracked else "replay"
     if good:
         verdict = _accepted(found)
-    elif counts.note == UNFINISHED:
+    elif counts.note == UNFINISHED and (found.success or found.coarse):
         verdict = f"the plan after {found.iterations} iterations is unchecked: increase time_limit"
     else:
         verdict = _rejected(plan, found, tolerance, name, missed)
