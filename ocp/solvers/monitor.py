@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from threading import current_thread
 from typing import Any, NamedTuple, TypeVar
 
 from ocp.solvers.worker import Worker
@@ -64,8 +65,6 @@ class Monitor:
         Current part of the search, for the progress.
     interrupted : bool
         Whether a stop was requested, as from the keyboard.
-    iterate : tuple of int and ndarray, or None
-        Number of the last iteration, and the best iterate.
     """
 
     def __init__(
@@ -79,7 +78,7 @@ class Monitor:
         self.interrupted, self.phase = False, ""
         self._show, self._next_line = show, self.began + 2.0  # s
         self._watch, self._catches = watch, False
-        self.iterate: tuple[int, Array] | None = None
+        self._thread = current_thread()
         self._worker: Worker | None = None
 
     def limit(self, time_limit: float | None) -> Monitor:
@@ -95,6 +94,11 @@ class Monitor:
     def left(self) -> float:
         """Wall time that is left [s], inf without a limit."""
         return self.deadline - time.perf_counter()
+
+    @property
+    def iterate(self) -> tuple[int, Array] | None:
+        """Number of the last iteration of the work in a thread, and its best iterate."""
+        return None if self._worker is None else self._worker.iterate
 
     @property
     def grace(self) -> float:
@@ -122,20 +126,26 @@ class Monitor:
         `otherwise` builds the result of abandoned work, from `iterate`. `patience` is the time that
         work has to stop by itself [s]. Callbacks of the user run in the calling thread.
         """
-        self.iterate, self._worker = None, Worker(work)
+        self._worker = Worker(work)
         return self._worker.wait(self.status, otherwise, patience)
 
     def ask(self, call: Callable[[], Result]) -> Result:
-        """Call a function of the user in the thread of the search."""
-        return call() if self._worker is None else self._worker.ask(call)
+        """Call a function in the thread of the search.
+
+        Raises Abandoned in the thread of work that was abandoned.
+        """
+        if self._worker is None or current_thread() is self._thread:
+            return call()
+        return self._worker.ask(call)
 
     def follow(self, now: Progress, iterate: Array | None = None) -> str:
         """Show the progress of a solver, and return `status`.
 
         `iterate` are the unknowns of the best iterate so far.
         """
-        if iterate is not None:
-            self.iterate = now.iteration, iterate
+        worker = self._worker
+        if iterate is not None and worker is not None and worker.is_here:
+            worker.iterate = now.iteration, iterate
         clock = time.perf_counter()
         if self._show is not None and clock >= self._next_line:
             self._next_line = clock + 0.5

@@ -34,10 +34,15 @@ class Worker:
     work : callable
         Function without arguments.
 
+    Attributes
+    ----------
+    iterate : object
+        Best intermediate result of the work, which the work itself stores.
+
     Examples
     --------
     >>> from ocp.solvers.worker import Worker
-    >>> Worker(lambda: 6 * 7).wait(lambda: "", lambda: None)
+    >>> Worker(lambda: 6 * 7).wait(lambda: "", lambda: None, patience=0.3)
     42
     """
 
@@ -45,8 +50,14 @@ class Worker:
         self._calls: SimpleQueue[tuple[Callable[[], Any] | None, Future[Any]]] = SimpleQueue()
         self._result: Future[Any] = Future()
         self._abandoned = False
+        self.iterate: Any = None
         context = copy_context()
         self._thread = Thread(target=lambda: context.run(self._run, work), name="plan")
+
+    @property
+    def is_here(self) -> bool:
+        """Whether the present thread is that of the work."""
+        return current_thread() is self._thread
 
     def _run(self, work: Callable[[], Any]) -> None:
         try:
@@ -60,7 +71,7 @@ class Worker:
         self,
         status: Callable[[], str],
         otherwise: Callable[[], Result],
-        patience: float = 0.3,
+        patience: float,
     ) -> Result:
         """Wait for the result of the work.
 
@@ -100,10 +111,10 @@ class Worker:
     def ask(self, call: Callable[[], Result]) -> Result:
         """Call a function in the waiting thread, for its result.
 
-        Raises Abandoned if that thread no longer waits.
+        Raises Abandoned if that thread no longer waits for the present one.
         """
-        if current_thread() is not self._thread:
-            return call()
+        if not self.is_here:  # that of earlier work, which was abandoned
+            raise Abandoned
         reply: Future[Result] = Future()
         self._calls.put((call, reply))
         while not self._abandoned:

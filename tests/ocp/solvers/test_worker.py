@@ -5,9 +5,13 @@ from __future__ import annotations
 import threading
 import time
 
+import numpy as np
 import pytest
 
+from ocp.solvers.monitor import Monitor, Progress
 from ocp.solvers.worker import Abandoned, Worker
+
+PATIENCE = 5.0  # s
 
 
 def never() -> str:
@@ -15,7 +19,7 @@ def never() -> str:
 
 
 def test_result_is_that_of_the_work():
-    assert Worker(lambda: 7).wait(never, lambda: 0) == 7
+    assert Worker(lambda: 7).wait(never, lambda: 0, PATIENCE) == 7
 
 
 def test_errors_of_the_work_are_raised():
@@ -23,7 +27,7 @@ def test_errors_of_the_work_are_raised():
         raise ValueError("wrong")
 
     with pytest.raises(ValueError, match="wrong"):
-        Worker(fail).wait(never, lambda: None)
+        Worker(fail).wait(never, lambda: None, PATIENCE)
 
 
 def test_work_that_does_not_stop_is_abandoned():
@@ -37,7 +41,9 @@ def test_work_that_does_not_stop_is_abandoned():
 
 def test_work_that_stops_soon_gives_its_own_result():
     stop = threading.Event()
-    found = Worker(lambda: stop.wait(30)).wait(lambda: stop.set() or "late", lambda: "best")
+    found = Worker(lambda: stop.wait(30)).wait(
+        lambda: stop.set() or "late", lambda: "best", PATIENCE
+    )
     assert found is True
 
 
@@ -48,7 +54,7 @@ def test_calls_of_the_user_run_in_the_waiting_thread():
         return worker.ask(lambda: names.append(threading.current_thread()) or "seen")
 
     worker = Worker(work)
-    assert worker.wait(never, lambda: "") == "seen"
+    assert worker.wait(never, lambda: "", PATIENCE) == "seen"
     assert names == [threading.current_thread()]
 
 
@@ -58,7 +64,7 @@ def test_errors_of_calls_are_raised_in_the_work():
 
     worker = Worker(lambda: worker.ask(fail))
     with pytest.raises(TimeoutError, match="of the user"):
-        worker.wait(never, lambda: None)
+        worker.wait(never, lambda: None, PATIENCE)
 
 
 def test_abandoned_work_calls_nothing():
@@ -76,3 +82,30 @@ def test_abandoned_work_calls_nothing():
     release.set()
     assert ended.wait(30)
     assert not seen
+
+
+def test_abandoned_work_does_not_disturb_the_next():
+    """It neither calls the user's function nor replaces the best iterate."""
+    release, ended, seen = threading.Event(), threading.Event(), []
+    monitor = Monitor(watch=lambda now: seen.append(now.iteration))
+
+    def work(number, wait):
+        if wait:
+            release.wait(30)
+        try:
+            monitor.follow(Progress(number, 0.0, 0.0), np.full(number, 1.0))
+        except Abandoned:
+            ended.set()
+        return monitor.iterate
+
+    monitor.interrupted = True
+    assert monitor.run(lambda: work(1, True), lambda: None, 0.01) is None
+    monitor.interrupted = False
+
+    def again():
+        release.set()
+        assert ended.wait(30)
+        return work(2, False)
+
+    number, iterate = monitor.run(again, lambda: None)
+    assert (number, len(iterate), seen) == (2, 2, [2])
