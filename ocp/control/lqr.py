@@ -14,8 +14,8 @@ from ocp.control.closed_loop import run
 from ocp.control.departures import build_departures
 from ocp.control.holding import Rest, compute_stationary_cost, find_rest, force_limits
 from ocp.problem.bounds.string_bounds import StringLimits
-from ocp.problem.control import controls_force_densities, controls_rest_lengths
 from ocp.problem.path_constraints import control_limits
+from ocp.problem.scaling import scale_departures
 from ocp.results.result import STEPS, PlanResult
 from ocp.transcription.mesh import profile_at
 from tenscasadi.dynamics.linear_steps import riccati_gains, transitions
@@ -27,7 +27,7 @@ from tenscasadi.scene.winches import Winch
 from tenscasadi.simulation.inputs.feedback import Feedback
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.immutable import ReadOnlyArrays
-from tenscasadi.util.renamed import rename_keywords
+from tenscasadi.util.renamed import rename_fields, rename_keywords
 from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import (
     LARGEST,
@@ -45,31 +45,32 @@ MAX_SUBSTEPS = 50  # of a decision, for its derivatives
 class Hold(NamedTuple):
     """Feedback law after the end of the plan.
 
-    The control is γ = force_density − gains (x − state), within limits.
+    The control is u = inputs − gains (x − state), within limits.
 
     Attributes
     ----------
     state : ndarray, shape (nx,)
         State at rest [m, m/s].
-    force_density : ndarray, shape (nu,)
+    inputs : ndarray, shape (nu,)
         Control at rest, see `Tracker`.
     gains : ndarray, shape (nu, nx)
         Feedback gains.
     """
 
     state: Array
-    force_density: Array
+    inputs: Array
     gains: Array
 
 
+@rename_fields(force_density="inputs")
 @dataclass(frozen=True, eq=False)
 class Tracker(ReadOnlyArrays):
     """Time-varying LQR about a plan, made by `track`.
 
-    It is a controller for `run` with the law u = u_plan − G (x − x_plan), within limits. After a plan
-    that ends at rest it holds that state. The control is then that of the least forces of strings in
-    equilibrium, with the gains of a stationary regulator. If there is none, `message` gives the reason, and the
-    last gain holds the last state.
+    It is a controller for `run` with the law u = u_plan − G (x − x_plan), within limits. After a
+    plan that ends at rest it holds that state. The control is then that of the least forces of
+    strings in equilibrium, with the gains of a stationary regulator. If there is none, `message`
+    gives the reason, and the last gain holds the last state.
 
     Attributes
     ----------
@@ -79,16 +80,16 @@ class Tracker(ReadOnlyArrays):
         Times of the decisions, and the end of the plan [s].
     states : ndarray, shape (K + 1, nx)
         The plan's states at these times [m, m/s].
-    force_density : ndarray, shape (K, nu)
-        The plan's control: force densities [N/m], tensions [N], rest lengths [m], their rates [m/s],
-        or motor torques [N m].
+    inputs : ndarray, shape (K, nu)
+        The plan's control: force densities [N/m], tensions [N], rest lengths [m], their rates
+        [m/s], or motor torques [N m].
     gains : ndarray, shape (K, nu, nx)
         Gains G.
     lower, upper : ndarray, shape (nu,)
         Limits of the control.
     hold : Hold or None
-        Law that holds the end of the plan: `state` (nx,), `force_density` (nu,) and `gains` (nu, nx);
-        None if the plan does not end at rest.
+        Law that holds the end of the plan: `state` (nx,), `inputs` (nu,) and `gains`
+        (nu, nx); None if the plan does not end at rest.
     message : str
         Whether the end of the plan is held, and why not.
 
@@ -109,7 +110,7 @@ class Tracker(ReadOnlyArrays):
     model: Model
     time: Array
     states: Array
-    force_density: Array
+    inputs: Array
     gains: Array
     lower: Array
     upper: Array
@@ -117,7 +118,7 @@ class Tracker(ReadOnlyArrays):
     message: str = ""
 
     def __repr__(self) -> str:
-        return f"Tracker({len(self.gains)} decisions, {self.force_density.shape[1]} strings, {self.time[-1]:g} s)"
+        return f"Tracker({len(self.gains)} decisions, {self.inputs.shape[1]} inputs, {self.time[-1]:g} s)"
 
     @property
     def period(self) -> float:
@@ -128,12 +129,10 @@ class Tracker(ReadOnlyArrays):
     def feedback(self) -> Feedback:
         """The regulator as feedback of `tenscasadi.rollouts`."""
         if self.hold is None:
-            return Feedback(
-                self.time, self.force_density, self.states, self.gains, self.lower, self.upper
-            )
+            return Feedback(self.time, self.inputs, self.states, self.gains, self.lower, self.upper)
         time = np.append(self.time, self.time[-1] + self.period)
         controls, gains = (
-            np.vstack([self.force_density, self.hold.force_density]),
+            np.vstack([self.inputs, self.hold.inputs]),
             np.concatenate([self.gains, self.hold.gains[None]]),
         )
         states = np.vstack([self.states[:-1], self.hold.state, self.hold.state])
@@ -161,16 +160,16 @@ class Tracker(ReadOnlyArrays):
         k = min(int(time / self.period + 1e-9), len(self.gains) - 1)
         after = time > self.time[-1] - 1e-9
         if after and self.hold is not None:
-            wanted, gamma, gain = self.hold
+            wanted, planned, gain = self.hold
         else:
-            wanted, gamma, gain = (
+            wanted, planned, gain = (
                 self.states[-1 if after else k],
-                self.force_density[k],
+                self.inputs[k],
                 self.gains[k],
             )
         away = state - wanted
         self.model.split(away).clock[:] = 0.0
-        return np.asarray(np.clip(gamma - gain @ away, self.lower, self.upper))
+        return np.asarray(np.clip(planned - gain @ away, self.lower, self.upper))
 
 
 @rename_keywords(place="position_scale", effort="control_scale")
@@ -235,7 +234,7 @@ def track(
     >>> goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()]
     >>> plan = ocp.solve(ocp.Problem(cross, goals=goals, costs=[ocp.Effort()]), ocp.MultipleShooting(10))
     >>> ocp.track(plan, decisions=20)
-    Tracker(20 decisions, 2 strings, 1 s)
+    Tracker(20 decisions, 2 inputs, 1 s)
     """
     instance("plan", plan, PlanResult, "an ocp.Plan")
     model, T = plan.require_model("track"), float(plan.time[-1])
@@ -282,17 +281,9 @@ def _default_scale(plan: PlanResult, model: Model, speed: float) -> float:
 
     `speed` is the departure of velocities [m/s].
     """
-    structure, control = model.scene.structure, model.scene.control
-    usual = 0.1 * float(plan.force_density.mean()) or 1.0
-    if controls_force_densities(model):
-        return usual
-    tension = usual * structure.string_lengths
-    if isinstance(control, Winch):
-        return 10 * float(np.mean(np.asarray(control.radius)) * np.mean(tension))
-    if model.na:
-        return speed
-    change = tension / structure.stiffness if controls_rest_lengths(model) else tension
-    return float(np.mean(change))
+    fraction = 1.0 if isinstance(model.scene.control, Winch) else 0.1  # torques that hold
+    strength = fraction * float(plan.force_density.mean()) or 1.0
+    return float(scale_departures(model, strength, speed).mean())
 
 
 def _read_limits(

@@ -23,8 +23,7 @@ from ocp.problem.goals.waypoints import Waypoint
 from ocp.problem.path_constraints import scaled_rows
 from ocp.problem.phase import reject_phases
 from ocp.problem.problem import Problem
-from ocp.problem.scaling import Scales
-from ocp.problem.scaling import control_scale as typical_change
+from ocp.problem.scaling import Scales, scale_departures
 from ocp.problem.start import FreeStart
 from ocp.results.result import PlanResult
 from ocp.sampling.horizon_costs import OVERSTEP
@@ -32,7 +31,6 @@ from ocp.solvers.interior_point_qp import solve_qp
 from ocp.targets.find_target import find_target
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
-from tenscasadi.scene.winches import RestLengthRate
 from tenscasadi.util.casadi_tools import ArrayFunction, symbol_kind
 from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import (
@@ -145,10 +143,8 @@ class Mpc:
         )
         if control_scale is not None:
             own = np.full(self.model.nu, positive_number("control_scale", control_scale))
-        elif isinstance(self.model.scene.control, RestLengthRate):
-            own = np.full(self.model.nu, 10 * size / scales.time)  # as velocities
         else:
-            own = typical_change(problem, strength)
+            own = scale_departures(self.model, strength, 10 * size / scales.time)
         self._control_scale = own
         self._weights = np.tile(self._control_scale**-2, self.intervals)
         self._lower, self._upper = (

@@ -139,7 +139,7 @@ def _control_as_planned(plan: Any, tracker: Any) -> tuple[Feedback | ControlProf
     if tracker is not None:
         return Feedback(
             tracker.time,
-            tracker.force_density,
+            tracker.inputs,
             tracker.states,
             tracker.gains,
             tracker.lower,
@@ -169,7 +169,7 @@ def _convert_to_rest_lengths(plan: Any, tracker: Any) -> tuple[Feedback, float]:
         rest_length(np.minimum(tracker.upper, k), s, k).min(axis=0),
         rest_length(tracker.lower, s, k).max(axis=0),
     )
-    control, gains = rest_length(tracker.force_density, s, k), -(s / k)[:, :, None] * tracker.gains
+    control, gains = rest_length(tracker.inputs, s, k), -(s / k)[:, :, None] * tracker.gains
     return Feedback(
         tracker.time, control, tracker.states, gains, np.maximum(lower, 1e-6 * s.min()), upper
     ), float(np.diff(time).min()) / STEPS_PER_UPDATE

@@ -16,11 +16,12 @@ from ocp.problem.control import (
 from ocp.problem.costs import cost_terms
 from ocp.problem.instant import symbolic
 from tenscasadi.scene.internal_states import join_scales
-from tenscasadi.scene.winches import Winch
+from tenscasadi.scene.winches import RestLengthRate, Winch
 from tenscasadi.util.validate import Array, per_item, positive_number
 
 if TYPE_CHECKING:
     from ocp.problem.problem import Problem
+    from tenscasadi.dynamics.model import Model
 
 UNBOUNDED = 100.0  # scaled size that no bounded state or unknown of a plan reaches
 
@@ -92,20 +93,35 @@ def control_scale(problem: Problem, strength: float) -> Array:
     string lengths; under their rates, that change in the duration [m/s]. Torques of winches hold the
     typical tension.
     """
-    structure = problem.model.scene.structure
-    if controls_force_densities(problem.model):
+    return scale_control(problem.model, strength, problem.typical_duration)
+
+
+def scale_control(model: Model, strength: float, duration: float) -> Array:
+    """Compute the scale (nu,) of control changes in a duration [s], see `control_scale`."""
+    structure = model.scene.structure
+    if controls_force_densities(model):
         return np.full(len(structure.strings), strength)
     of = structure.cable_of
-    if not has_elastic_strings(problem.model):
+    if not has_elastic_strings(model):
         return strength * np.bincount(of, weights=structure.string_lengths) / np.bincount(of)
-    control = problem.model.scene.control
+    control = model.scene.control
     if isinstance(control, Winch):
         tension = strength * np.bincount(of, weights=structure.string_lengths) / np.bincount(of)
         return np.asarray(per_item("Winch.radius", control.radius, len(tension)) * tension)
     change = structure.string_lengths * np.minimum(strength / structure.stiffness, 1.0)
     return np.asarray(np.bincount(of, weights=change)) / (
-        1.0 if controls_rest_lengths(problem.model) else problem.typical_duration
+        1.0 if controls_rest_lengths(model) else duration
     )
+
+
+def scale_departures(model: Model, strength: float, speed: float) -> Array:
+    """Compute the scale (nu,) of departures of the control in regulators.
+
+    It is that of `scale_control`; of rest-length rates, the departure of velocities `speed` [m/s].
+    """
+    if isinstance(model.scene.control, RestLengthRate):
+        return np.full(model.nu, speed)
+    return scale_control(model, strength, 1.0)
 
 
 def typical_cost(

@@ -20,8 +20,8 @@ from ocp.results.terminal_limits import measure_terminal_limits
 from ocp.solvers.base import Outcome
 from ocp.targets.target import StateAt, Target
 from ocp.transcription.mesh import held_values
+from tenscasadi.scene.failed_strings import describe_overload
 from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.strength import describe_overload
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import Array
 
@@ -165,14 +165,14 @@ def assess_plan(
     overload = _describe_overload(scene, counts.motion)
     success = good and not overload
     name = "tracked replay" if plan.tracked else "replay"
-    if good:
+    if good and overload:
+        verdict, overload = f"no plan: {overload}", ""
+    elif good:
         verdict = _accepted(found)
     elif counts.note == UNFINISHED and (found.success or found.coarse):
         verdict = f"the plan after {found.iterations} iterations is unchecked: increase time_limit"
     else:
         verdict = _rejected(plan, found, tolerance, name, missed)
-    if good and overload:
-        verdict, overload = f"no plan: {overload}", ""
     ends = counts.describe(name, success)
     if plan.tracked:
         reason = growth or "tracked=True"

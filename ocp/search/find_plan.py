@@ -161,7 +161,8 @@ def _try(search: _PlanSearch, attempt: Attempt) -> tuple[PlanResult, Target | No
     """Run one attempt and its acceptance test.
 
     If its optimum misses dependent goals, a second run imposes the rows that are independent near
-    its end. The second run counts if it succeeds. Returns the plan, and the target from which the next attempt starts.
+    its end. The second run counts if it succeeds. Returns the plan, and the target from which the
+    next attempt starts.
     """
     task = search.task
     outcome, target = run_attempt(task, attempt)

@@ -40,7 +40,7 @@ def explain_limits(task: PlanningTask) -> str:
 
 def _explain(task: PlanningTask, target: Target) -> str:
     problem = task.problem
-    # no longer than the search itself, but for short ones
+    # a rough motion serves, which is searched no longer than the plan, but for short searches
     limit = max(1.0, task.monitor.elapsed)
     solver = Ipopt(tolerance=1e-4, max_iterations=120, time_limit=limit)
     program = _build(task, target)

@@ -1,7 +1,7 @@
 """Elastic relaxation of limits that are too narrow.
 
-Each limit gets a relaxation, by which it may be exceeded, relative to its size. The program minimizes the
-sum of the relaxations.
+Each limit gets a relaxation, by which it may be exceeded, relative to its size. The program
+minimizes the sum of the relaxations.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Relaxation:
     blocks : list of Block
         Rows with relaxed limits, in the unknowns of the given program.
     groups : list of ndarray of int, shape (2, count, rows)
-        Number of the relaxation of each lower and upper limit of these blocks. The last relaxation is 0.
+        Number of the relaxation of each lower and upper limit of these blocks. The last one is 0.
     sizes : ndarray, shape (m,)
         Sizes of the limits of each relaxation, scaled.
     """
@@ -143,8 +143,8 @@ def find_rate_rows(program: Program) -> Indices:
 def relax_limits(program: Program, kinds: Sequence[Kind], controls: bool = False) -> Relaxation:
     """Relax the limits of rows of some kinds, and those of the controls.
 
-    Equal limits of one quantity have one relaxation, as have lower and upper limits of equal size. A
-    limit 0 stays, as it stands for a sign.
+    Equal limits of one quantity have one relaxation, as have lower and upper limits of equal size.
+    A limit 0 stays, as it stands for a sign.
     """
     n, known = len(program.first), program.parts.unknowns
     given = [block for block in program.parts.rows if block.kind in kinds]

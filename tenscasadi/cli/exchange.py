@@ -44,7 +44,8 @@ def export_file(source: Annotated[str, FILE], out: Annotated[Path, FILE]) -> int
     """Export a scene, trajectory or plan to other programs.
 
     Scenes: .xml (MuJoCo), .mat (MATLAB: MOTES), .yaml (NTRT, in m), .glb (a 3-D picture), .toml or
-    .json (a scene file without formulas). Trajectories and plans (.npz): .csv, .mat (MATLAB), .pvd (ParaView), .glb.
+    .json (a scene file without formulas). Trajectories and plans (.npz): .csv, .mat (MATLAB), .pvd
+    (ParaView), .glb.
 
     Parameters
     ----------

@@ -224,7 +224,7 @@ class _PrestressSearch:
         if first.status == "solved":
             q = self.basis @ first.x
         assumed = last = np.zeros((strings, len(self.cases)))
-        margin, share = none, 1.0
+        margin, relaxation = none, 1.0
         for k in range(MAX_ITERATIONS):
             try:
                 response = self.tangent.tension_change(q, self.cases)[:strings]
@@ -249,9 +249,9 @@ class _PrestressSearch:
                 margin = np.hstack([margin, response])
             if k > 1:
                 turn = error - last
-                share *= -float(np.sum(last * turn)) / float(np.sum(turn**2) or 1.0)
-                share = float(np.clip(share, 0.1, 1.0))
-            assumed, last = assumed + share * error, error
+                relaxation *= -float(np.sum(last * turn)) / float(np.sum(turn**2) or 1.0)
+                relaxation = float(np.clip(relaxation, 0.1, 1.0))
+            assumed, last = assumed + relaxation * error, error
             found = goal.solve(self.program(np.hstack([assumed, margin]), self.least))
             if found.status != "solved":
                 return self.fail(self.explain(found.status))

@@ -78,9 +78,9 @@ class Task:
     reward : callable
         Function of a `Transition` of n episodes that returns rewards (n,).
     lower, upper : array_like, scalar or shape (nu,)
-        Controls at the actions −1 and 1, such as force densities [N/m]; under ``RestLength()``, limits
-        of rest lengths [m].
-    rest_length_rate : array_like, scalar or shape (α,), optional
+        Controls at the actions −1 and 1, such as force densities [N/m]; under ``RestLength()``,
+        limits of rest lengths [m].
+    rest_length_rate : array_like, scalar or shape (nu,), optional
         Rate of rest lengths at the action 1 [m/s]. Only for `RestLength`.
     period : float
         Control period [s].
@@ -97,7 +97,7 @@ class Task:
         Relative spreads of the model's parameters by name, at least 0 and less than 1. Each episode
         has its own values (domain randomization).
     observation : callable, optional
-        Function of nodes (n, N, 3), velocities (n, N, 3) and control (n, α) that returns
+        Function of nodes (n, N, 3), velocities (n, N, 3) and control (n, nu) that returns
         observations (n, k), clipped to ±1e6. Default: nodes and velocities, rest lengths that are
         controlled, and internal states of winches.
     terminated : callable, optional
@@ -115,7 +115,8 @@ class Task:
     Notes
     -----
     All draws are uniform within ± their spread. An episode is terminated if it diverges, a bar
-    length has an error over 10 %, or a winch has wound up a whole string. Its reward is then 0, and its last state is kept.
+    length has an error over 10 %, or a winch has wound up a whole string. Its reward is then 0, and
+    its last state is kept.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Names of strings that can fail, and the check that none has failed."""
+"""Names of strings that can fail, overloads, and the check that none has failed."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tenscasadi.scene.internal_states import join_initial
-from tenscasadi.scene.strength import declare_strength, find_limited
+from tenscasadi.scene.strength import declare_strength, find_limited, list_strengths
 from tenscasadi.structure.cables import name_inputs
 from tenscasadi.structure.names import label
 
@@ -25,6 +25,23 @@ def name_limited(scene: Any) -> list[str]:
         if count == 1 and s.string_names and s.string_names[string]:
             names[k] = f"string {label(s.string_names, string)!r}"
     return [names[k] for k in find_limited(scene)]
+
+
+def describe_overload(scene: Any, tension: Array) -> str:
+    """Describe the string or cable whose tension exceeds its strength most; "" if there is none.
+
+    `tension` (α,) [N] is that of the modeled strings.
+    """
+    strength = list_strengths(scene)[scene.modelled.string_parent]
+    fraction = tension / strength
+    if not (fraction >= 1).any():
+        return ""
+    worst = int(np.argmax(fraction))
+    member = name_limited(scene)[int(np.searchsorted(find_limited(scene), scene.input_of[worst]))]
+    return (
+        f"{member} {scene.strength.verb}, its tension of {tension[worst]:.4g} N reaches its "
+        f"strength of {strength[worst]:.4g} N"
+    )
 
 
 def require_intact(name: str, scene: Any, states: Array) -> None:

@@ -1,4 +1,4 @@
-"""Strings that can break or yield: their strengths, internal states and overloads."""
+"""Strings that can break or yield: their strengths and internal states."""
 
 from __future__ import annotations
 
@@ -40,23 +40,6 @@ def limit_tensions(scene: Any) -> Array:
     if scene.strength is not None:
         np.minimum.at(found, cable_of, (1 - scene.strength.margin) * list_strengths(scene))
     return found
-
-
-def describe_overload(scene: Any, tension: Array) -> str:
-    """Describe the first string whose tension reaches its strength; "" if there is none.
-
-    `tension` (α,) [N] is that of the modeled strings.
-    """
-    parent = scene.modelled.string_parent
-    strength = list_strengths(scene)[parent]
-    fraction = tension / strength
-    if not (fraction >= 1).any():
-        return ""
-    worst = int(np.argmax(fraction))
-    return (
-        f"string {parent[worst]} {scene.strength.verb}, its tension of {tension[worst]:.4g} N reaches its "
-        f"strength of {strength[worst]:.4g} N"
-    )
 
 
 def declare_strength(scene: Any) -> tuple[InternalStates, ...]:

@@ -169,11 +169,11 @@ class Winch(Control, kind="Winch"):
     friction : float or array_like, shape (nu,)
         Viscous friction c [N·m·s].
     torque : float or array_like, shape (nu,), optional
-        Largest torque in both directions [N·m], a limit in plans and controllers. Simulations apply the
-        given torques, and their message names those beyond it. None or inf for no limit.
+        Largest torque in both directions [N·m], a limit in plans and controllers. Simulations apply
+        the given torques, and their message names those beyond it. None or inf for no limit.
     speed : float or array_like, shape (nu,), optional
-        Largest winding speed in both directions [rad/s], a limit in plans and `ocp.Mpc`. None or inf
-        for no limit.
+        Largest winding speed in both directions [rad/s], a limit in plans and `ocp.Mpc`. None or
+        inf for no limit.
 
     Raises
     ------

@@ -12,10 +12,9 @@ import numpy as np
 from tenscasadi.dynamics.model import Model
 from tenscasadi.dynamics.operating_point import OperatingPoint
 from tenscasadi.scene.binding import fix, initial_control
-from tenscasadi.scene.failed_strings import require_intact
+from tenscasadi.scene.failed_strings import describe_overload, require_intact
 from tenscasadi.scene.loads import NodalForce
 from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.strength import describe_overload
 from tenscasadi.scene.strings import RestLength
 from tenscasadi.statics.self_stress import rigid_body_motions
 from tenscasadi.statics.solver.newton_system import NewtonSystem

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tenscasadi.dynamics.model import Model
+from tenscasadi.scene.failed_strings import describe_overload
 from tenscasadi.scene.loads import NodalForce
 from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.strength import describe_overload
 from tenscasadi.scene.strings import RestLength
 from tenscasadi.statics.equilibrium import (
     describe_rest,

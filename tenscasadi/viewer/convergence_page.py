@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import time
 from io import StringIO
-from types import TracebackType
 from typing import Any
 
 from tenscasadi.util.renamed import lazy_module
 from tenscasadi.viewer.web.server import LOOPBACK, address, start_server
-from tenscasadi.viewer.web.serving import check_serving, open_and_wait, stop
+from tenscasadi.viewer.web.serving import Served, check_serving, open_and_wait
 
 diagrams = lazy_module("tenscasadi.plots.diagrams")
 mpl = lazy_module("matplotlib")
 
 
-class ConvergencePage:
+class ConvergencePage(Served):
     """Chart of objective and violation that follows a solver in the viewer.
 
     Give it to `ocp.solve`: ``ocp.solve(problem, progress=page)``. The button "Stop" ends the search
@@ -94,23 +93,8 @@ class ConvergencePage:
         svg = svg[svg.index("<svg ") :]
         self._chart.content = svg.replace("<svg ", '<svg style="width:100%;height:auto" ', 1)
 
-    def close(self) -> None:
-        """Stop the server of the page."""
-        stop(self._server)
-
     def _stop(self) -> None:
         self._stopped = True
-
-    def __enter__(self) -> ConvergencePage:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def __repr__(self) -> str:
         return f"ConvergencePage(at {self.url})"

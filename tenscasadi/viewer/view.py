@@ -6,7 +6,6 @@ import os
 import threading
 from html import escape
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from tenscasadi.drawing.color_scale import QUANTITIES
@@ -21,12 +20,12 @@ from tenscasadi.viewer.canvas import Canvas
 from tenscasadi.viewer.player import Player
 from tenscasadi.viewer.web.page import add_panel, record_page
 from tenscasadi.viewer.web.server import LOOPBACK, address, start_server
-from tenscasadi.viewer.web.serving import check_serving, open_and_wait, stop
+from tenscasadi.viewer.web.serving import Served, check_serving, open_and_wait, stop
 
 FilePath = str | os.PathLike[str]
 
 
-class View:
+class View(Served):
     """View of motions: in the browser by `show`, as a file by `save`.
 
     In a notebook it displays itself. `view` returns one.
@@ -196,17 +195,6 @@ class View:
     def _repr_html_(self) -> str:
         """Build the page for a notebook."""
         return f'<iframe srcdoc="{escape(self.page(), quote=True)}" width="100%" height="560" style="border:1px solid #ddd"></iframe>'
-
-    def __enter__(self) -> View:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 @rename_keywords(colour="color")

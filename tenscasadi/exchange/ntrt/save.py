@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections import defaultdict
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -115,9 +116,9 @@ class _NtrtWriter:
         if s.cable_friction.any():
             self._note("cable", np.flatnonzero(s.cable_friction), "without friction")
 
-    def _note(self, kind: str, items: object, change: str) -> None:
+    def _note(self, kind: str, items: Iterable[Any], change: str) -> None:
         """List a change of some nodes or members."""
-        numbers = [str(item) for item in items]  # type: ignore[attr-defined]
+        numbers = [str(item) for item in items]
         if numbers:
             more = f" and {len(numbers) - 5} more" * (len(numbers) > 5)
             plural = "s" * (len(numbers) > 1)

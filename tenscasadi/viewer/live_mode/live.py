@@ -6,7 +6,6 @@ import os
 import threading
 import time as clock
 from collections.abc import Callable
-from types import TracebackType
 from typing import Any
 
 from tenscasadi.dynamics.model import Model
@@ -22,12 +21,12 @@ from tenscasadi.viewer.live_mode.simulation import LiveSimulation
 from tenscasadi.viewer.live_mode.sliders import Groups, choose_sliders
 from tenscasadi.viewer.runner import Runner
 from tenscasadi.viewer.web.server import LOOPBACK, address, start_server
-from tenscasadi.viewer.web.serving import check_serving, open_and_wait, stop
+from tenscasadi.viewer.web.serving import Served, check_serving, open_and_wait
 
 FilePath = str | os.PathLike[str]
 
 
-class Live:
+class Live(Served):
     """Interactive simulation: in the browser, and as a trajectory at any time.
 
     `live` returns one.
@@ -133,7 +132,7 @@ class Live:
     def close(self) -> None:
         """Stop the simulation and the server; the recording remains."""
         self._runner.close()
-        stop(self._server)
+        super().close()
 
     def _repr_html_(self) -> str:
         """Build the viewer for a notebook."""
@@ -141,17 +140,6 @@ class Live:
 
     def __repr__(self) -> str:
         return f"Live(at {self.url})"
-
-    def __enter__(self) -> Live:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _advance(self) -> float | None:
         """Simulate the ticks that are due, and show the present state."""

@@ -6,11 +6,35 @@ import os
 import sys
 import webbrowser
 from collections.abc import Callable
-from typing import Any
+from types import TracebackType
+from typing import Any, TypeVar
 
 from tenscasadi.util.validate import flag
 from tenscasadi.util.viewable import in_notebook
 from tenscasadi.viewer.web.server import silence_viser
+
+Own = TypeVar("Own", bound="Served")
+
+
+class Served:
+    """Base of pages with a server, which a ``with`` statement closes at its end."""
+
+    _server: Any
+
+    def close(self) -> None:
+        """Stop the server of the page."""
+        stop(self._server)
+
+    def __enter__(self: Own) -> Own:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
 
 
 def check_serving(browser: bool | None, wait: bool | None) -> None:

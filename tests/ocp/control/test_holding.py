@@ -131,4 +131,4 @@ def test_an_end_in_motion_is_kept_to_as_before(plan):
     tracker = ocp.track(replace(plan, trajectory=motion))
     assert tracker.hold is None
     assert "it moves at" in tracker.message
-    assert len(tracker.feedback.controls) == len(tracker.force_density)
+    assert len(tracker.feedback.controls) == len(tracker.inputs)

@@ -136,7 +136,7 @@ def test_tensions_follow_the_tracker_at_planned_lengths(stiff):
     lengths = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2)
     x = found.starts[0]
     for k, s in enumerate(lengths[:-1]):
-        pull = tracker.force_density[k] - tracker.gains[k] @ (x - tracker.states[k])
+        pull = tracker.inputs[k] - tracker.gains[k] @ (x - tracker.states[k])
         wound = rest_length(pull, s, 300.0)
         x = tc.simulate(
             model, 0.01, 0.002, state=x, control=wound, parameters=found.factors[0], compiled=False

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 import tenscasadi as tc
-from tenscasadi.scene.failed_strings import require_intact
+from tenscasadi.scene.failed_strings import describe_overload, require_intact
 from tenscasadi.scene.strength import (
-    describe_overload,
     drop_states,
     insert_states,
     limit_tensions,
@@ -63,7 +62,8 @@ def test_the_most_overloaded_string_is_named():
     scene = tc.Scene(heavy, segments=2, strength=tc.Breaking(10.0))
     assert describe_overload(scene, np.full(6, 9.9)) == ""
     text = describe_overload(scene, np.array([1.0, 2.0, 11.0, 12.0, 3.0, 4.0]))
-    assert text == "string 1 breaks, its tension of 12 N reaches its strength of 10 N"
+    assert text == "string 'guys[1]' breaks, its tension of 12 N reaches its strength of 10 N"
+    assert describe_overload(scene, np.array([12.0, 2, 0, 0, 0, 0])).startswith("string 'guys[0]' ")
     assert describe_overload(tc.Scene(NAMED), np.full(3, 1e9)) == ""
 
 
