@@ -286,7 +286,10 @@ class _PrestressSearch:
             return "the structure has no self-stress: add members or change the nodes"
         if status == "infeasible":
             return "no self-stress keeps all strings within the limits: lower the minimum, raise the maximum, or change the nodes"
-        return "the solver did not converge: scale the limits to the stiffness of the structure"
+        cure = "scale the limits to the stiffness of the structure"
+        if np.isinf(self.most).any():
+            cure = f"give a maximum, or {cure}"
+        return f"the solver did not converge: {cure}"
 
     def fail(self, message: str) -> PrestressDesign:
         """Build an unsuccessful result without prestress."""

@@ -320,3 +320,10 @@ def test_stiffest_without_any_stiffness_fails_at_once() -> None:
     pre = tc.find_prestress(s, tc.Stiffest(), maximum=50.0)
     assert not pre.success
     assert "unstable within the limits" in pre.message
+
+
+def test_stiffest_prestress_without_limit_asks_for_a_maximum():
+    for dome in (tc.shapes.levy_dome(8, 2), tc.shapes.levy_dome(12, 3)):
+        found = tc.find_prestress(dome, goal=tc.Stiffest())
+        assert not found.success
+        assert "give a maximum" in found.message
