@@ -19,7 +19,7 @@ from costly_calls import costly_calls
 from ensemble_calls import ensemble_calls
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from odd_values import altered
+from odd_values import altered, list_odd
 from public_calls import Call, quick_calls
 
 import ocp
@@ -94,12 +94,18 @@ def limited(name: str) -> Iterator[None]:
             signal.signal(signal.SIGALRM, before)
 
 
-def find_fault(draw: Callable[[Any], Any], calls: dict[str, Call]) -> str:
-    """Call one public name with one or two odd arguments; say what is wrong with what comes of it, "" for nothing."""
+def draw_fault(draw: Callable[[Any], Any], calls: dict[str, Call]) -> str:
+    """Call one public name with one or two odd arguments; describe the fault, "" for none."""
     name = draw(st.sampled_from(sorted(calls)))
-    function, right = calls[name]
+    right = calls[name][1]
     fields = draw(st.lists(st.sampled_from(sorted(right)), min_size=1, max_size=2, unique=True))
-    changed = {**right, **{field: altered(draw, right[field]) for field in fields}}
+    return find_fault(name, calls[name], {field: altered(draw, right[field]) for field in fields})
+
+
+def find_fault(name: str, call: Call, odd: dict[str, Any]) -> str:
+    """Call a public name with these arguments odd; describe the fault, "" for none."""
+    function, right = call
+    changed = {**right, **odd}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
@@ -202,7 +208,7 @@ def fuzz(calls: dict[str, Call], count: int) -> None:
     @settings(max_examples=count, deadline=None, suppress_health_check=list(HealthCheck))
     @given(st.data())
     def attempt(data: st.DataObject) -> None:
-        fault = find_fault(data.draw, calls)
+        fault = draw_fault(data.draw, calls)
         assert not fault, fault
 
     attempt()
@@ -242,6 +248,16 @@ def test_every_public_name_meets_odd_input() -> None:
             - EQUATIONS
         )
     assert not missing, f"give them a case in tests/support: {sorted(missing)}"
+
+
+@pytest.mark.slow
+def test_each_odd_value_in_each_field_is_refused_by_name() -> None:
+    """The draws of the other tests change with each new public name; these do not."""
+    for name, (function, right) in quick_calls().items():
+        for field, value in right.items():
+            for odd in list_odd(value):
+                fault = find_fault(name, (function, right), {field: odd})
+                assert not fault, f"{field}: {fault}"
 
 
 @pytest.mark.slow

@@ -14,6 +14,7 @@ from tenscasadi.schema.field_types import LIMITS, NUMBER
 from tenscasadi.schema.value import Value
 from tenscasadi.util.validate import (
     Array,
+    format_value,
     node_index,
     nonnegative,
     number_or_vector,
@@ -46,7 +47,10 @@ class Strength(Value, implied="Breaking"):
             raise ValueError(f"{name}.margin is {self.margin:g}: give less than 1")
         given, field = self.force, f"{name}.force"
         if isinstance(given, Mapping):
-            own: Any = {key: positive_number(f"{field}[{key}]", one) for key, one in given.items()}
+            own: Any = {
+                key: positive_number(f"{field}[{format_value(key)}]", one)
+                for key, one in given.items()
+            }
             if not own:
                 raise ValueError(
                     f"{field} is empty: give the force of a string, such as {{3: 500.0}}"

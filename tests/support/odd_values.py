@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
@@ -80,3 +81,20 @@ def altered(draw: Callable[[Any], Any], value: Any) -> Any:
             )
         )
     return odd
+
+
+def list_odd(value: Any, depth: int = 2) -> Iterator[Any]:
+    """List each odd value in place of `value`, of its first and last entries, and of its keys."""
+    yield from ODD
+    if isinstance(value, (tuple, list)) and value and depth:
+        for k in sorted({0, len(value) - 1}):
+            rows = [value[:k], value[k + 1 :]]
+            for entries in ([], *([odd] for odd in list_odd(value[k], depth - 1))):
+                yield type(value)([*rows[0], *entries, *rows[1]])
+    if isinstance(value, dict) and depth:
+        for key, entry in value.items():
+            for odd in ODD:
+                with suppress(Exception):  # each kind of object refuses to be a key in its own way
+                    yield {odd: entry}
+            for odd in list_odd(entry, depth - 1):
+                yield {**value, key: odd}
