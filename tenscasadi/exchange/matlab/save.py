@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 
 from tenscasadi.exchange.matlab.mat_file import write_mat
+from tenscasadi.exchange.matlab.variables import pad_rows
 from tenscasadi.schema.stored import array_fields
 from tenscasadi.simulation.trajectory import Trajectory
-from tenscasadi.structure.cables import reject_cables
+from tenscasadi.structure.cables import find_units, reject_cables
 from tenscasadi.structure.class_one import connectivity
-from tenscasadi.structure.rigid_body import reject_bodies
+from tenscasadi.structure.rigid_body import RigidBody, reject_bodies
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import Array, Indices, flag, instance
@@ -35,7 +36,10 @@ def save_mat(
     Indices count from 1 in the file. A structure becomes the variables N (3×n), C_b, C_s, s_0, k,
     c, m and pinned_nodes. The additional variables pinned_X, pinned_Y, pinned_Z, node_mass,
     string_mass, bar_radius, bar_stiffness (0: rigid), bar_rest_length, roller_nodes and
-    roller_normals are unknown to MOTES. `load_mat` restores the structure exactly.
+    roller_normals are unknown to MOTES. Cables become cable_strings, a row of strings for each,
+    with cable_friction, and the matrix S of CTSFEM, whose columns are the bars, then the strings.
+    Rigid bodies become the struct rigid_bodies, unknown to MOTES and TsgFEM. `load_mat` restores
+    the structure exactly.
 
     With `class_one` the file is valid input of ``tenseg_sim_class1open(load('x.mat'))`` or
     ``tenseg_sim_classkopen`` of MOTES. N then has a column for each end of a bar, P and D hold
@@ -81,8 +85,9 @@ def save_mat(
     instance("data", data, (Structure, Trajectory), "a Structure or a Trajectory")
     flag("class_one", class_one)
     if isinstance(data, Structure):
-        reject_bodies(data, "save_mat")
-        reject_cables(data, "save_mat")
+        if class_one:
+            reject_bodies(data, "save_mat(class_one=True)")
+            reject_cables(data, "save_mat(class_one=True)")
         return write_mat(path, _build_split(data) if class_one else _build_physical(data))
     if class_one:
         raise ValueError("class_one is True for a trajectory, which is never split: leave it out")
@@ -110,7 +115,7 @@ def _build_properties(structure: Structure) -> dict[str, Any]:
 
 
 def _build_physical(structure: Structure) -> dict[str, Any]:
-    more = {
+    more: dict[str, Any] = {
         "node_mass": structure.node_mass,
         "string_mass": structure.string_mass,
         "bar_radius": structure.bar_radius,
@@ -121,6 +126,12 @@ def _build_physical(structure: Structure) -> dict[str, Any]:
     normals = [
         (node + 1, normal) for node, normals in structure.rollers.items() for normal in normals
     ]
+    if structure.cables:
+        more |= _build_cables(structure)
+    if structure.bodies:
+        more["rigid_bodies"] = {
+            f"body_{k + 1}": _build_body(body) for k, body in enumerate(structure.bodies)
+        }
     if normals:
         more |= {
             "roller_nodes": np.array([node for node, _ in normals], dtype=float),
@@ -136,6 +147,27 @@ def _build_physical(structure: Structure) -> dict[str, Any]:
             for k, axis in enumerate("XYZ")
         },
         **more,
+    }
+
+
+def _build_cables(structure: Structure) -> dict[str, Any]:
+    """Build the cables, and the matrix S of CTSFEM."""
+    units = find_units(structure)
+    unit = np.roll(units, len(structure.bars))  # of bars, then of strings
+    rows = np.roll(np.unique(units), len(structure.bars))
+    return {
+        "cable_strings": pad_rows(structure.cables),
+        "cable_friction": structure.cable_friction,
+        "S": (rows[:, None] == unit).astype(float),
+    }
+
+
+def _build_body(body: RigidBody) -> dict[str, Any]:
+    """Build the struct of a body; center and inertia only where they are given."""
+    given = {"mass": body.mass, "center": body.center, "inertia": body.inertia}
+    return {
+        "nodes": np.array(body.nodes) + 1.0,
+        **{key: value for key, value in given.items() if value is not None},
     }
 
 

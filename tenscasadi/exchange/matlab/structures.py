@@ -15,11 +15,13 @@ from tenscasadi.exchange.matlab.variables import (
     is_filled,
     read_indices,
     read_pairs,
+    read_rows,
     read_values,
 )
 from tenscasadi.exchange.source import Source
 from tenscasadi.schema.reading import SceneFileError
 from tenscasadi.structure.class_one import connectivity
+from tenscasadi.structure.rigid_body import RigidBody
 from tenscasadi.structure.structure import PARAMETERS, Structure
 from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import MAX_BYTES, Array, Indices, finite_array, text
@@ -32,6 +34,7 @@ _OF_STRINGS["string_mass"] = "string_mass"
 _OTHERS = (
     "N P D ms node_mass pinned_X pinned_Y pinned_Z"
     " pinned_nodes Pinned_nodes Ib roller_nodes roller_normals format"
+    " cable_strings cable_friction rigid_bodies"
 )
 _INPUT = "data"  # struct that MOTES and TsgFEM read
 _VARIABLES = {*_BARS, *_STRINGS, *_OF_BARS, *_OF_STRINGS, *_OTHERS.split(), *tsgfem.VARIABLES}
@@ -215,7 +218,8 @@ def _build(source: Source, variables: Variables, options: Variables) -> ParsedSt
         columns = np.unique(read.class_one(sparse=True).physical, return_index=True)[1]
         return ParsedStructure(read.replace(**options), columns)
     supports = {"pinned": _read_pins(variables, count), "rollers": _read_rollers(variables, count)}
-    given |= {"node_mass": mass, "cables": variables.get("cables", ()), **supports, **options}
+    given |= {"node_mass": mass, **supports, **_read_cables(source, variables, len(strings))}
+    given |= {"bodies": _read_bodies(variables, count), **options}
     structure = Structure(N.T, bars, strings, **given)
     return ParsedStructure(_lump_string_mass(source, structure), np.arange(count))
 
@@ -290,6 +294,33 @@ def _read_pins(variables: Variables, count: int) -> dict[int, str]:
         int(node): "".join(np.array(list("xyz"))[held[node]])
         for node in np.flatnonzero(held.any(axis=1))
     }
+
+
+def _read_cables(source: Source, variables: Variables, count: int) -> dict[str, Any]:
+    """Read cables and their friction. Raises TypeError, ValueError."""
+    if "cable_strings" not in variables:
+        return {}
+    cables = read_rows("cable_strings", variables["cable_strings"], count)
+    given = {"cable_friction": np.zeros(1), **variables}
+    return {
+        "cables": cables,
+        "cable_friction": read_values(source, given, "cable_friction", len(cables)),
+    }
+
+
+def _read_bodies(variables: Variables, count: int) -> list[RigidBody]:
+    """Read rigid bodies, the fields of a struct. Raises TypeError, ValueError."""
+    bodies = []
+    structs = variables.get("rigid_bodies", {})
+    for name, body in structs.items() if isinstance(structs, dict) else [("", structs)]:
+        if not isinstance(body, dict) or not {"nodes", "mass"} <= body.keys():
+            field = f"rigid_bodies.{name}".rstrip(".")
+            raise ValueError(f"{field} is no struct of a body: give one with nodes and mass")
+        nodes = read_indices(f"rigid_bodies.{name}.nodes", body["nodes"], count).tolist()
+        mass = finite_array(f"rigid_bodies.{name}.mass", body["mass"], (1, 1)).item()
+        own = {key: np.squeeze(body[key]) for key in ("center", "inertia") if key in body}
+        bodies.append(RigidBody(nodes, mass, **own))
+    return bodies
 
 
 def _read_rollers(variables: Variables, count: int) -> dict[int, Array]:

@@ -11,6 +11,7 @@ from scipy.sparse import issparse
 from tenscasadi.exchange.matlab.variables import (
     Variables,
     is_filled,
+    pad_rows,
     read_indices,
     read_pairs,
     read_values,
@@ -66,7 +67,8 @@ def convert_tsgfem(source: Source, variables: Variables, options: Variables) -> 
                 ]
                 converted[name] = formula(*values)[members]
     if "cables" not in options:
-        converted["cables"] = _order_cables(source, pairs, cable[members], members)
+        cables = _order_cables(source, pairs, cable[members], members)
+        converted["cable_strings"] = pad_rows(cables)
     if known != len(pairs):
         message = f"C holds {len(pairs)} members, index_b and index_s {known} of them"
         source.leave_out(ValueError(f"{message}: give each member once"))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -73,6 +73,20 @@ def read_pairs(key: str, value: Any, count: int) -> Indices:
         message = f"{key} has a row other than zeros with one −1 and one +1: give that"
         raise ValueError(f"{message}, {cure}")
     return np.asarray(columns[order].astype(np.intp).reshape(-1, 2))
+
+
+def pad_rows(rows: Sequence[Sequence[int]]) -> Array:
+    """Write lists of indices as rows that count from 1, filled up with zeros."""
+    table = np.zeros((len(rows), max(map(len, rows), default=0)))
+    for own, row in zip(table, rows, strict=True):
+        own[: len(row)] = np.array(row) + 1.0
+    return table
+
+
+def read_rows(key: str, value: Any, count: int) -> list[list[int]]:
+    """Read the lists of indices of `pad_rows`. Raises TypeError, ValueError."""
+    table = finite_array(key, value, (None, None))
+    return [read_indices(key, row[row != 0], count).tolist() for row in table]
 
 
 def is_filled(variables: Variables, key: str) -> bool:

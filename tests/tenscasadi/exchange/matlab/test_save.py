@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from comparison import assert_same_structure
 from references import DATA, motes
-from scipy.io import loadmat
+from scipy.io import loadmat, savemat
 
 import tenscasadi as tc
 
@@ -27,6 +27,19 @@ STRUCTURES = {
     "segments": tc.shapes.prism(stiffness=500.0, string_mass=0.1).subdivide(3),
     "no strings": tc.Structure([(0, 0, 0), (1, 1 / 3, 0)], [(0, 1)]),
     "rollers": ROLLING,
+    "cables": tc.shapes.prism(stiffness=500.0).replace(
+        cables=[[8, 2], [5, 4, 3]], cable_friction=[0.0, 0.25]
+    ),
+    "bodies": tc.Structure(
+        [*np.eye(3).tolist(), (0, 0, 0), (2, 0, 0), (3, 0, 1)],
+        bars=[(4, 5)],
+        strings=[(2, 4), (3, 5)],
+        bodies=[
+            tc.RigidBody([0, 1, 2, 3], 2.0, (0.1, 0.2, 1 / 3), (0.3, 0.4, 0.5)),
+            tc.RigidBody([4, 0], 1 / 3),
+            tc.RigidBody([1, 2, 5], 1.0, inertia=[[3, 0.1, 0], [0.1, 4, 0], [0, 0, 5]]),
+        ],
+    ),
 }
 
 
@@ -35,6 +48,36 @@ def test_a_structure_comes_back_to_the_last_bit(name, tmp_path):
     assert_same_structure(
         tc.load_mat(tc.save_mat(STRUCTURES[name], tmp_path / "x.mat")), STRUCTURES[name]
     )
+
+
+def test_cables_have_the_matrix_of_ctsfem(tmp_path):
+    structure = STRUCTURES["cables"]
+    S = loadmat(tc.save_mat(structure, tmp_path / "x.mat"))["S"]
+    assert S.shape == (9, 12)  # 3 bars, 2 cables and 4 strings; 3 bars and 9 strings
+    assert np.array_equal(S[:3], np.eye(3, 12))
+    assert (S.sum(axis=0) == 1).all()
+    groups = [tuple(np.flatnonzero(row[3:])) for row in S[3:]]
+    assert {(2, 8), (3, 4, 5)} <= set(groups)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"cable_strings": np.array([[1.0, 40.0]])},
+        {"cable_strings": "ab"},
+        {"rigid_bodies": np.eye(2)},
+        {"rigid_bodies": {"body_1": 3.0}},
+        {"rigid_bodies": {"body_1": {"nodes": [1.0, 99.0], "mass": 1.0}}},
+        {"rigid_bodies": {"body_1": {"nodes": [1.0, 2.0], "mass": [1.0, 2.0]}}},
+        {"rigid_bodies": {"body_1": {"nodes": [1.0, 2.0], "mass": 1.0, "inertia": "x"}}},
+    ],
+)
+def test_wrong_cables_and_bodies_are_named(changes, tmp_path):
+    task = loadmat(tc.save_mat(STRUCTURES["prism"], tmp_path / "x.mat"))
+    task = {key: value for key, value in task.items() if not key.startswith("_")}
+    savemat(tmp_path / "y.mat", {**task, **changes})
+    with pytest.raises(tc.SceneFileError, match="|".join(changes) + "|RigidBody"):
+        tc.load_mat(tmp_path / "y.mat")
 
 
 @pytest.mark.parametrize(
@@ -86,6 +129,14 @@ def test_what_motes_would_leave_out_is_refused_by_name(structure, named, tmp_pat
     with pytest.raises(ValueError, match=f"class_one: {named}"):
         tc.save_mat(structure, tmp_path / "x.mat", class_one=True)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["cables", "bodies"])
+def test_motes_takes_no_cables_and_bodies(name, tmp_path):
+    with pytest.raises(
+        ValueError, match=rf"{name}, which save_mat\(class_one=True\) does not take"
+    ):
+        tc.save_mat(STRUCTURES[name], tmp_path / "x.mat", class_one=True)
 
 
 def test_wrong_arguments_are_named(tmp_path):
