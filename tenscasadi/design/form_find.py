@@ -26,9 +26,9 @@ from tenscasadi.design.force_density_method import (
 from tenscasadi.design.form_program import FEASIBLE, FormProgram, Goals
 from tenscasadi.structure.cables import reject_cable_friction
 from tenscasadi.structure.equilibrium_matrix import balance_columns, free_directions, member_pairs
-from tenscasadi.structure.rigid_body import reject_bodies
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.immutable import ReadOnlyArrays
+from tenscasadi.util.linear_algebra import fit_rotation
 from tenscasadi.util.validate import (
     TOLERANCE,
     Array,
@@ -91,7 +91,7 @@ def form_find(
     Pinned nodes keep their positions. Nets with given force densities need one linear solution. A
     free-standing structure has a family of forms for given force densities. The form that best
     keeps the lengths of bars is chosen, then the nearest to the initial nodes. Unknown force
-    densities of a net are made as equal as the goals allow.
+    densities of a net are made as equal as the goals allow. Rigid bodies move as a whole.
 
     Parameters
     ----------
@@ -148,7 +148,6 @@ def form_find(
     """
     instance("structure", structure, Structure, "a tenscasadi.Structure")
     reject_cable_friction(structure, "form_find")
-    reject_bodies(structure, "form_find")
     if not len(structure.strings):
         raise ValueError("structure has no strings: add some, or keep its nodes")
     densities = read_force_densities(structure, force_density, groups)
@@ -169,24 +168,29 @@ def _find_forms(
     Yields nodes (n, 3), force densities (α + β,), and the residuals of goals by name.
     """
     prescribed = bool(goals.lengths or goals.positions or goals.equal_tension)
-    if not len(densities.lower) and not prescribed:
+    if not len(densities.lower) and not prescribed and not structure.bodies:
         nodes = solve_form(structure, densities.given, goals.loads)
         if nodes is not None:
             yield nodes, densities.given, {}
             return
     program = FormProgram(structure, densities, goals)
     p = estimate_force_densities(structure, densities)
-    starts = [(structure.nodes, p)]
-    if goals.hold(structure):
-        nodes = solve_form(structure, densities.of(p), goals.loads)
-        starts = starts if nodes is None or len(structure.bars) else [(nodes, p), *starts]
-    else:
-        adapted = (adapt_force_densities(structure, densities, p, near) for near in (True, False))
-        starts = [*(found for found in adapted if found is not None), *starts]
-    for nodes, start in starts:
+    starts = [] if structure.bodies else _estimate_forms(structure, densities, goals, p)
+    for nodes, start in [*starts, (structure.nodes, p)]:
         x, missed = program.solve(program.unknowns(nodes, start))
         misses = dict(zip(program.names, np.abs(missed).tolist(), strict=True))
         yield program.nodes(x), program.force_densities(x), misses
+
+
+def _estimate_forms(
+    structure: Structure, densities: ForceDensities, goals: Goals, p: Array
+) -> list[tuple[Array, Array]]:
+    """Estimate nodes (n, 3) and unknown force densities (u,) by linear algebra."""
+    if goals.hold(structure):
+        nodes = None if len(structure.bars) else solve_form(structure, densities.of(p), goals.loads)
+        return [] if nodes is None else [(nodes, p)]
+    adapted = (adapt_force_densities(structure, densities, p, near) for near in (True, False))
+    return [found for found in adapted if found is not None]
 
 
 def _read_goals(
@@ -234,24 +238,35 @@ def _assess(
     vectors = nodes[pairs[:, 1]] - nodes[pairs[:, 0]]
     lengths = np.linalg.norm(vectors, axis=1)
     forces = q * lengths
-    residual = free_directions(structure).T @ (
+    short = bool(np.any(lengths <= TOLERANCE * np.ptp(nodes)))
+    own = [list(body.nodes) for body in structure.bodies]
+    bent = any(not _is_same_body(structure.nodes[each], nodes[each]) for each in own)
+    formed = structure if short or bent else structure.replace(nodes=nodes)
+    residual = free_directions(formed).T @ (
         balance_columns(pairs, vectors, len(nodes)) @ q - loads.ravel()
     )
     unbalanced = float(np.abs(residual).max(initial=0.0))
-    short = bool(np.any(lengths <= TOLERANCE * np.ptp(nodes)))
     fault = _find_fault(structure, nodes, forces, unbalanced, misses)
-    if short and not fault:
+    if bent:
+        fault = "no form keeps the bodies rigid: leave goals or force densities free (NaN)"
+    elif short and not fault:
         fault = (
             "a member of the form has no length: change its force density or prescribe its length"
         )
-    formed = structure
-    if not short:
-        formed = set_prestress(structure.replace(nodes=nodes), q[:strings], -q[strings:])
+    if not (short or bent):
+        formed = set_prestress(formed, q[:strings], -q[strings:])
     change = np.abs(lengths[strings:] / structure.bar_lengths - 1.0).max(initial=0.0)
     far = f", bars change their lengths by up to {change:.2g} times" if change > TOLERANCE else ""
     balanced = f"in equilibrium, unbalanced forces below {max(unbalanced, 1e-16):.1g} N"
     message = fault or balanced + far
     return Form(formed, q[:strings], forces[strings:], not fault, message)
+
+
+def _is_same_body(before: Array, after: Array) -> bool:
+    """Return whether a rigid motion takes nodes (k, 3) to others."""
+    start, end = before - before.mean(axis=0), after - after.mean(axis=0)
+    moved = start @ fit_rotation(start, end).T
+    return bool(np.abs(moved - end).max() <= TOLERANCE * np.abs(start).max())
 
 
 def _find_fault(

@@ -18,7 +18,7 @@ from scipy.linalg import qr
 from tenscasadi.design.force_densities import ForceDensities
 from tenscasadi.statics.self_stress import rigid_body_motions
 from tenscasadi.structure.class_one import connectivity
-from tenscasadi.structure.equilibrium_matrix import free_directions, member_pairs
+from tenscasadi.structure.equilibrium_matrix import body_pairs, free_directions, member_pairs
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.validate import Array, Indices
@@ -69,41 +69,51 @@ class Goals(NamedTuple):
 
 
 class FormProgram:
-    """Nonlinear program in the unknowns x = (y, p).
+    """Nonlinear program in the unknowns x = (y, p, inner).
 
-    y are displacements along the free directions, p the unknown force densities. Both are in units
-    of a mean length and a mean force density.
+    y are displacements along the free directions, p the unknown force densities, and inner those of
+    the massless bars that keep bodies rigid. They are in units of a mean length and a mean force
+    density.
     """
 
     def __init__(self, structure: Structure, densities: ForceDensities, goals: Goals) -> None:
         self.structure, self.densities = structure, densities
         strings, count = len(structure.strings), len(structure.nodes)
-        pairs = member_pairs(structure)
-        lengths = np.concatenate([structure.string_lengths, structure.bar_lengths])
-        self.length = float(lengths.mean())
+        free = free_directions(structure, rigid=False)
+        moved = np.diff(free.indptr).reshape(count, 3).any(axis=1)
+        inside = body_pairs(structure)
+        inside = inside[moved[inside].any(axis=1)]
+        pairs = np.concatenate([member_pairs(structure), inside])
+        members = len(pairs) - len(inside)
+        lengths = np.linalg.norm(np.diff(structure.nodes[pairs], axis=1)[:, 0], axis=1)
+        self.length = float(lengths[:members].mean())
         given = np.abs(densities.given[densities.given != 0.0])
         self.density = float(given.mean()) if densities.has_scale else 1.0
-        self._free = free_directions(structure)
+        self._free = free
         self._held = structure.nodes.ravel() / self.length
         y, p = ca.SX.sym("y", self._free.shape[1]), ca.SX.sym("p", len(densities.lower))
+        inner = ca.SX.sym("inner", len(inside))  # force densities of the bars of bodies
         N = ca.reshape(ca.DM(self._held) + sparse(self._free) @ y, 3, count)
         S = N @ sparse(connectivity(pairs, count).T)
         q = ca.DM(densities.given / self.density) + sparse(densities.basis) @ p
+        q = ca.vertcat(q, inner)
         squared = ca.sum1(S**2).T
         forces = (S * ca.repmat(q.T, 3, 1)) @ sparse(connectivity(pairs, count))
         loads = ca.DM(goals.loads.ravel() / (self.density * self.length))
-        self.x = ca.vertcat(y, p)
+        self.x = ca.vertcat(y, p, inner)
         balance = sparse(self._free.T) @ (ca.vec(forces) - loads)
-        self.equilibrium = balance[_independent_rows(structure).tolist()]
+        self.equilibrium = balance[_independent_rows(structure, free).tolist()]
         if not (densities.has_scale or goals.loads.any()):
             self.equilibrium = ca.vertcat(self.equilibrium, ca.sum1(q[:strings]) / strings - 1)
-        bars = ca.DM(structure.bar_lengths / self.length)
-        self.bars = (squared[strings:, 0] - bars**2) / (2 * bars)
+        bars = ca.DM(lengths[strings:] / self.length)
+        longer = (squared[strings:, 0] - bars**2) / (2 * bars)
+        self.bars, self.bodies = longer[: members - strings], longer[members - strings :]
         self.goals, self.names = self._goal_rows(goals, N, squared, q)
         uneven = ca.sumsqr(p - ca.DM(np.where(np.isfinite(densities.lower), 1.0, -1.0)))
         first, then = (uneven, ca.sumsqr(y)) if goals.hold(structure) else (ca.sumsqr(y), uneven)
         self.distance = first + FEASIBLE * then
-        self._lower = np.concatenate([np.full(y.numel(), -np.inf), densities.lower])
+        self._lower = np.full(self.x.numel(), -np.inf)
+        self._lower[y.numel() : y.numel() + p.numel()] = densities.lower
 
     def _goal_rows(self, goals: Goals, N: Any, squared: Any, q: Any) -> tuple[Any, list[str]]:
         """Build the residuals of the goals, and their names."""
@@ -131,7 +141,8 @@ class FormProgram:
 
     def force_densities(self, x: Array) -> Array:
         """Compute the force densities of all members [N/m]."""
-        return self.densities.of(x[self._free.shape[1] :] * self.density)
+        own = self._free.shape[1] + np.arange(len(self.densities.lower))
+        return self.densities.of(x[own] * self.density)
 
     def unknowns(self, nodes: Array, p: Array) -> Array:
         """Compute the unknowns x of a form.
@@ -139,14 +150,15 @@ class FormProgram:
         It has nodes (n, 3) [m] and force densities p (u,) [N/m].
         """
         y = self._free.T @ (nodes.ravel() / self.length - self._held)
-        return np.concatenate([y, p / self.density])
+        inner = self.x.numel() - len(y) - len(p)
+        return np.concatenate([y, p / self.density, np.zeros(inner)])
 
     def minimize(self, objective: Any, constraints: Any, start: Array) -> tuple[Array, bool]:
         """Minimize an objective subject to constraints = 0.
 
-        Equilibrium is a constraint, too. Returns x, and whether it satisfies all constraints.
+        Equilibrium and rigid bodies are constraints, too. Returns x, and whether it satisfies all constraints.
         """
-        rows = ca.vertcat(self.equilibrium, constraints)
+        rows = ca.vertcat(self.equilibrium, self.bodies, constraints)
         program = {"x": self.x, "f": objective, "g": ca.densify(rows)}
         if rows.numel() > self.x.numel():
             return start, False
@@ -183,13 +195,12 @@ class FormProgram:
         return np.asarray(ca.Function("value", [self.x], [expression])(x).full().ravel())
 
 
-def _independent_rows(structure: Structure) -> Indices:
+def _independent_rows(structure: Structure, free: Any) -> Indices:
     """Select independent equations of equilibrium.
 
     Internal forces do no work on rigid-body motions. One equation is left out for each rigid-body
-    motion that the supports allow.
+    motion that the supports allow. The rows are those of free directions (3n, rows).
     """
-    free = free_directions(structure)
     motions = free.T @ rigid_body_motions(structure)
     pivots = qr(motions.T, pivoting=True)[2]
     return np.sort(pivots[motions.shape[1] :])

@@ -12,7 +12,7 @@ from tenscasadi.statics.self_stress import rigid_body_motions
 from tenscasadi.statics.solver.constrained_eigenproblem import SaddlePoint
 from tenscasadi.statics.solver.motions import softest_motions
 from tenscasadi.structure.cables import add_compliances, find_units
-from tenscasadi.structure.equilibrium_matrix import free_directions, member_pairs
+from tenscasadi.structure.equilibrium_matrix import body_pairs, free_directions, member_pairs
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array
 
@@ -34,11 +34,13 @@ class TangentStiffness:
     lengths : ndarray (μ,)
         Lengths of members [m]: α strings, β bars, and the bars of bodies.
     unit : ndarray of int (μ,)
-        Unit of each member: cables and lone strings, then bars.
+        Unit of each member: cables and lone strings, bars, and the bars of bodies.
     stiffness : ndarray (units,)
         Stiffness k of units [N/m]; 0 for rigid bars, which are constraints J v = 0.
     elongation : csr_array (μ, free coordinates)
         Elongation of members per displacement.
+    springs : csr_array (units, free coordinates)
+        Elongation of units per displacement.
     J : csr_array (rigid bars, free coordinates)
         Elongation of rigid bars per displacement.
     rigid_body : ndarray (free coordinates, r)
@@ -47,10 +49,7 @@ class TangentStiffness:
 
     def __init__(self, structure: Structure) -> None:
         self.structure = structure
-        held = np.zeros((0, 2), dtype=np.intp)
-        if structure._assembly is not None:
-            bars = structure._assembly.bars
-            held = bars[(bars < len(structure.nodes)).all(axis=1)]
+        held = body_pairs(structure)
         self.pairs = np.concatenate([member_pairs(structure), held])
         vectors = structure.nodes[self.pairs[:, 1]] - structure.nodes[self.pairs[:, 0]]
         self.lengths = np.linalg.norm(vectors, axis=1)
@@ -74,10 +73,10 @@ class TangentStiffness:
             (self.directions.ravel(), np.arange(3 * count), 3 * np.arange(count + 1))
         )
         self.elongation = sp.csr_array(along @ self.relative)
-        self._springs = self._add_units(self.elongation)
+        self.springs = self._add_units(self.elongation)
         rigid = np.append(~structure.elastic, np.ones(len(held), dtype=bool))
         self._rigid = inputs + np.flatnonzero(rigid)
-        self.J = sp.csr_array(self._springs[self._rigid])
+        self.J = sp.csr_array(self.springs[self._rigid])
         self.rigid_body = self.free.T @ rigid_body_motions(structure)
 
     @property
@@ -107,7 +106,7 @@ class TangentStiffness:
         )
         members = sp.bsr_array((blocks, np.arange(len(q)), np.arange(len(q) + 1)))
         geometric = self.relative.T @ sp.csr_array(members) @ self.relative
-        material = self._springs.T @ sp.csr_array(self._springs.multiply(k[:, None]))
+        material = self.springs.T @ sp.csr_array(self.springs.multiply(k[:, None]))
         return sp.csc_array(material + geometric)
 
     def reduce(self, motions: Array) -> tuple[Array, Array]:
@@ -125,7 +124,7 @@ class TangentStiffness:
         change = moved[self.pairs[:, 1]] - moved[self.pairs[:, 0]]
         along = np.einsum("ki,kij->kj", self.directions, change)
         along = along * (self.stiffness > 0.0)[self.unit, None]
-        longer = self._springs @ motions
+        longer = self.springs @ motions
         material = longer[:, :, None] * longer[:, None, :]
         geometric = np.einsum("kdi,kdj->kij", change, change)
         return material, geometric - along[:, :, None] * along[:, None, :]
@@ -159,7 +158,7 @@ class TangentStiffness:
         forces = self.free.T @ loads.reshape(len(loads), -1).T
         held = sp.vstack([self.J, sp.csr_array(self.rigid_body.T)], format="csr")
         motion, pull = SaddlePoint(self.at(q), held).solve(forces)
-        change = self.stiffness[:, None] * (self._springs @ motion)
+        change = self.stiffness[:, None] * (self.springs @ motion)
         change[self._rigid] = pull[: len(self._rigid)]
         return np.asarray(change[self.unit])
 

@@ -20,6 +20,17 @@ def member_pairs(structure: Any) -> Indices:
     return np.concatenate([structure.strings, structure.bars])
 
 
+def body_pairs(structure: Any) -> Indices:
+    """Return the end nodes of the massless bars that keep bodies rigid.
+
+    Bars to auxiliary nodes are left out.
+    """
+    if structure._assembly is None:
+        return np.zeros((0, 2), dtype=np.intp)
+    bars: Indices = structure._assembly.bars
+    return bars[(bars < len(structure.nodes)).all(axis=1)]
+
+
 def equilibrium_matrix(structure: Any) -> Any:
     """Build the equilibrium matrix.
 
@@ -136,7 +147,7 @@ def free_directions(structure: Any, rigid: bool = True) -> sp.csr_array:
     touched = np.flatnonzero(np.diff(inside.indptr))
     block = inside[:, touched].toarray()
     if rigid:
-        bars = bodies.bars[(bodies.bars < count).all(axis=1)]
+        bars = body_pairs(structure)
         units = structure.nodes[bars[:, 1]] - structure.nodes[bars[:, 0]]
         units = units / np.linalg.norm(units, axis=1)[:, None]
         lengthening = balance_columns(bars, units, count).T[:, rows] @ block

@@ -71,10 +71,14 @@ class SizingProgram:
         Number of cables and lone strings, and of members.
     balance : csc_array (free coordinates, members)
         Nodal loads that balance a unit tension of each member.
+    end_weights : csc_array (3n, members)
+        Nodal weights of members per area [N/m²].
     weight : csc_array (free coordinates, members)
-        Weights of members per area [N/m²].
+        These weights along the free directions [N/m²].
+    cases : ndarray (cases, 3n)
+        Nodal loads [N].
     loads : ndarray (cases, free coordinates)
-        Loads [N].
+        Loads along the free directions [N].
     """
 
     def __init__(
@@ -90,15 +94,16 @@ class SizingProgram:
         )  # λ > 0 is compression
         self.balance = sp.csc_array(equilibrium_matrix(structure) @ tensions)
         free = free_directions(structure)
-        self.loads = cases.reshape(len(cases), structure.nodes.size) @ free
+        self.cases = cases.reshape(len(cases), structure.nodes.size)
+        self.loads = self.cases @ free
         acceleration = np.zeros(3) if gravity is None else gravity
-        self._end_weights = _end_weights(structure, sections, acceleration)
-        self.weight = sp.csc_array(free.T @ self._end_weights)
+        self.end_weights = _end_weights(structure, sections, acceleration)
+        self.weight = sp.csc_array(free.T @ self.end_weights)
         self._units, self._rows = self._build()
 
     def nodal_weight(self, area: Array) -> Array:
         """Compute the nodal weights (n, 3) of the members [N]."""
-        return np.asarray((self._end_weights @ area).reshape(-1, 3))
+        return np.asarray((self.end_weights @ area).reshape(-1, 3))
 
     def _build(self) -> tuple[_SizingUnits, _SizingRows]:
         """Build the constant rows of the program, in scaled units.

@@ -18,13 +18,12 @@ from tenscasadi.design.sizing.elastic_forces import (
 )
 from tenscasadi.design.sizing.material import Material, Sections, build_sections
 from tenscasadi.design.sizing.program import SizedForces, SizingProgram
-from tenscasadi.design.sizing.search import find_least_mass
+from tenscasadi.design.sizing.search import Design, find_least_mass
 from tenscasadi.design.sizing.sized import Sized, report_failure, report_sections
 from tenscasadi.design.sizing.stable import StableSizing
 from tenscasadi.design.tangent_stiffness import TangentStiffness
 from tenscasadi.scene.loads import Gravity
 from tenscasadi.structure.cables import reject_cable_friction
-from tenscasadi.structure.rigid_body import reject_bodies
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import (
     NEGLIGIBLE,
@@ -113,8 +112,6 @@ def size(
     reject_cable_friction(structure, "size")
     sections = _read_sections(structure, string, bar, tube, minimum_area)
     flag("stable", stable)
-    if stable:
-        reject_bodies(structure, "size(stable=True)")
     cases = read_load_cases(load_cases, structure)
     if self_weight is not None:
         instance("self_weight", self_weight, Gravity, "a tenscasadi.Gravity, or None")
@@ -134,19 +131,39 @@ def size(
         )
         chosen = _choose_forces(program, design.best, given)
         return report_sections(structure, program, cases, chosen, message)
+    return _stabilize(structure, program, cases, given, design)
+
+
+def _stabilize(
+    structure: Structure,
+    program: SizingProgram,
+    cases: Array,
+    given: Array | None,
+    design: Design,
+) -> Sized:
+    """Size members such that no load case buckles the structure.
+
+    The imposed factor grows until that of the result is 1. It differs by the displacements of the
+    self-weight and the accuracy of the solver.
+    """
+    sections = program.sections
     elastic = structure.replace(bar_stiffness=1.0)  # any: areas give the stiffness
     search = StableSizing(program, TangentStiffness(elastic), given)
-    found = search.search(sections.needed(design.best.force))
-    if found.message:
-        return report_failure(structure, cases, found.message)
-    more = _gap(float(found.area @ sections.mass_per_area), design.bound)
-    message = f"stable, {more:.1e} above the least mass without that"
-    sized = report_sections(structure, program, cases, found[:3], message)
-    least = float(sized.buckling.min(initial=np.inf))
-    if least < 1.0 - TOLERANCE:
-        reason = f"a load case buckles at {least:.6g} times its load: give a minimum area"
-        return replace(sized, success=False, message=reason)
-    return sized
+    start, lightest = sections.needed(design.best.force), 0.0
+    while True:
+        found = search.search(start)
+        if found.message:
+            return report_failure(structure, cases, found.message)
+        more = _gap(float(found.area @ sections.mass_per_area), design.bound)
+        message = f"stable, {more:.1e} above the least mass without that"
+        sized = report_sections(structure, program, cases, found[:3], message)
+        least = float(sized.buckling.min(initial=np.inf))
+        if least >= 1.0 - TOLERANCE:
+            return sized
+        if least == 0.0 or sized.mass <= lightest:  # more sections do not help
+            reason = f"a load case buckles at {least:.6g} times its load: give a minimum area"
+            return replace(sized, success=False, message=reason)
+        search.factor, start, lightest = search.factor / least, found.area, sized.mass
 
 
 def _gap(mass: float, bound: float) -> float:

@@ -44,14 +44,21 @@ class StableDesign(NamedTuple):
 
 
 class _Response(NamedTuple):
-    """Linearized change of forces: constant + slope · area."""
+    """Linearized change of forces: constant + slope · area.
+
+    The forces are those of the members, then of the bars of bodies.
+    """
 
     constant: Array
     slope: Array
 
     def at(self, area: Array) -> Array:
-        """Compute the change of forces (α + β,) [N]."""
+        """Compute the change of forces (units,) [N]."""
         return np.asarray(self.constant + self.slope @ area)
+
+    def of(self, members: int) -> _Response:
+        """Select the forces of the members."""
+        return _Response(self.constant[:members], self.slope[:members])
 
 
 class StableSizing:
@@ -67,6 +74,8 @@ class StableSizing:
         Tangent stiffness with elastic bars.
     given : ndarray (α + β,) or None
         Prestress [N]; None if it is to be optimized.
+    factor : float
+        Factor of the forces at which all states are stable.
     """
 
     def __init__(
@@ -74,10 +83,12 @@ class StableSizing:
     ) -> None:
         self.program, self.tangent, self.given = program, tangent, given
         each = np.arange(len(tangent.lengths))
-        # force densities of strings and bars per force of a member of the program
+        # force densities of members per force of a unit
         self._densities = sp.csr_array((1.0 / tangent.lengths, (each, tangent.unit)))
+        self._of_members, self._of_loads = self._transfer_forces()
         self._seen = np.zeros((tangent.free.shape[1], 0))
         self._factor = _FACTOR
+        self.factor = 1.0
 
     def search(self, start: Array) -> StableDesign:
         """Find a stable design by successive linearization.
@@ -115,17 +126,36 @@ class StableSizing:
             own = np.zeros_like(own)
         return StableDesign(area, own + response, own, message)
 
+    def _transfer_forces(self) -> tuple[Array, Array]:
+        """Compute the forces of all units, which include the massless bars of bodies.
+
+        Returns them per force of a member (units, members), and per nodal load (units, 3n). The
+        loads balance the members, so that bodies are in equilibrium.
+        """
+        members, tangent = self.program.members, self.tangent
+        springs = tangent.springs.toarray()
+        held = np.linalg.pinv(springs[members:].T)
+        of_members = np.vstack([np.eye(members), -held @ springs[:members].T])
+        nothing = np.zeros((members, tangent.free.shape[0]))
+        return of_members, np.vstack([nothing, held @ tangent.free.T])
+
     def _linearize(self, area: Array) -> list[_Response]:
         """Linearize the changes of forces in all states.
 
         The first state is without loads.
         """
-        members = len(area)
+        every, loads = self._of_members, self._of_loads
         slopes = response_slopes(self.program, area)
         values = elastic_response(self.program, area)
-        none = _Response(np.zeros(members), np.zeros((members, members)))
-        pairs = zip(values, slopes, strict=True)
-        return [none, *(_Response(value - slope @ area, slope) for value, slope in pairs)]
+        weight = loads @ self.program.end_weights
+        cases = zip(values, slopes, self.program.cases, strict=True)
+        return [
+            _Response(np.zeros(len(every)), np.zeros(every.shape)),
+            *(
+                _Response(every @ (value - slope @ area) + loads @ case, every @ slope + weight)
+                for value, slope, case in cases
+            ),
+        ]
 
     def _stabilize(self, area: Array, states: list[_Response]) -> tuple[Array, Array] | None:
         """Solve programs until all states are stable.
@@ -137,10 +167,12 @@ class StableSizing:
             found = self._minimize(area, states)
             if found is None:
                 return None
-            k = sections.modulus * found[0] / sections.lengths
+            k = np.zeros(len(self._of_members))
+            k[: len(found[0])] = sections.modulus * found[0] / sections.lengths
             known = self._seen.shape[1]
             for state in states:
-                q = self._densities @ (found[1] + state.at(found[0]))
+                forces = self._of_members @ found[1] + state.at(found[0])
+                q = self.factor * (self._densities @ forces)
                 values, motions = self.tangent.softest(q, SOFTEST, k)
                 unstable = motions[:, values < -NEGLIGIBLE * k.max(initial=0.0)]
                 self._seen = extend_basis(self._seen, unstable)
@@ -151,9 +183,8 @@ class StableSizing:
     def _minimize(self, area: Array, states: list[_Response]) -> tuple[Array, Array] | None:
         """Minimize the mass over areas and prestress for given responses."""
         sections, members = self.program.sections, self.program.members
-        known = [state.at(area) for state in states] + [
-            np.zeros(members) if self.given is None else self.given
-        ]
+        known = [state.at(area)[:members] for state in states]
+        known.append(np.zeros(members) if self.given is None else self.given)
         force = float(np.abs(known).max(initial=0.0)) or 1.0
         unit = force / sections.strength
         units = [
@@ -167,11 +198,15 @@ class StableSizing:
         cones = []
         if self._seen.shape[1]:
             material, geometric = self.tangent.reduce(self._seen)
-            by_area = _triangles(material * (sections.modulus / sections.lengths)[:, None, None])
-            by_force = _triangles(geometric) @ self._densities.toarray()
+            slope = (sections.modulus / sections.lengths)[:, None, None]
+            by_area = _triangles(material[:members] * slope)
+            by_force = self.factor * _triangles(geometric) @ self._densities.toarray()
             cones = [
                 LinearRows(
-                    -_beside(by_area * (unit / force) + by_force @ each.slope, by_force),
+                    -_beside(
+                        by_area * (unit / force) + by_force @ each.slope,
+                        by_force @ self._of_members,
+                    ),
                     by_force @ each.constant,
                 )
                 for each in units
@@ -199,7 +234,7 @@ class StableSizing:
         rows = [LinearRows(_beside(-eye, 0.0 * eye), -sections.minimum / unit)]
         for sign, bound in ((1.0, at * self._factor), (-1.0, -at / self._factor)):
             rows.append(LinearRows(_beside(sign * eye, 0.0 * eye), bound))
-        for constant, slope in states:
+        for constant, slope in (each.of(len(eye)) for each in states):
             push = -slope[strings:], -eye[strings:]
             rows += [
                 LinearRows(_beside(slope - eye, eye), -constant),

@@ -294,3 +294,61 @@ def test_any_input_gives_finite_numbers(density: list[float], length: float) -> 
     if form.success:
         assert residual(form) <= 1e-6 * max(1.0, np.abs(form.bar_force).max())
         assert form.structure.string_lengths[0] == pytest.approx(length, rel=1e-6)
+
+
+def platform(more: list[tuple[float, float, float]]) -> tc.Structure:
+    """Plate of three nodes and `more` on six strings below a frame."""
+    angle = np.deg2rad([90, 210, 330])
+    plate = 0.4 * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(3)])
+    frame = np.column_stack([-0.8 * np.cos(angle), -0.8 * np.sin(angle), np.ones(3)])
+    return tc.Structure(
+        np.vstack([plate, frame, np.reshape(more, (-1, 3))]),
+        strings=[(0, 4), (1, 5), (2, 3), (0, 5), (1, 3), (2, 4)],
+        pinned=[3, 4, 5],
+        bodies=[tc.RigidBody((0, 1, 2, *range(6, 6 + len(more))), 3.0)],
+        stiffness=1e3,
+    )
+
+
+@pytest.mark.parametrize("more", [[], [(0, 0, 0)], [(0, 0, -0.3), (0.2, 0.1, -0.1)]])
+@pytest.mark.parametrize("known", [6, 4, 0])
+def test_body_moves_rigidly_into_equilibrium(more: list, known: int) -> None:
+    s = platform(more)
+    load = np.zeros_like(s.nodes)
+    load[:3, 2] = -5.0, -20.0, -5.0
+    given = np.where(np.arange(6) < known, 30.0, np.nan)
+    form = tc.form_find(s, given, loads=load)
+    assert form.success, form.message
+    np.testing.assert_allclose(form.force_density[:known], 30.0)
+    own = list(s.bodies[0].nodes)
+    for nodes in (s.nodes, form.structure.nodes):
+        gaps = np.linalg.norm(nodes[own][:, None] - nodes[own], axis=2)
+        np.testing.assert_allclose(
+            gaps, np.linalg.norm(s.nodes[own][:, None] - s.nodes[own], axis=2), atol=1e-9
+        )
+    eq = tc.find_equilibrium(tc.Scene(form.structure, forces=tc.NodalForce(load)))
+    assert eq.success
+    np.testing.assert_allclose(eq.nodes, form.structure.nodes, atol=1e-7)
+    np.testing.assert_allclose(eq.force_density, form.force_density, rtol=1e-6)
+
+
+def test_goals_that_bend_a_body_fail() -> None:
+    s = platform([])
+    load = np.zeros_like(s.nodes)
+    load[:3, 2] = -10.0
+    down = tc.form_find(s, positions={0: (None, None, 0.2)}, loads=load)
+    assert down.success, down.message
+    assert down.structure.nodes[0, 2] == pytest.approx(0.2)
+    form = tc.form_find(s, positions={0: (0, 0, 0.2), 1: (0, 0, -3)}, loads=load)
+    assert not form.success
+    assert "cannot be as prescribed" in form.message or "rigid" in form.message
+
+
+def test_thin_bodies_act_as_bars() -> None:
+    prism = tc.shapes.prism(twist=2.3)
+    rods = [tc.RigidBody(tuple(bar), 1.0) for bar in prism.bars.tolist()]
+    free = tc.Structure(prism.nodes, strings=prism.strings, bodies=rods)
+    form = tc.form_find(free)
+    assert form.success, form.message
+    q = form.force_density
+    np.testing.assert_allclose(q[6:] / q[:3], 3**0.5, rtol=1e-6)
