@@ -131,7 +131,8 @@ def run(
     Raises
     ------
     TypeError, ValueError
-        If an argument or a decision has another type or is out of bounds.
+        If an argument or a decision has another type or is out of bounds. Also if a function of
+        time of the plant is not finite, raises an error, or is not deterministic.
 
     Examples
     --------
@@ -162,6 +163,9 @@ def run(
         )
     ends = _find_decision_times(t_end, period)
     x = _find_start(plant, state)
+    for part in plant.over_time:
+        first = float(plant.split(x).clock[0])
+        part.check_run(first, first + float(ends[-1]))
     periods = _run_periods(controller, plant, x, ends, n, disturbance)
     states, controls, seconds, interrupted = [x[None]], [], [], False
     try:
@@ -266,7 +270,7 @@ def _run_periods(
         began = clock.perf_counter()
         decided = controller.control(now, seen)
         waited = clock.perf_counter() - began
-        u = finite_array("controller.control(time, state)", decided, (plant.nu,))
+        u = finite_array(f"controller.control({now:g}, state)", decided, (plant.nu,))
         held = ca.repmat(ca.DM(u), 1, steps)
         part = np.asarray(chain(x, held, (after - now) / steps).full()).T
         if not np.all(np.abs(part) <= LARGEST):

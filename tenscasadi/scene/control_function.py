@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.scene.breakpoints import find_breakpoints, probe_times
-from tenscasadi.scene.time_functions import as_numbers, express, is_same, values_at
+from tenscasadi.scene.time_functions import as_numbers, express, format_row, is_same, values_at
 from tenscasadi.util.validate import (
     MAX_COUNT,
     NEGLIGIBLE,
@@ -196,7 +196,8 @@ def _trace(
     for time, values in known:
         if not np.array_equal(again := sample(time), values):
             raise ValueError(
-                f"control({time:g}) is {values} and then {again}: give the same values at each call"
+                f"control({time:g}) is {format_row(values)} and then {format_row(again)}: "
+                "give the same values at each call"
             )
     try:
         value = ca.vec(ca.MX(express("control", function, t)))

@@ -16,9 +16,12 @@ from tenscasadi.scene.breakpoints import find_breakpoints, probe_times
 from tenscasadi.schema.field_types import POINTS, TIMES
 from tenscasadi.schema.value import Value
 from tenscasadi.util.troubleshooting import add_address
-from tenscasadi.util.validate import Array, finite_array, format_value
+from tenscasadi.util.validate import Array, call_user_function, finite_array, format_value
 
 _CASADI = (ca.SX, ca.MX, ca.DM)
+_HINT = "give a function of time [s] that returns finite values over the whole run"
+# errors of functions that cannot evaluate numbers
+_UNSUITABLE = (TypeError, ValueError, AttributeError, ArithmeticError, RuntimeError)
 CURE = "write it with NumPy's or CasADi's mathematics, without math, float() and if"
 
 
@@ -102,19 +105,27 @@ def check_over_run(
                     f"give finite values over the whole run; {CURE}"
                 )
             )
-    for time in times[::1000].tolist():
+    for k, time in enumerate(times[::1000].tolist()):
         try:
-            number = np.asarray(as_numbers(function(time)), dtype=float).ravel()
-        except (TypeError, ValueError, AttributeError, ArithmeticError, RuntimeError):
-            return  # a function for CasADi symbols only
+            given = call_user_function(f"{field}({time:g})", function, time, _HINT)
+            number = np.asarray(as_numbers(given), dtype=float).ravel()
+        except (TypeError, ValueError) as error:
+            if k == 0 and isinstance(error.__cause__ or error, _UNSUITABLE):
+                return  # a function for CasADi symbols only
+            raise add_address(error) from None
         value = traced.call([time])[0].full().T.ravel()
         if not is_same(number, value):
             raise add_address(
                 ValueError(
-                    f"{field} is {number} for the number t = {time:g} and {value} for a CasADi time: "
-                    f"give the same at each call; {CURE}"
+                    f"{field} is {format_row(number)} for the number t = {time:g} and "
+                    f"{format_row(value)} for a CasADi time: give the same at each call; {CURE}"
                 )
             )
+
+
+def format_row(values: Array) -> str:
+    """Format an array in one line."""
+    return " ".join(str(values).split())
 
 
 def is_same(number: Array, value: Array) -> bool:

@@ -72,6 +72,7 @@ def draw_structure(rng: np.random.Generator) -> tuple[str, tc.Structure]:
     laws: dict[str, Any] = {"stiffness": log_uniform(rng, 1.5, 4.5)}
     laws["damping"] = float(rng.choice([0.0, 0.0, 1.0])) * log_uniform(rng, -1.0, 1.5)
     prestress = [None, 5.0, 30.0][int(rng.integers(3))]
+    laws["stiffness"] = max(laws["stiffness"], 2.0 * (prestress or 0.0))  # above force densities
     if kind == "prism":
         return kind, tc.shapes.prism(int(rng.integers(3, 5)), prestress=prestress, **laws)
     if kind == "ball":

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -27,6 +29,15 @@ def test_what_bars_do_not_allow_of_a_push_is_taken_off(plan):
 
     held = ocp.run(ocp.track(plan), 0.05, disturbance=push).trajectory
     assert held.bar_length_error.max() < 1e-6
+
+
+def test_run_names_functions_of_time_of_the_plant_that_are_not_finite(plan):
+    def fade(t):
+        return ca.DM.ones(6, 3) * ca.sqrt(0.05 - t)
+
+    gusts = tc.Model(replace(plan.problem.model.scene, forces=tc.NodalForce(fade)))
+    with pytest.raises(ValueError, match=r"NodalForce\.values is not finite at t = 0\.05\d* s"):
+        ocp.run(ocp.track(plan), 0.1, model=gusts)
 
 
 @pytest.mark.parametrize(
@@ -97,13 +108,13 @@ BAD = {
     "run of other strings": (
         decided(np.ones(4)),
         ValueError,
-        r"controller.control\(time, state\) has shape",
+        r"controller.control\(0, state\) has shape",
     ),
     "run of nothing decided": (decided(None), TypeError, "controller.control"),
     "run of NaN": (
         decided(np.full(9, np.nan)),
         ValueError,
-        r"controller.control\(time, state\)\[0\] is nan",
+        r"controller.control\(0, state\)\[0\] is nan",
     ),
     "disturbance no function": (
         lambda plan: ocp.run(ocp.track(plan), 0.1, disturbance=5),

@@ -72,6 +72,12 @@ def test_a_jump_after_the_run_does_no_harm_and_the_clock_counts() -> None:
         simulate(model, 0.4, 0.01, state=later, compiled=False)
 
 
+def fail_later(t: Any) -> Any:
+    if isinstance(t, float) and t > 0.5:
+        raise LookupError("the sensor is lost")
+    return t
+
+
 @pytest.mark.parametrize(
     ("push", "told"),
     [
@@ -81,6 +87,7 @@ def test_a_jump_after_the_run_does_no_harm_and_the_clock_counts() -> None:
         (lambda t: np.log(ca.fabs(t - 0.4321234)), r" is not finite at t = 0\.432123 s"),
         (lambda t: np.inf, r"\(0\.0\)\[1, 0\] is inf"),
         (lambda t: 1.0 if isinstance(t, float) else 2.0, r" is \[.* for the number t = 0 "),
+        (fail_later, r"\(0\.75\) fails with LookupError: the sensor is lost: give a function"),
     ],
 )
 def test_forces_that_are_not_finite_or_not_symbolic_are_told_as_the_functions(
