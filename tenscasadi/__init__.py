@@ -22,13 +22,14 @@ from tenscasadi.io.scene_files import load_scene, save_scene
 from tenscasadi.scene.bar_contact import BarContact
 from tenscasadi.scene.breaking import Breaking, Yielding
 from tenscasadi.scene.control_function import ControlFunction
-from tenscasadi.scene.ground import Ground, Terrain
+from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
 from tenscasadi.scene.parameter_layout import ParameterLayout
 from tenscasadi.scene.parameters import Parameters
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Clip, ForceDensity, Linear, RestLength, Smooth, Tension
 from tenscasadi.scene.supports import SupportMotion
+from tenscasadi.scene.terrain import Terrain
 from tenscasadi.scene.winches import RestLengthRate, Winch
 from tenscasadi.schema.reading import SceneFileError
 from tenscasadi.simulation.declared import Simulation

@@ -61,7 +61,7 @@ def height_blocks(
     size, coordinates = v.scales.length, find_node_coordinates(v.model)
     blocks = []
     for ground in grounds:
-        acts = range(len(v.model.scene.structure.nodes)) if ground.nodes is None else ground.nodes
+        acts = ground.select_nodes(v.model.scene.structure).tolist()
         off = [k for k in acts if k not in contact.stands and (coordinates[k] >= 0).all()]
         down = [node for node in off if node in landing]
         z = ca.SX.sym("z", 3)

@@ -227,6 +227,11 @@ def _check_contact(model: Model, start: Array, phases: Sequence[Phase]) -> None:
                 raise ValueError(
                     f"{name} has nodes, and the scene has {len(grounds) or 'no'} grounds: give Scene(..., ground=tc.Ground(friction=...))"
                 )
+            if grounds[0].bars is not None:
+                raise ValueError(
+                    f"{name} has nodes, and {type(grounds[0]).__name__}.bars touch the ground, which phases do not hold: "
+                    "give a ground without bars"
+                )
             if grounds[0].friction is None:
                 raise ValueError(
                     f"{name} has nodes, and the ground has no friction to hold them: give Ground(..., friction=0.6)"

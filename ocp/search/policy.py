@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
-import casadi as ca
 import numpy as np
 
 from ocp.guess.initial_guess import NOISE, InitialGuess, InverseDynamics, evaluate_guess
@@ -241,11 +240,9 @@ def is_near_ground(problem: Problem, guess: Guess) -> bool:
         return True
     margin = 0.02 * Scales.of(problem).length  # nearer nodes may touch it
     for ground in model.scene.grounds:
-        own = range(len(model.structure.nodes)) if ground.nodes is None else ground.nodes
-        moving = np.setdiff1d(list(own), held)
-        if len(moving) and any(
-            float(ca.mmax(ground.depth(model.nodes(x)[moving].T))) > -margin for x in guess.states
-        ):
+        depths, ends = ground.find_depths(model.structure, model.nodes(guess.states))
+        moving = ~np.isin(ends, held).all(axis=1)
+        if (depths[:, moving] > -margin).any():
             return True
     return False
 

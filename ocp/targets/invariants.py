@@ -62,9 +62,14 @@ def invariants(
 
 
 def _exchange_momentum(scene: Scene) -> bool:
-    """Return whether bars in contact exchange momentum with others, or with fixed ones."""
+    """Return whether bars in contact exchange momentum with others, or with fixed ones.
+
+    Friction of bars has no couple about their axes, so it changes the angular momentum.
+    """
     if scene.bar_contact is None:
         return False
+    if scene.bar_contact.friction is not None:
+        return True
     s = scene.structure
     touching = s.bars[scene.bar_contact.select_pairs(s)]
     fixed = np.asarray(s.fixed.all(axis=1))[touching].all(axis=2)

@@ -14,7 +14,9 @@ from tenscasadi.dynamics.constraint_forces import nodal_forces
 from tenscasadi.dynamics.equation_of_motion import forward_dynamics
 from tenscasadi.dynamics.forces import total
 from tenscasadi.dynamics.model import Model
+from tenscasadi.scene.bar_points import BarPoints, press_spheres
 from tenscasadi.scene.binding import fix
+from tenscasadi.scene.contact_law import compute_forces
 from tenscasadi.scene.scene import Scene
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import Array
@@ -70,10 +72,19 @@ def _find_contact_forces(scene: Scene, frame: Frame) -> Array:
     """Compute the forces of grounds (n, 3) [N]."""
     found = np.zeros_like(frame.nodes)
     velocities = found if frame.velocities is None else frame.velocities
+    N, V = ca.DM(frame.nodes.T), ca.DM(velocities.T)
     for ground in scene.grounds:
-        nodes = slice(None) if ground.nodes is None else list(ground.nodes)
-        N, V = (ca.DM(values[nodes].T) for values in (frame.nodes, velocities))
-        found[nodes] += np.asarray(ca.DM(ground.forces(N, V))).T
+        nodes = ground.select_nodes(scene.modelled).tolist()
+        if nodes:
+            found[nodes] += np.asarray(ca.DM(ground.forces(N[:, nodes], V[:, nodes]))).T
+        bars, fractions, radii = ground.select_bar_points(scene.modelled)
+        if len(bars):
+            starts, ends = scene.modelled.bars[bars].T.tolist()
+            contact, points = press_spheres(
+                ground, BarPoints(starts, ends, ca.DM(fractions).T), radii, N
+            )
+            F = compute_forces(ground, contact, points.velocities(N, V))
+            np.add.at(found, points.columns, np.asarray(ca.DM(points.end_forces(N, F))).T)
     return found
 
 

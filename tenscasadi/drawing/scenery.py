@@ -9,7 +9,8 @@ from scipy.linalg import null_space
 
 from tenscasadi.drawing.style import STYLE
 from tenscasadi.drawing.view_content import ViewContent
-from tenscasadi.scene.ground import Ground, Surface, Terrain
+from tenscasadi.scene.ground import Ground, Surface
+from tenscasadi.scene.terrain import Terrain
 from tenscasadi.util.validate import Array, Indices
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, cast
 import casadi as ca
 import numpy as np
 
-from tenscasadi.dynamics.bar_contacts import BarContacts
+from tenscasadi.dynamics.contacts import BarContacts, CapsuleContacts, ContactElement, NodeContacts
 from tenscasadi.dynamics.force_element import ForceElement, NodeMotion, spread
 from tenscasadi.scene.binding import bind, sets_rest_lengths
 from tenscasadi.scene.cables import CableRows
@@ -34,7 +34,6 @@ from tenscasadi.util.validate import Array, Indices
 if TYPE_CHECKING:
     from tenscasadi.dynamics.mechanism import Mechanism
     from tenscasadi.scene.breaking import Yielding
-    from tenscasadi.scene.ground import Surface
     from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
     from tenscasadi.scene.scene import Scene
 
@@ -66,9 +65,14 @@ def build_elements(scene: Scene, mech: Mechanism, w: Any, mode: Any = None) -> l
         found.append(ElasticBars(scene, mech))
     if scene.gravity is not None:
         found.append(Weights(scene.gravity, mech))
-    found += [Contacts(ground, mech) for ground in scene.grounds]
+    contacts: list[ContactElement] = [
+        kind(ground, scene.modelled, mech)
+        for ground in scene.grounds
+        for kind in (NodeContacts, CapsuleContacts)
+    ]
     if scene.bar_contact is not None:
-        found.append(BarContacts(scene.bar_contact, scene.modelled, mech))
+        contacts.append(BarContacts(scene.bar_contact, scene.modelled, mech))
+    found += [element for element in contacts if element.switch_count]
     if scene.pressure is not None:
         found.append(PressureForces(scene.pressure, mech))
     if scene.forces is not None:
@@ -430,47 +434,6 @@ class Weights(ForceElement):
     def energy(self, N: Any) -> Any:
         """Compute the potential energy [J], see `Gravity.energy`."""
         return self.gravity.energy(N, self.mech.node_weight)
-
-
-@dataclass(frozen=True, eq=False)
-class Contacts(ForceElement):
-    """Contact of nodes with a ground.
-
-    Attributes
-    ----------
-    mode : casadi row or None
-        1 for nodes in contact.
-    """
-
-    name: ClassVar[str] = "ground"
-    surface: Surface
-    mech: Mechanism
-    mode: Any = None
-
-    @property
-    def columns(self) -> list[int]:
-        """Columns of N that the ground acts on."""
-        first, nodes = self.mech.first, self.surface.nodes
-        return (first if nodes is None else first[list(nodes)]).tolist()  # type: ignore[no-any-return]
-
-    @property
-    def switch_count(self) -> int:  # type: ignore[override]
-        """Number of nodes that may be in contact."""
-        return len(self.columns)
-
-    def forces(self, at: NodeMotion) -> Any:
-        """Compute the contact forces (3×n) [N]."""
-        columns = self.columns
-        W = self.surface.forces(at.N[:, columns], at.V[:, columns], self.mode)
-        return spread(self.mech, W, columns)
-
-    def energy(self, N: Any) -> Any:
-        """Compute the energy of the ground's springs [J]."""
-        return self.surface.energy(N[:, self.columns])
-
-    def switches(self, at: NodeMotion) -> Any:
-        """Compute the switching functions [m], positive in contact."""
-        return self.surface.switching(at.N[:, self.columns], at.V[:, self.columns])
 
 
 @dataclass(frozen=True, eq=False)

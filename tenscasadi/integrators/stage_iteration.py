@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.dynamics import forces
-from tenscasadi.dynamics.bar_contacts import BarContacts
+from tenscasadi.dynamics.contacts import ContactElement
 from tenscasadi.dynamics.force_element import ForceElement, NodeMotion
 from tenscasadi.integrators.events import (
     build_mode_ode,
@@ -22,8 +22,7 @@ from tenscasadi.integrators.events import (
     split_mode,
 )
 from tenscasadi.scene.binding import bind, with_fields
-from tenscasadi.scene.contact_law import Contact, along, compute_slip
-from tenscasadi.scene.ground import Surface
+from tenscasadi.scene.contact_law import compute_slip, press
 from tenscasadi.scene.strings import Smooth
 from tenscasadi.util.casadi_tools import call_as_sx, constant_row, sparse
 from tenscasadi.util.validate import Array
@@ -165,7 +164,7 @@ def _lead(model: Model, u: Any) -> Any:
     grounds = [
         ca.repmat(ca.densify(one.surface.damping / one.surface.stiffness), one.switch_count, 1)
         for one in forces.build_elements(model.scene, model.mechanism, w)
-        if isinstance(one, (forces.Contacts, BarContacts))
+        if isinstance(one, ContactElement)
     ]
     switching = ca.reshape(lead[first.tolist()], clamped.shape[0], 1)  # a column, even if empty
     return ca.vertcat(switching * clamped, *grounds)
@@ -225,29 +224,29 @@ def _solver(model: Model) -> ca.Function:
 
 
 @dataclass(frozen=True, eq=False)
-class _Dragging(Surface):
-    """Ground with friction that is linear in the velocity.
+class _Dragging(ForceElement):
+    """Contact with friction that is linear in the velocity.
 
     It does not depend on the normal force, so the derivatives are symmetric. The force is drag
-    (1×n) [N s/m] times the slip velocity, without its component along direction (3×n).
+    (1×m) [N s/m] times the slip velocity, without its component along direction (3×m).
     """
 
-    frictionless: Surface
+    contacts: ContactElement
     drag: Any
     direction: Any
-    nodes: Any
 
-    def contact(self, N: Any) -> Contact:
-        return self.frictionless.contact(N)
-
-    def forces(self, N: Any, V: Any, touching: Any = None) -> Any:
-        slip, _ = compute_slip(self.contact(N), V)
+    def forces(self, at: NodeMotion) -> Any:
+        touch = self.contacts.find_touch(at.N)
+        slip, _ = compute_slip(touch.contact, touch.velocities(at.N, at.V))
         slip = slip - self.direction * ca.repmat(ca.sum1(self.direction * slip), 3, 1)
-        return self.frictionless.forces(N, V, touching) - slip * ca.repmat(self.drag, 3, 1)
+        friction = -slip * ca.repmat(self.drag, 3, 1)
+        return _without_friction(self.contacts).forces(at) + self.contacts.assemble(
+            touch, at.N, friction
+        )
 
 
 def _without_friction(element: ForceElement) -> ForceElement:
-    if not isinstance(element, forces.Contacts):
+    if not isinstance(element, ContactElement):
         return element
     return replace(element, surface=with_fields(element.surface, friction=None))
 
@@ -267,24 +266,22 @@ def _drag_slopes(
     linear: list[ForceElement] = []
     held: list[tuple[Any, Any]] = []
     for k, element in enumerate(elements):
-        if not isinstance(element, forces.Contacts) or element.surface.friction is None:
+        if not isinstance(element, ContactElement) or element.surface.friction is None:
             linear.append(element)
             continue
-        ground, columns = element.surface, element.columns
-        frictionless: Surface = with_fields(ground, friction=None)
-        n, v, contact = at.N[:, columns], at.V[:, columns], ground.contact(at.N[:, columns])
-        slip, share = compute_slip(contact, v)
-        speed = ca.sqrt(ca.sum1(slip * slip) + ground.slip_speed**2)
-        push = ca.fmax(along(contact.outward, frictionless.forces(n, v, element.mode)), 0)
-        drag = ground.friction * (push if share is None else push / share) / speed
+        law, touch = element.surface, element.find_touch(at.N)
+        v = touch.velocities(at.N, at.V)
+        slip, steepness = compute_slip(touch.contact, v)
+        speed = ca.sqrt(ca.sum1(slip * slip) + law.slip_speed**2)
+        push = ca.fmax(press(law, touch.contact, v, element.mode), 0)
+        drag = law.friction * (push if steepness is None else push * steepness) / speed
         # Near convergence, the derivative of friction replaces its secant.
         direction = slip * ca.repmat(ca.if_else(moved < 0.3 * speed, 1 / speed, 0), 3, 1)
         symbols = [
-            type(n).sym(f"{name}{k}", value.shape)
+            type(at.N).sym(f"{name}{k}", value.shape)
             for name, value in (("drag", drag), ("direction", direction))
         ]
-        dragging = _Dragging(frictionless, symbols[0], symbols[1], ground.nodes)
-        linear.append(replace(element, surface=dragging))
+        linear.append(_Dragging(element, *symbols))
         held += zip(symbols, (drag, direction), strict=True)
     if not held:
         return slopes(elements)

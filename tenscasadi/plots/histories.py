@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Protocol
 
-import casadi as ca
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
@@ -279,15 +278,14 @@ def errors(trajectory: Trajectory, *, title: str = "", path: FilePath | None = N
 
 
 def find_contact_intervals(trajectory: Trajectory) -> tuple[tuple[float, float], ...]:
-    """Find the intervals of time [s] in which nodes are below a ground."""
+    """Find the intervals of time [s] in which nodes or bars touch a ground."""
     if trajectory.scene is None:
         return ()
-    nodes, time = trajectory.nodes, trajectory.time
+    scene, time = fix(trajectory.scene, trajectory.parameters), trajectory.time
     touching = np.zeros(len(time), dtype=bool)
-    for ground in fix(trajectory.scene, trajectory.parameters).grounds:
-        some = nodes if ground.nodes is None else nodes[:, list(ground.nodes)]
-        depth = np.asarray(ca.DM(ground.depth(ca.DM(some.reshape(-1, 3).T))))
-        touching |= (depth.reshape(len(time), -1) > 0).any(axis=1)
+    for ground in scene.grounds:
+        depths, _ = ground.find_depths(scene.modelled, trajectory.nodes)
+        touching |= (depths > 0).any(axis=1)
     edges = np.flatnonzero(np.diff(touching, prepend=False, append=False))
     ends = np.minimum(edges[1::2], len(time) - 1)
     return tuple((float(time[a]), float(time[b])) for a, b in zip(edges[::2], ends, strict=True))

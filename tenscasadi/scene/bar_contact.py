@@ -27,7 +27,7 @@ class BarContact(Value, kind="BarContact"):
 
     Two bars push each other apart at the closest points of their axes with the force k d − c v, at
     least 0. The depth d is the sum of their radii less the distance, and v the rate at which the
-    points separate. There is no friction.
+    points separate. Friction is that of `Ground`.
 
     Parameters
     ----------
@@ -37,6 +37,10 @@ class BarContact(Value, kind="BarContact"):
         Contact stiffness k [N/m].
     damping : float
         Contact damping c [N·s/m].
+    friction : float, optional
+        Coulomb's friction coefficient μ. Default: no friction.
+    slip_speed : float
+        Slip velocity v_s over which friction is regularized [m/s], see `Ground`.
 
     Raises
     ------
@@ -45,13 +49,16 @@ class BarContact(Value, kind="BarContact"):
 
     See Also
     --------
-    Ground : Contact of nodes with a plane.
+    Ground : Contact of nodes and bars with a plane.
 
     Notes
     -----
     The force is the gradient of the energy k d²/2, because the distance does not change to first
     order with the closest points. Parallel bars touch at one point, which jumps as they turn.
     Keep depths below the sum of the radii: the direction of the force is lost where axes cross.
+
+    Friction acts in the middle of the overlap, and thus has a couple about each bar. A bar of Eq. 19
+    does not turn about its own axis: the part of the couple about it is left out.
 
     Examples
     --------
@@ -65,13 +72,17 @@ class BarContact(Value, kind="BarContact"):
     pairs: Annotated[Sequence[Sequence[int]] | None, ListOf(Members("bar"))] = None
     stiffness: float = 1e4
     damping: float = 0.0
-
-    friction = None  # as of a ground
+    friction: float | None = None
+    slip_speed: float = 1e-3
 
     def __post_init__(self) -> None:
         own: dict[str, Any] = {
             "stiffness": positive_number("BarContact.stiffness", self.stiffness),
             "damping": positive_number("BarContact.damping", self.damping, zero=True),
+            "friction": None
+            if self.friction is None
+            else positive_number("BarContact.friction", self.friction),
+            "slip_speed": positive_number("BarContact.slip_speed", self.slip_speed),
         }
         if self.pairs is not None:
             given = as_tuple("BarContact.pairs", self.pairs, "[(0, 1)]")
@@ -85,8 +96,8 @@ class BarContact(Value, kind="BarContact"):
 
     @property
     def conservative(self) -> bool:
-        """Whether there is no damping."""
-        return self.damping == 0
+        """Whether there is neither damping nor friction."""
+        return self.damping == 0 and self.friction is None
 
     def check(self, structure: Any) -> None:
         """Check the pairs against the bars of a structure.

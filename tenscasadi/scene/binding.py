@@ -151,16 +151,16 @@ def fix(scene: Any, p: Array) -> Any:
     }
     if on_grounds:
         changes["ground"] = tuple(
-            _fix_ground(ground, _own_entries(ground, k, on_grounds))
+            _fix_contact(ground, _own_entries(ground, k, on_grounds))
             for k, ground in enumerate(scene.grounds)
         )
     touching = {
-        name.removeprefix("bar_contact_"): float(values[0])
+        name.removeprefix("bar_contact_"): values[0]
         for name, values in items.items()
         if name.startswith("bar_contact_")
     }
     if touching:
-        changes["bar_contact"] = replace(scene.bar_contact, **touching)
+        changes["bar_contact"] = _fix_contact(scene.bar_contact, touching)
     for name in items.keys() & set(_LOADS):
         load, value = getattr(scene, name), items[name]
         if name in scene.parameters.scale:
@@ -189,11 +189,11 @@ def _own_entries(ground: Any, k: int, values: dict[str, Any]) -> dict[str, Any]:
     return {name: value[k] for name, value in given.items()}
 
 
-def _fix_ground(ground: Any, values: dict[str, Any]) -> Any:
+def _fix_contact(law: Any, values: dict[str, Any]) -> Any:
     numbers: dict[str, Any] = {name: float(value) for name, value in values.items()}
     if numbers.get("friction") == 0:  # no friction at all
         numbers["friction"] = None
-    return replace(ground, **numbers)
+    return replace(law, **numbers)
 
 
 def _scale(function: Any, factor: float, time: Any) -> Any:

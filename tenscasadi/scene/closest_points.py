@@ -34,7 +34,7 @@ def find_closest_points(at: Segments) -> tuple[Any, Any]:
     return _clamp((B * t - C) / A), t
 
 
-def find_contact(at: Segments, radii: Any) -> tuple[Contact, list[Any]]:
+def find_contact(at: Segments, radii: Any) -> tuple[Contact, tuple[Any, Any]]:
     """Find depths and directions of the forces on the first bars.
 
     Parameters
@@ -47,13 +47,13 @@ def find_contact(at: Segments, radii: Any) -> tuple[Contact, list[Any]]:
     Returns
     -------
     tuple
-        Contact, and the weights (1×m) of the four ends in the vector between the closest points.
+        Contact, and the positions (1×m) of the closest points along both bars.
     """
     s, t = find_closest_points(at)
     weights = [1 - s, s, t - 1, -t]
     gap = sum(end * ca.repmat(weight, 3, 1) for end, weight in zip(at, weights, strict=True))
     distance = ca.sqrt(ca.sum1(gap * gap) + (1e-9 * radii) ** 2)  # no NaN where axes cross
-    return Contact(radii - distance, gap / ca.repmat(distance, 3, 1), None), weights
+    return Contact(radii - distance, gap / ca.repmat(distance, 3, 1), None), (s, t)
 
 
 def _clamp(value: Any) -> Any:

@@ -28,6 +28,22 @@ def press(law: Any, contact: Contact, V: Any, touching: Any = None) -> Any:
     return ca.if_else(depth > 0, push, 0) if touching is None else touching * push
 
 
+def compute_forces(law: Any, contact: Contact, V: Any, touching: Any = None) -> Any:
+    """Compute the forces of a contact (3×n) [N], normal and of friction.
+
+    V (3×n) [m/s] are relative velocities of the touching surfaces. Coulomb's friction is
+    μ f v_t/√(v_t² + v_s²).
+    """
+    push = press(law, contact, V, touching)
+    W = times(contact.outward, push)
+    if law.friction is None:
+        return W
+    slip, steepness = compute_slip(contact, V)
+    normal_force = push if steepness is None else push * steepness
+    regularized = ca.sqrt(ca.sum1(slip * slip) + law.slip_speed**2)
+    return W - slip * ca.repmat(law.friction * normal_force / regularized, 3, 1)
+
+
 def find_switching(law: Any, contact: Contact, V: Any) -> Any:
     """Compute the switching functions (1×n) of a contact [m], positive in contact."""
     depth, outward, _ = contact

@@ -1,22 +1,23 @@
-"""Planes and height fields with penalty contact and friction."""
+"""Planes with penalty contact and friction, and the base of all grounds."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
 
-from tenscasadi.scene.contact_law import Contact, compute_slip, find_switching, press, times
-from tenscasadi.schema.field_types import PAIR, TABLE, VECTOR, Members
+from tenscasadi.scene.bar_points import CapsulePoints
+from tenscasadi.scene.contact_law import Contact, compute_forces, find_switching
+from tenscasadi.schema.containers import Either
+from tenscasadi.schema.field_types import VECTOR, Members, Word
 from tenscasadi.schema.value import Value
-from tenscasadi.util.immutable import ReadOnlyArrays
 from tenscasadi.util.validate import (
     Array,
+    Indices,
     as_tuple,
     finite_array,
     format_value,
@@ -25,6 +26,8 @@ from tenscasadi.util.validate import (
     positive_number,
     whole_number,
 )
+
+BARS = Either((str,), Word(("all",)), Members("bar"))
 
 
 class Surface(Value, ABC, implied="Ground"):
@@ -38,6 +41,7 @@ class Surface(Value, ABC, implied="Ground"):
     friction: float | None
     slip_speed: float
     nodes: Iterable[int] | None
+    bars: Iterable[int] | str | None
 
     @abstractmethod
     def contact(self, N: Any) -> Contact:
@@ -48,21 +52,98 @@ class Surface(Value, ABC, implied="Ground"):
         """Whether the ground has neither damping nor friction."""
         return self.damping == 0 and self.friction is None
 
-    def check(self, nodes: int) -> None:
-        """Check the node indices of the ground.
+    def check(self, structure: Any) -> None:
+        """Check the node and bar indices of the ground.
 
         Parameters
         ----------
-        nodes : int
-            Number of nodes of the structure.
+        structure : Structure
+            Nodes and bars.
 
         Raises
         ------
         ValueError
-            If an index is out of range.
+            If an index is out of range, or there are no bars.
         """
+        name, count = type(self).__name__, len(structure.bars)
         for node in self.nodes or ():
-            node_index(f"{type(self).__name__}.nodes", node, nodes)
+            node_index(f"{name}.nodes", node, len(structure.nodes))
+        if self.bars is not None and not count:
+            raise ValueError(f"{name}.bars is {self.bars!r}, but there are no bars: leave it out")
+        if (last := self._list_bars(structure)[-1:]) and last[0] >= count:
+            raise ValueError(f"{name}.bars has bar {last[0]}: bars run from 0 to {count - 1}")
+
+    def select_nodes(self, structure: Any) -> Indices:
+        """Select the nodes that touch as points.
+
+        Parameters
+        ----------
+        structure : Structure
+            Nodes and bars.
+
+        Returns
+        -------
+        ndarray of int, shape (k,)
+            The given nodes, or all but the ends of `bars`.
+        """
+        if self.nodes is not None:
+            return np.array(self.nodes, dtype=np.intp)
+        ends = structure.bars[self._list_bars(structure)]
+        return np.setdiff1d(np.arange(len(structure.nodes)), ends)
+
+    def select_bar_points(self, structure: Any) -> CapsulePoints:
+        """Select the points on the axes of `bars` that touch with the radius of their bar.
+
+        Parameters
+        ----------
+        structure : Structure
+            Bars and their radii.
+
+        Returns
+        -------
+        CapsulePoints
+            The points.
+        """
+        bars = self._list_bars(structure)
+        own = [self._place_points(float(structure.bar_lengths[bar])) for bar in bars]
+        which = np.repeat(np.array(bars, dtype=np.intp), [len(each) for each in own])
+        fractions = np.concatenate([np.zeros(0), *own])
+        return CapsulePoints(which, fractions, structure.bar_radius[which])
+
+    def find_depths(self, structure: Any, nodes: Array) -> tuple[Array, Array]:
+        """Compute penetration depths of all nodes and bars that can touch.
+
+        Parameters
+        ----------
+        structure : Structure
+            Nodes and bars.
+        nodes : ndarray, shape (..., n, 3)
+            Positions [m].
+
+        Returns
+        -------
+        tuple of ndarray
+            Depths (..., m) [m], and the two nodes (m, 2) between which each point is, the same one
+            for nodes.
+        """
+        own, points = self.select_nodes(structure), self.select_bar_points(structure)
+        ends = np.concatenate([np.column_stack([own, own]), structure.bars[points.bars]])
+        share = np.concatenate([np.zeros(len(own)), points.fractions])[:, None]
+        first, second = nodes[..., ends[:, 0], :], nodes[..., ends[:, 1], :]
+        places = first + share * (second - first)
+        depths = np.asarray(ca.DM(self.depth(ca.DM(places.reshape(-1, 3).T)))).ravel()
+        return depths.reshape(places.shape[:-1]) + np.concatenate(
+            [np.zeros(len(own)), points.radii]
+        ), ends
+
+    def _list_bars(self, structure: Any) -> list[int]:
+        if isinstance(self.bars, str):
+            return list(range(len(structure.bars)))
+        return sorted(self.bars or ())
+
+    def _place_points(self, length: float) -> Array:
+        """Place contact points on a bar, as fractions of its length [m]."""
+        return np.array([0.0, 1.0])
 
     def forces(self, N: Any, V: Any, touching: Any = None) -> Any:
         """Build the contact forces on nodes.
@@ -81,15 +162,7 @@ class Surface(Value, ABC, implied="Ground"):
         casadi expression, shape (3, n)
             Forces W [N].
         """
-        contact = self.contact(N)
-        push = press(self, contact, V, touching)
-        W = times(contact.outward, push)
-        if self.friction is not None:
-            slip, steepness = compute_slip(contact, V)
-            normal_force = push if steepness is None else push * steepness
-            regularized = ca.sqrt(ca.sum1(slip * slip) + self.slip_speed**2)
-            W = W - slip * ca.repmat(self.friction * normal_force / regularized, 3, 1)
-        return W
+        return compute_forces(self, self.contact(N), V, touching)
 
     def energy(self, N: Any) -> Any:
         """Build the energy stored in the ground's springs.
@@ -139,18 +212,29 @@ class Surface(Value, ABC, implied="Ground"):
             if self.friction is None
             else positive_number(f"{name}.friction", self.friction),
             "slip_speed": positive_number(f"{name}.slip_speed", self.slip_speed),
-            "nodes": None if self.nodes is None else _distinct(f"{name}.nodes", self.nodes),
+            "nodes": None
+            if self.nodes is None
+            else _distinct(f"{name}.nodes", self.nodes, "node", "all", self.bars is not None),
+            "bars": _read_bars(f"{name}.bars", self.bars),
             **others,
         }
         for field, value in checked.items():
             object.__setattr__(self, field, value)
 
 
-def _distinct(field: str, nodes: Any) -> tuple[int, ...]:
-    found = tuple(whole_number(field, node, 0) for node in as_tuple(field, nodes, "[0, 3]"))
-    if not found or len(set(found)) < len(found):
-        raise ValueError(f"{field} is {found}: give each node once, or None for all")
+def _distinct(field: str, given: Any, item: str, none: str, empty: bool) -> tuple[int, ...]:
+    found = tuple(whole_number(field, index, 0) for index in as_tuple(field, given, "[0, 3]"))
+    if (not found and not empty) or len(set(found)) < len(found):
+        raise ValueError(f"{field} is {found}: give each {item} once, or None for {none}")
     return found
+
+
+def _read_bars(field: str, given: Any) -> tuple[int, ...] | str | None:
+    if isinstance(given, str) and given != "all":
+        raise ValueError(f'{field} is {format_value(given)}: give indices, "all" or None')
+    if given is None or isinstance(given, str):
+        return given
+    return _distinct(field, given, "bar", "none", False)
 
 
 @dataclass(frozen=True)
@@ -175,8 +259,10 @@ class Ground(Surface, kind="Ground"):
     slip_speed : float
         Slip velocity v_s over which friction is regularized [m/s].
     nodes : sequence of int, optional
-        Nodes of the structure that can touch the ground. Default: all, including nodes between the
-        segments of strings.
+        Nodes of the structure that touch the ground as points. Default: all but the ends of `bars`,
+        including nodes between the segments of strings. It may be empty if there are `bars`.
+    bars : sequence of int or "all", optional
+        Bars that touch the ground as capsules of their `bar_radius`. Default: none.
 
     See Also
     --------
@@ -209,6 +295,7 @@ class Ground(Surface, kind="Ground"):
     normal: Annotated[Sequence[float], VECTOR] = (0.0, 0.0, 1.0)
     slip_speed: float = 1e-3
     nodes: Annotated[Iterable[int] | None, Members("node")] = None
+    bars: Annotated[Iterable[int] | str | None, BARS] = None
 
     def __post_init__(self) -> None:
         normal = finite_array("Ground.normal", self.normal, (3,))
@@ -238,178 +325,6 @@ class Ground(Surface, kind="Ground"):
         """
         normal = ca.DM(self.normal)
         return Contact(self.height - ca.mtimes(normal.T, N), normal, None)
-
-
-@dataclass(frozen=True, eq=False)
-class Terrain(ReadOnlyArrays, Surface, kind="Terrain"):
-    """Height field with penalty contact and Coulomb friction.
-
-    Heights z = h(x, y) are bilinear between the points of a regular grid. The normal force on a node at
-    penetration depth d with normal velocity v is k d − c v, and at least 0.
-
-    Parameters
-    ----------
-    heights : array_like, shape (K, L)
-        Heights z [m] at K equally spaced x and L equally spaced y.
-    lower, upper : sequence of float, shape (2,)
-        Corners (x, y) of the grid with the smallest and largest coordinates [m].
-    stiffness : float
-        Contact stiffness k [N/m].
-    damping : float
-        Contact damping c [N·s/m].
-    friction : float, optional
-        Coulomb's friction coefficient μ. Default: no friction.
-    slip_speed : float
-        Slip velocity v_s over which friction is regularized [m/s], see `Ground`.
-    nodes : sequence of int, optional
-        Nodes of the structure that can touch the ground. Default: all, including nodes between the
-        segments of strings.
-
-    See Also
-    --------
-    Ground : Plane.
-
-    Notes
-    -----
-    The height outside the grid is that of the nearest point of its border.
-
-    The depth is (h − z) cos θ with the slope angle θ. cos θ is bilinear between the grid points,
-    where it follows from central differences. The depth is thus continuous, and exact for planes.
-    The normal force is the gradient of k d²/2, so that energy is conserved.
-
-    The slope jumps from cell to cell, and so does the direction of the normal force. A node at rest
-    in a groove between two cells chatters between them. Fixed steps average over that. Schemes with
-    error control need a tolerance above about 1e-8 or a finer grid.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import tenscasadi as tc
-    >>> x = np.linspace(-1, 1, 21)
-    >>> bowl = tc.Terrain(0.5 * (x[:, None] ** 2 + x**2), lower=(-1, -1), upper=(1, 1), stiffness=1e3)
-    >>> round(float(bowl.depth([0.5, 0.0, 0.1])), 6)  # (0.125 − 0.1) cos θ, where tan θ = 0.5
-    0.022361
-    >>> round(float(bowl.depth([7.0, 0.0, 0.5])), 6)
-    0.0
-    """
-
-    heights: Annotated[Any, TABLE]
-    lower: Annotated[Sequence[float], PAIR]
-    upper: Annotated[Sequence[float], PAIR]
-    stiffness: float = 1e4
-    damping: float = 0.0
-    friction: float | None = None
-    slip_speed: float = 1e-3
-    nodes: Annotated[Iterable[int] | None, Members("node")] = None
-
-    def __post_init__(self) -> None:
-        heights = finite_array("Terrain.heights", self.heights, (None, None))
-        if min(heights.shape) < 2:
-            raise ValueError(
-                f"Terrain.heights has shape {heights.shape}: give at least two points along each axis"
-            )
-        corners = {
-            name: tuple(finite_array(f"Terrain.{name}", getattr(self, name), (2,)).tolist())
-            for name in ("lower", "upper")
-        }
-        for axis, (low, high) in enumerate(zip(*corners.values(), strict=True)):
-            if not high - low >= 1e-9 * max(abs(low), abs(high), 1e-90):
-                raise ValueError(
-                    f"Terrain.lower is {low:g} and .upper {high:g} along {'xy'[axis]}: "
-                    "give lower < upper"
-                )
-        self._check_fields(heights=heights, **corners)
-
-    @cached_property
-    def spacing(self) -> Array:
-        """Distances between grid points along x and y [m]."""
-        return np.asarray(np.subtract(self.upper, self.lower) / np.subtract(self.heights.shape, 1))
-
-    def contact(self, N: Any) -> Contact:
-        """Compute penetration depths and their negative gradients.
-
-        Parameters
-        ----------
-        N : casadi expression, shape (3, n)
-            Nodes [m].
-
-        Returns
-        -------
-        Contact
-            Depths [m] and directions of normal forces.
-        """
-        N = N if isinstance(N, (ca.SX, ca.MX)) else ca.DM(N)
-        cells, fractions = [], []
-        for axis, (low, width, points) in enumerate(
-            zip(self.lower, self.spacing, self.heights.shape, strict=True)
-        ):
-            place = (N[axis, :] - low) / float(width)
-            # cells −1 and points − 1 are outside the grid
-            cell = ca.fmin(ca.fmax(ca.floor(place), -1), points - 1)
-            cells.append(cell + 1)
-            fractions.append(place - cell)
-        corners = self._corners(cells[0] + (self.heights.shape[0] + 2) * cells[1])  # 8×n
-        height, cosine = (
-            _interpolate_cells(corners[4 * k : 4 * k + 4, :], *fractions) for k in range(2)
-        )
-        above = height[0] - N[2, :]
-        sides = [
-            -(height[axis] * cosine[0] + above * cosine[axis]) / float(self.spacing[axis - 1])
-            for axis in (1, 2)
-        ]
-        outward = ca.vertcat(*sides, cosine[0])
-        return Contact(above * cosine[0], outward, ca.sqrt(ca.sum1(outward * outward)))
-
-    @cached_property
-    def _corners(self) -> ca.Function:
-        """Function that looks up heights and cosines at corners.
-
-        The input is the number of a cell. The result is (8,): heights, then cosines of the slope,
-        in the order 00, 10, 01, 11. The grid is extended by a cell on each side.
-        """
-        slopes = np.gradient(self.heights, *self.spacing)
-        cosines = 1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
-        table = np.stack(
-            [np.pad(values, 1, mode="edge").ravel(order="F") for values in (self.heights, cosines)]
-        )
-        # generated code reads a lookup table in place, but copies a constant matrix at each call
-        points = ca.interpolant(
-            "points",
-            "linear",
-            [np.arange(table.shape[1], dtype=float).tolist()],
-            table.ravel(order="F"),
-            {"lookup_mode": ["exact"]},
-        )
-        cell, rows = ca.MX.sym("cell"), self.heights.shape[0] + 2
-        found = points(ca.horzcat(*(cell + offset for offset in (0, 1, rows, rows + 1)))).T
-        # The number of the cell is piecewise constant. Its zero derivative is stored, because
-        # CasADi's scalars turn an empty derivative into NaN.
-        jacobian = ca.Function(
-            "jac_corners",
-            [cell, ca.MX.sym("out", 8)],
-            [ca.MX(ca.DM.zeros(8, 1))],
-            ["cell", "out_corners"],
-            ["jac_corners_cell"],
-        )
-        options: dict[str, Any] = {
-            "never_inline": True,
-            "custom_jacobian": jacobian,
-            "enable_forward": False,
-            "enable_reverse": False,
-        }
-        # scalar code cannot look up tables, and calls this function
-        return ca.Function("corners", [cell], [ca.vec(found)], ["cell"], ["corners"], options)
-
-
-def _interpolate_cells(corners: Any, s: Any, t: Any) -> tuple[Any, Any, Any]:
-    """Interpolate bilinearly between the corners (4×n) of cells.
-
-    s and t (1×n) are fractions of the cells. Returns the values (1×n) and their derivatives with
-    respect to s and t.
-    """
-    value, ds = corners[0, :], corners[1, :] - corners[0, :]
-    dt, mixed = corners[2, :] - value, corners[3, :] - corners[2, :] - ds
-    return value + s * ds + t * (dt + s * mixed), ds + t * mixed, dt + s * mixed
 
 
 Grounds = Surface | Sequence[Surface] | None

@@ -343,6 +343,9 @@ def _read_items(scene: Any, parameters: Parameters, name: str) -> tuple[Array, l
         )
     elif part == "bar_contact":
         values = [getattr(source, name.removeprefix("bar_contact_"), None)]
+        missing = missing or (
+            "BarContact.friction is None: give a coefficient" if None in values else ""
+        )
     if missing:
         cure = ", or remove the name" if ": " in missing else ": remove the name"
         raise ValueError(f"Parameters has {name!r}, but {missing}{cure}")

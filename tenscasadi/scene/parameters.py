@@ -48,8 +48,9 @@ class Parameters(Value, kind="Parameters"):
         ``"bar_stiffness"`` and ``"bar_rest_length"``. Nodes have ``"node_mass"``. Bodies have
         ``"body_mass"`` and ``"body_inertia"`` (xx, yy, zz, xy, xz, yz of each body). Grounds have
         ``"ground_stiffness"``, ``"ground_damping"`` and ``"ground_friction"``; contact of bars has
-        ``"bar_contact_stiffness"`` and ``"bar_contact_damping"``. Constant loads are
-        ``"gravity"`` (x, y, z), ``"pressure"`` and ``"forces"`` (x, y, z of each node).
+        ``"bar_contact_stiffness"``, ``"bar_contact_damping"`` and ``"bar_contact_friction"``.
+        Constant loads are ``"gravity"`` (x, y, z), ``"pressure"`` and ``"forces"`` (x, y, z of each
+        node).
     scale : iterable of str
         Quantities with a dimensionless factor in p, which is 1 for the values of the scene.
     groups : mapping of str to sequence of sequence of int, or to "all", optional

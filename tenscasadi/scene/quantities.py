@@ -35,6 +35,7 @@ QUANTITIES = {
     "ground_friction": ParameterQuantity("1", "ground", "zero", "ground"),
     "bar_contact_stiffness": ParameterQuantity("N/m", "bar contact", "positive", "bar_contact"),
     "bar_contact_damping": ParameterQuantity("N·s/m", "bar contact", "zero", "bar_contact"),
+    "bar_contact_friction": ParameterQuantity("1", "bar contact", "zero", "bar_contact"),
     "pressure": ParameterQuantity("Pa", "pressure", "any", "pressure"),
     "forces": ParameterQuantity("N", "force", "any", "forces"),
 }

@@ -52,7 +52,7 @@ class Scene(Value, Viewable, kind="Scene"):
     gravity : Gravity, optional
         Gravity.
     ground : Ground or Terrain or a sequence of them, optional
-        Planes and height fields that nodes can touch.
+        Planes and height fields that nodes and bars can touch.
     pressure : Pressure, optional
         Pressure on triangles.
     forces : NodalForce, optional
@@ -131,9 +131,10 @@ class Scene(Value, Viewable, kind="Scene"):
             object.__setattr__(
                 self, "ground", (grounds if len(grounds) != 1 else grounds[0]) or None
             )
-        for load in (*self.grounds, self.pressure):
-            if load is not None:
-                load.check(len(self.structure.nodes))
+        for ground in self.grounds:
+            ground.check(self.structure)
+        if self.pressure is not None:
+            self.pressure.check(len(self.structure.nodes))
         if self.forces is not None:
             self.forces.check(len(self.structure.nodes), self.structure.bars)
         if self.supports is not None:

@@ -131,6 +131,8 @@ def ensemble_calls() -> dict[str, Call]:
                 "friction": 0.1,
                 "slip_speed": 0.01,
                 "nodes": [0],
+                "bars": [0],
+                "bar_points": 3,
             },
         ),
         "Parameters": (

@@ -173,7 +173,7 @@ def dynamics_calls() -> dict[str, Call]:
         "Gravity": (tc.Gravity, {"acceleration": (0.0, 0.0, -9.81)}),
         "Winch": (tc.Winch, {"radius": 0.02, "inertia": 1e-3, "friction": 0.1, "torque": 2.0, "speed": 30.0}),
         "Ground": (tc.Ground, {"stiffness": 10.0, "damping": 1.0, "friction": 0.4, "height": 0.0}),
-        "BarContact": (tc.BarContact, {"pairs": [(0, 1)], "stiffness": 10.0, "damping": 1.0}),
+        "BarContact": (tc.BarContact, {"pairs": [(0, 1)], "stiffness": 10.0, "damping": 1.0, "friction": 0.3, "slip_speed": 0.01}),
         "Breaking": (tc.Breaking, {"force": 40.0, "margin": 0.1}),
         "Breaking, by string": (tc.Breaking, {"force": {0: 40.0}}),
         "Yielding": (tc.Yielding, {"force": 40.0, "viscosity": 2.0, "margin": 0.1}),

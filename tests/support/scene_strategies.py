@@ -84,7 +84,11 @@ def load(kind: Any, name: str, given: dict[str, Any], **others: Any) -> Any:
 
 SURFACE = st.fixed_dictionaries(
     {"stiffness": numbers(1, 1e4), "damping": numbers(0, 10), "slip_speed": numbers(1e-3, 1)},
-    optional={"friction": numbers(0.1, 1), "nodes": st.just([0, 3])},
+    optional={
+        "friction": numbers(0.1, 1),
+        "nodes": st.just([0, 3]),
+        "bars": st.sampled_from(["all", [0]]),
+    },
 )
 GROUND = st.builds(
     lambda normal, height, others: tc.Ground(normal=normal, height=height, **others),

@@ -17,7 +17,8 @@ from tenscasadi.exchange.mjcf.body_tree import (
     find_held_directions,
     inverse_weights,
 )
-from tenscasadi.scene.ground import Ground
+from tenscasadi.scene.bar_contact import BarContact
+from tenscasadi.scene.ground import Ground, Surface
 from tenscasadi.scene.scene import Scene
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.linear_algebra import null_space
@@ -36,10 +37,13 @@ class ContactWeights(NamedTuple):
         Inverse mass A of each node's body [1/kg].
     standing : float
         Load on one supporting node of a standing body [N].
+    bars : ndarray, shape (β,)
+        Inverse mass A of each bar [1/kg].
     """
 
     inverse: Array
     standing: float
+    bars: Array
 
 
 def contact_weights(scene: Scene, tree: BodyTree) -> ContactWeights:
@@ -68,7 +72,7 @@ def contact_weights(scene: Scene, tree: BodyTree) -> ContactWeights:
     moving = np.flatnonzero(inverse)
     total = s.bar_mass.sum() + s.node_mass.sum() + sum(body.mass for body in s.bodies)
     standing = max(min(3, len(moving)), 1)  # a body stands on three of its nodes
-    return ContactWeights(inverse, total * down / standing)
+    return ContactWeights(inverse, total * down / standing, bars)
 
 
 def body_weights(s: Structure, tree: BodyTree) -> dict[int, float]:
@@ -105,14 +109,15 @@ def _point_velocity(arm: Array) -> Array:
     return np.hstack([np.eye(3), -np.cross(np.eye(3), arm)])
 
 
-def list_touching(ground: Ground, inverse: Array) -> list[int]:
+def list_touching(ground: Ground, s: Structure, inverse: Array) -> list[int]:
     """List the moving nodes that a ground acts on."""
-    nodes = range(len(inverse)) if ground.nodes is None else ground.nodes
-    return [node for node in nodes if inverse[node] > 0]
+    return [node for node in ground.select_nodes(s).tolist() if inverse[node] > 0]
 
 
-def contact_numbers(ground: Ground, inverse: float, standing: float) -> dict[str, list[float]]:
-    """Compute the contact attributes of a node and a ground.
+def contact_numbers(
+    ground: Surface | BarContact, inverse: float, standing: float
+) -> dict[str, list[float]]:
+    """Compute the contact attributes of a node or bar, and a ground or bar.
 
     They are its stiffness, damping and friction, per mass.
     """

@@ -95,7 +95,8 @@ def export_mjcf(
       forces on the body. Friction is Coulomb friction with a slip speed. In MuJoCo the slip speed
       refers to the weight on each of three supporting nodes, in `Ground` to the current normal
       force.
-    - Contact of bars becomes pairs of capsules, with the force of `BarContact`.
+    - Contact of bars becomes pairs of capsules, with the force of `BarContact`. Bars of a ground
+      become capsules on a plane of their own. Friction turns capsules about their axes in MuJoCo.
     - A cable without friction is a spatial tendon through the sites of its nodes.
     - Control by rest lengths becomes a position actuator for each string or cable. Control by force
       densities becomes a general actuator with the gain −length, control by tensions one with the

@@ -1,17 +1,18 @@
-"""Conversion of planes into grounds of the nodes in contact."""
+"""Conversion of contacts into grounds and contact of bars."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from tenscasadi.exchange.mjcf.bodies import Bodies
 from tenscasadi.exchange.mjcf.contact import ContactWeights, ground_numbers
 from tenscasadi.exchange.mjcf.elements import Element
-from tenscasadi.exchange.mjcf.geoms import Geom
+from tenscasadi.exchange.mjcf.geoms import Geom, RodGeom
 from tenscasadi.exchange.mjcf.words import Defaults, check, children
+from tenscasadi.scene.bar_contact import BarContact
 from tenscasadi.scene.ground import Ground
 from tenscasadi.util.validate import MAX_COUNT, Array
 
@@ -19,35 +20,57 @@ _DEFAULTS = {"solref": (0.02, 1.0), "friction": (1.0, 0.005, 0.0001)}  # of MuJo
 
 
 class Touch(NamedTuple):
-    """Contact of a node with a plane.
+    """Contact of a node or bar with a plane.
 
     Attributes
     ----------
-    node : int
-        Index of the node.
+    nodes : tuple of int
+        Index of the node, or of both ends of the bar.
+    bar : int or None
+        Index of the bar.
     distance : float
-        Height of the node above the plane at contact [m].
+        Height of the nodes above the plane at contact [m].
     law : Element
         Element with the contact attributes.
     """
 
-    node: int
+    nodes: tuple[int, ...]
+    bar: int | None
     distance: float
     law: Element
 
 
-def read_grounds(
+class Locator(Protocol):
+    """Nodes and bars of the scene that is read."""
+
+    def find_node(self, piece: int, point: Array) -> int | None:
+        """Find the node at a point of a piece."""
+
+    def find_bar(self, piece: int, rod: RodGeom) -> int | None:
+        """Find the bar that a geom of a piece covers with its radius."""
+
+    def weigh(self) -> ContactWeights:
+        """Compute the contact scales."""
+
+
+def read_contacts(
+    root: Element, bodies: Bodies, defaults: Defaults, locator: Locator
+) -> tuple[list[Ground], BarContact | None]:
+    """Read the grounds and the contact of bars of a file. Raises SceneFileError."""
+    pairs, apart = _read_pairs(root, bodies, defaults)
+    return (
+        _read_grounds(root, bodies, pairs, apart, locator),
+        _read_bar_contact(bodies, pairs, locator),
+    )
+
+
+def _read_grounds(
     root: Element,
     bodies: Bodies,
-    defaults: Defaults,
-    node_at: Callable[[int, Array], int | None],
-    weigh: Callable[[], ContactWeights],
+    pairs: Mapping[frozenset[str], Element],
+    apart: set[int],
+    locator: Locator,
 ) -> list[Ground]:
-    """Read the grounds of a file. Raises SceneFileError.
-
-    `node_at` returns the node at a point of a piece, and `weigh` the contact scales.
-    """
-    pairs, apart = _read_contacts(root, bodies, defaults)
     moving = [(k, geom) for k, piece in bodies.moving() for geom in piece.geoms]
     found: list[Ground] = []
     fixed = bodies.pieces[0].geoms
@@ -56,7 +79,7 @@ def read_grounds(
             f"has {len(fixed)} geoms in the world and {len(moving)} in bodies, too many to find which touch: give fewer"
         )
     for plane in fixed:
-        touches: dict[int, Touch] = {}
+        touches: dict[tuple[int | None, int], Touch] = {}
         for k, geom in moving:
             law = pairs.get(frozenset((plane.element.text("name"), geom.element.text("name"))))
             if law is None and (k in apart or not _can_touch(plane.element, geom.element)):
@@ -66,15 +89,43 @@ def read_grounds(
                 plane.element.leave_out(message, "type")
                 break
             law = law or _mix(plane.element, geom.element)
-            for touch in _find_touches(k, geom, law, node_at):
-                if touch.node not in touches or touch.distance > touches[touch.node].distance:
-                    touches[touch.node] = touch
+            for touch in _find_touches(k, geom, law, locator):
+                key = touch.bar, touch.nodes[0]
+                if key not in touches or touch.distance > touches[key].distance:
+                    touches[key] = touch
         if touches:
-            found += _build_grounds(plane, list(touches.values()), weigh())
+            found += _build_grounds(plane, list(touches.values()), locator.weigh())
     return found
 
 
-def _read_contacts(
+def _read_bar_contact(
+    bodies: Bodies, pairs: Mapping[frozenset[str], Element], locator: Locator
+) -> BarContact | None:
+    """Read the explicit pairs of capsules that cover bars."""
+    bars = {}
+    for k, geom in ((k, geom) for k, piece in bodies.moving() for geom in piece.geoms):
+        name, bar = geom.element.text("name"), geom.rod and locator.find_bar(k, geom.rod)
+        if name and bar is not None:
+            bars[name] = bar
+    chosen = [
+        (names, law) for names, law in pairs.items() if len(names) == 2 and names <= bars.keys()
+    ]
+    if not chosen:
+        return None
+    weights, laws = locator.weigh(), []
+    for names, law in chosen:
+        inverse = float(sum(weights.bars[bars[name]] for name in names))
+        laws.append(_read_law(law, inverse, inverse, weights.standing))
+        if not _is_equal(laws[0], laws[-1]):
+            law.leave_out("has another law than the first pair of bars: tenscasadi has one for all")
+    found = sorted(tuple(sorted(bars[name] for name in names)) for names, _ in chosen)
+    try:
+        return BarContact(found, **laws[0])
+    except ValueError as error:
+        raise chosen[0][1].error(str(error)) from None
+
+
+def _read_pairs(
     root: Element, bodies: Bodies, defaults: Defaults
 ) -> tuple[Mapping[frozenset[str], Element], set[int]]:
     """Read explicit contact pairs, and pieces excluded from world contact."""
@@ -124,58 +175,86 @@ def _mix(one: Element, other: Element) -> Element:
     return other.replace({**other.attributes, **mixed})
 
 
-def _find_touches(
-    k: int, geom: Geom, law: Element, node_at: Callable[[int, Array], int | None]
-) -> list[Touch]:
-    """Find the contacts of a geom's ends at nodes."""
+def _find_touches(k: int, geom: Geom, law: Element, locator: Locator) -> list[Touch]:
+    """Find the contacts of a geom that covers a bar, or has its ends at nodes."""
     if geom.rod is None:
         return []
-    nodes = [node_at(k, end) for end in geom.rod.ends[: 1 if geom.rod.kind == "sphere" else 2]]
-    return [Touch(node, geom.rod.radius, law) for node in nodes if node is not None]
+    ends = geom.rod.ends[: 1 if geom.rod.kind == "sphere" else 2]
+    nodes = [node for end in ends if (node := locator.find_node(k, end)) is not None]
+    bar = locator.find_bar(k, geom.rod)
+    if bar is not None:
+        return [Touch(tuple(nodes), bar, geom.rod.radius, law)]
+    return [Touch((node,), None, geom.rod.radius, law) for node in nodes]
 
 
 def _build_grounds(plane: Geom, touches: list[Touch], weights: ContactWeights) -> list[Ground]:
     """Build the grounds of a plane, one for each law."""
     normal = plane.frame.turn[:, 2]
     height = float(normal @ plane.frame.place)
-    touches = sorted(touch for touch in touches if weights.inverse[touch.node] > 0)
+    covered = {
+        node: touch.distance for touch in touches if touch.bar is not None for node in touch.nodes
+    }
+
+    def weigh(touch: Touch) -> float:
+        inverse = weights.inverse[touch.nodes[0]] if touch.bar is None else weights.bars[touch.bar]
+        return float(inverse)
+
+    touches = [
+        touch
+        for touch in sorted(touches, key=lambda touch: touch.nodes)
+        if weigh(touch) > 0
+        and (touch.bar is not None or touch.distance > covered.get(touch.nodes[0], 0.0))
+    ]
     if not touches:
         return []
-    mean = float(np.mean([weights.inverse[touch.node] for touch in touches]))
-    laws: list[tuple[dict[str, Any], list[int]]] = []
+    mean = float(np.mean([weigh(touch) for touch in touches]))
+    laws: list[tuple[dict[str, Any], list[int], list[int]]] = []
     for touch in touches:
-        solref = touch.law.numbers("solref", 2, _DEFAULTS["solref"])
-        if solref[0] > 0 >= solref[1]:
-            raise touch.law.error(
-                "has one number above 0 and one below: give a time constant and a damping ratio, or both negated",
-                "solref",
-            )
-        friction = touch.law.numbers("friction", (1, 2, 3, 4, 5), _DEFAULTS["friction"])[0]
-        slides = touch.law.whole("condim", 3) == 1 or friction == 0
-        inverse = (
-            float(weights.inverse[touch.node]) if solref[0] <= 0 else mean
-        )  # a time constant gives a stiffness proportional to mass
-        numbers = ground_numbers(
-            solref,
-            touch.law.numbers("solreffriction", 2, (0, 0)),
-            None if slides else float(friction),
-            inverse,
-            weights.standing,
-        )
-        law = {**numbers, "height": height + touch.distance}
-        nodes = next((nodes for known, nodes in laws if _is_equal(known, law)), None)
-        if nodes is None:
-            laws.append((law, [touch.node]))
+        law = _read_law(touch.law, weigh(touch), mean, weights.standing)
+        law["height"] = height + (touch.distance if touch.bar is None else 0.0)
+        same = next((kept for kept in laws if _is_equal(kept[0], law)), None)
+        if same is None:
+            same = law, [], []
+            laws.append(same)
+        if touch.bar is None:
+            same[1].append(touch.nodes[0])
         else:
-            nodes.append(touch.node)
+            same[2].append(touch.bar)
     everywhere = len(laws) == 1 and len(touches) == int(np.count_nonzero(weights.inverse))
     try:
         return [
-            Ground(**law, normal=tuple(normal.tolist()), nodes=None if everywhere else nodes)
-            for law, nodes in laws
+            Ground(
+                **law,
+                normal=tuple(normal.tolist()),
+                nodes=None if everywhere and not bars else nodes,
+                bars=bars or None,
+            )
+            for law, nodes, bars in laws
         ]
     except ValueError as error:
         raise plane.element.error(str(error)) from None
+
+
+def _read_law(law: Element, inverse: float, mean: float, standing: float) -> dict[str, Any]:
+    """Read the contact law of an inverse mass [1/kg]. Raises SceneFileError.
+
+    A time constant gives a stiffness proportional to the mass, for the `mean` of inverse masses.
+    """
+    solref = law.numbers("solref", 2, _DEFAULTS["solref"])
+    if solref[0] > 0 >= solref[1]:
+        raise law.error(
+            "has one number above 0 and one below: give a time constant and a damping ratio, or both negated",
+            "solref",
+        )
+    friction = law.numbers("friction", (1, 2, 3, 4, 5), _DEFAULTS["friction"])[0]
+    slides = law.whole("condim", 3) == 1 or friction == 0
+    return ground_numbers(
+        solref,
+        law.numbers("solreffriction", 2, (0, 0)),
+        None if slides else float(friction),
+        inverse if solref[0] <= 0 else mean,
+        standing,
+    )
 
 
 def _is_equal(one: dict[str, Any], other: dict[str, Any]) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,7 +12,8 @@ from tenscasadi.exchange.mjcf.body_tree import build_tree
 from tenscasadi.exchange.mjcf.contact import ContactWeights, contact_weights
 from tenscasadi.exchange.mjcf.elements import Element, read_elements
 from tenscasadi.exchange.mjcf.frames import Units
-from tenscasadi.exchange.mjcf.grounds import read_grounds
+from tenscasadi.exchange.mjcf.geoms import RodGeom
+from tenscasadi.exchange.mjcf.grounds import read_contacts
 from tenscasadi.exchange.mjcf.members import Endpoint, PieceEnds, drop_duplicates, order_by_number
 from tenscasadi.exchange.mjcf.strings import TendonString, read_control, read_strings
 from tenscasadi.exchange.mjcf.words import Defaults, check, children
@@ -24,7 +25,7 @@ from tenscasadi.scene.strings import Clip, ForceDensity, Linear
 from tenscasadi.schema.reading import SceneFileError
 from tenscasadi.structure.rigid_body import RigidBody
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array
+from tenscasadi.util.validate import FILE_ROUNDING, Array
 
 Side = tuple[int, Array]  # a piece, and a position in it
 
@@ -75,9 +76,10 @@ def import_mjcf(path: str | os.PathLike[str], *, strict: bool = True) -> Scene:
       MuJoCo; here only strings with `Linear` do.
     - Position actuators on all tendons become control by rest lengths. Its initial value is that of
       the first key. Control ranges are ignored, because they are bounds of a plan.
-    - Only nodes touch the ground. Spheres, capsules and cylinders that end at a node give its
-      distance. A contact time constant becomes the stiffness for the mean mass. Contacts between
-      bodies, velocities of keys, step and solver are ignored.
+    - Nodes touch the ground. Spheres, capsules and cylinders that end at a node give its distance.
+      A capsule with the radius of its bar makes it one of `Ground.bars`. A contact time constant
+      becomes the stiffness for the mean mass. A `pair` of two such capsules becomes `BarContact`.
+      Other contacts between bodies, velocities of keys, step and solver are ignored.
     - If not `strict`, attached points move to the nearer end of their bar. Hinges that slide become
       balls, a tendon through several sites becomes a row of strings, and boxes are bars along their
       longest side. Actuators with affine forces become control by rest lengths, and tendons without
@@ -321,16 +323,33 @@ class _SceneBuilder:
             return bare
         balls = any(piece.anchor is not None for _, piece in self.bodies.moving())
 
-        def weigh() -> ContactWeights:
-            return contact_weights(bare, build_tree(structure, balls))
+        locator = _Locator(self, bare, balls)
+        grounds, bar_contact = read_contacts(root, self.bodies, defaults, locator)
+        return Scene(structure, **parts, ground=grounds or None, bar_contact=bar_contact)
 
-        def node_at(piece: int, point: Array) -> int | None:
-            near = [
-                end
-                for end, known in enumerate(self.ends.points[piece])
-                if np.linalg.norm(known - point) <= 1e3 * self.ends.close
-            ]
-            return self._node(piece, near[0]) if near else None
 
-        grounds = read_grounds(root, self.bodies, defaults, node_at, weigh)
-        return Scene(structure, **parts, ground=grounds or None)
+class _Locator(NamedTuple):
+    """Nodes and bars of a scene by pieces of the file."""
+
+    builder: _SceneBuilder
+    scene: Scene
+    balls: bool
+
+    def weigh(self) -> ContactWeights:
+        return contact_weights(self.scene, build_tree(self.scene.structure, self.balls))
+
+    def find_node(self, piece: int, point: Array) -> int | None:
+        ends = self.builder.ends
+        for end, known in enumerate(ends.points[piece]):
+            if np.linalg.norm(known - point) <= 1e3 * ends.close:
+                return self.builder.nodes[ends.node(Endpoint(piece, end))]
+        return None
+
+    def find_bar(self, piece: int, rod: RodGeom) -> int | None:
+        if piece not in self.builder.bars or rod.kind != "capsule":
+            return None
+        bar, s = self.builder.bars.index(piece), self.scene.structure
+        if {self.find_node(piece, end) for end in rod.ends} != set(s.bars[bar].tolist()):
+            return None
+        apart = abs(rod.radius**2 - s.bar_radius[bar] ** 2)
+        return bar if apart <= FILE_ROUNDING * rod.length**2 else None

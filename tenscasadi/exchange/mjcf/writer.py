@@ -14,7 +14,6 @@ from tenscasadi.exchange.mjcf.body_tree import (
     Link,
     find_free_directions,
     find_held_directions,
-    inverse_weights,
 )
 from tenscasadi.exchange.mjcf.contact import (
     ContactWeights,
@@ -110,14 +109,14 @@ class MjcfWriter:
         self.drawn, self.sphere = 0.005 * size, 1e-3 * size  # radii of bars and contact spheres
         self.weights = (
             contact_weights(scene, tree)
-            if self.grounds
-            else ContactWeights(np.zeros(len(s.nodes)), 0.0)
+            if scene.contact_laws
+            else ContactWeights(np.zeros(len(s.nodes)), 0.0, np.zeros(len(s.bars)))
         )
         self.touched = sorted(
             {
                 node
                 for ground in self.grounds
-                for node in list_touching(ground, self.weights.inverse)
+                for node in list_touching(ground, s, self.weights.inverse)
             }
         )
         self.turns: dict[int | None, Array] = {
@@ -140,18 +139,10 @@ class MjcfWriter:
         self._options(step)
         world = ET.SubElement(self.root, "worldbody")
         for k, ground in enumerate(self.grounds):
-            place = (ground.height - self.sphere) * np.array(ground.normal)
-            _add(
-                world,
-                "geom",
-                name=f"ground{k}",
-                type="plane",
-                size=[0, 0, 1],
-                pos=place,
-                zaxis=ground.normal,
-                contype=0,
-                conaffinity=0,
-            )
+            if len(ground.select_nodes(self.s)):
+                self._plane(world, f"ground{k}", ground, ground.height - self.sphere)
+            if ground.bars is not None:
+                self._plane(world, f"ground{k}_bars", ground, ground.height)
         self._bars(world, V)
         self._rigid_bodies(world, V)
         self._points(world, V)
@@ -160,6 +151,19 @@ class MjcfWriter:
         self._ties(step)
         self._control(velocities is not None)
         return self.root
+
+    def _plane(self, world: ET.Element, name: str, ground: Ground, height: float) -> None:
+        _add(
+            world,
+            "geom",
+            name=name,
+            type="plane",
+            size=[0, 0, 1],
+            pos=height * np.array(ground.normal),
+            zaxis=ground.normal,
+            contype=0,
+            conaffinity=0,
+        )
 
     def _options(self, step: float) -> None:
         gravity = (0, 0, 0) if self.scene.gravity is None else self.scene.gravity.acceleration
@@ -323,23 +327,28 @@ class MjcfWriter:
             self._ball(body, node, here)
 
     def _contacts(self) -> None:
-        if not self.touched and self.scene.bar_contact is None:
-            return
-        contact = ET.SubElement(self.root, "contact")
-        self._bar_contacts(contact)
+        law, s, (weights, standing, inverse) = self.scene.bar_contact, self.s, self.weights
+        found: list[tuple[str, str, Any, float]] = []  # two geoms, law and inverse mass [1/kg]
+        if law is not None:
+            for one, other in law.select_pairs(s).tolist():
+                weight = float(inverse[one] + inverse[other])
+                found.append((f"capsule{one}", f"capsule{other}", law, weight))
         for k, ground in enumerate(self.grounds):
-            for node in list_touching(ground, self.weights.inverse):
-                numbers = contact_numbers(ground, self.weights.inverse[node], self.weights.standing)
-                _add(contact, "pair", geom1=f"ground{k}", geom2=f"n{node}", **numbers)
+            for bar in np.unique(ground.select_bar_points(s).bars).tolist():
+                found.append((f"ground{k}_bars", f"capsule{bar}", ground, float(inverse[bar])))
+            for node in list_touching(ground, s, weights):
+                found.append((f"ground{k}", f"n{node}", ground, weights[node]))
+        self._capsules({name for pair in found for name in pair[:2]})
+        contact = ET.SubElement(self.root, "contact") if found else self.root
+        for one, other, own, weight in found:
+            if weight > 0:
+                numbers = contact_numbers(own, weight, standing)
+                _add(contact, "pair", geom1=one, geom2=other, **numbers)
 
-    def _bar_contacts(self, contact: ET.Element) -> None:
-        """Add the capsules of bars that touch each other, and their pairs."""
-        law, s = self.scene.bar_contact, self.s
-        if law is None:
-            return
-        pairs, inverse = law.select_pairs(s), inverse_weights(s, self.tree)
-        bodies = {body.get("name"): body for body in self.root.iter("body")}
-        for bar in np.unique(pairs).tolist():
+    def _capsules(self, names: set[str]) -> None:
+        """Add the capsules of bars with given names."""
+        s, bodies = self.s, {body.get("name"): body for body in self.root.iter("body")}
+        for bar in (bar for bar in range(len(s.bars)) if f"capsule{bar}" in names):
             ends = [self.along[bar, node] for node in s.bars[bar].tolist()]
             _add(
                 bodies[f"bar{bar}"],
@@ -352,12 +361,6 @@ class MjcfWriter:
                 conaffinity=0,
                 mass=0,
             )
-        for one, other in pairs.tolist():
-            weight = float(inverse[one] + inverse[other])
-            if weight > 0:
-                numbers = contact_numbers(Ground(law.stiffness, law.damping), weight, 0.0)
-                names = {"geom1": f"capsule{one}", "geom2": f"capsule{other}"}
-                _add(contact, "pair", **names, **numbers)
 
     def _strings(self) -> None:
         if not self.tendons:

@@ -17,9 +17,9 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from tenscasadi.dynamics.contacts import BarContacts, ContactElement
 from tenscasadi.dynamics.force_element import NodeMotion
 from tenscasadi.dynamics.forces import (
-    Contacts,
     ElasticBars,
     StringForces,
     build_elements,
@@ -159,8 +159,8 @@ class StaticEquations:
 
     @property
     def has_friction(self) -> bool:
-        """Whether any ground has friction."""
-        return any(ground.friction is not None for ground in self.scene.grounds)
+        """Whether any contact has friction."""
+        return any(law.friction is not None for law in self.scene.contact_laws)
 
     @property
     def follows(self) -> bool:
@@ -195,8 +195,9 @@ class StaticEquations:
         """
         normals = np.zeros_like(nodes)
         for surface in self.scene.grounds:
-            which = np.arange(len(nodes)) if surface.nodes is None else list(surface.nodes)
-            normals[which] += ca.DM(surface.contact(nodes[which].T).outward).full().T
+            ends = surface.find_depths(self.structure, nodes)[1]
+            which = np.concatenate([ends[:, 0], ends[ends[:, 0] != ends[:, 1], 1]])
+            np.add.at(normals, which, ca.DM(surface.contact(nodes[which].T).outward).full().T)
         return normals
 
     def displace(self, nodes: Array, y: Array) -> Array:
@@ -384,8 +385,10 @@ class StaticEquations:
         at, slipped = NodeMotion(N, ca.DM.zeros(*N.shape), time), (N - A) / slip
         loads = ground = ca.MX(*N.shape)
         for element in build_elements(self.scene, mech, w):
-            if isinstance(element, Contacts):
-                ground += _ground_forces(element, at, C, slipped)
+            if isinstance(element, BarContacts):
+                loads += _contact_forces(element, at, C, slipped)
+            elif isinstance(element, ContactElement):
+                ground += _contact_forces(element, at, C, slipped)
             elif not isinstance(element, (StringForces, ElasticBars)):
                 loads += element.forces(at)
         return ca.vec(ca.densify(loads + ground)), ca.vec(ca.densify(ground))
@@ -441,8 +444,8 @@ def _find_body_bars(scene: Scene) -> tuple[Indices, Array]:
     return bodies.bars[real], bodies.lengths[real]
 
 
-def _ground_forces(element: Contacts, at: NodeMotion, C: Any, slipped: Any) -> Any:
-    """Build the ground forces (3×n) on nodes at rest.
+def _contact_forces(element: ContactElement, at: NodeMotion, C: Any, slipped: Any) -> Any:
+    """Build the contact forces (3×n) on nodes at rest.
 
     Friction resists `slipped` (3×n), relative to the slip distance. Its limit is given by the
     normal forces at C.

@@ -12,10 +12,12 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy.interpolate import RegularGridInterpolator
 
+import tenscasadi as tc
 from tenscasadi.dynamics.model import Model
-from tenscasadi.scene.ground import Ground, Surface, Terrain
+from tenscasadi.scene.ground import Ground, Surface
 from tenscasadi.scene.loads import Gravity
 from tenscasadi.scene.scene import Scene
+from tenscasadi.scene.terrain import Terrain
 from tenscasadi.structure.structure import Structure
 
 LOWER, UPPER = (-1.0, 2.0), (3.0, 5.0)
@@ -214,6 +216,46 @@ def test_one_ground_is_itself_and_none_costs_nothing() -> None:
     assert "ground" not in empty.describe()
 
 
+def test_ends_of_touching_bars_leave_the_nodes() -> None:
+    s = tc.shapes.prism(bar_radius=0.02)
+    a, b = s.bars[1]
+    ground = Ground(bars=[1])
+    assert set(ground.select_nodes(s)) == set(range(6)) - {a, b}
+    assert Ground(bars=[1], nodes=[a]).select_nodes(s).tolist() == [a]
+    assert Ground(bars=[1], nodes=[]).select_nodes(s).tolist() == []
+    assert ground.select_bar_points(s).fractions.tolist() == [0, 1]
+    depths, ends = ground.find_depths(s, s.nodes - [0, 0, 1])
+    np.testing.assert_allclose(depths[-2:], 1 - s.nodes[[a, b], 2] + 0.02)
+    assert ends[-1].tolist() == [a, b]
+
+
+def test_bars_touch_a_height_field_along_their_length() -> None:
+    s = tc.shapes.pendulum()
+    assert len(terrain(bars="all", bar_points=7).select_bar_points(s).bars) == 7
+    found = terrain(bars="all")
+    fractions = found.select_bar_points(s).fractions
+    assert np.diff(fractions).max() * s.bar_lengths[0] <= found.spacing.min() / 2
+
+
+@pytest.mark.parametrize("kind", ["ground", "terrain"])
+@pytest.mark.parametrize("bars", [None, "all", [0]])
+def test_scene_files_hold_bars_of_grounds(kind, bars, tmp_path) -> None:
+    s = tc.shapes.pendulum()
+    make = Ground if kind == "ground" else terrain
+    scene = Scene(s, ground=make(bars=bars, nodes=None if bars is None else []))
+    tc.save_scene(scene, tmp_path / "scene.toml")
+    found = tc.load_scene(tmp_path / "scene.toml").ground
+    assert (found.bars, found.nodes) == (scene.ground.bars, scene.ground.nodes)
+    if isinstance(bars, list):
+        named = Scene(s.replace(bar_names=["log"]), ground=make(bars=bars))
+        tc.save_scene(named, tmp_path / "named.toml")
+        text = (tmp_path / "named.toml").read_text(encoding="utf-8")
+        assert "log" in text
+        by_name = text.replace("bars = [0]", 'bars = ["log"]')
+        (tmp_path / "named.toml").write_text(by_name, encoding="utf-8")
+        assert tc.load_scene(tmp_path / "named.toml").ground.bars == (0,)
+
+
 @pytest.mark.parametrize(
     ("make", "field"),
     [
@@ -227,6 +269,22 @@ def test_one_ground_is_itself_and_none_costs_nothing() -> None:
         (lambda: Ground(nodes=[1, 1]), r"Ground\.nodes is \(1, 1\)"),
         (lambda: Ground(nodes=[-1]), r"Ground\.nodes is -1"),
         (lambda: Ground(nodes=3), r"Ground\.nodes is 3"),
+        (lambda: Ground(bars=[]), r"Ground\.bars is \(\): give each bar once, or None for none"),
+        (lambda: Ground(bars="some"), r'Ground\.bars is .*some.*: give indices, "all" or None'),
+        (lambda: Ground(bars=[-1]), r"Ground\.bars is -1"),
+        (
+            lambda: Scene(Structure([(0, 0, 0)], node_mass=1.0), ground=Ground(bars="all")),
+            r"Ground\.bars is 'all', but there are no bars: leave it out",
+        ),
+        (
+            lambda: Scene(tc.shapes.pendulum(), ground=Ground(bars=[1])),
+            r"Ground\.bars has bar 1: bars run from 0 to 0",
+        ),
+        (lambda: terrain(bars=[0], bar_points=1), r"Terrain\.bar_points is 1"),
+        (
+            lambda: terrain(bars=[0], bar_points=10**9),
+            r"Terrain\.bar_points is 1e\+09: it must be at most",
+        ),
         (
             lambda: Scene(Structure([(0, 0, 0)], node_mass=1.0), ground=Ground(nodes=[1])),
             r"Ground\.nodes is 1: node indices run from 0 to 0",

@@ -19,11 +19,12 @@ from tenscasadi.integrators.runge_kutta import DormandPrince853, RungeKutta4
 from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stabilization import Projection
 from tenscasadi.integrators.sundials import Cvodes, Idas
-from tenscasadi.scene.ground import Ground, Terrain
+from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.loads import Gravity
 from tenscasadi.scene.parameters import Parameters
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity
+from tenscasadi.scene.terrain import Terrain
 from tenscasadi.scene.winches import RestLengthRate
 from tenscasadi.simulation.export import export_c
 from tenscasadi.simulation.simulate import simulate

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -120,6 +121,41 @@ def test_grounds_read_back(name: str, tmp_path: Path) -> None:
             assert getattr(ground, field) == pytest.approx(getattr(wanted, field), rel=1e-9), field
         assert ground.friction == wanted.friction
         assert ground.nodes == (None if name == "point" else wanted.nodes)
+
+
+@pytest.mark.parametrize("friction", [None, 0.3])
+def test_capsules_read_back(friction: float | None, tmp_path: Path) -> None:
+    s = tc.shapes.prism(bar_radius=0.03)
+    law = {"stiffness": 2000.0, "damping": 20.0, "friction": friction, "slip_speed": 0.02}
+    ground = tc.Ground(height=-1.0, bars=[0, 2], nodes=[int(s.bars[1, 0])], **law)
+    contact = tc.BarContact([(0, 1), (1, 2)], **law)
+    found = tc.import_mjcf(
+        tc.export_mjcf(tc.Scene(s, ground=ground, bar_contact=contact), tmp_path / "s.xml")
+    )
+    points, bars = found.grounds
+    assert (points.nodes, points.bars) == (ground.nodes, None)
+    assert (bars.nodes, bars.bars) == ((), (0, 2))
+    assert found.bar_contact.pairs == ((0, 1), (1, 2))
+    for name in ("stiffness", "damping", *(["slip_speed"] if friction else [])):
+        for own in (points, bars, found.bar_contact):
+            assert getattr(own, name) == pytest.approx(law[name], rel=1e-6), name
+            assert own.friction == friction
+    assert bars.height == pytest.approx(-1.0)
+
+
+def test_pairs_with_several_laws_are_named(tmp_path: Path) -> None:
+    s = tc.shapes.prism(bar_radius=0.03)
+    scene = tc.Scene(s, bar_contact=tc.BarContact([(0, 1), (1, 2)], 2000.0))
+    path = tc.export_mjcf(scene, tmp_path / "s.xml")
+    text = path.read_text(encoding="utf-8")
+    solref = re.findall(r'solref="(-[^ ]*) ', text)[1]
+    first, second = text.split("<pair", 2)[1:]
+    path.write_text(
+        text.split("<pair", 1)[0] + "<pair" + first + "<pair" + second.replace(solref, "-5.0"),
+        encoding="utf-8",
+    )
+    with pytest.raises(tc.SceneFileError, match="another law than the first pair of bars"):
+        tc.import_mjcf(path)
 
 
 # Files as others write them.

@@ -14,10 +14,11 @@ from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853
 from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stability import stable_step
 from tenscasadi.integrators.sundials import Cvodes
-from tenscasadi.scene.ground import Ground, Terrain
+from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.loads import Gravity
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Linear, RestLength
+from tenscasadi.scene.terrain import Terrain
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.shapes import double_pendulum

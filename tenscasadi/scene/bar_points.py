@@ -1,0 +1,119 @@
+"""Points of bars at which contact forces act."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import casadi as ca
+
+from tenscasadi.scene.contact_law import times
+from tenscasadi.util.validate import Array, Indices
+
+
+class CapsulePoints(NamedTuple):
+    """Centers of spheres on the axes of bars."""
+
+    bars: Indices  # (m,)
+    fractions: Array  # of the length of the bar, (m,)
+    radii: Array  # (m,) [m]
+
+
+@dataclass(frozen=True, eq=False)
+class BarPoints:
+    """Points that move with bars.
+
+    A bar does not turn about its axis, and no force has a moment about it.
+
+    Attributes
+    ----------
+    starts, ends : list of int
+        Columns of the ends of each bar.
+    fractions : casadi row, shape (1, m)
+        Positions along the axes, from 0 at the start to 1 at the end.
+    offsets : casadi expression, shape (3, m), or None
+        Vectors from the axes to the points [m]. None: on the axes.
+    """
+
+    starts: list[int]
+    ends: list[int]
+    fractions: Any
+    offsets: Any = None
+
+    @property
+    def columns(self) -> list[int]:
+        """Columns of all starts, then of all ends."""
+        return [*self.starts, *self.ends]
+
+    def place(self, N: Any) -> Any:
+        """Interpolate a row of columns N (3×n) on the axes."""
+        first, second = N[:, self.starts], N[:, self.ends]
+        return times(first, 1 - self.fractions) + times(second, self.fractions)
+
+    def velocities(self, N: Any, V: Any) -> Any:
+        """Compute the velocities (3×m) [m/s] of the points."""
+        moves = self.place(V)
+        if self.offsets is None:
+            return moves
+        axis, along, squared = self._axes(N)
+        turning = V[:, self.ends] - V[:, self.starts]  # ω × d, ω = b × ḃ/bᵀb
+        across = ca.sum1(turning * self.offsets)
+        return moves + times(turning, along / squared) - times(axis, across / squared)
+
+    def end_forces(self, N: Any, F: Any) -> Any:
+        """Convert forces (3×m) [N] at the points to forces (3×2m) at `columns`."""
+        first, second = times(F, 1 - self.fractions), times(F, self.fractions)
+        if self.offsets is not None:  # the couple d × F across the axis
+            axis, along, squared = self._axes(N)
+            pull = times(F, along / squared)
+            pull = pull - times(self.offsets, ca.sum1(F * axis) / squared)
+            first, second = first - pull, second + pull
+        return ca.horzcat(first, second)
+
+    def _axes(self, N: Any) -> tuple[Any, Any, Any]:
+        axis = N[:, self.ends] - N[:, self.starts]
+        return axis, ca.sum1(axis * self.offsets), ca.sum1(axis * axis)
+
+
+@dataclass(frozen=True, eq=False)
+class NodePoints:
+    """Nodes that contact forces act on."""
+
+    columns: list[int]
+
+    def velocities(self, N: Any, V: Any) -> Any:
+        """Select the velocities (3×m) [m/s]."""
+        return V[:, self.columns]
+
+    def end_forces(self, N: Any, F: Any) -> Any:
+        """Return forces F (3×m) [N] at `columns`."""
+        return F
+
+
+def press_spheres(surface: Any, points: BarPoints, radii: Any, N: Any) -> tuple[Any, BarPoints]:
+    """Find the contact of spheres on the axes of bars with a ground.
+
+    Parameters
+    ----------
+    surface : Surface
+        Ground.
+    points : BarPoints
+        Centers of the spheres.
+    radii : ndarray, shape (m,)
+        Their radii [m].
+    N : casadi expression, shape (3, n)
+        Positions of the columns [m].
+
+    Returns
+    -------
+    tuple
+        Contact, and the points where the spheres touch.
+    """
+    row = ca.DM(radii).T
+    contact = surface.contact(points.place(N))
+    contact = contact._replace(depth=contact.depth + row)
+    if surface.friction is None:
+        return contact, points  # normal forces have no moment about the axes
+    lever = row if contact.steepness is None else row / contact.steepness
+    offsets = -times(contact.outward, lever)
+    return contact, BarPoints(points.starts, points.ends, points.fractions, offsets)
