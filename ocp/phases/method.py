@@ -19,6 +19,7 @@ from ocp.results.diagnosis import explain_failure
 from ocp.results.result import PlanResult
 from ocp.solvers.base import Outcome, Solution, Solver, find_best_iterate
 from ocp.solvers.condensed_newton import CondensedNewton
+from ocp.solvers.early_stop import stop_early
 from ocp.solvers.ipopt import Ipopt
 from ocp.solvers.monitor import Monitor
 from ocp.solvers.multipliers import name_duals
@@ -138,16 +139,19 @@ def solve_phased(
     guess: InitialGuess | None,
     monitor: Monitor,
     tolerance: float,
-) -> tuple[Outcome, Target]:
+) -> tuple[Outcome, Target | None]:
     """Solve a problem with phases.
 
     The transcription must be a `Variational`, whose intervals are those of each phase. `tolerance`
     is the permitted distance of the replay from the goals [m]. Returns the result, and the target
-    of its acceptance test. Raises TypeError, ValueError or InfeasibleGoalError.
+    of its acceptance test; None if it stopped before. Raises TypeError, ValueError or
+    InfeasibleGoalError.
     """
     if not isinstance(solver, Ipopt):
         raise ValueError(f"solver is {type(solver).__name__}: phases take ocp.Ipopt()")
-    task = link_problem(problem, transcription, guess)
+    task = monitor.run(lambda: link_problem(problem, transcription, guess), lambda: None)
+    if task is None:
+        return stop_early(problem, transcription, monitor.status()), None
 
     def run() -> Solution:
         solution = solver.solve(task.program, monitor)

@@ -22,6 +22,7 @@ from ocp.sampling.search import Search
 from ocp.sampling.solver import Sampling
 from ocp.sampling.spline_noise import SplineNoise
 from ocp.solvers.base import Outcome
+from ocp.solvers.early_stop import stop_early
 from ocp.solvers.monitor import STOPPED, TIME_UP, Monitor, Progress
 from ocp.transcription.base import Transcription
 from ocp.transcription.mesh import Guess, held_values
@@ -85,20 +86,11 @@ def solve_sampled(
     def stop() -> Outcome:
         best = None if method is None else method.best
         if method is None or best is None or not np.isfinite(best.merit):
-            return _stop_at_start(problem, transcription, monitor.status())
+            return stop_early(problem, transcription, monitor.status())
         return method.stop()
 
     method = monitor.run(build, lambda: None)
     return stop() if method is None else monitor.run(lambda: method.run(guess), stop)
-
-
-def _stop_at_start(problem: Problem, transcription: Transcription, status: str) -> Outcome:
-    """Return the start state as result of a run without a motion."""
-    count = transcription.count
-    states = np.tile(problem.initial_state, (count + 1, 1))
-    gamma = np.tile(choose_defaults(problem).force_density, (count, 1))
-    why = f"{_STOPS[status]}: no motion was simulated"
-    return Outcome(states, gamma, problem.longest, np.nan, False, status, 0, why=why)
 
 
 class _Method:

@@ -6,7 +6,7 @@ The acceptance test of each attempt is its replay.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -27,13 +27,13 @@ from ocp.search.narrow_limits import explain_limits
 from ocp.search.policy import INEXACT, Attempt, attempts, complete, is_inexact
 from ocp.search.task import Method, PlanningTask, prepare
 from ocp.solvers.base import Outcome
-from ocp.solvers.monitor import Monitor
+from ocp.solvers.monitor import REPLAYING, Monitor
 from ocp.solvers.relaxation import TOO_SLOW
 from ocp.targets.find_target import find_target
 from ocp.targets.infeasible_goal import InfeasibleGoalError, TargetNotFoundWarning
 from ocp.targets.target import StateAt, Target
 from ocp.transcription.base import Transcription
-from ocp.transcription.mesh import PiecewiseConstant
+from ocp.transcription.mesh import Profile
 from ocp.transcription.multiple_shooting import MultipleShooting
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
 from tenscasadi.structure.names import add_names
@@ -70,27 +70,43 @@ def find_plan(
     """
     monitor = Monitor() if monitor is None else monitor
     automatic = transcription is None and solver is None
-    given = None if automatic else complete(transcription, solver, guess, problem)
-    reduced = None
-    shoots = given is not None and isinstance(given.transcription, MultipleShooting)
-    if not problem.phases and not shoots:
-        reduced = reduce_coordinates(problem, guess)
-    if reduced is not None:
-        problem, guess = reduced.problem, reduced.guess(guess)
-    limit = RELIABLE * Scales.of(problem).length if tolerance is None else tolerance
-    control = PiecewiseConstant() if given is None else given.transcription.control
+    given = complete(transcription, solver, guess, problem)
     with monitor.catching_interrupts():
-        try:
-            task = prepare(problem, control, limit, monitor, _interpolate_guess(problem, guess))
-        except InfeasibleGoalError as error:
-            named = add_names(str(error), problem.model.scene.structure)
-            raise add_address(InfeasibleGoalError(named, error.certificate)) from None
-        rows = attempts(task, guess) if given is None else [given._replace(guess=guess)]
-        result = _walk(_PlanSearch(task, tracked, reduced), rows, automatic)
+        reduced = None
+        shoots = not automatic and isinstance(given.transcription, MultipleShooting)
+        if not problem.phases and not shoots:
+            reduced = reduce_coordinates(problem, guess)
+        if reduced is not None:
+            problem, guess = reduced.problem, reduced.guess(guess)
+            given = given._replace(guess=guess)
+        task = _prepare(problem, given.transcription.control, guess, tolerance, monitor)
+        rows = attempts(task, guess) if automatic else iter([given])
+        result = _walk(_PlanSearch(task, tracked, reduced), rows, given, automatic)
     if reduced is None:
         return result
     note = "; found in reduced coordinates" if result.success else ""
     return reduced.restore(replace(result, message=f"{result.message}{note}"))
+
+
+def _prepare(
+    problem: Problem,
+    control: Profile,
+    guess: InitialGuess | None,
+    tolerance: float | None,
+    monitor: Monitor,
+) -> PlanningTask:
+    """Prepare the task of a search; it has no target if the search has to stop before.
+
+    Raises InfeasibleGoalError.
+    """
+    scales, near = Scales.of(problem), _interpolate_guess(problem, guess)
+    limit = RELIABLE * scales.length if tolerance is None else tolerance
+    early = PlanningTask(problem, None, scales, limit, monitor)
+    try:
+        return monitor.run(lambda: prepare(problem, control, limit, monitor, near), lambda: early)
+    except InfeasibleGoalError as error:
+        named = add_names(str(error), problem.model.scene.structure)
+        raise add_address(InfeasibleGoalError(named, error.certificate)) from None
 
 
 def _interpolate_guess(problem: Problem, guess: InitialGuess | None) -> StateAt | None:
@@ -105,14 +121,22 @@ def _interpolate_guess(problem: Problem, guess: InitialGuess | None) -> StateAt 
     return interpolate_plan(guess) if same else None
 
 
-def _walk(search: _PlanSearch, rows: Iterable[Attempt], automatic: bool) -> PlanResult:
+def _walk(
+    search: _PlanSearch, rows: Iterator[Attempt], first: Attempt, automatic: bool
+) -> PlanResult:
     """Run the attempts until the first success.
 
-    An attempt is skipped if it does not apply to the kind of the last failure.
+    An attempt is skipped if it does not apply to the kind of the last failure. If the search has to
+    stop while an attempt is being built, `first` provides the result.
     """
     tried: list[tuple[str, PlanResult]] = []
     plan: PlanResult | None = None
-    for attempt in rows:
+
+    def advance() -> Attempt | None:
+        otherwise = None if tried else first
+        return search.task.monitor.run(lambda: next(rows, None), lambda: otherwise)
+
+    while (attempt := advance()) is not None:
         if not attempt.follows(plan):
             continue
         if plan is not None and attempt.after == INEXACT:
@@ -167,12 +191,14 @@ def _try(search: _PlanSearch, attempt: Attempt) -> tuple[PlanResult, Target | No
     task = search.task
     outcome, target = run_attempt(task, attempt)
     plan = _record(task, attempt, outcome)
+    if target is None:
+        return replace(plan, message=f"no plan: {outcome.why}"), task.target
     other = _find_other_target(task, plan, outcome)
     if other is not None:
         again = task._replace(target=other)
         found, reached = run_attempt(again, attempt._replace(guess=replace(plan, duals=None)))
         count = outcome.iterations + found.iterations
-        if found.success:
+        if found.success and reached is not None:
             task, outcome, target = again, found, reached
         outcome = outcome._replace(iterations=count)
         plan = _record(task, attempt, outcome)
@@ -185,7 +211,7 @@ def _try(search: _PlanSearch, attempt: Attempt) -> tuple[PlanResult, Target | No
                 return replay_tracked(given)
             return replay_open(given, given.require_model("replay"), None, None)
 
-        motion = task.monitor.run(simulate, lambda: None, task.monitor.grace)
+        motion = task.monitor.run(simulate, lambda: None, REPLAYING)
         return motion if motion is None or search.reduced is None else search.reduced.lower(motion)
 
     given = task.problem if search.reduced is None else search.reduced.given
@@ -209,8 +235,8 @@ def _find_other_target(task: PlanningTask, plan: PlanResult, found: Outcome) -> 
         return None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", TargetNotFoundWarning)
-        other = find_target(problem, task.scales, state_at)
-    return other if other.met else None
+        other = task.monitor.run(lambda: find_target(problem, task.scales, state_at), lambda: None)
+    return other if other is not None and other.met else None
 
 
 def _record(task: PlanningTask, attempt: Attempt, found: Outcome) -> PlanResult:

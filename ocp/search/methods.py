@@ -16,7 +16,7 @@ from ocp.results.diagnosis import build_interpolant, explain_failure
 from ocp.results.result import PlanResult
 from ocp.sampling.method import solve_sampled
 from ocp.sampling.solver import Sampling
-from ocp.search.policy import Attempt, build_force_density_task
+from ocp.search.policy import Attempt
 from ocp.search.rest_lengths import convert_outcome
 from ocp.search.task import PlanningTask, prepare
 from ocp.solvers.base import Outcome, Solution, Solver, find_best_iterate
@@ -26,53 +26,60 @@ from ocp.solvers.correction import (
     Corrected,
     solve_corrected,
 )
+from ocp.solvers.early_stop import stop_early
 from ocp.solvers.ipopt import Ipopt
-from ocp.solvers.monitor import TIME_UP, Monitor
+from ocp.solvers.monitor import Monitor
 from ocp.solvers.multipliers import name_duals, warm_start_program
 from ocp.solvers.relaxation import find_rate_relaxation
 from ocp.targets.target import Target
 from ocp.transcription.assemble import build_program
 from ocp.transcription.base import Transcription
-from ocp.transcription.mesh import Guess, held_values, on_mesh
+from ocp.transcription.mesh import Guess, held_values
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.util.validate import instance
 
 
-def run_attempt(task: PlanningTask, attempt: Attempt) -> tuple[Outcome, Target]:
+def run_attempt(task: PlanningTask, attempt: Attempt) -> tuple[Outcome, Target | None]:
     """Run one attempt at a planning task.
 
-    Returns its result, and the target of its acceptance test.
+    Returns its result, and the target of its acceptance test; None if the attempt stopped before it
+    was found.
     """
-    if attempt.forces:
-        return _plan_force_densities(task, attempt)
+    if attempt.twin is not None:
+        return _plan_force_densities(task, attempt.twin, attempt)
     problem, target, monitor = task.problem, task.target, task.monitor
     transcription, solver, guess, *_ = attempt
     monitor.phase = attempt.describe()
     if target is None:
+        if not problem.phases:  # the search stopped before it found a target
+            return stop_early(problem, transcription, monitor.status()), None
         if isinstance(solver, Sampling):
             raise ValueError(
                 "solver is Sampling, and Problem.phases say when nodes stand: leave one of them out"
             )
         return solve_phased(problem, transcription, solver, guess, monitor, task.tolerance)
+    first = None
+    if guess is not None or not isinstance(solver, Sampling):
+        first = monitor.run(
+            lambda: evaluate_guess(guess, problem, target, transcription.count), lambda: None
+        )
+        if status := monitor.status():
+            outcome = stop_early(problem, transcription, status, first)
+            return outcome, None if first is None else target
     if isinstance(solver, Sampling):
-        known = None
-        if guess is not None:
-            first = evaluate_guess(guess, problem, target, transcription.count)
-            known = first.perturb(*problem.control_limits)
+        known = None if first is None else first.perturb(*problem.control_limits)
         outcome = solve_sampled(problem, transcription, known, solver, monitor, task.tolerance)
         return outcome, target
-    first = evaluate_guess(guess, problem, target, transcription.count)
-    if status := monitor.status():
-        return _stop_early(task, transcription, first, status), target
+    if first is None:
+        raise TypeError("a program has an initial guess")
     return _solve_program(task, attempt, target, first), target
 
 
-def _plan_force_densities(task: PlanningTask, attempt: Attempt) -> tuple[Outcome, Target]:
+def _plan_force_densities(
+    task: PlanningTask, twin: PlanningTask, attempt: Attempt
+) -> tuple[Outcome, Target | None]:
     """Run an attempt in force densities, and convert its result to rest lengths or rates."""
-    twin = build_force_density_task(task)
-    if twin is None or task.target is None:
-        raise ValueError("the problem has no counterpart in force densities")
-    found, target = run_attempt(twin, attempt._replace(forces=False))
+    found, target = run_attempt(twin, attempt._replace(twin=None))
     outcome = convert_outcome(task.problem, attempt.transcription.fractions, found)
     return outcome, task.target if task.problem.model.na else target
 
@@ -101,16 +108,6 @@ def program_of(
     return build_program(transcription, _drop_slack(problem), task.target, task.scales, first)
 
 
-def _stop_early(
-    task: PlanningTask, transcription: Transcription, guess: Guess, status: str
-) -> Outcome:
-    """Return the initial guess as result of a stopped attempt."""
-    own = on_mesh(task.problem.model, guess, transcription.fractions, transcription.control)
-    cure = ": increase time_limit" if status == TIME_UP else ""
-    why = f"stopped before the solver began, with the guess{cure}"
-    return Outcome(own.states, own.force_density, own.duration, np.nan, False, status, 0, why=why)
-
-
 def _drop_slack(problem: Problem) -> Problem:
     """Replace the model of a problem by its smooth model.
 
@@ -137,7 +134,7 @@ def _solve_program(task: PlanningTask, attempt: Attempt, target: Target, guess: 
 
     program = monitor.run(build, lambda: None)
     if program is None:
-        return _stop_early(task, transcription, guess, monitor.status())
+        return stop_early(problem, transcription, monitor.status(), guess)
     found = monitor.run(
         lambda: _run_solver(problem, transcription, solver, program, monitor),
         lambda: Corrected(find_best_iterate(program, monitor), None, 0.0),

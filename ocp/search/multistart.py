@@ -42,7 +42,8 @@ def find_best_plan(
                 break
             part = monitor.limit(None if np.isinf(monitor.left) else monitor.left / (count - k))
             plans.append(find_plan(*one, monitor=part, tracked=tracked))
-            monitor.interrupted |= part.interrupted
+            if part.interrupted:
+                monitor.stop()
     else:
         limit = None if np.isinf(monitor.left) else max(1e-3, monitor.left)
         running = [executor.submit(find_limited_plan, one, limit, tracked) for one in each]

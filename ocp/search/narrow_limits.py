@@ -35,7 +35,9 @@ def explain_limits(task: PlanningTask) -> str:
     if target is None or not target.met or task.problem.model.scene.grounds:
         return ""
     task.monitor.phase = "limits that are too narrow"
-    return task.monitor.run(lambda: _explain(task, target), lambda: "")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", TargetNotFoundWarning)
+        return task.monitor.run(lambda: _explain(task, target), lambda: "")
 
 
 def _explain(task: PlanningTask, target: Target) -> str:
@@ -77,12 +79,10 @@ def _find_duration(task: PlanningTask, longest: float, solver: Ipopt) -> float |
         return None
     free = replace(problem, duration=(problem.shortest, longest), costs=[Duration()])
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", TargetNotFoundWarning)
-            longer = prepare(free, Variational(MIN_INTERVALS).control, task.tolerance, task.monitor)
-            if longer.target is None:
-                return None
-            program = _build(longer, longer.target)
+        longer = prepare(free, Variational(MIN_INTERVALS).control, task.tolerance, task.monitor)
+        if longer.target is None:
+            return None
+        program = _build(longer, longer.target)
     except (InfeasibleGoalError, ValueError):  # such as of costs that a free duration excludes
         return None
     found = solver.solve(program, task.monitor)

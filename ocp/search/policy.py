@@ -52,8 +52,8 @@ class Attempt(NamedTuple):
     after : str
         Condition: the first attempt (FIRST), after an optimum with an inaccurate replay (INEXACT),
         or after a failure of the solver (FAILED).
-    forces : bool
-        Whether force densities are planned, and converted to rest lengths.
+    twin : PlanningTask, optional
+        The same task in force densities, whose plan is converted to rest lengths.
     """
 
     transcription: Transcription
@@ -61,7 +61,7 @@ class Attempt(NamedTuple):
     guess: InitialGuess | None
     why: str
     after: str = FIRST
-    forces: bool = False
+    twin: PlanningTask | None = None
 
     def describe(self) -> str:
         """Describe the method.
@@ -70,7 +70,7 @@ class Attempt(NamedTuple):
         """
         name, count = type(self.transcription).__name__, self.transcription.count
         text = f"{name} of {count} intervals by {type(self.solver).__name__}"
-        return f"{text}, in force densities" if self.forces else text
+        return text if self.twin is None else f"{text}, in force densities"
 
     def follows(self, last: PlanResult | None) -> bool:
         """Return whether the attempt applies after a failed plan.
@@ -147,7 +147,7 @@ def attempts(task: PlanningTask, guess: InitialGuess | None) -> Iterator[Attempt
         coarse = Variational(
             choose_intervals(twin.problem, forces), control=PiecewiseLinear(), accuracy=accuracy
         )
-        yield Attempt(coarse, solver, known, "stiff strings", after, forces=True)
+        yield Attempt(coarse, solver, known, "stiff strings", after, twin)
         after = FAILED
     if model.has_coupled_rates:  # which Variational does not take
         yield Attempt(shooting, Ipopt(), start, "motors of winches", after)

@@ -18,6 +18,10 @@ Result = TypeVar("Result")
 
 STOPPED = "User_Requested_Stop"
 TIME_UP = "Time_Limit_Reached"  # of the whole search, with all that comes before the solver
+# permitted delay of results after the limit: the larger of 1 s and 10 % of it
+DELAY, RELATIVE_DELAY = 1.0, 0.1
+# shares of it until which solvers may stop by themselves, and the last replay may end
+STOPPING, REPLAYING = 0.3, 0.9
 
 
 class Progress(NamedTuple):
@@ -64,7 +68,7 @@ class Monitor:
     phase : str
         Current part of the search, for the progress.
     interrupted : bool
-        Whether a stop was requested, as from the keyboard.
+        Whether a stop was requested, as from the keyboard; see `stop`.
     """
 
     def __init__(
@@ -100,15 +104,6 @@ class Monitor:
         """Number of the last iteration of the work in a thread, and its best iterate."""
         return None if self._worker is None else self._worker.iterate
 
-    @property
-    def grace(self) -> float:
-        """Wall time for a last replay after the limit [s].
-
-        With the patience of `run`, results are late by less than 1 s or 10 % of the limit.
-        """
-        limit = self.deadline - self.began
-        return max(0.6, 0.05 * limit) if math.isfinite(limit) else 0.6
-
     def status(self) -> str:
         """Return why the search has to stop, or ""."""
         if self.interrupted:
@@ -119,15 +114,21 @@ class Monitor:
         self,
         work: Callable[[], Result],
         otherwise: Callable[[], Result],
-        patience: float = 0.3,
+        share: float = STOPPING,
     ) -> Result:
         """Run work in a thread, and abandon it if it does not stop soon.
 
-        `otherwise` builds the result of abandoned work, from `iterate`. `patience` is the time that
-        work has to stop by itself [s]. Callbacks of the user run in the calling thread.
+        `otherwise` builds the result of abandoned work, from `iterate`. All work has the same time
+        to stop by itself, `share` of the permitted delay. Callbacks of the user run in the calling
+        thread.
         """
+
+        def is_late() -> bool:
+            permitted = max(DELAY, RELATIVE_DELAY * (self.deadline - self.began))
+            return bool(self.status()) and -self.left > share * permitted
+
         self._worker = Worker(work)
-        return self._worker.wait(self.status, otherwise, patience)
+        return self._worker.wait(is_late, otherwise)
 
     def ask(self, call: Callable[[], Result]) -> Result:
         """Call a function in the thread of the search.
@@ -158,7 +159,7 @@ class Monitor:
             self.ask(lambda: show(line))
         watch = self._watch
         if watch is not None and self.ask(lambda: watch(now)) is False:
-            self._stop()
+            self.stop()
         return self.status()
 
     @contextmanager
@@ -169,13 +170,15 @@ class Monitor:
             return
         self._catches = True
         try:
-            with on_interrupt(self._stop, then_raise=False):
+            with on_interrupt(self.stop, then_raise=False):
                 yield
         finally:
             self._catches = False
 
-    def _stop(self) -> None:
+    def stop(self) -> None:
+        """Request a stop of the search."""
         self.interrupted = True
+        self.deadline = min(self.deadline, time.perf_counter())
 
 
 def build_monitor(time_limit: Any, progress: Any) -> Monitor:

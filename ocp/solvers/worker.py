@@ -6,7 +6,6 @@ the work only as long as the search may take.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as NotYet
@@ -27,7 +26,8 @@ class Abandoned(Exception):
 class Worker:
     """Thread that works for a waiting one.
 
-    Abandoned work goes on until it checks for a stop. Its result is lost.
+    Abandoned work goes on until it checks for a stop. Its result is lost. At exit, Python waits for
+    it: a daemon thread that returns from compiled code meanwhile would abort the process.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ class Worker:
     Examples
     --------
     >>> from ocp.solvers.worker import Worker
-    >>> Worker(lambda: 6 * 7).wait(lambda: "", lambda: None, patience=0.3)
+    >>> Worker(lambda: 6 * 7).wait(lambda: False, lambda: None)
     42
     """
 
@@ -67,22 +67,15 @@ class Worker:
             self._result.set_exception(error)
         self._calls.put((None, self._result))
 
-    def wait(
-        self,
-        status: Callable[[], str],
-        otherwise: Callable[[], Result],
-        patience: float,
-    ) -> Result:
+    def wait(self, is_late: Callable[[], bool], otherwise: Callable[[], Result]) -> Result:
         """Wait for the result of the work.
 
         Parameters
         ----------
-        status : callable
-            Function that returns why to stop, or "".
+        is_late : callable
+            Function that returns whether to abandon the work.
         otherwise : callable
-            Function that builds the result if the work does not stop soon.
-        patience : float
-            Time for it to stop by itself, with a better result [s].
+            Function that builds the result of abandoned work.
 
         Returns
         -------
@@ -92,14 +85,13 @@ class Worker:
         before = stack_size(64 * 2**20)  # some systems' default is too small for expressions
         self._thread.start()
         stack_size(before)
-        latest = float("inf")
         try:
-            while time.perf_counter() < latest:
-                if status():
-                    latest = min(latest, time.perf_counter() + patience)
+            while True:
                 try:
                     call, reply = self._calls.get(timeout=0.05)
                 except Empty:
+                    if is_late():
+                        break
                     continue
                 if call is None:
                     return self._result.result()  # type: ignore[no-any-return]

@@ -10,6 +10,7 @@ import time
 import casadi as ca
 import numpy as np
 import pytest
+from jumping import flight, jumping, push
 from planning import driven, raising
 
 import ocp
@@ -78,7 +79,7 @@ def test_a_goal_that_fixes_a_free_duration_is_met():
 
 def test_interruption_before_the_solver_begins_blames_no_limit():
     monitor = Monitor()
-    monitor.interrupted = True
+    monitor.stop()
     plan = find_plan(raising(), ocp.Variational(6), monitor=monitor)
     assert "before the solver began" in plan.message
     assert "time_limit" not in plan.message
@@ -109,6 +110,28 @@ def test_time_limit_ends_a_solver_that_does_not_stop():
     assert plan.iterations == 3
     assert plan.seconds < 10
     assert np.all(np.isfinite(plan.trajectory.states))
+
+
+@pytest.mark.parametrize("part", ["find_plan.prepare", "policy.evaluate_guess"])
+def test_time_limit_ends_parts_before_the_solver(part, monkeypatch):
+    release = threading.Event()
+    monkeypatch.setattr(f"ocp.search.{part}", lambda *_: release.wait(30))
+    began = time.perf_counter()
+    plan = ocp.solve(raising(), time_limit=0.1)
+    seconds = time.perf_counter() - began
+    release.set()
+    assert seconds < 10
+    assert not plan.success
+    assert "stopped before the solver began, with the start: increase time_limit" in plan.message
+    assert np.all(np.isfinite(plan.trajectory.states))
+
+
+def test_time_limit_ends_the_building_of_phases(monkeypatch):
+    release = threading.Event()
+    monkeypatch.setattr("ocp.phases.method.link_problem", lambda *_: release.wait(30))
+    plan = ocp.solve(jumping(push(), flight(0.2)), time_limit=0.1)
+    release.set()
+    assert "stopped before the solver began, with the start" in plan.message
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals")
