@@ -22,7 +22,7 @@ from tenscasadi.statics.solver.relaxation import relax
 from tenscasadi.statics.solver.settling import settle
 from tenscasadi.statics.solver.static_equations import Conditions, StaticEquations
 from tenscasadi.statics.solver.trust_region import MOVES_AWAY, SINGULAR, SearchResult
-from tenscasadi.statics.stuck_cables import find_sliding, read_sliding
+from tenscasadi.statics.stuck_cables import find_sliding, hold, read_sliding, stick
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.immutable import ReadOnlyArrays, keep
 from tenscasadi.util.validate import NEGLIGIBLE, Array, finite_array, instance, nesting
@@ -193,7 +193,9 @@ def find_equilibrium(
     bare = scene if isinstance(scene, Scene) else scene.scene
     if bare.structure.cable_friction.any():
         fixed = read_sliding(bare, control, parameters)
-        sliding: Equilibrium = find_sliding(fixed, find_equilibrium, start)
+        stuck = stick(fixed)
+        found = find_sliding(fixed, lambda rho, begin: find_equilibrium(stuck, begin, rho), start)
+        sliding: Equilibrium = hold(fixed, found)
         return sliding
     nodes, given = read_problem(scene, start, control, parameters)
     system = newton_system(bare)

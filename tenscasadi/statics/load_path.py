@@ -21,6 +21,7 @@ from tenscasadi.statics.equilibrium import (
     read_load,
     read_problem,
 )
+from tenscasadi.statics.sliding_path import SlidingRow, follow_sliding
 from tenscasadi.statics.solver.continuation import LoadChange, PathRow, Tracer
 from tenscasadi.statics.solver.newton_system import NewtonSystem
 from tenscasadi.statics.solver.settling import prepare_friction, settle
@@ -159,6 +160,10 @@ def load_path(
     Each row is an equilibrium to rounding. Limit points and bifurcations are rows of their own. At
     bifurcations the path continues on the primary branch.
 
+    Cables with friction slip from row to row, no further than needed: their tensions differ by at
+    most the factor exp(μ θ), with the angle θ in the row. Such a path follows a growing `load`, and
+    ends where the structure would snap through. Stability is that of cables that stick.
+
     Examples
     --------
     Shortening the strings of a prism stiffens it:
@@ -174,6 +179,15 @@ def load_path(
     instance("scene", scene, (Scene, Model), "a tenscasadi.Scene or Model")
     bare = scene if isinstance(scene, Scene) else scene.scene
     low, high = _read_factors(factors)
+    if load is None and control is None and parameters is None:
+        raise ValueError("load, control and parameters are None: give one that changes")
+    if bare.structure.cable_friction.any():
+        for name, value in (("control", control), ("parameters", parameters)):
+            if value is not None:
+                raise ValueError(
+                    f"{name} is {format_value(value)}: load paths of cables with friction take a load only"
+                )
+        return _collect_sliding(bare, *follow_sliding(bare, load, (low, high), start))
     nodes, given = read_problem(scene, start, None, None)
     system = newton_system(bare)
     change = _read_change(system, given, load, control, parameters, (low, high))
@@ -209,8 +223,6 @@ def _read_change(
     Raises TypeError, ValueError.
     """
     scene = system.equations.scene
-    if load is None and control is None and parameters is None:
-        raise ValueError("load, control and parameters are None: give one that changes")
     forces = read_load(system, load) if load is not None else np.zeros(given.anchor.shape)
     du = np.zeros(scene.nu) if control is None else finite_array("control", control, (scene.nu,))
     dp = _read_parameters(scene, parameters)
@@ -259,10 +271,6 @@ def _collect(scene: Scene, system: NewtonSystem, rows: list[PathRow], fault: str
     nodes = [row.place.point.nodes for row in rows]
     kinds = np.array([row.kind for row in rows], dtype="U11")
     factor = np.array([row.place.factor for row in rows])
-    end = f"from factor {factor[0]:g} to {factor[-1]:g} in {count} rows" if count else ""
-    overloads = [describe_overload(scene, row) for row in tension]
-    for k in [k for k, overload in enumerate(overloads) if overload][:1]:
-        end += f"; at factor {factor[k]:.4g} {overloads[k]}"
     return LoadPath(
         factor=factor,
         nodes=np.array(nodes).reshape(count, len(equations.structure.nodes), 3),
@@ -272,5 +280,35 @@ def _collect(scene: Scene, system: NewtonSystem, rows: list[PathRow], fault: str
         limit_points=np.flatnonzero(kinds == "limit"),
         bifurcations=np.flatnonzero(kinds == "bifurcation"),
         success=not fault,
-        message=f"{end}: {fault}" if fault and count else fault or end,
+        message=_describe(scene, factor, tension, fault),
     )
+
+
+def _collect_sliding(scene: Scene, rows: list[SlidingRow], fault: str) -> LoadPath:
+    """Collect all quantities of a path with friction of cables."""
+    s, found = scene.modelled, [row.equilibrium for row in rows]
+    factor = np.array([row.factor for row in rows])
+    tension = np.array([eq.tension for eq in found]).reshape(len(rows), len(s.strings))
+    none = np.zeros(0, dtype=np.intp)
+    return LoadPath(
+        factor=factor,
+        nodes=np.array([eq.nodes for eq in found]).reshape(len(rows), len(s.nodes), 3),
+        tension=tension,
+        bar_force=np.array([eq.bar_force for eq in found]).reshape(len(rows), len(s.bars)),
+        stable=np.array([eq.stable for eq in found], dtype=bool),
+        limit_points=none,
+        bifurcations=none,
+        success=not fault,
+        message=_describe(scene, factor, tension, fault),
+    )
+
+
+def _describe(scene: Scene, factor: Array, tension: Array, fault: str) -> str:
+    """Describe a path, with the first overload of a string, and its early end."""
+    if not len(factor):
+        return fault
+    end = f"from factor {factor[0]:g} to {factor[-1]:g} in {len(factor)} rows"
+    overloads = [describe_overload(scene, row) for row in tension]
+    for k in [k for k, overload in enumerate(overloads) if overload][:1]:
+        end += f"; at factor {factor[k]:.4g} {overloads[k]}"
+    return f"{end}: {fault}" if fault else end

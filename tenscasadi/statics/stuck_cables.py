@@ -10,6 +10,7 @@ import numpy as np
 
 from tenscasadi.scene.binding import fix
 from tenscasadi.scene.scene import Scene
+from tenscasadi.scene.strings import RestLength
 from tenscasadi.structure.cables import wrap_angles
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import NEGLIGIBLE, Array, Indices
@@ -50,7 +51,21 @@ def read_sliding(scene: Scene, control: Any, parameters: Any) -> Scene:
     return fixed
 
 
-def find_sliding(scene: Scene, search: Callable[[Scene, Any], Any], start: Any) -> Any:
+def stick(scene: Scene) -> Scene:
+    """Build the scene with strings in place of cables, whose rest lengths are the control."""
+    strings = scene.structure.replace(cables=(), cable_friction=0.0)
+    return replace(scene, structure=strings, control=RestLength())
+
+
+def hold(scene: Scene, found: Any) -> Any:
+    """Convert an equilibrium under the control of `stick` into that of strings without control."""
+    lengths = found.control
+    strings = scene.structure.replace(cables=(), cable_friction=0.0, rest_length=lengths)
+    held = replace(scene, structure=strings)
+    return replace(found, source=held, control=lengths[:0])
+
+
+def find_sliding(scene: Scene, search: Callable[[Array, Any], Any], start: Any) -> Any:
     """Find an equilibrium in which cables slip no further than needed.
 
     Each string of a cable holds its rest length by friction. Where the tensions of two strings
@@ -63,18 +78,19 @@ def find_sliding(scene: Scene, search: Callable[[Scene, Any], Any], start: Any) 
     scene : Scene
         Scene with rest lengths and without parameters.
     search : callable
-        Function of a scene without cables and a start that finds its equilibrium.
+        Function of rest lengths (α,) and a start that finds the equilibrium of the scene of
+        `stick`.
     start : object
         Start of the first search.
 
     Returns
     -------
     Equilibrium
-        Equilibrium of the scene with cables that stick at their final rest lengths.
+        Equilibrium of that scene, with the final rest lengths as control.
     """
     bends = _list_bends(scene.structure)
     slip, side = np.zeros((2, len(bends.cable)))  # side: sign of the slip, 0 where it sticks
-    found = search(_stick(scene, bends, slip), start)
+    found = search(_rest_lengths(scene, bends, slip), start)
     for _ in range(_ITERATIONS):
         if not found.success:
             return found
@@ -86,7 +102,7 @@ def find_sliding(scene: Scene, search: Callable[[Scene, Any], Any], start: Any) 
             return found
 
         def slide(moved: Array, begin: Any = found) -> Any:
-            return search(_stick(scene, bends, moved), begin)
+            return search(_rest_lengths(scene, bends, moved), begin)
 
         room = _room(_rest_lengths(scene, bends, slip), bends)
         step = _find_step(lambda moved: _excess(scene, slide(moved)), slip, side, error, room)
@@ -155,13 +171,6 @@ def _rest_lengths(scene: Scene, bends: _Bends, slip: Array) -> Array:
 def _room(lengths: Array, bends: _Bends) -> Array:
     """Compute the length (c,) that can slip at each node [m]."""
     return np.asarray(np.minimum(lengths[bends.before], lengths[bends.after]))
-
-
-def _stick(scene: Scene, bends: _Bends, slip: Array) -> Scene:
-    """Build the scene with each string at its own rest length."""
-    lengths = _rest_lengths(scene, bends, slip)
-    strings = scene.structure.replace(cables=(), cable_friction=0.0, rest_length=lengths)
-    return replace(scene, structure=strings)
 
 
 def _excess(scene: Scene, found: Any) -> Array:

@@ -129,9 +129,7 @@ class Tracer:
     ) -> None:
         self.system, self.equations, self.change = system, system.equations, change
         self.factors, self.growth = factors, 1.0
-        nodes = change.given.anchor
-        size = float(np.ptp(nodes, axis=0).max(initial=0.0)) or 1.0
-        length = 0.2 * size * len(nodes) ** 0.5
+        length = unit_length(change.given.anchor)
         self.units = np.append(np.full(system.size, length), factors[1] - factors[0])
 
     # --- along the path ---
@@ -445,6 +443,12 @@ class Tracer:
         K, J = system.tangent(point, place.tension), system.lengthening(point)
         neutral = neutral_motions(system, point, place.tension)
         return softest_motions(K, J, neutral, max(count, 1))
+
+
+def unit_length(nodes: Array) -> float:
+    """Compute the norm of displacements of nodes (n, 3) that counts as one [m]."""
+    size = float(np.ptp(nodes, axis=0).max(initial=0.0)) or 1.0
+    return float(0.2 * size * len(nodes) ** 0.5)
 
 
 def _root(function: Callable[[float], float], reach: float) -> float:

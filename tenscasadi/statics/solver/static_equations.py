@@ -141,8 +141,7 @@ class StaticEquations:
         self.scene, self.structure = scene, scene.modelled
         if scene.structure.cable_friction.any():
             raise ValueError(
-                "Structure.cable_friction is not 0, which only find_equilibrium takes: "
-                "give its result, whose cables stick, or structure.replace(cable_friction=0.0)"
+                "Structure.cable_friction is not 0: give the result of find_equilibrium, whose cables stick, or structure.replace(cable_friction=0.0)"
             )
         s = self.structure
         self.rigid, self.elastic = np.flatnonzero(~s.elastic), np.flatnonzero(s.elastic)
