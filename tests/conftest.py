@@ -38,6 +38,23 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ["TENSCASADI_CACHE"] = folder.name
 
 
+@pytest.fixture(scope="session", autouse=True)
+def quick_compiler() -> Iterator[Any]:
+    """Compile at level -O1, which changes no rounding; yields the function of the users' flags."""
+    from tenscasadi.util import compile as compiled
+
+    usual = compiled._default_flags
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compiled, "_default_flags", lambda compiler: ("-O1", *usual(compiler)[1:]))
+        yield usual
+
+
+@pytest.fixture
+def users_compiler(quick_compiler: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compile with the flags of users, where a test compares the numbers of machine code."""
+    monkeypatch.setattr("tenscasadi.util.compile._default_flags", quick_compiler)
+
+
 @pytest.fixture
 def keyboard() -> Iterator[Any]:
     """Python's own handler of Ctrl-C, which a process that a shell has put into the background does not have."""

@@ -27,6 +27,7 @@ from tenscasadi.util.compile import (
 )
 from tenscasadi.util.library_cache import cache_folder
 
+pytestmark = pytest.mark.usefixtures("users_compiler")
 needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="no C compiler on this machine")
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks at /proc")
 posix = pytest.mark.skipif(sys.platform == "win32", reason="POSIX permissions")

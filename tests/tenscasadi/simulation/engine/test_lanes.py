@@ -9,6 +9,8 @@ import pytest
 import tenscasadi as tc
 from tenscasadi.simulation.engine.build import build_kernel
 
+pytestmark = pytest.mark.usefixtures("users_compiler")
+
 SPECIAL = [0.0, -0.0, 1.0, -1.0, 0.3, -2.5, 1e-300, 1e300, np.inf, -np.inf, np.nan]
 ONE = {
     "abs": ca.fabs,
