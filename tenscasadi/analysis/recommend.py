@@ -31,12 +31,10 @@ from tenscasadi.simulation.inputs.controls import ControlInput
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.compile import Compiled, CompileError, Single
 from tenscasadi.util.renamed import rename_keywords
-from tenscasadi.util.validate import Array, finite_array, instance, positive_number
+from tenscasadi.util.validate import MAX_ITERATIONS, Array, finite_array, instance, positive_number
 
 _CLOSE = 1.15  # factor between the step found and the largest sufficient one
-_TRIES = 40  # largest number of runs per search
 _REPEATS = 3  # timed runs
-_SHORT = 2e7  # instructions that take less time in the virtual machine than to compile
 
 SCHEMES: tuple[Scheme, ...] = (
     *(DormandPrince853(), DormandPrince853(rtol=1e-6), DormandPrince54(rtol=1e-6)),
@@ -350,7 +348,7 @@ def _find_option(case: Case, speed: float, goal: _AccuracyTarget, most: float) -
     if promising is None:
         return None
     goal.check_time(0.0, None)
-    return _measure(case.with_code(), promising.step, clock, goal, False)
+    return _measure(case.with_code(), promising.step, clock, goal)
 
 
 @dataclass(frozen=True, eq=False)
@@ -377,18 +375,14 @@ class _Choice:
         return case.seconds_per_step(self.step, _REPEATS) * self.steps
 
 
-def _measure(
-    case: Case, step: float, price: _Price, goal: _AccuracyTarget, uncompiled: bool
-) -> _Choice:
+def _measure(case: Case, step: float, price: _Price, goal: _AccuracyTarget) -> _Choice:
     """Run once and measure the error.
 
-    The error is infinite if the run fails. `uncompiled`: use the virtual machine if there is a
-    choice.
+    The error is infinite if the run fails.
     """
-    swift = replace(case, compiled=False) if uncompiled and case.compiled is None else case
 
     def run(**options: Any) -> Trajectory:
-        return swift.run(step, **options, time_limit=max(0.1, goal.deadline - time.perf_counter()))
+        return case.run(step, **options, time_limit=max(0.1, goal.deadline - time.perf_counter()))
 
     bare = {"energy_balance": False, "save_every": 10**9}
     first = run(**bare)
@@ -411,11 +405,11 @@ def _find_loosest(case: Case, price: _Price, goal: _AccuracyTarget, most: float)
     wanted, expected = goal.wanted, 0.0
     least = 1e-6 if isinstance(case.compiled, Single) else 1e-15
     rtol, tight, loose = 0.1 * wanted / extent(case.model), 0.0, 0.1
-    for _ in range(_TRIES // 4):
+    for _ in range(MAX_ITERATIONS):
         rtol = min(max(rtol, least), 0.1)
         tried = replace(case, scheme=replace(case.scheme, rtol=rtol, atol=None))  # type: ignore[type-var]
         goal.check_time(expected, best)
-        now = _measure(tried, case.t_end / GRID, price, goal, most < _SHORT)
+        now = _measure(tried, case.t_end / GRID, price, goal)
         if now.error <= wanted:
             tight, best = rtol, now
         else:
@@ -444,11 +438,11 @@ def _find_fewest(case: Case, price: _Price, goal: _AccuracyTarget, most: float) 
     limit = np.ceil(most / price.step) - 1 if price.step else np.inf
     steps = int(max(1, min(_count_coarsest(case), limit)))  # the search goes downward from there
     low, best, each = 0, None, price.step / 1e8
-    for _ in range(_TRIES):
+    for _ in range(MAX_ITERATIONS):
         if steps > limit:
             return None
         goal.check_time(each * steps, best)
-        now = _measure(case, case.t_end / steps, price, goal, steps * price.step < _SHORT)
+        now = _measure(case, case.t_end / steps, price, goal)
         each = now.seconds / max(now.steps, 1)
         if now.error <= wanted:
             best = now

@@ -13,13 +13,10 @@ from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import RestLength
 from tenscasadi.structure.cables import wrap_angles
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import NEGLIGIBLE, Array, Indices
+from tenscasadi.util.validate import MAX_ITERATIONS, NEGLIGIBLE, Array, Indices
 
-_ACCURACY = 1e-8  # of the ratios of tensions; equilibria are found to 1e-10
 _STEP = 1e-5  # relative change of rest lengths for derivatives of tensions
 _LARGEST_STEP = 0.3  # of a slip per iteration, relative to the rest lengths on both sides
-_ITERATIONS = 50  # of Newton's method, which settles in about ten
-_SMALLEST_SHARE = 1e-4  # of a Newton step, before the search ends
 
 
 class _Bends(NamedTuple):
@@ -91,14 +88,14 @@ def find_sliding(scene: Scene, search: Callable[[Array, Any], Any], start: Any) 
     bends = _list_bends(scene.structure)
     slip, side = np.zeros((2, len(bends.cable)))  # side: sign of the slip, 0 where it sticks
     found = search(_rest_lengths(scene, bends, slip), start)
-    for _ in range(_ITERATIONS):
+    for _ in range(MAX_ITERATIONS):
         if not found.success:
             return found
         excess, largest = _excess(scene, found), float(found.tension.max(initial=0.0))
         for k, sign in enumerate((1.0, -1.0)):
-            side[(side == 0.0) & (excess[k] > _ACCURACY * largest)] = sign
+            side[(side == 0.0) & (excess[k] > NEGLIGIBLE * largest)] = sign
         error = _select(excess, side)
-        if np.abs(error).max(initial=0.0) <= _ACCURACY * largest:
+        if np.abs(error).max(initial=0.0) <= NEGLIGIBLE * largest:
             return found
 
         def slide(moved: Array, begin: Any = found) -> Any:
@@ -107,7 +104,7 @@ def find_sliding(scene: Scene, search: Callable[[Array, Any], Any], start: Any) 
         room = _room(_rest_lengths(scene, bends, slip), bends)
         step = _find_step(lambda moved: _excess(scene, slide(moved)), slip, side, error, room)
         share = min(1.0, _LARGEST_STEP / float((np.abs(step) / room).max(initial=_LARGEST_STEP)))
-        while share > _SMALLEST_SHARE:
+        while share > NEGLIGIBLE:
             moved = slip + share * step
             onward = np.where(side * moved < 0.0, 0.0, side)
             moved[onward == 0.0] = 0.0
