@@ -63,6 +63,7 @@ def main(quick: bool = False) -> list[Row]:
     rows = []
     for correction in (None,) if quick else (None, tc.Projection()):
         rows += against_simulate(flying, starts, correction, repeats, quick)
+    rows.append(against_double(flying, starts, "in flight", repeats))
     if (os.cpu_count() or 1) > 1:
         name = "two threads, against one"
         rows.append(
@@ -161,6 +162,14 @@ def against_simulate(
     return rows
 
 
+def against_double(model: tc.Model, starts: np.ndarray, place: str, repeats: int) -> Row:
+    """One thread in single precision, against double precision."""
+    steps = len(starts) * STEPS
+    single, double = (roll(model, starts, threads=1, compiled=how) for how in (tc.Single(), None))
+    name = f"rollouts in single precision {place}, against double"
+    return compare(name, single, steps, double, steps, repeats)
+
+
 def against_mujoco(s: tc.Structure, n: int, repeats: int, quick: bool) -> list[Row]:
     """One thread against `mujoco.rollout`, flying and on the ground."""
     try:
@@ -177,7 +186,10 @@ def against_mujoco(s: tc.Structure, n: int, repeats: int, quick: bool) -> list[R
     rows = []
     for scene, place in ((tc.Scene(s), "in flight"), (ground, "on the ground")):
         model = tc.Model(scene)
-        ours = roll(model, throw(model, n), threads=1)
+        starts = throw(model, n)
+        ours = roll(model, starts, threads=1)
+        if scene.ground is not None:
+            rows.append(against_double(model, starts, place, repeats))
         for integrator in ("RK4",) if quick else ("RK4", "Euler"):
             theirs = mujoco_model(mujoco, scene, integrator)
             data = mujoco.MjData(theirs)

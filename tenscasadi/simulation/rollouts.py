@@ -74,7 +74,7 @@ def rollouts(  # noqa: PLR0913  the options of a batch
     threads : int, optional
         Threads that share the runs. Default: one for each available processor.
     compiled : bool or Single, optional
-        As for `simulate`.
+        As for `simulate`. `Single()` computes twice as many runs per instruction.
     progress : bool
         Whether to show a progress bar.
     energy_balance : bool

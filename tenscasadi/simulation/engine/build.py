@@ -101,8 +101,7 @@ def build_kernel(
     )
     if account is None:
         account = Account(kind != "nothing", kind != "nothing" and model.nu > 0)
-    branches = scheme.adaptive or scheme.implicit or isinstance(compiled, Single)
-    branches = branches or count_breakable(model) > 0
+    branches = scheme.adaptive or scheme.implicit or count_breakable(model) > 0
     width = 1 if branches else lanes
     options = _Options(
         scheme,
@@ -117,6 +116,7 @@ def build_kernel(
         companions
         and width == 1
         and not branches
+        and not isinstance(compiled, Single)
         and (correction is None or correction.every == 1),
     )
     if not isinstance(scheme, Hashable):  # user-defined scheme

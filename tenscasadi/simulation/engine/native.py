@@ -62,7 +62,7 @@ class NativeCode:
             model = "model", write_model(program, single), ".c"
             self._sources = [model, ("engine", write_engine(program, single), ".cpp")]
         else:
-            self._sources = [("motion", write_lanes(program, lanes), ".cpp")]
+            self._sources = [("motion", write_lanes(program, lanes, single), ".cpp")]
 
     def load(self, build: bool = True) -> Native:
         """Compile and load the code.

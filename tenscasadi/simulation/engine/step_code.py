@@ -58,11 +58,16 @@ _TABLE_CODE = "clear", "low", "interpn_weights", "interpn_interpolate", "flip", 
 _COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
 _WIDEST = """
 #if defined(__AVX512F__)
-#define LANES 8
+#define BYTES 64
 #elif defined(__AVX__)
-#define LANES 4
+#define BYTES 32
 #else
-#define LANES 2
+#define BYTES 16
+#endif
+#ifdef SINGLE
+#define LANES (BYTES / 4)
+#else
+#define LANES (BYTES / 8)
 #endif
 """
 
@@ -273,16 +278,17 @@ def write_engine(program: KernelFunctions, single: bool = False, lanes: int = 1)
     return "\n".join([*head, f"#define LANES {lanes}", _text("lanes.hpp"), *_engine(program)])
 
 
-def write_lanes(program: KernelFunctions, lanes: int | None) -> str:
+def write_lanes(program: KernelFunctions, lanes: int | None, single: bool = False) -> str:
     """Generate C++ code of model and loop with several lanes.
 
-    `lanes` None fills the processor's registers.
+    `lanes` None fills the processor's registers, `single` with floats.
     """
     sizes = program.sizes | room_sizes(program)
     calls = [f"motion_{name}" if name in program.functions else "0" for name in CALLS]
     own = ", ".join([*(str(sizes[name]) for name in MODEL_SIZES), *calls])
     return "\n".join(
         [
+            *(["#define SINGLE"] if single else []),
             _WIDEST if lanes is None else f"#define LANES {lanes}",
             _text("lanes.hpp"),
             _replace_branches(write_model(program)),

@@ -71,6 +71,33 @@ def test_rounding_at_rest_is_no_lost_energy() -> None:
 
 
 @needs_compiler
+def test_rollouts_in_float_fill_twice_the_lanes() -> None:
+    ground = tc.Ground(stiffness=2e3, damping=10.0, friction=0.5)
+    model = tc.Model(tc.Scene(tc.shapes.prism(prestress=50.0), gravity=tc.Gravity(), ground=ground))
+    speeds = np.random.default_rng(0).normal(0.0, 0.1, (20, 6, 3))
+    project, nodes = tc.build_projection(model), model.structure.nodes
+    starts = np.array([project(model.state(nodes, v)).full().ravel() for v in speeds])
+    starts[3] = np.nan
+
+    def roll(rows: slice, compiled: tc.Single | None) -> tc.Rollouts:
+        return tc.rollouts(
+            model, 0.3, states=starts[rows], correction=tc.Projection(), compiled=compiled
+        )
+
+    single, double, alone = (
+        roll(slice(None), tc.Single()),
+        roll(slice(None), None),
+        roll(slice(8, 9), tc.Single()),
+    )
+    good = np.arange(20) != 3
+    assert single.lanes == 2 * double.lanes
+    assert np.array_equal(single.success, good)
+    assert np.array_equal(single.final[good], single.final[good].astype(np.float32))
+    assert np.array_equal(single.final[8], alone.final[0])
+    assert 1e-8 < abs(single.final - double.final)[good, : model.nq].max() < 2e-5
+
+
+@needs_compiler
 def test_error_control_finer_than_float_is_refused() -> None:
     model, start = turning()
     with pytest.raises(
