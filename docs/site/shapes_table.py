@@ -88,9 +88,9 @@ def draw_shapes(path: Path) -> None:
         shapes = MotionShapes(content).build(Frame(s.nodes))
         shapes[1] = shapes[1]._replace(colors=np.full_like(shapes[1].colors, STYLE.load))
         canvas.draw(shapes)
-        canvas.axes.set_title(text.strip("`").replace("_", " "), fontsize=9, y=0.98)
+        canvas.axes.set_title(text.strip("`").replace("_", " "), fontsize=9, y=1.1)
         canvas.axes.set_axis_off()
-        canvas.axes.set_box_aspect(canvas.axes._box_aspect, zoom=1.2)
+        canvas.axes.set_box_aspect(canvas.axes._box_aspect, zoom=1.1)
     figure.savefig(path, dpi=70)
 
 

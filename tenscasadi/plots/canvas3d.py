@@ -96,9 +96,14 @@ class Canvas3D:
 
     def add_bar(self, mapped: ScalarMappable, **options: Any) -> Any:
         """Add a color bar to the right of the axes."""
-        self.axes.set_position((0.05, 0.05, 0.76, 0.82))
         place = cast(Any, self.figure).add_axes((0.86, 0.22, 0.025, 0.54))
-        return self.figure.colorbar(mapped, cax=place, **options)
+        bar = self.figure.colorbar(mapped, cax=place, **options)
+        backend: Any = FigureCanvasAgg(self.figure)
+        extent = place.get_tightbbox(backend.get_renderer()).extents / self.figure.bbox.width
+        left = min(0.86, 0.86 + 0.98 - extent[2])  # room for long numbers
+        place.set_position((left, 0.22, 0.025, 0.54))
+        self.axes.set_position((0.05, 0.05, left - 0.1, 0.82))
+        return bar
 
     def fit(self) -> None:
         """Zoom and move the axes until they fill their place with their labels.

@@ -174,7 +174,7 @@ def mode_shapes(
                 *_thin(dark, 2 * _LINE * size),
             ]
         )
-        canvas.axes.set_title(name, fontsize=10)
+        canvas.axes.set_title(name, fontsize=10, y=1.16)
         canvas.axes.set_axis_off()
         canvas.axes.set_box_aspect(canvas.axes._box_aspect, zoom=_ZOOM)
     figure.suptitle(text("title", title))
