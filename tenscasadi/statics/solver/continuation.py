@@ -13,7 +13,8 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -378,6 +379,7 @@ class Tracer:
         )
         found: list[tuple[float, PathRow]] = []
 
+        @cache  # each point serves the searches for all critical points
         def at(step: float) -> PathPoint:
             if step <= 0.0 or step >= reach:
                 return place if step <= 0.0 else new
@@ -386,26 +388,36 @@ class Tracer:
                 raise BranchJump
             return corrected[0]
 
+        steps = {0.0, reach}
+
+        @cache
+        def spectrum(step: float) -> tuple[Array, Array]:
+            steps.add(step)
+            return self._softest(at(step), high)
+
+        def stiffness(step: float, k: int) -> float:  # 0 for neutral motions, which are left out
+            values = spectrum(step)[0]
+            return float(values[k]) if k < len(values) else 0.0
+
         if place.direction[-1] * new.direction[-1] < 0.0:
-            step = _root(lambda s: float(at(s).direction[-1]), reach)
+            step = _root(lambda s: float(at(s).direction[-1]), steps)
             self._check_continuity(at, step, reach)
             found.append((step, PathRow(at(step), "limit")))
         for k in range(low, high):
-            step = _root(lambda s, k=k: self._stiffness(at(s), k), reach)  # type: ignore[misc]
+            step = _root(lambda s, k=k: stiffness(s, k), steps)  # type: ignore[misc]
             known = (0.0, *(other for other, _ in found))
             if any(abs(step - other) <= _SAME * reach for other in known):
                 continue
             self._check_continuity(at, step, reach)
-            if self._is_bifurcation(at(step), k):
+            if self._is_bifurcation(at(step), k, *spectrum(step)):
                 found.append((step, PathRow(at(step), "bifurcation")))
         return [row for _, row in sorted(found, key=lambda entry: entry[0])]
 
-    def _is_bifurcation(self, place: PathPoint, k: int) -> bool:
+    def _is_bifurcation(self, place: PathPoint, k: int, values: Array, motions: Array) -> bool:
         """Return whether the k-th softest motion indicates a bifurcation.
 
         It is then critical, and orthogonal to the load.
         """
-        values, motions = self._softest(place, k + 1)
         push = self._push(place.point, place.factor)
         scale = self.system.stiffness_scale(place.point, place.tension)
         across = abs(float(motions[:, k] @ push)) <= TOLERANCE * float(np.linalg.norm(push))
@@ -431,11 +443,6 @@ class Tracer:
         moved = self._displacement(place, other)
         return np.asarray(np.append(moved, other.factor - place.factor) / self.units)
 
-    def _stiffness(self, place: PathPoint, k: int) -> float:
-        """Find the k-th lowest stiffness; 0 for neutral motions, which are left out."""
-        values, _ = self._softest(place, k + 1)
-        return float(values[k]) if k < len(values) else 0.0
-
     def _softest(self, place: PathPoint, count: int) -> tuple[Array, Array]:
         """Find the lowest stiffnesses and their motions (free, count)."""
         system, nodes = self.system, place.point.nodes
@@ -451,9 +458,15 @@ def unit_length(nodes: Array) -> float:
     return float(0.2 * size * len(nodes) ** 0.5)
 
 
-def _root(function: Callable[[float], float], reach: float) -> float:
-    """Find a root of a function in (0, reach)."""
-    first, last = function(0.0), function(reach)
-    if first * last >= 0.0:  # the change is at an end
-        return reach if abs(last) < abs(first) else 0.0
-    return float(brentq(function, 0.0, reach, xtol=1e-11 * reach, maxiter=100))
+def _root(function: Callable[[float], float], steps: Iterable[float]) -> float:
+    """Find a root of a function between the first and the last of some steps.
+
+    The function is known at all of them, or cheap.
+    """
+    known = sorted(steps)
+    values = [function(step) for step in known]
+    if values[0] * values[-1] >= 0.0:  # the change is at an end
+        return known[-1] if abs(values[-1]) < abs(values[0]) else known[0]
+    last = next(k for k, value in enumerate(values) if value * values[0] <= 0.0)
+    low, high = known[last - 1], known[last]
+    return float(brentq(function, low, high, xtol=1e-11 * known[-1], maxiter=100))
