@@ -18,7 +18,7 @@ from ocp.problem.reading import limits_of, read_duration, read_items
 from tenscasadi.schema.field_types import SPAN, Members
 from tenscasadi.schema.value import Value
 from tenscasadi.util.renamed import rename_fields
-from tenscasadi.util.validate import Array, as_tuple, node_index, whole_number
+from tenscasadi.util.validate import Array, IndexOrName, as_tuple, index_or_name, node_index
 
 if TYPE_CHECKING:
     from ocp.problem.goals.waypoints import Waypoint
@@ -38,7 +38,7 @@ class Phase(Value, kind="Phase"):
     ----------
     duration : float or (float, float)
         Duration [s], or (shortest, longest) to let the solver choose.
-    contact_nodes : sequence of int, optional
+    contact_nodes : sequence of int or str, optional
         Nodes in contact with the ground; none in a flight phase.
     goals : iterable of goals, optional
         Goals at the end of the phase, such as `CenterOfMass` at the top of a jump.
@@ -68,7 +68,7 @@ class Phase(Value, kind="Phase"):
     """
 
     duration: float | tuple[float, float]
-    contact_nodes: Annotated[Sequence[int], Members("node")] = ()
+    contact_nodes: Annotated[Sequence[IndexOrName], Members("node")] = ()
     goals: Iterable[Goal] = ()
     bounds: Iterable[Bound] = ()
     end_time: Annotated[tuple[float, float] | None, SPAN] = None
@@ -77,7 +77,7 @@ class Phase(Value, kind="Phase"):
         own = self.__dict__
         own["duration"] = read_duration("Phase.duration", self.duration)
         nodes = as_tuple("Phase.contact_nodes", self.contact_nodes, "[0, 1, 2]")
-        own["contact_nodes"] = tuple(whole_number("Phase.contact_nodes", node, 0) for node in nodes)
+        own["contact_nodes"] = tuple(index_or_name("Phase.contact_nodes", node) for node in nodes)
         if len(set(own["contact_nodes"])) < len(own["contact_nodes"]):
             raise ValueError(f"Phase.contact_nodes is {own['contact_nodes']}: give each node once")
         own["goals"] = read_items("Phase.goals", self.goals, Goal, "[AtRest()]")

@@ -4,22 +4,27 @@ from __future__ import annotations
 
 from typing import Any
 
+from tenscasadi.schema.definitions import resolve_names
+from tenscasadi.schema.reading import Names
 from tenscasadi.util.validate import as_tuple, finite_array, instance, nesting, positive_number
 
 Duration = float | tuple[float, float]
 
 
-def read_items(field: str, values: Any, kinds: type, example: str) -> tuple[Any, ...]:
+def read_items(
+    field: str, values: Any, kinds: type, example: str, names: Names | None = None
+) -> tuple[Any, ...]:
     """Read a tuple of values of one kind.
 
-    Raises TypeError.
+    Names of nodes, bars and strings are replaced by indices if `names` are given. Raises
+    TypeError, ValueError.
     """
     found = as_tuple(field, values, example)
     for k, value in enumerate(found):
         instance(
             f"{field}[{k}]", value, kinds, f"a {kinds.__name__.lower()}, such as {example[1:-1]}"
         )
-    return found
+    return found if names is None else tuple(resolve_names(value, names) for value in found)
 
 
 def read_duration(field: str, value: Any) -> Duration:

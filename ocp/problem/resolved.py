@@ -27,6 +27,7 @@ from ocp.problem.start import FreeStart, read_start
 from tenscasadi.dynamics.base_model import check_model
 from tenscasadi.scene.failed_strings import require_intact
 from tenscasadi.scene.strength import count_states, drop_states, limit_tensions
+from tenscasadi.schema.definitions import resolve_names
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, finite_array, format_value, nesting
 
@@ -77,6 +78,8 @@ def resolve(
     check_model(model, "Problem.model")
     model = model.with_parameters(parameters)
     strength, derived = limit_tensions(model.scene), derive_bounds(model.scene)
+    names = model.scene.structure.names
+    start = resolve_names(start, names)
     start = _drop_strength_states(model, start)
     if model.scene.strength is not None:
         model = model.with_scene(replace(model.scene, strength=None))
@@ -88,14 +91,14 @@ def resolve(
         raise ValueError(
             f"Problem.model has an elastic bar, {bar}: plan with rigid bars, of structure.replace(bar_stiffness=None)"
         )
-    own_phases = read_items("Problem.phases", phases, Phase, "[Phase(0.5)]")
+    own_phases = read_items("Problem.phases", phases, Phase, "[Phase(0.5)]", names)
     time = read_duration("Problem.duration", _add_durations(duration, own_phases))
-    own_goals = read_items("Problem.goals", goals, Goal, "[AtRest()]")
+    own_goals = read_items("Problem.goals", goals, Goal, "[AtRest()]", names)
     own_goals, parts = _divide(structure, own_goals, own_phases, time)
     begin = read_start(model, start)
-    own_bounds = read_items("Problem.bounds", bounds, Bound, "[ForceDensityLimits(0, 200)]")
+    own_bounds = read_items("Problem.bounds", bounds, Bound, "[ForceDensityLimits(0, 200)]", names)
     own_bounds = (*own_bounds, *derived)
-    own_costs = read_items("Problem.costs", costs, Cost, "[Effort()]")
+    own_costs = read_items("Problem.costs", costs, Cost, "[Effort()]", names)
     first_goals = begin.goals if isinstance(begin, FreeStart) else ()
     for item in (*own_goals, *own_bounds, *own_costs, *first_goals):
         item.check(structure)

@@ -13,6 +13,7 @@ from tenscasadi.schema.containers import MapOf
 from tenscasadi.schema.field_types import MOVING_PLACE
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import (
+    IndexOrName,
     call_user_function,
     coordinates,
     format_value,
@@ -35,7 +36,7 @@ class Tracking(RunningCost, kind="Tracking"):
 
     Parameters
     ----------
-    positions : mapping of int to place
+    positions : mapping of int or str to place
         Reference positions ``{node: (x, y, z)}`` [m], with None for an untracked axis; or
         ``{node: function}``. A function takes the time [s] as a CasADi symbol and returns three
         such entries.
@@ -62,7 +63,9 @@ class Tracking(RunningCost, kind="Tracking"):
     [3, 4]
     """
 
-    positions: Annotated[Mapping[int, Place | Callable[[Any], Any]], MapOf("node", MOVING_PLACE)]
+    positions: Annotated[
+        Mapping[IndexOrName, Place | Callable[[Any], Any]], MapOf("node", MOVING_PLACE)
+    ]
     weight: float = 1.0
 
     def __post_init__(self) -> None:

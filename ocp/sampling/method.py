@@ -27,7 +27,7 @@ from ocp.solvers.monitor import STOPPED, TIME_UP, Monitor, Progress
 from ocp.transcription.base import Transcription
 from ocp.transcription.mesh import Guess, held_values
 from tenscasadi.integrators.stability import contact_rate, contact_step
-from tenscasadi.util.validate import Array
+from tenscasadi.util.validate import Array, node_index
 
 _STOPS = {
     TIME_UP: "stopped at the time limit, with the best so far: increase time_limit",
@@ -53,10 +53,7 @@ def check_sampling(problem: Problem, transcription: Transcription, solver: Sampl
             f"{name}.control is PiecewiseLinear, and Sampling holds force densities in intervals: give PiecewiseConstant()"
         )
     for string in (string for group in solver.groups or () for string in group):
-        if string >= problem.model.nu:
-            raise ValueError(
-                f"Sampling.groups names string {string}: strings run from 0 to {problem.model.nu - 1}"
-            )
+        node_index("Sampling.groups", string, problem.model.nu, "string")
 
 
 def solve_sampled(

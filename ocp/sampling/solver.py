@@ -11,7 +11,7 @@ from ocp.solvers.base import NamedSolver
 from tenscasadi.schema.containers import ListOf
 from tenscasadi.schema.field_types import InPython, Members
 from tenscasadi.util.renamed import rename_fields
-from tenscasadi.util.validate import MAX_ENTRIES, flag, format_value, whole_number
+from tenscasadi.util.validate import MAX_ENTRIES, IndexOrName, flag, format_value, whole_number
 
 
 @rename_fields(watch="callback")
@@ -24,7 +24,7 @@ class Sampling(NamedSolver, kind="Sampling"):
 
     Parameters
     ----------
-    groups : sequence of sequences of int, optional
+    groups : sequence of sequences of int or str, optional
         Groups of strings that change together. Strings in no group do not change. Default: strings
         of one length with ends of equal heights at the start, then single strings if these do not
         reach the goals.
@@ -79,7 +79,7 @@ class Sampling(NamedSolver, kind="Sampling"):
     True
     """
 
-    groups: Annotated[Iterable[Sequence[int]] | None, ListOf(Members("string"))] = None
+    groups: Annotated[Iterable[Sequence[IndexOrName]] | None, ListOf(Members("string"))] = None
     knots: int | None = None
     samples: int = 256
     seed: int = 0

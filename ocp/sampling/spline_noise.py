@@ -4,15 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import scipy.interpolate
 from numpy.typing import ArrayLike
 
+from tenscasadi.schema.containers import ListOf
+from tenscasadi.schema.field_types import PER_ITEM, Members
+from tenscasadi.schema.value import Value
 from tenscasadi.util.renamed import rename_fields
 from tenscasadi.util.validate import (
     Array,
+    IndexOrName,
     as_tuple,
+    index_or_name,
+    node_index,
     nonnegative,
     number_or_vector,
     per_item,
@@ -23,7 +30,7 @@ from tenscasadi.util.validate import (
 
 @rename_fields(finest="min_scale")
 @dataclass(frozen=True, eq=False)
-class SplineNoise:
+class SplineNoise(Value, kind="SplineNoise"):
     """Smooth random changes of force densities for `Mppi`.
 
     The changes are cubic splines through a few independent normal knots.
@@ -34,7 +41,7 @@ class SplineNoise:
         Standard deviation of the largest changes [N/m], the same at all times.
     knots : int
         Number of knots over the horizon, at equal times. Fewer knots make smoother changes.
-    groups : sequence of sequence of int, optional
+    groups : sequence of sequence of int or str, optional
         Groups of strings that change together, such as images under a symmetry. Fewer groups need
         fewer samples. Strings in no group do not change. Default: single strings.
     min_scale : float
@@ -54,9 +61,9 @@ class SplineNoise:
     ((0, 1, 2), (3, 4, 5))
     """
 
-    deviation: ArrayLike
+    deviation: Annotated[ArrayLike, PER_ITEM]
     knots: int = 4
-    groups: Iterable[Sequence[int]] | None = None
+    groups: Annotated[Iterable[Sequence[IndexOrName]] | None, ListOf(Members("string"))] = None
     min_scale: float = 0.03
 
     def __post_init__(self) -> None:
@@ -74,7 +81,7 @@ class SplineNoise:
             example = "[[0, 1, 2], [3, 4, 5]]"
             groups = tuple(
                 tuple(
-                    whole_number(f"SplineNoise.groups[{k}]", string, 0)
+                    index_or_name(f"SplineNoise.groups[{k}]", string)
                     for string in as_tuple(f"SplineNoise.groups[{k}]", group, "[0, 1, 2]")
                 )
                 for k, group in enumerate(as_tuple("SplineNoise.groups", self.groups, example))
@@ -128,10 +135,8 @@ class SplineNoise:
             return np.diag(spread)
         matrix = np.zeros((len(tuple(self.groups)), count))
         for row, group in zip(matrix, self.groups, strict=True):
-            if max(group) >= count:
-                raise ValueError(
-                    f"SplineNoise.groups names string {max(group)}: strings run from 0 to {count - 1}"
-                )
+            for string in group:
+                node_index("SplineNoise.groups", string, count, "string")
             row[list(group)] = spread[list(group)]
         return matrix
 

@@ -30,6 +30,8 @@ from ocp.transcription.mesh import Guess, PiecewiseLinear
 from ocp.transcription.multiple_shooting import MultipleShooting
 from ocp.transcription.variational import Variational
 from tenscasadi.integrators.stability import fastest_rate
+from tenscasadi.schema.definitions import resolve_names
+from tenscasadi.structure.names import find_input_names
 
 FIRST, INEXACT, FAILED = "first", "inexact", "failed"
 PHASE_INTERVALS = 20  # number of intervals of each phase
@@ -218,7 +220,10 @@ def complete(
         else:
             condenses = isinstance(solver, CondensedNewton)
             transcription = Variational() if condenses else MultipleShooting()
-    return Attempt(transcription, solver, guess, "asked for")
+    names = find_input_names(problem.model.scene.structure)
+    return Attempt(
+        resolve_names(transcription, names), resolve_names(solver, names), guess, "asked for"
+    )
 
 
 def is_inexact(plan: PlanResult) -> bool:

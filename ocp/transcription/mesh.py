@@ -20,9 +20,12 @@ from tenscasadi.util.renamed import rename_fields
 from tenscasadi.util.validate import (
     MAX_COUNT,
     Array,
+    IndexOrName,
     Indices,
     finite_array,
     format_value,
+    index_or_name,
+    node_index,
     positive_number,
     whole_number,
 )
@@ -71,7 +74,7 @@ class Profile(Protocol):
 class NamedProfile(Value):
     """Control profile with a kind in files."""
 
-    groups: Annotated[tuple[tuple[int, ...], ...], ListOf(Members("string"))] = ()
+    groups: Annotated[tuple[tuple[IndexOrName, ...], ...], ListOf(Members("string"))] = ()
 
     def __post_init__(self) -> None:
         field = f"{type(self).__name__}.groups"
@@ -81,10 +84,10 @@ class NamedProfile(Value):
             raise TypeError(
                 f"{field} is {format_value(self.groups)}: give groups of strings, such as ((0, 1, 2), (3, 4, 5))"
             ) from None
-        seen: set[int] = set()
+        seen: set[int | str] = set()
         for group in groups:
             for string in group:
-                if whole_number(field, string, 0) in seen:
+                if index_or_name(field, string) in seen:
                     raise ValueError(f"{field} has string {string} twice: give each string once")
                 seen.add(string)
         object.__setattr__(self, "groups", tuple(group for group in groups if group))
@@ -97,7 +100,7 @@ class PiecewiseConstant(NamedProfile, kind="PiecewiseConstant"):
 
     Parameters
     ----------
-    groups : sequence of sequences of int
+    groups : sequence of sequences of int or str
         Groups of strings with the same control, such as images under a symmetry.
     max_changes : int, optional
         Maximum number of control changes, at nearly equal times (move blocking). By default they
@@ -132,7 +135,7 @@ class PiecewiseLinear(NamedProfile, kind="PiecewiseLinear"):
 
     Parameters
     ----------
-    groups : sequence of sequences of int
+    groups : sequence of sequences of int or str
         Groups of strings with the same control, such as images under a symmetry.
 
     Raises
@@ -158,10 +161,7 @@ def group_matrix(profile: Profile, strings: int) -> Array:
     """
     for group in profile.groups:
         for string in group:
-            if string >= strings:
-                raise ValueError(
-                    f"{type(profile).__name__}.groups has string {string}: strings run from 0 to {strings - 1}"
-                )
+            node_index(f"{type(profile).__name__}.groups", string, strings, "string")
     leader = np.arange(strings)
     for group in profile.groups:
         leader[list(group)] = min(group)

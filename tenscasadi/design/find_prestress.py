@@ -111,7 +111,7 @@ def find_prestress(
         load cases, to determine the level of prestress.
     maximum : array_like, shape (α,), optional
         Largest tension of strings [N], or one number for all.
-    groups : sequence of sequence of int, optional
+    groups : sequence of sequence of int or str, optional
         Groups of members that share their force density: strings first, then bars. Strings of
         cables have one tension, and are in no group.
 

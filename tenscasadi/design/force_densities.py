@@ -8,11 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
+from tenscasadi.schema.reading import Names
 from tenscasadi.structure.cables import density_basis
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, Indices, as_tuple, node_index, real_array
+from tenscasadi.util.validate import Array, IndexOrName, Indices, as_tuple, real_array
 
-Groups = Iterable[Sequence[int]]  # members that share a value: strings first, then bars
+Groups = Iterable[Sequence[IndexOrName]]  # members that share a value: strings first, then bars
 
 
 class ForceDensities(NamedTuple):
@@ -55,7 +56,7 @@ def read_force_densities(structure: Structure, given: Any, groups: Groups | None
     values = np.full(members, np.nan)
     if given is not None:
         values[:strings] = _read_values(given, strings)
-    label = read_groups(groups, strings, members)
+    label = read_groups(groups, structure.names)
     values = _share_values(label, values)
     unknown = np.flatnonzero(np.isnan(values))
     columns = np.unique(label[unknown], return_inverse=True)[1]
@@ -114,16 +115,18 @@ def _share_values(label: Indices, values: Array) -> Array:
     return np.asarray(least[label])
 
 
-def read_groups(groups: Groups | None, strings: int, members: int) -> Indices:
+def read_groups(groups: Groups | None, names: Names) -> Indices:
     """Read groups of members as labels (members,).
 
     Members without a group have labels of their own. Raises TypeError, ValueError.
     """
-    label = np.full(members, -1)
+    strings = names.counts["string"]
+    label = np.full(names.counts["member"], -1)
     entries = [] if groups is None else as_tuple("groups", groups, "[[0, 1, 2], [3, 4, 5]]")
     for k, group in enumerate(entries):
-        for i, entry in enumerate(as_tuple(f"groups[{k}]", group, "[0, 1, 2]")):
-            member = node_index(f"groups[{k}][{i}]", entry, members, "member")
+        given = names.resolve_all(f"groups[{k}]", "member", group)
+        for i, entry in enumerate(as_tuple(f"groups[{k}]", given, "[0, 1, 2]")):
+            member = names.index(f"groups[{k}][{i}]", "member", entry)
             if label[member] >= 0:
                 raise ValueError(f"groups: member {member} is named twice: leave one out")
             label[member] = k

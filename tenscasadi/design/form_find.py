@@ -32,13 +32,12 @@ from tenscasadi.util.linear_algebra import fit_rotation
 from tenscasadi.util.validate import (
     TOLERANCE,
     Array,
+    IndexOrName,
     as_tuple,
     coordinates,
     finite_array,
     format_value,
     instance,
-    item_mask,
-    node_index,
     number,
     positive_number,
 )
@@ -80,10 +79,10 @@ class Form(ReadOnlyArrays):
 def form_find(
     structure: Structure,
     force_density: ArrayLike | None = None,
-    lengths: Mapping[int, float] | None = None,
-    positions: Mapping[int, Sequence[float | None]] | None = None,
+    lengths: Mapping[IndexOrName, float] | None = None,
+    positions: Mapping[IndexOrName, Sequence[float | None]] | None = None,
     groups: Groups | None = None,
-    equal_tension: Iterable[Sequence[int]] | None = None,
+    equal_tension: Iterable[Sequence[IndexOrName]] | None = None,
     loads: ArrayLike | None = None,
 ) -> Form:
     """Find nodes and force densities in equilibrium.
@@ -100,14 +99,14 @@ def form_find(
     force_density : array_like, shape (α,), optional
         Force densities of strings [N/m], NaN where unknown; None: all are unknown. Those of bars
         are always unknown. If none is given and there are no loads, the mean is 1 N/m.
-    lengths : mapping of int to float, optional
+    lengths : mapping of int or str to float, optional
         Prescribed lengths of strings, ``{string: m}``.
-    positions : mapping of int to sequence, optional
+    positions : mapping of int or str to sequence, optional
         Prescribed positions of nodes, ``{node: (x, y, None)}`` [m], None for a free coordinate.
         These nodes are in equilibrium without a support.
-    groups : sequence of sequence of int, optional
+    groups : sequence of sequence of int or str, optional
         Groups of members that share their force density: strings first, then bars.
-    equal_tension : sequence of sequence of int, optional
+    equal_tension : sequence of sequence of int or str, optional
         Groups of strings whose tensions are equal. Each cable is one.
     loads : array_like, shape (n, 3), optional
         Forces on the nodes [N]; by default none.
@@ -197,19 +196,19 @@ def _read_goals(
     structure: Structure, lengths: Any, positions: Any, equal_tension: Any, loads: Any
 ) -> Goals:
     """Read prescribed properties. Raises TypeError, ValueError."""
-    strings, count = len(structure.strings), len(structure.nodes)
+    count, names = len(structure.nodes), structure.names
     for field, value in (("lengths", lengths), ("positions", positions)):
         if value is not None and not isinstance(value, Mapping):
             raise TypeError(f"{field} is {format_value(value)}: give a mapping, such as {{3: ...}}")
     found_lengths = {
-        node_index("lengths", string, strings, "string"): positive_number(
+        names.index("lengths", "string", string): positive_number(
             f"lengths of string {string}", length
         )
-        for string, length in (lengths or {}).items()
+        for string, length in names.resolve_keys("lengths", "string", lengths or {}).items()
     }
     found_positions: dict[int, tuple[float | None, ...]] = {}
-    for key, place in (positions or {}).items():
-        node = node_index("positions", key, count)
+    for key, place in names.resolve_keys("positions", "node", positions or {}).items():
+        node = names.index("positions", "node", key)
         found = coordinates(f"positions of node {node}", place, "a free coordinate", read=number)
         for axis in range(3):
             if found[axis] is not None and structure.held[node, axis]:
@@ -220,7 +219,7 @@ def _read_goals(
     tensions = [] if equal_tension is None else as_tuple("equal_tension", equal_tension, "[[0, 1]]")
     cables = [list(cable) for cable in structure.cables if len(cable) > 1]
     groups = cables + [
-        np.flatnonzero(item_mask(f"equal_tension[{k}]", group, strings, "string")).tolist()
+        np.flatnonzero(names.mask(f"equal_tension[{k}]", "string", group)).tolist()
         for k, group in enumerate(tensions)
     ]
     forces = np.zeros((count, 3)) if loads is None else finite_array("loads", loads, (count, 3))

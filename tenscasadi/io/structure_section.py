@@ -164,6 +164,10 @@ class OfStructure(FieldType):
         """Build the schema of both."""
         return {"anyOf": [self.other.schema(kinds), _build_shape_schema(kinds)]}
 
+    def resolve(self, field: str, value: Any, names: Names) -> Any:
+        """Replace names by the other type."""
+        return self.other.resolve(field, value, names)
+
 
 def _build_shape_schema(kinds: Schemas) -> Schema:
     """Add the schemas of all shapes to `kinds`."""

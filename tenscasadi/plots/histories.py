@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -21,6 +21,7 @@ from tenscasadi.plots.panels import (
 from tenscasadi.scene.binding import fix
 from tenscasadi.simulation.string_breaks import hide_broken
 from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.structure.names import names_of
 from tenscasadi.util.tables import MOST_LISTED
 from tenscasadi.util.validate import (
     Array,
@@ -28,7 +29,6 @@ from tenscasadi.util.validate import (
     finite_array,
     format_value,
     instance,
-    node_index,
     per_item,
 )
 
@@ -149,7 +149,7 @@ def tensions(
     'tension (N)'
     """
     instance("trajectory", trajectory, Trajectory, EXAMPLE)
-    chosen, names = _choose(trajectory, "string", strings, trajectory.tension.shape[1])
+    chosen, names = choose_items(trajectory, "string", strings, trajectory.tension.shape[1])
     contacts = find_contact_intervals(trajectory)
     values = hide_broken(trajectory.scene, trajectory.states, trajectory.tension)[:, chosen]
     chart = Chart("tension", "N", trajectory.time, values, names, shaded=contacts)
@@ -212,7 +212,7 @@ def force_densities(
         raise ValueError(
             f"history.force_density has {rows} rows: give one for each of the {len(time)} times, or for each of the intervals between"
         )
-    chosen, names = _choose(history, "string", strings, count)
+    chosen, names = choose_items(history, "string", strings, count)
     limits: dict[str, Any] = {}
     for field, limit in (("lower", lower), ("upper", upper)):
         if limit is not None:
@@ -296,22 +296,18 @@ def choose_nodes(
 ) -> tuple[list[int], tuple[str, ...]]:
     """Select nodes by index or name, by default those that move, with their names."""
     given = _find_moving_nodes(trajectory) if nodes is None else nodes
-    return _choose(trajectory, "node", given, trajectory.nodes.shape[1])
+    return choose_items(trajectory, "node", given, trajectory.nodes.shape[1])
 
 
-def _choose(
-    history: Any, kind: str, items: Sequence[int | str] | None, count: int
+def choose_items(
+    history: Any, kind: Literal["node", "string"], items: Sequence[int | str] | None, count: int
 ) -> tuple[list[int], tuple[str, ...]]:
     """Select items of a kind, by default all, with their names."""
     scene, field = getattr(history, "scene", None), f"{kind}s"
-    names = list_names(None if scene is None else scene.modelled, kind, count)
-    given = range(count) if items is None else as_tuple(field, items, "[0, 3]")
-    chosen = [
-        names.index(item)
-        if isinstance(item, str) and item in names
-        else node_index(field, item, count, kind)
-        for item in given
-    ]
+    structure = None if scene is None else scene.modelled
+    names, known = list_names(structure, kind, count), names_of(structure, **{kind: count})
+    given = range(count) if items is None else known.resolve_all(field, kind, items)
+    chosen = [known.index(field, kind, item) for item in as_tuple(field, given, "[0, 3]")]
     return chosen, tuple(names[k] for k in chosen)
 
 

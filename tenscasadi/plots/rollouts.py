@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
+from tenscasadi.plots.histories import choose_items
 from tenscasadi.plots.panels import FilePath, css_color, make_panels, save_figure
 from tenscasadi.simulation.motions import Rollouts
 from tenscasadi.util.validate import (
@@ -22,7 +23,7 @@ from tenscasadi.util.validate import (
 
 def fan(
     rollouts: Rollouts,
-    node: int,
+    node: int | str,
     axes: str = "xyz",
     *,
     bands: ArrayLike = (0.05, 0.25),
@@ -37,7 +38,7 @@ def fan(
     ----------
     rollouts : Rollouts
         Rollouts with saved rows (`save_every`).
-    node : int
+    node : int or str
         Node to draw.
     axes : str
         Coordinates, one panel each, such as "z" or "xy".
@@ -79,6 +80,7 @@ def fan(
     if np.any((fractions < 0) | (fractions >= 0.5)):
         raise ValueError(f"bands is {fractions}: give fractions of at least 0 and less than 0.5")
     places = rollouts.path(node)[good]
+    name = choose_items(rollouts, "node", [node], len(rollouts.place))[1][0]
     figure, panels = make_panels(
         len(axes), "time (s)", text("title", title) or f"{len(places)} of {len(good)} motions"
     )
@@ -107,7 +109,7 @@ def fan(
             zorder=9,
             label="median",
         )
-        ax.set_ylabel(f"{axis} of node {node} (m)")
+        ax.set_ylabel(f"{axis} of {name} (m)")
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, fontsize=8, frameon=False, loc="outside right upper")
     return save_figure(figure, path)

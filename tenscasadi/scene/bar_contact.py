@@ -13,11 +13,13 @@ from tenscasadi.schema.containers import ListOf
 from tenscasadi.schema.field_types import Members
 from tenscasadi.schema.value import Value
 from tenscasadi.util.validate import (
+    IndexOrName,
     Indices,
     as_tuple,
     format_value,
+    index_or_name,
+    node_index,
     positive_number,
-    whole_number,
 )
 
 
@@ -31,7 +33,7 @@ class BarContact(Value, kind="BarContact"):
 
     Parameters
     ----------
-    pairs : sequence of pairs of int, optional
+    pairs : sequence of pairs of int or str, optional
         Pairs of bars that can touch. Default: all that share no node.
     stiffness : float
         Contact stiffness k [N/m].
@@ -69,7 +71,7 @@ class BarContact(Value, kind="BarContact"):
     24
     """
 
-    pairs: Annotated[Sequence[Sequence[int]] | None, ListOf(Members("bar"))] = None
+    pairs: Annotated[Sequence[Sequence[IndexOrName]] | None, ListOf(Members("bar"))] = None
     stiffness: float = 1e4
     damping: float = 0.0
     friction: float | None = None
@@ -115,8 +117,8 @@ class BarContact(Value, kind="BarContact"):
         bars, radius = structure.bars, structure.bar_radius
         for k, pair in enumerate(self.pairs or ()):
             where = f"BarContact.pairs[{k}] is {tuple(pair)}"
-            if max(pair) >= len(bars):
-                raise ValueError(f"{where}: bars run from 0 to {len(bars) - 1}")
+            for bar in pair:
+                node_index(f"BarContact.pairs[{k}]", bar, len(bars), "bar")
             if shared := set(bars[pair[0]].tolist()) & set(bars[pair[1]].tolist()):
                 raise ValueError(
                     f"{where}, which share node {min(shared)}: leave the pair out, they meet there"
@@ -158,7 +160,7 @@ def _read_pair(k: int, given: Any) -> tuple[int, int]:
     pair = as_tuple(f"BarContact.pairs[{k}]", given, "(0, 1)")
     if len(pair) != 2:
         raise ValueError(f"BarContact.pairs[{k}] is {format_value(given)}: give two bars")
-    one, other = (whole_number(f"BarContact.pairs[{k}]", bar, 0) for bar in pair)
+    one, other = (index_or_name(f"BarContact.pairs[{k}]", bar) for bar in pair)
     if one == other:
         raise ValueError(f"BarContact.pairs[{k}] is {(one, other)}: give two different bars")
     return one, other

@@ -14,6 +14,7 @@ from tenscasadi.schema.field_types import LIMITS, NUMBER
 from tenscasadi.schema.value import Value
 from tenscasadi.util.validate import (
     Array,
+    IndexOrName,
     format_value,
     node_index,
     nonnegative,
@@ -119,7 +120,7 @@ class Breaking(Strength, kind="Breaking"):
 
     Parameters
     ----------
-    force : float or array_like, shape (α,), or mapping of int to float
+    force : float or array_like, shape (α,), or mapping of int or str to float
         Tension at which each string breaks [N], greater than 0; inf for strings that cannot break.
         Strings that a mapping such as ``{3: 500.0}`` does not name cannot break.
     margin : float
@@ -156,7 +157,7 @@ class Breaking(Strength, kind="Breaking"):
     verb: ClassVar[str] = "breaks"
     breaks: ClassVar[bool] = True
     force: Annotated[
-        ArrayLike | Mapping[int, float],
+        ArrayLike | Mapping[IndexOrName, float],
         for_items("string", NUMBER, LIMITS),
     ]
 
@@ -173,7 +174,7 @@ class Yielding(Strength, kind="Yielding"):
 
     Parameters
     ----------
-    force : float or array_like, shape (α,), or mapping of int to float
+    force : float or array_like, shape (α,), or mapping of int or str to float
         Tension F at which each string yields [N], greater than 0; inf for strings that cannot yield.
         Strings that a mapping such as ``{3: 500.0}`` does not name cannot yield.
     viscosity : float
@@ -219,7 +220,7 @@ class Yielding(Strength, kind="Yielding"):
     verb: ClassVar[str] = "yields"
     breaks: ClassVar[bool] = False
     force: Annotated[
-        ArrayLike | Mapping[int, float],
+        ArrayLike | Mapping[IndexOrName, float],
         for_items("string", NUMBER, LIMITS),
     ]
     viscosity: float

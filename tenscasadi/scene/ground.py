@@ -17,14 +17,15 @@ from tenscasadi.schema.field_types import VECTOR, Members, Word
 from tenscasadi.schema.value import Value
 from tenscasadi.util.validate import (
     Array,
+    IndexOrName,
     Indices,
     as_tuple,
     finite_array,
     format_value,
+    index_or_name,
     node_index,
     number,
     positive_number,
-    whole_number,
 )
 
 BARS = Either((str,), Word(("all",)), Members("bar"))
@@ -223,7 +224,7 @@ class Surface(Value, ABC, implied="Ground"):
 
 
 def _distinct(field: str, given: Any, item: str, none: str, empty: bool) -> tuple[int, ...]:
-    found = tuple(whole_number(field, index, 0) for index in as_tuple(field, given, "[0, 3]"))
+    found = tuple(index_or_name(field, index) for index in as_tuple(field, given, "[0, 3]"))
     if (not found and not empty) or len(set(found)) < len(found):
         raise ValueError(f"{field} is {found}: give each {item} once, or None for {none}")
     return found
@@ -258,10 +259,10 @@ class Ground(Surface, kind="Ground"):
         Direction away from the ground, of any length.
     slip_speed : float
         Slip velocity v_s over which friction is regularized [m/s].
-    nodes : sequence of int, optional
+    nodes : sequence of int or str, optional
         Nodes of the structure that touch the ground as points. Default: all but the ends of `bars`,
         including nodes between the segments of strings. It may be empty if there are `bars`.
-    bars : sequence of int or "all", optional
+    bars : sequence of int or str, or "all", optional
         Bars that touch the ground as capsules of their `bar_radius`. Default: none.
 
     See Also
@@ -294,8 +295,8 @@ class Ground(Surface, kind="Ground"):
     height: float = 0.0
     normal: Annotated[Sequence[float], VECTOR] = (0.0, 0.0, 1.0)
     slip_speed: float = 1e-3
-    nodes: Annotated[Iterable[int] | None, Members("node")] = None
-    bars: Annotated[Iterable[int] | str | None, BARS] = None
+    nodes: Annotated[Iterable[IndexOrName] | None, Members("node")] = None
+    bars: Annotated[Iterable[IndexOrName] | str | None, BARS] = None
 
     def __post_init__(self) -> None:
         normal = finite_array("Ground.normal", self.normal, (3,))

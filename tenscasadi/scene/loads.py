@@ -16,12 +16,13 @@ from tenscasadi.util.casadi_tools import is_expression
 from tenscasadi.util.immutable import ReadOnlyArrays
 from tenscasadi.util.renamed import RenamedAttribute, rename_fields
 from tenscasadi.util.validate import (
+    IndexOrName,
     Indices,
     as_tuple,
     format_value,
+    index_or_name,
     node_index,
     number,
-    whole_number,
 )
 
 
@@ -114,7 +115,7 @@ class Pressure(OverTime, kind="Pressure"):
 
     Parameters
     ----------
-    faces : array_like of int, shape (f, 3)
+    faces : array_like of int or str, shape (f, 3)
         Nodes of each triangle.
     difference : float, array_like, shape (K,), or callable
         Pressure p [Pa], a table of it at `times`, or a function of the time [s].
@@ -133,7 +134,7 @@ class Pressure(OverTime, kind="Pressure"):
     """
 
     _quantity: ClassVar[str] = "difference"
-    faces: Annotated[Sequence[Sequence[int]] | Indices, ListOf(Members("node"))]
+    faces: Annotated[Sequence[Sequence[IndexOrName]] | Indices, ListOf(Members("node"))]
     difference: Annotated[Any, varying()]
     times: Annotated[Any, TIMES] = field(default=None, repr=False)
     breakpoints: Annotated[Any, TIMES] = field(default=(), repr=False)
@@ -146,7 +147,7 @@ class Pressure(OverTime, kind="Pressure"):
         )
         for k, face in enumerate(faces):
             for node in face:
-                whole_number(f"Pressure.faces[{k}]", node, -(2**31))
+                index_or_name(f"Pressure.faces[{k}]", node)
             if len(face) != 3 or len(set(face)) != 3:
                 raise ValueError(
                     f"Pressure.faces[{k}] is {face}: give three different node indices"
@@ -215,7 +216,7 @@ class NodalForce(OverTime, ReadOnlyArrays, kind="NodalForce"):
     breakpoints : array_like, shape (B,), optional
         Times [s] at which a function jumps or has a kink, or a pulse begins or ends. Those of
         comparisons, signs and roundings are found without it. Steps of a simulation end there.
-    bars : mapping of int to int, optional
+    bars : mapping of int or str to int or str, optional
         Bar whose end takes the force, by node. Default: the first bar of the node in the columns of
         `Structure.class_one`. The choice changes only the constraint forces in the joint (Ω of
         `Model.multipliers`), not the motion.
@@ -233,7 +234,7 @@ class NodalForce(OverTime, ReadOnlyArrays, kind="NodalForce"):
     values: Annotated[Any, NodeForceTable()]
     times: Annotated[Any, TIMES] = None
     breakpoints: Annotated[Any, TIMES] = ()
-    bars: Annotated[Mapping[int, int] | None, MapOf("node", Index("bar"))] = None
+    bars: Annotated[Mapping[IndexOrName, IndexOrName] | None, MapOf("node", Index("bar"))] = None
 
     def __post_init__(self) -> None:
         self._read((None, 3))
@@ -263,11 +264,11 @@ class NodalForce(OverTime, ReadOnlyArrays, kind="NodalForce"):
         """
         for node, bar in (self.bars or {}).items():
             node_index("NodalForce.bars", node, nodes)
-            whole_number(f"NodalForce.bars[{node}]", bar, 0)
+            index_or_name(f"NodalForce.bars[{node}]", bar)
             ends = [] if pairs is None else np.flatnonzero((pairs == node).any(axis=1)).tolist()
             if pairs is not None and bar not in ends:
                 raise ValueError(
-                    f"NodalForce.bars[{node}] is {bar}, which is no bar of node {node}: "
+                    f"NodalForce.bars[{node}] is {format_value(bar)}, which is no bar of node {node}: "
                     f"give one of {ends}, or remove the node"
                 )
         if callable(self.values):

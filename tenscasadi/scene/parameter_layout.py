@@ -30,6 +30,7 @@ from tenscasadi.util.validate import (
     finite_array,
     format_value,
     nesting,
+    node_index,
 )
 
 if TYPE_CHECKING:
@@ -319,11 +320,8 @@ def _find_members(
     if groups is None:
         return [np.array([k]) for k in range(count)], [f"[{label}]" for label in labels]
     for g, group in enumerate(groups):
-        if max(group) >= count:
-            raise ValueError(
-                f"Parameters.groups[{name!r}][{g}] has index {max(group)}: "
-                f"{_plural(name)} run from 0 to {count - 1}"
-            )
+        for index in group:
+            node_index(f"Parameters.groups[{name!r}][{g}]", index, count, QUANTITIES[name].item)
     return [np.array(group) for group in groups], [f"[{g}]" for g in range(len(groups))]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Annotated, Any, cast
 
 from tenscasadi.scene.quantities import GROUPED, QUANTITIES
@@ -11,7 +12,7 @@ from tenscasadi.schema.containers import Either, ListOf, TableOf
 from tenscasadi.schema.field_types import WHOLE, Members, Word
 from tenscasadi.schema.reading import ItemKind
 from tenscasadi.schema.value import Value
-from tenscasadi.util.validate import as_tuple, format_value, whole_number
+from tenscasadi.util.validate import as_tuple, format_value, index_or_name
 
 _GROUPS = TableOf(
     {
@@ -53,7 +54,7 @@ class Parameters(Value, kind="Parameters"):
         node).
     scale : iterable of str
         Quantities with a dimensionless factor in p, which is 1 for the values of the scene.
-    groups : mapping of str to sequence of sequence of int, or to "all", optional
+    groups : mapping of str to sequence of sequence of int or str, or to "all", optional
         Groups of strings, bars, nodes, bodies or grounds that share an entry, by quantity. Items in no
         group are constant. "all": all items share one entry, which is the default of a scale.
 
@@ -168,11 +169,10 @@ def _read_groups(name: str, value: Any) -> tuple[tuple[int, ...], ...]:
         raise ValueError(
             f"{where} is {format_value(value)}: give one or more groups of one or more indices"
         )
-    seen: set[int] = set()
+    seen: set[Any] = set()
     for g, group in enumerate(groups):
         for index in group:
-            whole_number(f"{where}[{g}]", index, 0)
-            if index in seen:
+            if index_or_name(f"{where}[{g}]", index) in seen:
                 raise ValueError(f"{where}[{g}] has index {index} again: give each index once")
-            seen.add(int(index))
-    return tuple(tuple(int(index) for index in group) for group in groups)
+            seen.add(index)
+    return tuple(tuple(map(partial(index_or_name, where), group)) for group in groups)

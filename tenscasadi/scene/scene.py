@@ -23,7 +23,7 @@ from tenscasadi.scene.strength import find_limited
 from tenscasadi.scene.strings import Clip, ForceDensity, StringLaw
 from tenscasadi.scene.supports import SupportMotion
 from tenscasadi.schema.containers import Either, ListOf, MapOf
-from tenscasadi.schema.definitions import OneOf
+from tenscasadi.schema.definitions import OneOf, definition, resolve_fields
 from tenscasadi.schema.field_types import ElsewhereInFile
 from tenscasadi.schema.value import Value
 from tenscasadi.structure.cables import select_first
@@ -31,7 +31,7 @@ from tenscasadi.structure.structure import Structure
 from tenscasadi.structure.subdivision import segment_counts, segment_shares
 from tenscasadi.util.immutable import read_only
 from tenscasadi.util.renamed import RenamedAttribute
-from tenscasadi.util.validate import Array, Indices, instance
+from tenscasadi.util.validate import Array, IndexOrName, Indices, instance
 from tenscasadi.util.viewable import Viewable
 
 
@@ -94,7 +94,7 @@ class Scene(Value, Viewable, kind="Scene"):
     pressure: Pressure | None = None
     forces: NodalForce | None = None
     slack: Annotated[
-        StringLaw | Sequence[StringLaw] | Mapping[int, StringLaw],
+        StringLaw | Sequence[StringLaw] | Mapping[IndexOrName, StringLaw],
         Either(
             (Mapping,),
             MapOf("string", OneOf(StringLaw)),
@@ -110,6 +110,10 @@ class Scene(Value, Viewable, kind="Scene"):
 
     def __post_init__(self) -> None:
         instance("Scene.structure", self.structure, Structure, "a tenscasadi.Structure")
+        for name, value in resolve_fields(
+            definition(Scene), vars(self), self.structure.names
+        ).items():
+            object.__setattr__(self, name, value)
         for name, kind in {
             "gravity": Gravity,
             "pressure": Pressure,

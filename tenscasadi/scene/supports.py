@@ -24,6 +24,7 @@ from tenscasadi.util.validate import (
     NEGLIGIBLE,
     TOLERANCE,
     Array,
+    IndexOrName,
     finite_array,
     format_value,
     node_index,
@@ -48,7 +49,7 @@ class SupportMotion(Value, kind="SupportMotion"):
 
     Parameters
     ----------
-    positions : mapping of int to callable
+    positions : mapping of int or str to callable
         Functions by node that convert the time [s] to (x, y, z) [m]. At t = 0 they return the
         node's position in the structure. Three numbers are a constant.
     breakpoints : array_like, shape (B,), optional
@@ -64,7 +65,7 @@ class SupportMotion(Value, kind="SupportMotion"):
     True
     """
 
-    positions: Annotated[Mapping[int, Callable[[Any], Any]], MapOf("node", _MOTION)]
+    positions: Annotated[Mapping[IndexOrName, Callable[[Any], Any]], MapOf("node", _MOTION)]
     breakpoints: Annotated[Any, TIMES] = ()
 
     def __post_init__(self) -> None:

@@ -14,7 +14,13 @@ from tenscasadi.scene.contact_law import Contact
 from tenscasadi.scene.ground import BARS, Surface
 from tenscasadi.schema.field_types import PAIR, TABLE, Members
 from tenscasadi.util.immutable import ReadOnlyArrays
-from tenscasadi.util.validate import MAX_COUNT, Array, finite_array, whole_number
+from tenscasadi.util.validate import (
+    MAX_COUNT,
+    Array,
+    IndexOrName,
+    finite_array,
+    whole_number,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,10 +44,10 @@ class Terrain(ReadOnlyArrays, Surface, kind="Terrain"):
         Coulomb's friction coefficient μ. Default: no friction.
     slip_speed : float
         Slip velocity v_s over which friction is regularized [m/s], see `Ground`.
-    nodes : sequence of int, optional
+    nodes : sequence of int or str, optional
         Nodes of the structure that touch the ground as points. Default: all but the ends of `bars`,
         including nodes between the segments of strings. It may be empty if there are `bars`.
-    bars : sequence of int or "all", optional
+    bars : sequence of int or str, or "all", optional
         Bars that touch the ground as capsules of their `bar_radius`. Default: none.
     bar_points : int, optional
         Number of contact points along each of `bars`, at least 2. Default: points no farther apart
@@ -82,8 +88,8 @@ class Terrain(ReadOnlyArrays, Surface, kind="Terrain"):
     damping: float = 0.0
     friction: float | None = None
     slip_speed: float = 1e-3
-    nodes: Annotated[Iterable[int] | None, Members("node")] = None
-    bars: Annotated[Iterable[int] | str | None, BARS] = None
+    nodes: Annotated[Iterable[IndexOrName] | None, Members("node")] = None
+    bars: Annotated[Iterable[IndexOrName] | str | None, BARS] = None
     bar_points: int | None = None
 
     def __post_init__(self) -> None:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from tenscasadi.schema.field_types import FieldType, Schema, Schemas, varying
-from tenscasadi.schema.reading import Item, ItemKind, nearest
+from tenscasadi.schema.field_types import FieldType, Index, Schema, Schemas, varying
+from tenscasadi.schema.reading import Item, ItemKind, Names, list_entries, nearest
 from tenscasadi.schema.time_formula import TimeFormula
+from tenscasadi.util.validate import format_value
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,17 @@ class ListOf(FieldType):
         many: Schema = {"type": "array", "items": one, **limits}
         return {"anyOf": [one, many]} if self.single else many
 
+    def resolve(self, field: str, value: Any, names: Names) -> Any:
+        """Replace the names in the entries."""
+        entries = list_entries(field, value)
+        if entries is None:
+            return self.type.resolve(field, value, names) if self.single else value
+        found = [
+            self.type.resolve(f"{field}[{k}]", entry, names) for k, entry in enumerate(entries)
+        ]
+        same = all(new is entry for new, entry in zip(found, entries, strict=True))
+        return value if same and not isinstance(value, Iterator) else found
+
 
 @dataclass(frozen=True)
 class MapOf(FieldType):
@@ -80,11 +92,18 @@ class MapOf(FieldType):
 
     def write(self, value: Any) -> dict[str, Any]:
         """Write a table."""
-        return {str(int(index)): self.type.write(entry) for index, entry in value.items()}
+        key = Index(self.which)
+        return {str(key.write(index)): self.type.write(entry) for index, entry in value.items()}
 
     def schema(self, kinds: Schemas) -> Schema:
         """Build the schema of an object with any keys."""
         return {"type": "object", "additionalProperties": self.type.schema(kinds)}
+
+    def resolve(self, field: str, value: Any, names: Names) -> Any:
+        """Replace names among keys, and in the values."""
+        return names.resolve_keys(
+            field, self.which, _resolve_values(field, value, lambda word: self.type, names)
+        )
 
 
 @dataclass(frozen=True)
@@ -119,8 +138,25 @@ class TableOf(FieldType):
         entries = {word: own.schema(kinds) for word, own in self.type.items()}
         return {"type": "object", "properties": entries, "additionalProperties": False}
 
+    def resolve(self, field: str, value: Any, names: Names) -> Any:
+        """Replace the names in the values."""
+        return _resolve_values(field, value, self._type, names)
+
     def _type(self, word: str) -> FieldType:
         return self.type if isinstance(self.type, FieldType) else self.type[word]
+
+
+def _resolve_values(
+    field: str, value: Any, choose: Callable[[Any], FieldType], names: Names
+) -> Any:
+    """Replace the names in the values of a mapping; `choose` finds the type of a key's value."""
+    if not isinstance(value, Mapping):
+        return value
+    found = {
+        word: choose(word).resolve(f"{field}[{format_value(word)}]", entry, names)
+        for word, entry in value.items()
+    }
+    return value if all(found[word] is entry for word, entry in value.items()) else found
 
 
 @dataclass(frozen=True)
@@ -155,6 +191,10 @@ class Either(FieldType):
     def schema(self, kinds: Schemas) -> Schema:
         """Build the schema of both."""
         return {"anyOf": [self.first.schema(kinds), self.other.schema(kinds)]}
+
+    def resolve(self, field: str, value: Any, names: Names) -> Any:
+        """Replace names by the type that fits."""
+        return self._choose(value).resolve(field, value, names)
 
     def _choose(self, value: Any) -> FieldType:
         other = isinstance(value, Mapping) and self.unless in value

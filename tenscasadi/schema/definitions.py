@@ -8,7 +8,17 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import cache
 from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    Literal,
+    NamedTuple,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 from tenscasadi.schema.containers import ListOf
 from tenscasadi.schema.field_types import (
@@ -25,7 +35,7 @@ from tenscasadi.schema.field_types import (
     Schemas,
     Word,
 )
-from tenscasadi.schema.reading import Item, NotWritten, call, nearest
+from tenscasadi.schema.reading import Item, Names, NotWritten, call, nearest
 from tenscasadi.schema.value import Value
 from tenscasadi.util.validate import format_value
 
@@ -308,6 +318,37 @@ class OneOf(FieldType):
             options = [many, *([{"enum": words}] if words else [])]
             kinds[name] = {"description": _summary(self.family), "anyOf": options}
         return {"$ref": f"#/$defs/{name}"}
+
+    def resolve(self, field: str, value: Any, names: Names) -> Any:
+        """Replace the names in the fields of a value."""
+        return resolve_names(value, names)
+
+
+T = TypeVar("T")
+
+
+def resolve_names(value: T, names: Names) -> T:
+    """Replace the names of nodes, bars and strings in the fields of a value by indices.
+
+    Values without names are returned unchanged. Raises TypeError, ValueError.
+    """
+    kinds = [own for own in type(value).__mro__ if issubclass(own, Value) and own.kind]
+    if not isinstance(value, Value) or not kinds:
+        return value
+    given = value.to_fields()
+    own = definition(kinds[0], kinds[0].kind, "kind")  # type: ignore[arg-type]  # classes hash
+    changed = resolve_fields(own, given, names)
+    return value.from_fields(**{**given, **changed}) if changed else value
+
+
+def resolve_fields(own: Definition, given: Mapping[str, Any], names: Names) -> dict[str, Any]:
+    """Replace names in the fields of a definition; returns the fields that change."""
+    found = {
+        name: field.type.resolve(f"{own.kind}.{name}", given[name], names)
+        for name, field in own.fields.items()
+        if name in given
+    }
+    return {name: value for name, value in found.items() if value is not given[name]}
 
 
 def parameter_texts(build: Callable[..., Any]) -> dict[str, str]:

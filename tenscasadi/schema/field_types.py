@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tenscasadi.schema.formulas import FormulaError
-from tenscasadi.schema.reading import Item, ItemKind, NotWritten, nearest
+from tenscasadi.schema.reading import Item, ItemKind, Names, NotWritten, nearest
 from tenscasadi.schema.time_formula import TimeFormula
 from tenscasadi.util.validate import format_value
 
@@ -40,6 +40,14 @@ class FieldType(ABC):
     @abstractmethod
     def schema(self, kinds: Schemas) -> Schema:
         """Build the JSON Schema; definitions are added to `kinds`."""
+
+    def resolve(self, field: str, value: Any, names: Names) -> Any:
+        """Replace names of nodes, bars and strings in a Python value by indices.
+
+        Other values are returned unchanged, for the checks of their class. Raises TypeError,
+        ValueError.
+        """
+        return value
 
 
 @dataclass(frozen=True)
@@ -256,13 +264,17 @@ class Index(FieldType):
             raise item.error(f"is {format_value(item.value)}, {group}: give the index of one")
         return found[0]
 
-    def write(self, value: Any) -> int:
-        """Write an index."""
-        return int(value)
+    def write(self, value: Any) -> int | str:
+        """Write an index, or a name."""
+        return str(value) if isinstance(value, str) else int(value)
 
     def schema(self, kinds: Schemas) -> Schema:
         """Build the schema of an index or a name."""
         return {"type": ["integer", "string"], "minimum": 0}
+
+    def resolve(self, field: str, value: Any, names: Names) -> Any:
+        """Replace a name."""
+        return names.resolve(field, self.which, value)
 
 
 @dataclass(frozen=True)
@@ -279,13 +291,17 @@ class Members(FieldType):
         entries = item.entries(f"a list of names or indices of {self.which}s")
         return [index for entry in entries for index in entry.indices(self.which)]
 
-    def write(self, value: Any) -> list[int]:
-        """Write indices."""
-        return [int(index) for index in value]
+    def write(self, value: Any) -> list[int | str]:
+        """Write indices and names."""
+        return [Index(self.which).write(entry) for entry in value]
 
     def schema(self, kinds: Schemas) -> Schema:
         """Build the schema of a list."""
         return {"type": "array", "items": Index(self.which).schema(kinds)}
+
+    def resolve(self, field: str, value: Any, names: Names) -> Any:
+        """Replace names."""
+        return names.resolve_all(field, self.which, value)
 
 
 class InPython(FieldType):

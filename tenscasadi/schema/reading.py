@@ -4,17 +4,26 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple, TypeVar
+
+import numpy as np
 
 from tenscasadi.schema.formulas import Formula
 from tenscasadi.schema.text import Key, find_line
 from tenscasadi.util.troubleshooting import add_address
-from tenscasadi.util.validate import LARGEST, format_value
+from tenscasadi.util.validate import (
+    LARGEST,
+    Indices,
+    as_tuple,
+    format_value,
+    node_index,
+    node_pairs,
+)
 
 T = TypeVar("T")
-ItemKind = Literal["node", "bar", "string"]
+ItemKind = Literal["node", "bar", "string", "member"]  # members: strings, then bars
 
 
 class SceneFileError(ValueError):
@@ -91,10 +100,96 @@ class Names:
         if isinstance(word, bool) or not isinstance(word, int):
             raise ValueError(f"is {format_value(word)}: give the name or index of a {which}")
         if not 0 <= word < count:
-            indices = f"{which} indices run from 0 to {count - 1}"
-            cure = indices if count else f"there are no {which}s"
+            cure = (
+                f"{which} indices run from 0 to {count - 1}" if count else f"there are no {which}s"
+            )
             raise ValueError(f"names {which} {format_value(word)}: {cure}")
         return [word]
+
+    def index(self, field: str, which: ItemKind, word: Any) -> int:
+        """Find the index of an item by its name or index.
+
+        Raises TypeError, ValueError.
+        """
+        found = self.resolve(field, which, word)
+        return node_index(field, found, self.counts.get(which, 0), which)
+
+    def resolve(self, field: str, which: ItemKind, word: Any) -> Any:
+        """Replace the name of an item by its index.
+
+        Other values are returned unchanged. Raises ValueError.
+        """
+        found = self.expand(field, which, word)
+        if len(found) != 1:
+            group = f"{format_value(word)}, a group of {len(found)} {which}s"
+            raise ValueError(f"{field} is {group}: give the name or index of one")
+        return found[0]
+
+    def resolve_all(self, field: str, which: ItemKind, words: Any) -> Any:
+        """Replace the names of items and groups in a list by indices.
+
+        Other values are returned unchanged. Raises TypeError, ValueError.
+        """
+        entries = list_entries(field, words)
+        if not any(isinstance(entry, str) for entry in entries or ()):
+            return entries if isinstance(words, Iterator) else words
+        return [index for entry in entries or () for index in self.expand(field, which, entry)]
+
+    def resolve_lists(self, field: str, which: ItemKind, lists: Any) -> Any:
+        """Replace names in a list of lists by indices.
+
+        Other values are returned unchanged. Raises TypeError, ValueError.
+        """
+        entries = list_entries(field, lists) or ()
+        found = [self.resolve_all(f"{field}[{k}]", which, own) for k, own in enumerate(entries)]
+        same = all(new is own for new, own in zip(found, entries, strict=True))
+        return lists if same and not isinstance(lists, Iterator) else found
+
+    def pairs(self, field: str, members: Any, item: str, parallel: bool = False) -> Indices:
+        """Convert members, pairs of nodes by name or index, to an array (items, 2).
+
+        Raises TypeError, ValueError as `node_pairs`.
+        """
+        own = self.resolve_lists(field, "node", members)
+        return node_pairs(field, own, self.counts["node"], item, parallel)
+
+    def mask(self, field: str, which: ItemKind, words: Any) -> np.ndarray[Any, np.dtype[np.bool_]]:
+        """Convert names and indices to a mask of all items.
+
+        Raises TypeError, ValueError.
+        """
+        indices = self.resolve_all(field, which, words)
+        found = np.zeros(self.counts.get(which, 0), dtype=bool)
+        for k, index in enumerate(as_tuple(field, indices, f"[0, 3] of {which} indices")):
+            found[node_index(f"{field}[{k}]", index, len(found), which)] = True
+        return found
+
+    def resolve_keys(self, field: str, which: ItemKind, table: Any) -> Any:
+        """Replace the names of items and groups among the keys of a mapping by indices.
+
+        Other values are returned unchanged. Raises ValueError.
+        """
+        if not isinstance(table, Mapping) or not any(isinstance(word, str) for word in table):
+            return table
+        found: dict[Any, Any] = {}
+        for word, value in table.items():
+            for index in self.expand(field, which, word):
+                if index in found:
+                    raise ValueError(f"{field} gives {which} {index} twice: leave one out")
+                found[index] = value
+        return found
+
+    def expand(self, field: str, which: ItemKind, word: Any) -> list[Any]:
+        """List the indices of the name of an item or group, or a value that is no name.
+
+        Raises ValueError.
+        """
+        if not isinstance(word, str):
+            return [word]
+        try:
+            return self.find(which, word)
+        except ValueError as error:
+            raise add_address(ValueError(f"{field} {error}")) from None
 
 
 @dataclass(frozen=True)
@@ -238,6 +333,22 @@ class Item(NamedTuple):
             raise
         except ValueError as error:
             raise self.error(str(error)) from None
+
+
+def list_entries(field: str, value: Any) -> tuple[Any, ...] | None:
+    """List the entries of a list that can hold names, None for other values.
+
+    Raises TypeError for an iterator that fails, as it cannot be read again.
+    """
+    numbers = isinstance(value, np.ndarray) and value.dtype.kind in "biufc"
+    if numbers or isinstance(value, (str, bytes, Mapping)):
+        return None
+    try:
+        return tuple(value)
+    except Exception as error:  # each kind of matrix raises its own error
+        if isinstance(value, Iterator):
+            raise TypeError(f"{field} is {format_value(value)} ({error}): give a list") from error
+        return None
 
 
 def nearest(word: str, known: Iterable[str]) -> str:

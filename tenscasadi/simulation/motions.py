@@ -14,8 +14,9 @@ from tenscasadi.scene.scene import Scene
 from tenscasadi.schema.stored import check_indices
 from tenscasadi.simulation.scene_result import SceneResult, format_largest
 from tenscasadi.simulation.string_breaks import StringBreak, StringYield, find_breaks, find_yields
+from tenscasadi.structure.names import names_of
 from tenscasadi.util.tables import MOST_LISTED
-from tenscasadi.util.validate import Array, Indices, node_index
+from tenscasadi.util.validate import Array, Indices
 from tenscasadi.util.viewable import Viewable
 
 
@@ -164,13 +165,13 @@ class Rollouts(Viewable, SceneResult, form="tenscasadi rollouts 1", title="file 
             for own, rows in zip(self.states, good, strict=True)
         ]
 
-    def path(self, node: int) -> Array:
+    def path(self, node: int | str) -> Array:
         """Compute the positions of a node in all runs.
 
         Parameters
         ----------
-        node : int
-            Physical node.
+        node : int or str
+            Physical node, by its index or name.
 
         Returns
         -------
@@ -182,7 +183,9 @@ class Rollouts(Viewable, SceneResult, form="tenscasadi rollouts 1", title="file 
         TypeError, ValueError
             If there is no such node.
         """
-        return node_positions(self, [node_index("node", node, len(self.place))])[:, :, 0]
+        structure = None if self.scene is None else self.scene.modelled
+        names = names_of(structure, node=len(self.place))
+        return node_positions(self, [names.index("node", "node", node)])[:, :, 0]
 
     def summary(self) -> str:
         """Format endings, errors and speed of the runs.

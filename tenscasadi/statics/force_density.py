@@ -20,9 +20,9 @@ from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import (
     NEGLIGIBLE,
     Array,
+    IndexOrName,
     finite_array,
     instance,
-    item_mask,
     nonnegative,
     per_item,
 )
@@ -47,7 +47,7 @@ def equilibrium_force_density(
     structure: Structure,
     loads: ArrayLike | None = None,
     minimum: ArrayLike = 1.0,
-    compression_strings: Iterable[int] = (),
+    compression_strings: Iterable[IndexOrName] = (),
 ) -> Array:
     """Compute the least string force densities in equilibrium with loads.
 
@@ -63,7 +63,7 @@ def equilibrium_force_density(
         Forces on the nodes [N]. Default: none.
     minimum : array_like, shape (α,)
         Smallest force density of each string [N/m], at least 0, or one number for all.
-    compression_strings : sequence of int
+    compression_strings : sequence of int or str
         Compression-capable strings (law `Linear`), for which there is no minimum.
 
     Returns
@@ -96,7 +96,7 @@ def equilibrium_force_density(
     """
     instance("structure", structure, Structure, "a tenscasadi.Structure")
     alpha = len(structure.strings)
-    either = item_mask("compression_strings", compression_strings, alpha, "string")
+    either = structure.names.mask("compression_strings", "string", compression_strings)
     least = nonnegative("minimum", per_item("minimum", minimum, alpha), "string")
     least = np.where(either, 0.0, least)
     shape = structure.nodes.shape

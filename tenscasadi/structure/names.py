@@ -32,6 +32,25 @@ def read_names(field: str, value: Any, count: int) -> tuple[str, ...]:
     return names if any(names) else ()
 
 
+def names_of(structure: Any, **counts: int) -> Names:
+    """Collect the names of a structure; without one, none of given numbers of items."""
+    if structure is None:
+        return Names(counts)  # type: ignore[arg-type]
+    parts = ("node", "string", "bar")
+    own = {which: len(getattr(structure, f"{which}s")) for which in parts}
+    return find_names(own, {which: getattr(structure, f"{which}_names") for which in parts})
+
+
+def find_input_names(structure: Any) -> Names:
+    """Find the inputs, of cables and lone strings, by the names of their strings."""
+    names, cable_of = structure.names, structure.cable_of
+    inputs = {
+        name: sorted({*cable_of[own].tolist()}) for name, own in names.named["string"].items()
+    }
+    counts = {**names.counts, "string": int(cable_of.max(initial=-1)) + 1}
+    return Names(counts, {**names.named, "string": inputs})
+
+
 def name_members(groups: Iterable[tuple[str, int]]) -> list[str]:
     """Name the members of groups of given names and sizes."""
     return [
@@ -110,4 +129,8 @@ def find_names(counts: Mapping[Any, int], names: Mapping[Any, Sequence[str]]) ->
                 table[name] = [k]
             if group := _MEMBER.fullmatch(name):
                 table.setdefault(group[1], []).append(k)
-    return Names(counts, found)
+    strings, bars = (counts.get(which, 0) for which in ("string", "bar"))
+    members = {name: list(own) for name, own in found.get("string", {}).items()}
+    for name, indices in found.get("bar", {}).items():
+        members.setdefault(name, []).extend(strings + k for k in indices)
+    return Names({**counts, "member": strings + bars}, {**found, "member": members})

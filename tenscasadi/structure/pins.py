@@ -8,26 +8,30 @@ from typing import Any
 
 import numpy as np
 
+from tenscasadi.schema.reading import Names
 from tenscasadi.util.validate import (
     TOLERANCE,
     Array,
+    as_tuple,
     finite_array,
     format_value,
     nesting,
-    node_index,
 )
 
 Normals = tuple[tuple[float, float, float], ...]
 
 
-def read_pins(pinned: Any, count: int) -> Mapping[int, str]:
+def read_pins(pinned: Any, names: Names) -> Mapping[int, str]:
     """Read the pinned axes by node.
 
     Nodes and axes are in order. Raises TypeError or ValueError.
     """
+    pinned = names.resolve_keys("pinned", "node", names.resolve_all("pinned", "node", pinned))
     try:
         entries = list(
-            pinned.items() if isinstance(pinned, Mapping) else ((node, "xyz") for node in pinned)
+            pinned.items()
+            if isinstance(pinned, Mapping)
+            else ((node, "xyz") for node in as_tuple("pinned", pinned, "[0, 3]"))
         )
     except Exception as error:  # each kind of matrix raises its own error
         raise TypeError(
@@ -36,7 +40,7 @@ def read_pins(pinned: Any, count: int) -> Mapping[int, str]:
         ) from error
     pins: dict[int, str] = {}
     for key, axes in entries:
-        node = node_index("pinned", key, count)
+        node = names.index("pinned", "node", key)
         if not isinstance(axes, str):
             raise TypeError(
                 f"pinned of node {node} is {format_value(axes)}: give axes such as 'xyz' or 'z'"
@@ -52,7 +56,7 @@ def read_pins(pinned: Any, count: int) -> Mapping[int, str]:
 
 
 def read_rollers(
-    rollers: Any, pins: Mapping[int, str], count: int
+    rollers: Any, pins: Mapping[int, str], names: Names
 ) -> tuple[Mapping[int, str], Mapping[int, Normals]]:
     """Split rollers into pinned axes and inclined directions.
 
@@ -65,8 +69,8 @@ def read_rollers(
             "give a mapping from nodes to normals, such as {3: (1, 0, 1)}"
         )
     held, found = dict(pins), {}
-    for key, given in rollers.items():
-        node = node_index("rollers", key, count)
+    for key, given in names.resolve_keys("rollers", "node", rollers).items():
+        node = names.index("rollers", "node", key)
         if node in pins:
             raise ValueError(
                 f"rollers: node {node} is pinned along {pins[node]}, too: "

@@ -14,7 +14,6 @@ from tenscasadi.util.validate import (
     TOLERANCE,
     Array,
     finite_array,
-    item_mask,
     nesting,
     nonnegative,
     per_item,
@@ -51,7 +50,7 @@ def find_rest_lengths(
     gamma, lam = read_force_densities(structure, force_density)
     check_cable_tensions(structure, gamma)
     k = structure.stiffness
-    either = item_mask("compression_strings", compression_strings, len(gamma), "string")
+    either = structure.names.mask("compression_strings", "string", compression_strings)
     nonnegative("force_density", np.where(either, 0.0, gamma), "string")
     for i in np.flatnonzero((gamma != 0.0) & (gamma >= k)):
         raise add_address(

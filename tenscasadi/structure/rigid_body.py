@@ -3,26 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
 from tenscasadi.schema.field_types import VECTOR, Members, Numbers
+from tenscasadi.schema.reading import Names
 from tenscasadi.schema.value import Value
 from tenscasadi.util.linear_algebra import fit_rotation
 from tenscasadi.util.validate import (
     NEGLIGIBLE,
     SMALLEST,
     Array,
+    IndexOrName,
     as_tuple,
     finite_array,
     format_value,
+    index_or_name,
     instance,
     nesting,
-    node_index,
     positive_number,
-    whole_number,
 )
 
 
@@ -46,7 +47,7 @@ class RigidBody(Value, kind="RigidBody"):
 
     Parameters
     ----------
-    nodes : sequence of int
+    nodes : sequence of int or str
         Nodes that the body holds, at least two.
     mass : float
         Mass [kg], greater than 0. Masses of bars and nodes are added to it.
@@ -74,16 +75,14 @@ class RigidBody(Value, kind="RigidBody"):
     Structure(4 nodes, 0 bars, 0 strings, 0 pinned, 1 body)
     """
 
-    nodes: Annotated[Sequence[int], Members("node")]
+    nodes: Annotated[Sequence[IndexOrName], Members("node")]
     mass: float
     center: Annotated[Any, VECTOR] = None
     inertia: Annotated[Any, Numbers(((3,), (3, 3)))] = None
 
     def __post_init__(self) -> None:
         given = as_tuple("RigidBody.nodes", self.nodes, "[0, 1, 2, 3]")
-        nodes = tuple(
-            whole_number(f"RigidBody.nodes[{k}]", node, 0) for k, node in enumerate(given)
-        )
+        nodes = tuple(index_or_name(f"RigidBody.nodes[{k}]", node) for k, node in enumerate(given))
         if len(nodes) < 2:
             raise ValueError(
                 f"RigidBody.nodes is {format_value(nodes)}: give at least two nodes, "
@@ -158,20 +157,22 @@ class RigidBody(Value, kind="RigidBody"):
         )
 
 
-def read_bodies(given: Any, count: int) -> tuple[RigidBody, ...]:
-    """Read the bodies of a structure of `count` nodes.
+def read_bodies(given: Any, names: Names) -> tuple[RigidBody, ...]:
+    """Read the bodies of a structure.
 
     Raises TypeError or ValueError.
     """
     example = "give a list of tenscasadi.RigidBody"
     if isinstance(given, RigidBody) or not isinstance(given, Iterable):
         raise TypeError(f"bodies is {format_value(given)}: {example}")
-    bodies = tuple(given)
+    bodies = list(given)
     for k, body in enumerate(bodies):
         instance(f"bodies[{k}]", body, RigidBody, "a tenscasadi.RigidBody")
-        for node in body.nodes:
-            node_index(f"bodies[{k}].nodes", node, count)
-    return bodies
+        nodes = names.resolve_all(f"bodies[{k}].nodes", "node", body.nodes)
+        for node in nodes:
+            names.index(f"bodies[{k}].nodes", "node", node)
+        bodies[k] = body if nodes is body.nodes else replace(body, nodes=nodes)
+    return tuple(bodies)
 
 
 def reject_bodies(structure: Any, user: str) -> None:

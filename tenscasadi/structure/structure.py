@@ -27,7 +27,7 @@ from tenscasadi.structure.class_one import (
 )
 from tenscasadi.structure.derived import read_derived, write_derived
 from tenscasadi.structure.mass_checks import check_node_masses
-from tenscasadi.structure.names import find_names, read_names, reset_item_fields
+from tenscasadi.structure.names import find_names, names_of, read_names, reset_item_fields
 from tenscasadi.structure.pins import Normals, read_axes, read_pins, read_rollers
 from tenscasadi.structure.prestress import find_rest_lengths
 from tenscasadi.structure.properties import read_properties
@@ -39,10 +39,10 @@ from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import (
     SMALLEST,
     Array,
+    IndexOrName,
     Indices,
     finite_array,
     flag,
-    node_pairs,
     rows_of_size,
 )
 from tenscasadi.util.viewable import Viewable
@@ -58,18 +58,17 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
     ----------
     nodes : array_like, shape (n, 3)
         Positions [m].
-    bars : sequence of pairs of int
+    bars : sequence of pairs of int or str
         End nodes of each of the β bars, zero-based.
-    strings : sequence of pairs of int
-        End nodes of each of the α strings, zero-based. Several strings can join the same two nodes,
-        but bars cannot.
+    strings : sequence of pairs of int or str
+        End nodes of each of the α strings. Several strings can join the same nodes, bars cannot.
     bar_mass : array_like, shape (β,)
         Mass of each bar [kg], greater than 0.
     bar_radius : array_like, shape (β,)
         Radius of each bar [m], for its inertia J = m/12 + m r²/(4 l²) (Eq. 19).
     node_mass : array_like, shape (n,)
         Point mass on each node [kg].
-    pinned : iterable of int or mapping of int to str
+    pinned : iterable of int or str or mapping of int or str to str
         Fixed nodes, or the fixed axes of nodes, such as ``{0: "xyz", 3: "z"}``.
     stiffness : array_like, shape (α,)
         Force of each string per elongation [N/m].
@@ -79,7 +78,7 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         Unstretched length of each string [m]. Default: its length in `nodes`.
     string_mass : array_like, shape (α,)
         Mass of each string [kg], which `subdivide` assigns to nodes.
-    rollers : mapping of int to array_like, shape (3,) or (k, 3)
+    rollers : mapping of int or str to array_like, shape (3,) or (k, 3)
         Fixed directions of nodes, such as ``{3: (1, 0, 1)}``: one normal for a node that moves in a
         plane, or two normals for a node that moves along a line.
     bar_stiffness : array_like, shape (β,), optional
@@ -88,7 +87,7 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         Unstressed length of each elastic bar [m]. Default: its length in `nodes`.
     bodies : sequence of RigidBody
         Rigid bodies that hold some of the nodes.
-    cables : sequence of sequences of int
+    cables : sequence of sequences of int or str
         Strings of each cable in order, end to end. A cable has one tension and slides over the
         nodes between its strings.
     cable_friction : array_like, shape (cables,)
@@ -171,21 +170,21 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
     def __init__(  # noqa: PLR0913  one keyword for each property
         self,
         nodes: ArrayLike,
-        bars: Iterable[Sequence[int]] | Indices = (),
-        strings: Iterable[Sequence[int]] | Indices = (),
+        bars: Iterable[Sequence[IndexOrName]] | Indices = (),
+        strings: Iterable[Sequence[IndexOrName]] | Indices = (),
         bar_mass: ArrayLike = 1.0,
         bar_radius: ArrayLike = 0.0,
         node_mass: ArrayLike = 0.0,
-        pinned: Iterable[int] | Mapping[int, str] = (),
+        pinned: Iterable[IndexOrName] | Mapping[IndexOrName, str] = (),
         stiffness: ArrayLike = 100.0,
         damping: ArrayLike = 0.0,
         rest_length: ArrayLike | None = None,
         string_mass: ArrayLike = 0.0,
-        rollers: Mapping[int, ArrayLike] = MappingProxyType({}),
+        rollers: Mapping[IndexOrName, ArrayLike] = MappingProxyType({}),
         bar_stiffness: ArrayLike | None = None,
         bar_rest_length: ArrayLike | None = None,
         bodies: Iterable[RigidBody] = (),
-        cables: Iterable[Sequence[int]] = (),
+        cables: Iterable[Sequence[IndexOrName]] = (),
         cable_friction: ArrayLike = 0.0,
         node_names: Iterable[str] = (),
         string_names: Iterable[str] = (),
@@ -196,9 +195,14 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         n = len(self.nodes)
         if n == 0:
             raise ValueError("nodes is empty: give at least one node")
-        own["bars"] = node_pairs("bars", bars, n, "bar")
-        own["strings"] = node_pairs("strings", strings, n, "string", parallel=True)
-        own["pinned"], own["rollers"] = read_rollers(rollers, read_pins(pinned, n), n)
+        own["node_names"] = read_names("node_names", node_names, n)
+        names = find_names({"node": n}, {"node": self.node_names})
+        own["bars"] = names.pairs("bars", bars, "bar")
+        own["strings"] = names.pairs("strings", strings, "string", parallel=True)
+        own["string_names"] = read_names("string_names", string_names, len(self.strings))
+        own["bar_names"] = read_names("bar_names", bar_names, len(self.bars))
+        names = self.names
+        own["pinned"], own["rollers"] = read_rollers(rollers, read_pins(pinned, names), names)
         own["fixed"], own["held"] = read_axes(self.pinned, self.rollers, n)
         own["bar_lengths"] = member_lengths("bars", self.nodes, self.bars, "bar")
         own["string_lengths"] = member_lengths("strings", self.nodes, self.strings, "string")
@@ -207,11 +211,9 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         given |= {"string_mass": string_mass, "bar_stiffness": bar_stiffness}
         given |= {"bar_rest_length": bar_rest_length, "node_mass": node_mass}
         own.update(read_properties(given, n, self.bar_lengths, self.string_lengths))
-        own["bodies"] = read_bodies(bodies, n)
+        own["bodies"] = read_bodies(bodies, names)
+        cables = names.resolve_lists("cables", "string", cables)
         own |= read_cables(cables, cable_friction, self.strings, self.damping)
-        own["node_names"] = read_names("node_names", node_names, n)
-        own["string_names"] = read_names("string_names", string_names, len(self.strings))
-        own["bar_names"] = read_names("bar_names", bar_names, len(self.bars))
         own["_assembly"] = assemble_bodies(self)
         check_node_masses(
             self.node_mass,
@@ -311,9 +313,7 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
     @property
     def names(self) -> Names:
         """Indices by name of nodes, strings and bars."""
-        parts = {"node": self.nodes, "string": self.strings, "bar": self.bars}
-        counts = {which: len(items) for which, items in parts.items()}
-        return find_names(counts, {which: getattr(self, f"{which}_names") for which in parts})
+        return names_of(self)
 
     def mass_matrix(self) -> csr_array:
         """Compute the mass matrix on physical nodes (Eq. 59).
@@ -400,7 +400,7 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
 
     @rename_keywords(pushing="compression_strings")
     def prestressed(
-        self, force_density: ArrayLike, compression_strings: Iterable[int] = ()
+        self, force_density: ArrayLike, compression_strings: Iterable[IndexOrName] = ()
     ) -> Structure:
         """Copy the structure with rest lengths for given force densities.
 
@@ -413,7 +413,7 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
             γ of each string at these nodes [N/m], at least 0 and below its stiffness. λ of each bar
             can follow, positive in compression, as in a row of `self_stress`. By default bars
             balance the strings by least squares.
-        compression_strings : sequence of int
+        compression_strings : sequence of int or str
             Compression-capable strings, whose γ can be negative (law `Linear`).
 
         Returns

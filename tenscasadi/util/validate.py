@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
+IndexOrName = Any  # of an item; values in a scene or problem have indices
 
 LARGEST = 1e100  # largest input in size: its square does not overflow
 SMALLEST = 1 / LARGEST  # smallest positive input: a division by it does not overflow
@@ -232,10 +233,14 @@ def node_index(field: str, value: Any, count: int, item: str = "node") -> int:
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
         raise TypeError(f"{field} is {format_value(value)}: give a {item} index, a whole number")
     if not 0 <= value < count:
-        raise ValueError(
-            f"{field} is {format_value(value)}: {item} indices run from 0 to {count - 1}"
-        )
+        cure = f"{item} indices run from 0 to {count - 1}" if count else f"there are no {item}s"
+        raise ValueError(f"{field} is {format_value(value)}: {cure}")
     return int(value)
+
+
+def index_or_name(field: str, value: Any) -> Any:
+    """Check an index, at least 0, or a name, which a structure replaces by its index."""
+    return str(value) if isinstance(value, str) else whole_number(field, value, 0)
 
 
 def node_pairs(
@@ -290,14 +295,6 @@ def _are_node_pairs(value: Any, count: int, parallel: bool) -> bool:
     ends = np.sort(value, axis=1).astype(np.intp)
     keys = ends[:, 0] * count + ends[:, 1]
     return not np.any(ends[:, 0] == ends[:, 1]) and (parallel or len(np.unique(keys)) == len(keys))
-
-
-def item_mask(field: str, value: Any, count: int, item: str) -> np.ndarray[Any, np.dtype[np.bool_]]:
-    """Convert indices to a mask of `count` items."""
-    found = np.zeros(count, dtype=bool)
-    for k, index in enumerate(as_tuple(field, value, f"[0, 3] of {item} indices")):
-        found[node_index(f"{field}[{k}]", index, count, item)] = True
-    return found
 
 
 def instance(field: str, value: Any, kinds: type | tuple[type, ...], example: str) -> None:

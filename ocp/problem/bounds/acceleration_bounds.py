@@ -13,7 +13,7 @@ from ocp.problem.bounds.bound import Limit, PathBound
 from ocp.problem.rows import RESOLUTION
 from tenscasadi.schema.field_types import Members
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import as_tuple, node_index, positive_number
+from tenscasadi.util.validate import IndexOrName, as_tuple, node_index, positive_number
 
 if TYPE_CHECKING:
     from ocp.problem.instant import Instant
@@ -29,7 +29,7 @@ class NodeAccelerationLimits(PathBound, kind="NodeAccelerationLimits"):
     ----------
     magnitude : float
         Largest acceleration [m/s²], > 0.
-    nodes : iterable of int, optional
+    nodes : iterable of int or str, optional
         Nodes with this limit; None for all that are not pinned.
 
     Raises
@@ -46,7 +46,7 @@ class NodeAccelerationLimits(PathBound, kind="NodeAccelerationLimits"):
     """
 
     magnitude: float
-    nodes: Annotated[Iterable[int] | None, Members("node")] = None
+    nodes: Annotated[Iterable[IndexOrName] | None, Members("node")] = None
 
     def __post_init__(self) -> None:
         name = type(self).__name__

@@ -21,13 +21,13 @@ from tenscasadi.structure.structure import Structure
 from tenscasadi.util.casadi_tools import column_norms
 from tenscasadi.util.renamed import rename_fields
 from tenscasadi.util.validate import (
+    IndexOrName,
     as_tuple,
     finite_array,
     format_value,
     node_index,
     number,
     positive_number,
-    whole_number,
 )
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ class InsideBox(AxisLimits, kind="InsideBox"):
         Corner (x, y, z) with the smallest coordinates [m]; None for an open side.
     upper : sequence of float or None, length 3, optional
         Corner (x, y, z) with the largest coordinates [m]; None for an open side.
-    nodes : iterable of int, optional
+    nodes : iterable of int or str, optional
         Nodes that stay inside; None for all.
 
     Raises
@@ -72,7 +72,7 @@ class InsideBox(AxisLimits, kind="InsideBox"):
     (None, None, 1.2)
     """
 
-    nodes: Annotated[Iterable[int] | None, Members("node")] = None
+    nodes: Annotated[Iterable[IndexOrName] | None, Members("node")] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -136,7 +136,7 @@ class InsideBox(AxisLimits, kind="InsideBox"):
 
 @Bound.maker
 def AboveGround(
-    height: float = 0.0, nodes: Annotated[Iterable[int] | None, Members("node")] = None
+    height: float = 0.0, nodes: Annotated[Iterable[IndexOrName] | None, Members("node")] = None
 ) -> InsideBox:
     """Build the bound z ≥ height on nodes.
 
@@ -146,7 +146,7 @@ def AboveGround(
     ----------
     height : float, optional
         Height of the ground [m].
-    nodes : iterable of int, optional
+    nodes : iterable of int or str, optional
         Nodes that stay above; None for all.
 
     Returns
@@ -206,7 +206,9 @@ class BarClearance(PathBound, kind="BarClearance"):
     """
 
     distance: float
-    pairs: Annotated[Iterable[tuple[int, int]] | None, ListOf(Members("bar"))] = None
+    pairs: Annotated[Iterable[tuple[IndexOrName, IndexOrName]] | None, ListOf(Members("bar"))] = (
+        None
+    )
 
     ends: ClassVar[tuple[str, ...]] = ("end",)
 
@@ -242,10 +244,7 @@ class BarClearance(PathBound, kind="BarClearance"):
         """
         for pair in self._bar_pairs(structure):
             for bar in pair:
-                if whole_number("BarClearance.pairs: bar", bar, 0) >= len(structure.bars):
-                    raise ValueError(
-                        f"BarClearance.pairs names bar {bar}: bars run from 0 to {len(structure.bars) - 1}"
-                    )
+                node_index("BarClearance.pairs: bar", bar, len(structure.bars), "bar")
             if set(structure.bars[pair[0]]) & set(structure.bars[pair[1]]):
                 raise ValueError(
                     f"BarClearance.pairs: bars {pair[0]} and {pair[1]} share a node: leave that pair out"
@@ -298,9 +297,9 @@ class Obstacle(PathBound, kind="Obstacle"):
         Center (x, y, z) [m].
     radius : float
         Radius [m], > 0.
-    bars : iterable of int, optional
+    bars : iterable of int or str, optional
         Bars that stay outside; None for all.
-    nodes : iterable of int, optional
+    nodes : iterable of int or str, optional
         Nodes that stay outside, in addition to the ends of those bars; None for all.
 
     Raises
@@ -318,8 +317,8 @@ class Obstacle(PathBound, kind="Obstacle"):
 
     center: Annotated[Sequence[float], VECTOR]
     radius: float
-    bars: Annotated[Iterable[int] | None, Members("bar")] = None
-    nodes: Annotated[Iterable[int] | None, Members("node")] = None
+    bars: Annotated[Iterable[IndexOrName] | None, Members("bar")] = None
+    nodes: Annotated[Iterable[IndexOrName] | None, Members("node")] = None
 
     ends: ClassVar[tuple[str, ...]] = ("end",)
 
@@ -344,12 +343,9 @@ class Obstacle(PathBound, kind="Obstacle"):
         TypeError, ValueError
             If a bar or node does not exist.
         """
-        for field, count in (("bars", len(structure.bars)), ("nodes", len(structure.nodes))):
-            for index in getattr(self, field) or ():
-                if whole_number(f"Obstacle.{field}", index, 0) >= count:
-                    raise ValueError(
-                        f"Obstacle.{field} is {index}: give indices from 0 to {count - 1}"
-                    )
+        for item, all_items in (("bar", structure.bars), ("node", structure.nodes)):
+            for index in getattr(self, f"{item}s") or ():
+                node_index(f"Obstacle.{item}s", index, len(all_items), item)
 
     def limit(self, now: Instant) -> Limit:
         """Build the constrained quantities.

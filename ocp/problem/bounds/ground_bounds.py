@@ -12,7 +12,7 @@ from ocp.problem.bounds.bound import Limit, PathBound
 from tenscasadi.scene.ground import Surface
 from tenscasadi.schema.field_types import Members
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import as_tuple, instance, node_index, number
+from tenscasadi.util.validate import IndexOrName, as_tuple, instance, node_index, number
 
 if TYPE_CHECKING:
     from ocp.problem.instant import Instant
@@ -31,7 +31,7 @@ class AboveSurface(PathBound, kind="AboveSurface"):
     distance : float, optional
         Least distance above the surface [m]. A negative distance allows the penetration of nodes
         into a soft ground.
-    nodes : iterable of int, optional
+    nodes : iterable of int or str, optional
         Nodes that stay above; None for all.
 
     Raises
@@ -54,7 +54,7 @@ class AboveSurface(PathBound, kind="AboveSurface"):
 
     ground: Surface
     distance: float = 0.0
-    nodes: Annotated[Iterable[int] | None, Members("node")] = None
+    nodes: Annotated[Iterable[IndexOrName] | None, Members("node")] = None
 
     ends: ClassVar[tuple[str, ...]] = ("end",)
 

@@ -21,12 +21,13 @@ from tenscasadi.structure.structure import Structure
 from tenscasadi.util.linear_algebra import fit_rotation
 from tenscasadi.util.validate import (
     Array,
+    IndexOrName,
     finite_array,
     format_value,
+    node_index,
     nonnegative,
     number_or_vector,
     per_item,
-    whole_number,
 )
 
 if TYPE_CHECKING:
@@ -256,7 +257,7 @@ class StringLengths(Goal, kind="StringLengths"):
 
     Parameters
     ----------
-    lengths : float, array_like of shape (α,), or mapping of int to float
+    lengths : float, array_like of shape (α,), or mapping of int or str to float
         Lengths [m], > 0: one number for all strings, or one for each. ``{string: length}`` for some
         of them.
 
@@ -274,7 +275,7 @@ class StringLengths(Goal, kind="StringLengths"):
     """
 
     lengths: Annotated[
-        ArrayLike | Mapping[int, float],
+        ArrayLike | Mapping[IndexOrName, float],
         OfStructure("string_lengths", Either((dict,), MapOf("string", NUMBER), PER_ITEM)),
     ]
 
@@ -311,10 +312,7 @@ class StringLengths(Goal, kind="StringLengths"):
         count = len(structure.strings)
         if isinstance(self.lengths, Mapping):
             for string in self.lengths:
-                if whole_number("StringLengths.lengths: string", string, 0) >= count:
-                    raise ValueError(
-                        f"StringLengths.lengths names string {string}: strings run from 0 to {count - 1}"
-                    )
+                node_index("StringLengths.lengths: string", string, count, "string")
         else:
             per_item("StringLengths.lengths", self.lengths, count)
 

@@ -19,6 +19,7 @@ from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import (
     NEGLIGIBLE,
     Array,
+    IndexOrName,
     coordinates,
     finite_array,
     format_value,
@@ -38,7 +39,7 @@ class NodePositions(Goal, kind="NodePositions"):
 
     Parameters
     ----------
-    positions : mapping of int to sequence of float or None, or array_like of shape (n, 3)
+    positions : mapping of int or str to sequence of float or None, or array_like of shape (n, 3)
         ``{node: (x, y, z)}`` [m], with None for a free axis; or the positions of all nodes.
 
     Raises
@@ -54,7 +55,7 @@ class NodePositions(Goal, kind="NodePositions"):
     {3: (None, None, 1.0)}
     """
 
-    positions: Annotated[Mapping[int, Sequence[float | None]] | ArrayLike, _EACH]
+    positions: Annotated[Mapping[IndexOrName, Sequence[float | None]] | ArrayLike, _EACH]
 
     def __post_init__(self) -> None:
         object.__setattr__(
@@ -154,7 +155,7 @@ class NodeVelocities(Goal, kind="NodeVelocities"):
 
     Parameters
     ----------
-    velocities : mapping of int to sequence of float or None, or array_like of shape (n, 3)
+    velocities : mapping of int or str to sequence of float or None, or array_like of shape (n, 3)
         ``{node: (vx, vy, vz)}`` [m/s], with None for a free axis; or the velocities of all nodes.
 
     Raises
@@ -174,7 +175,7 @@ class NodeVelocities(Goal, kind="NodeVelocities"):
     {3: (None, None, 0.5)}
     """
 
-    velocities: Annotated[Mapping[int, Sequence[float | None]] | ArrayLike, _EACH]
+    velocities: Annotated[Mapping[IndexOrName, Sequence[float | None]] | ArrayLike, _EACH]
 
     def __post_init__(self) -> None:
         object.__setattr__(

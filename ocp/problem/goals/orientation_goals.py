@@ -18,11 +18,12 @@ from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import (
     NEGLIGIBLE,
     Array,
+    IndexOrName,
     as_tuple,
     finite_array,
     format_value,
+    index_or_name,
     node_index,
-    whole_number,
 )
 
 
@@ -50,11 +51,11 @@ class BarOrientation(Goal, kind="BarOrientation"):
     [0.0, 0.0, 1.0]
     """
 
-    bar: Annotated[int, Index("bar")]
+    bar: Annotated[IndexOrName, Index("bar")]
     direction: Annotated[ArrayLike, VECTOR]
 
     def __post_init__(self) -> None:
-        whole_number("BarOrientation.bar", self.bar, 0)
+        index_or_name("BarOrientation.bar", self.bar)
         given = finite_array("BarOrientation.direction", self.direction, (3,))
         length = float(np.linalg.norm(given))
         if not length:
@@ -76,12 +77,7 @@ class BarOrientation(Goal, kind="BarOrientation"):
         TypeError, ValueError
             If there is no such bar.
         """
-        count = len(structure.bars)
-        if self.bar >= count:
-            raise ValueError(
-                f"BarOrientation.bar is {self.bar}: "
-                + (f"bars run from 0 to {count - 1}" if count else "the structure has no bars")
-            )
+        node_index("BarOrientation.bar", self.bar, len(structure.bars), "bar")
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
         """Build the bar vector minus the desired one.
@@ -136,7 +132,7 @@ class NodeTripleOrientation(Goal, kind="NodeTripleOrientation"):
 
     Parameters
     ----------
-    nodes : sequence of int, length 3
+    nodes : sequence of int or str, length 3
         Three nodes.
     rotation : array_like, shape (3, 3) or (3,)
         Rotation from the nodes of the structure: a matrix, or a rotation vector [rad].
@@ -158,13 +154,13 @@ class NodeTripleOrientation(Goal, kind="NodeTripleOrientation"):
     (3, 4, 5)
     """
 
-    nodes: Annotated[Sequence[int], Members("node")]
+    nodes: Annotated[Sequence[IndexOrName], Members("node")]
     rotation: Annotated[ArrayLike, Numbers(((3,), (3, 3)))]
 
     def __post_init__(self) -> None:
         nodes = as_tuple("NodeTripleOrientation.nodes", self.nodes, "(0, 1, 2)")
         for node in nodes:
-            whole_number("NodeTripleOrientation.nodes", node, 0)
+            index_or_name("NodeTripleOrientation.nodes", node)
         if len(set(nodes)) != 3 or len(nodes) != 3:
             raise ValueError(
                 f"NodeTripleOrientation.nodes is {format_value(nodes)}: give three different nodes"

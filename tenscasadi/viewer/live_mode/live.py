@@ -37,7 +37,7 @@ class Live(Served):
         Simulation.
     server : viser.ViserServer
         Server, as from `start_server`.
-    groups : mapping of str to sequence of int, or None
+    groups : mapping of str to sequence of int or str, or None
         Strings that share a slider, as for `live`.
     save : path-like or None
         File that the button "Save" writes.
@@ -225,7 +225,7 @@ def live(  # noqa: PLR0913  the options of a run, and of a page
         Initial state. Default: that of the model.
     control : array_like, shape (nu,), optional
         Initial control. Default: that of the model.
-    groups : mapping of str to sequence of int, optional
+    groups : mapping of str to sequence of int or str, optional
         Strings that share a slider, by its name. Default: each its own, or equal ones share one if
         there are many.
     options : LiveOptions

@@ -19,8 +19,9 @@ from tenscasadi.simulation.engine.step_code import Account
 from tenscasadi.simulation.trajectory import Trajectory, observe_states, record_trajectory
 from tenscasadi.simulation.verdict.endings import FAULTS, RunSamples, explain_loss
 from tenscasadi.simulation.verdict.judge import find_doubts, measure_trajectory
+from tenscasadi.structure.names import find_input_names
 from tenscasadi.util.renamed import rename_keywords
-from tenscasadi.util.validate import SMALLEST, Array, finite_array, instance, node_index
+from tenscasadi.util.validate import SMALLEST, Array, finite_array, instance
 from tenscasadi.viewer.live_mode.inputs import add_inputs
 from tenscasadi.viewer.live_mode.options import LiveOptions, count_substeps
 from tenscasadi.viewer.live_mode.recording import Recording
@@ -157,8 +158,8 @@ class LiveSimulation:
 
         Parameters
         ----------
-        strings : sequence of int
-            Strings of the structure.
+        strings : sequence of int or str
+            Strings of the structure, or cables and lone strings, by index or name.
         value : float
             Rest length [m] or force density [N/m] of each.
 
@@ -168,7 +169,8 @@ class LiveSimulation:
             It is not finite, or a rest length is not greater than 0.
         """
         control = self.control.copy()
-        control[list(strings)] = finite_array("value", value, ())
+        names = find_input_names(self.model.scene.structure)
+        control[names.mask("strings", "string", strings)] = finite_array("value", value, ())
         self._check_lengths(control)
         self.control = control
 
@@ -191,15 +193,15 @@ class LiveSimulation:
         place = self.model.parameters.places[name]
         self.parameters[place] = changed[place]
 
-    def grab(self, node: int, target: Any) -> None:
+    def grab(self, node: int | str, target: Any) -> None:
         """Pull a node to a target from the next tick on.
 
         The pull is that of a damped spring of `pull_stiffness`.
 
         Parameters
         ----------
-        node : int
-            Node of the structure.
+        node : int or str
+            Node of the structure, by its index or name.
         target : array_like, shape (3,)
             Target [m].
 
@@ -208,7 +210,7 @@ class LiveSimulation:
         ValueError
             There is no such node, it is pinned, or the target is not finite.
         """
-        place = node_index("node", node, len(self.pullable))
+        place = self.model.scene.structure.names.index("node", "node", node)
         if not self.pullable[place]:
             raise ValueError(
                 f"node {place} cannot be pulled: give one of {np.flatnonzero(self.pullable).tolist()}"

@@ -11,9 +11,11 @@ import scipy.constants
 
 from tenscasadi.drawing.view_content import list_names
 from tenscasadi.scene.strings import RestLength
+from tenscasadi.schema.reading import Names
 from tenscasadi.structure.cables import name_inputs, select_first
+from tenscasadi.structure.names import find_input_names
 from tenscasadi.util.tables import MOST_LISTED
-from tenscasadi.util.validate import Array, as_tuple, format_value, node_index, text
+from tenscasadi.util.validate import Array, as_tuple, format_value, text
 from tenscasadi.viewer.live_mode.simulation import LiveSimulation
 
 # Ranges relative to initial rest lengths, to the largest initial force density, and to nominal
@@ -115,7 +117,7 @@ def choose_sliders(simulation: LiveSimulation, groups: Groups = None) -> list[Sl
     ----------
     simulation : LiveSimulation
         Simulation.
-    groups : mapping of str to sequence of int, optional
+    groups : mapping of str to sequence of int or str, optional
         Strings that share a slider, by its name. Default: each of at most 12 strings has its own.
         Otherwise strings of equal length and control share one, if there are at most 12 kinds.
 
@@ -133,7 +135,11 @@ def choose_sliders(simulation: LiveSimulation, groups: Groups = None) -> list[Sl
     count = len(start)
     if not count:
         return []
-    named = _group_equal(simulation) if groups is None else _read_groups(groups, count)
+    named = (
+        _group_equal(simulation)
+        if groups is None
+        else _read_groups(groups, find_input_names(simulation.model.scene.structure))
+    )
     factors = _RANGES["rest length" if _by_length(simulation) else "force density"]
     found = []
     for name, strings in named.items():
@@ -197,7 +203,7 @@ def _name_group(strings: Any) -> str:
     return f"{len(strings)} strings: {first}{' …' if len(strings) > 3 else ''}"
 
 
-def _read_groups(groups: Any, count: int) -> dict[str, tuple[int, ...]]:
+def _read_groups(groups: Any, names: Names) -> dict[str, tuple[int, ...]]:
     if not isinstance(groups, Mapping) or not groups:
         raise TypeError(
             f"groups is {format_value(groups)}: give a mapping of names to strings, such as {{'top': [0, 1, 2]}}"
@@ -206,9 +212,10 @@ def _read_groups(groups: Any, count: int) -> dict[str, tuple[int, ...]]:
     for name, strings in groups.items():
         text("groups", name)
         field = f"groups[{format_value(name)}]"
-        given = as_tuple(field, strings, "[0, 1, 2] of indices of strings")
+        own = names.resolve_all(field, "string", strings)
+        given = as_tuple(field, own, "[0, 1, 2] of indices of strings")
         if not given:
             raise ValueError(f"{field} is empty: give at least one string")
-        indices = [node_index(field, string, count, "string") for string in given]
+        indices = [names.index(field, "string", string) for string in given]
         read[name] = tuple(dict.fromkeys(indices))
     return read

@@ -40,7 +40,11 @@ def test_a_phase_refuses_by_name(given, named):
             {},
             r"phases\[0\]\.goals has a Waypoint",
         ),
-        ([push(goals=[ocp.StringLengths({12: 1.0})])], {}, "names string 12"),
+        (
+            [push(goals=[ocp.StringLengths({12: 1.0})])],
+            {},
+            "string is 12: string indices run from 0 to 8",
+        ),
         ([push()], {"goals": [ocp.Periodic()]}, r"Problem\.goals has a Periodic"),
         (
             [push()],

@@ -129,12 +129,12 @@ BAD = {
     "string unknown": (
         lambda: problem(goals=[ocp.StringLengths({9: 1.0})]),
         ValueError,
-        "StringLengths.lengths names string 9",
+        "StringLengths.lengths: string is 9",
     ),
     "string no index": (
         lambda: problem(goals=[ocp.StringLengths({"a": 1.0})]),
-        TypeError,
-        "StringLengths.lengths",
+        ValueError,
+        "StringLengths.lengths names string 'a'",
     ),
     "positions of wrong size": (
         lambda: problem(goals=[ocp.NodePositions(np.zeros((2, 3)))]),

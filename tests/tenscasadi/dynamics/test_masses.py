@@ -231,5 +231,5 @@ def test_scenes_without_such_bodies_are_rejected():
     with pytest.raises(ValueError, match=r"bodies\[1\] has no thickness: name it under scale="):
         tc.Model(tc.Scene(boxes(thick=False), parameters=tc.Parameters("body_inertia")))
     pair = tc.Parameters("body_mass", groups={"body_mass": [[0, 3]]})
-    with pytest.raises(ValueError, match="has index 3: bodies run from 0 to 2"):
+    with pytest.raises(ValueError, match="is 3: body indices run from 0 to 2"):
         tc.Model(tc.Scene(boxes(), parameters=pair))

@@ -50,7 +50,7 @@ def test_tensions_of_named_strings(bounce):
     lines = plots.tensions(bounce, strings=["top[1]", 0]).axes[0].lines
     assert [line.get_label() for line in lines] == ["top[1]", "bottom[0]"]
     assert lines[0].get_ydata() == pytest.approx(bounce.tension[:, 4])
-    with pytest.raises(TypeError, match="strings is 'middle'"):
+    with pytest.raises(ValueError, match="strings names string 'middle'"):
         plots.tensions(bounce, strings=["middle"])
 
 

@@ -61,7 +61,7 @@ def test_what_is_of_another_type_is_refused(names, options):
         (tc.Parameters("forces"), "Scene.forces is None"),
         (
             tc.Parameters("stiffness", groups={"stiffness": [[9]]}),
-            "has index 9: strings run from 0 to 8",
+            "is 9: string indices run from 0 to 8",
         ),
         (
             tc.Parameters("rest_length", groups={"rest_length": "all"}),

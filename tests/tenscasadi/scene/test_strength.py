@@ -125,7 +125,7 @@ def test_wrong_types_are_rejected():
         tc.Scene(NAMED, strength=3)
     with pytest.raises(TypeError, match=r"Breaking\.force"):
         tc.Breaking("strong")
-    with pytest.raises(TypeError, match=r"Breaking\.force, string is 'a'"):
+    with pytest.raises(ValueError, match=r"Breaking\.force names string 'a'"):
         tc.Scene(NAMED, strength=tc.Breaking({"a": 1.0}))
 
 

@@ -149,7 +149,7 @@ BAD = {
     "clearance of no bar": (
         lambda: raised(ocp.BarClearance(0.1, [(0, 3)])),
         ValueError,
-        "BarClearance.pairs names bar 3",
+        "BarClearance.pairs: bar is 3: bar indices run from 0 to 2",
     ),
     "clearance of one bar": (
         lambda: ocp.BarClearance(0.1, (0, 1)),

@@ -90,7 +90,7 @@ def test_problem_files_hold_the_goals(tmp_path):
         (lambda: ocp.NodeTripleOrientation((0, 1), (0, 0, 1)), "three different nodes"),
         (lambda: ocp.NodeTripleOrientation((0, 1, 1), (0, 0, 1)), "three different nodes"),
         (lambda: ocp.NodeTripleOrientation(TOP, 2 * np.eye(3)), "orthonormal with determinant 1"),
-        (lambda: problem([ocp.BarOrientation(3, (0, 0, 1))]), "bars run from 0 to 2"),
+        (lambda: problem([ocp.BarOrientation(3, (0, 0, 1))]), "bar indices run from 0 to 2"),
         (lambda: problem([ocp.NodeTripleOrientation((0, 1, 9), (0, 0, 1))]), "nodes"),
     ],
 )
