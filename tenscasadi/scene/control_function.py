@@ -108,6 +108,21 @@ class ControlSchedule:
         found = [self.breakpoints, find_breakpoints(self.at, first, last)]
         return np.unique(np.concatenate(found))
 
+    def sample(self, first: float, last: float) -> Array:
+        """Sample the control at times of a run.
+
+        Parameters
+        ----------
+        first, last : float
+            Start and end of the run [s].
+
+        Returns
+        -------
+        ndarray, shape (K, nu)
+            Controls.
+        """
+        return values_at(self.at, np.linspace(first, last, 65))
+
     def changing(self) -> ca.Function:
         """Return the function of time that integration steps must resolve.
 

@@ -10,14 +10,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tenscasadi.integrators.scheme import Scheme
+from tenscasadi.integrators.scheme import Scheme, extent
 from tenscasadi.integrators.stabilization import Correction
 from tenscasadi.simulation.engine.build import build_kernel
 from tenscasadi.simulation.engine.kernel import Kernel, Watch
 from tenscasadi.simulation.engine.request import MEASURED, STOPPED, Rolled
 from tenscasadi.simulation.engine.step_code import Account, Measured
 from tenscasadi.simulation.inputs.run_inputs import RunInputs
-from tenscasadi.util.compile import Compiled
+from tenscasadi.util.compile import Compiled, Single
 from tenscasadi.util.validate import Array, Indices
 
 COMPARED = 64  # least number of compared rows
@@ -51,6 +51,12 @@ class Request(NamedTuple):
         if not self.compare or (grid.counts % 4).any() or self.inputs.feedback is not None:
             return 0
         return 4 * max(1, grid.steps // (4 * COMPARED))
+
+    @property
+    def rounding(self) -> float:
+        """Position error that rounding can cause [m]."""
+        digits = 1e-5 if isinstance(self.compiled, Single) else 1e-9
+        return digits * extent(self.inputs.model)
 
     @property
     def balanced(self) -> bool:

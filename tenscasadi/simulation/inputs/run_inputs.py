@@ -81,6 +81,16 @@ class RunInputs(NamedTuple):
         held = controls[self.grid.rows[self.grid.locate(steps)]]
         return np.hstack([held, np.broadcast_to(p, (len(held), len(p)))])
 
+    def sample_controls(self) -> Array:
+        """Sample the controls (n or 1, K, nu) that the runs can take."""
+        if self.feedback is not None:
+            return np.asarray(self.feedback.controls[None])
+        if self.model.schedule is None:
+            return self.controls
+        return np.asarray(self.model.schedule.sample(self.first, self.first + self.grid.t_end))[
+            None
+        ]
+
     def add_schedule(self, w: Array, time: Array) -> Array:
         """Add the control function to inputs (T, nw).
 

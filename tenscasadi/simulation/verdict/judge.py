@@ -178,7 +178,7 @@ def _measure_runs(runs: Runs) -> Measures:
     )
     control = inputs.model.scene.control
     if control is not None and control.commands_forces:  # strings store no energy
-        u = inputs.controls if inputs.feedback is None else inputs.feedback.controls[None]
+        u = inputs.sample_controls()
         power = 2 if control.unit == "N/m" else 1
         size = size + np.abs(u).max(axis=1).sum(axis=1) * extent(inputs.model) ** power
     single = isinstance(request.compiled, Single)
@@ -209,7 +209,7 @@ def _check_errors(runs: Runs, found: StepErrors) -> tuple[Doubts, Array]:
     The text gives the cause and the cure of the largest error. Also return the refinement factors
     (n,) of the steps that would be sufficient.
     """
-    least = 1e-9 * extent(runs.request.inputs.model)
+    least = runs.request.rounding
     share = np.where(found.error > least, found.error / np.maximum(found.motion, 1e-300), 0.0)
     reported, failed = THRESHOLDS["position"]
     large = share > reported

@@ -12,11 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.scheme import extent
 from tenscasadi.simulation.engine.request import FINISHED
 from tenscasadi.simulation.engine.roll import COMPARED, Request, Runs, roll
 from tenscasadi.simulation.verdict.thresholds import THRESHOLDS
-from tenscasadi.util.compile import Single
 from tenscasadi.util.validate import Array, Indices
 
 CLEAR = 0.3  # × reported error: larger differences need finer steps for an estimate
@@ -164,8 +162,7 @@ class _Repetition:
         else:
             self._places = self._compared[None, :, 0, : model.nq]
         self.motion = np.ptp(self._places, axis=1).max(axis=1, initial=0.0)
-        digits = 1e-5 if isinstance(request.compiled, Single) else 1e-9
-        self.rounding = digits * extent(model)
+        self.rounding = request.rounding
 
     def select(self, places: Indices) -> _Repetition:
         """Select runs by their indices within this repetition."""

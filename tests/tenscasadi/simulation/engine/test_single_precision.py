@@ -71,6 +71,15 @@ def test_rounding_at_rest_is_no_lost_energy() -> None:
 
 
 @needs_compiler
+def test_rounding_of_commanded_forces_is_no_lost_energy() -> None:
+    model = tc.Model(tc.Scene(tc.shapes.prism(prestress=50.0), control=tc.ForceDensity()))
+    u = model.initial_control
+    run = tc.simulate(model, 0.1, control=lambda t: u * (1 + 0.1 * t), compiled=tc.Single())
+    assert run.energy.max() < 1e-9 < abs(run.energy_error).max()
+    assert run.success, run.message
+
+
+@needs_compiler
 def test_rollouts_in_float_fill_twice_the_lanes() -> None:
     ground = tc.Ground(stiffness=2e3, damping=10.0, friction=0.5)
     model = tc.Model(tc.Scene(tc.shapes.prism(prestress=50.0), gravity=tc.Gravity(), ground=ground))
