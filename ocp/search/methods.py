@@ -7,7 +7,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from ocp.guess.initial_guess import InitialGuess, evaluate_guess
+from ocp.guess.initial_guess import InitialGuess, TrajectoryGuess, evaluate_guess
 from ocp.phases.method import solve_phased
 from ocp.problem.control import build_smooth_model
 from ocp.problem.phase import reject_phases
@@ -51,6 +51,9 @@ def run_attempt(task: PlanningTask, attempt: Attempt) -> tuple[Outcome, Target |
         return _plan_force_densities(task, attempt.twin, attempt)
     problem, target, monitor = task.problem, task.target, task.monitor
     transcription, solver, guess, *_ = attempt
+    if isinstance(guess, Attempt):
+        guess = _plan_guess(task, guess)
+        attempt = attempt._replace(guess=guess)
     monitor.phase = attempt.describe()
     if target is None:
         if not problem.phases:  # the search stopped before it found a target
@@ -84,6 +87,17 @@ def _plan_force_densities(
     found, target = run_attempt(twin, attempt._replace(twin=None))
     outcome = convert_outcome(task.problem, attempt.transcription.fractions, found)
     return outcome, task.target if task.problem.model.na else target
+
+
+def _plan_guess(task: PlanningTask, attempt: Attempt) -> InitialGuess | None:
+    """Run an attempt, and use its result as an initial guess.
+
+    Returns None, the default guess, if it failed.
+    """
+    found, _ = run_attempt(task, attempt)
+    if not np.isfinite(found.objective):
+        return None
+    return TrajectoryGuess(found.states, found.force_density, found.duration)
 
 
 def program_of(

@@ -26,6 +26,7 @@ from ocp.solvers.ipopt import Ipopt
 from ocp.targets.find_target import find_target
 from ocp.targets.target import Target
 from ocp.transcription.base import Transcription
+from ocp.transcription.direct_collocation import DirectCollocation
 from ocp.transcription.mesh import Guess, PiecewiseLinear
 from ocp.transcription.multiple_shooting import MultipleShooting
 from ocp.transcription.variational import Variational
@@ -48,7 +49,7 @@ class Attempt(NamedTuple):
     Attributes
     ----------
     transcription, solver, guess
-        The method.
+        The method. The guess may be the plan of another attempt.
     why : str
         Reason for the attempt.
     after : str
@@ -60,7 +61,7 @@ class Attempt(NamedTuple):
 
     transcription: Transcription
     solver: Method
-    guess: InitialGuess | None
+    guess: InitialGuess | Attempt | None
     why: str
     after: str = FIRST
     twin: PlanningTask | None = None
@@ -72,6 +73,8 @@ class Attempt(NamedTuple):
         """
         name, count = type(self.transcription).__name__, self.transcription.count
         text = f"{name} of {count} intervals by {type(self.solver).__name__}"
+        if isinstance(self.guess, Attempt):
+            return f"{text}, from a plan in force densities"
         return text if self.twin is None else f"{text}, in force densities"
 
     def follows(self, last: PlanResult | None) -> bool:
@@ -149,7 +152,14 @@ def attempts(task: PlanningTask, guess: InitialGuess | None) -> Iterator[Attempt
         coarse = Variational(
             choose_intervals(twin.problem, forces), control=PiecewiseLinear(), accuracy=accuracy
         )
-        yield Attempt(coarse, solver, known, "stiff strings", after, twin)
+        through = Attempt(coarse, solver, known, "stiff strings", after, twin)
+        if model.has_coupled_rates:
+            # CPU time of a prism of nine strings: 10 s, 30 s by shooting on all intervals; without
+            # the plan none is found in 60 s
+            wide = DirectCollocation(max(MIN_INTERVALS, count // 3))
+            yield Attempt(wide, Ipopt(), through, "motors of winches", after)
+        else:
+            yield through
         after = FAILED
     if model.has_coupled_rates:  # which Variational does not take
         yield Attempt(shooting, Ipopt(), start, "motors of winches", after)

@@ -34,7 +34,7 @@ from ocp.results.report import violated_limits
 from ocp.solvers.base import Outcome
 from ocp.transcription.mesh import Guess, profile_at
 from tenscasadi.dynamics.model import Model
-from tenscasadi.scene.winches import RestLengthRate
+from tenscasadi.scene.winches import RestLengthRate, Winch
 from tenscasadi.util.validate import Array
 
 # Their values differ between the controls: of expressions, and of the change of the control.
@@ -49,13 +49,13 @@ def build_force_density_problem(problem: Problem) -> Problem | None:
     """Build the same problem with force densities as controls.
 
     Returns None if the controls are no rest lengths or their rates, if cables have one tension along
-    several strings, or if limits or costs would have other values. Under rates, the force densities
-    begin at those of the initial rest lengths.
+    several strings, or if limits or costs would have other values. Under rates and motors, the
+    force densities begin at those of the initial rest lengths. Limits of motors are left out.
     """
     items = (*problem.bounds, *problem.costs)
     if problem.model.scene.structure.cables:
         return None
-    if isinstance(problem.model.scene.control, RestLengthRate):
+    if isinstance(problem.model.scene.control, RestLengthRate | Winch):
         locked = lock_winches(problem)
         first = None if locked is None else _initial_forces(problem)
         if locked is None or first is None:
@@ -133,10 +133,11 @@ def convert_guess(problem: Problem, guess: Guess) -> TrajectoryGuess:
 
 
 def convert_outcome(problem: Problem, fractions: Array, found: Outcome) -> Outcome:
-    """Convert piecewise-linear force densities to rest lengths or to their rates.
+    """Convert piecewise-linear force densities to rest lengths, to their rates, or to torques.
 
     Rates are constant where rest lengths are linear, and lag behind where damping asks for more than
-    the limits. See `_convert_rest_lengths`.
+    the limits. Torques follow from the motion of the motors, and their speeds jump between the
+    intervals: they are a guess. See `_convert_rest_lengths`.
     """
     locked = lock_winches(problem) if problem.model.na else problem
     if locked is None:
@@ -146,13 +147,21 @@ def convert_outcome(problem: Problem, fractions: Array, found: Outcome) -> Outco
     if not problem.model.na or found.time is None or control is None:
         return found
     rest, start = np.array(found.force_density), problem.model.split(np.asarray(problem.start))
-    rest[0] = start.internal
-    tension = np.zeros(rest[1:].shape)  # which the rates do not depend on
-    internal, rates = control.follow(rest, tension, np.diff(found.time), problem.control_limits)
+    rest[0] = start.internal[: rest.shape[1]]
+    tension = _find_tensions(locked.model, found.states, rest)
+    limits, steps = problem.control_limits, np.diff(found.time)
+    internal, inputs = control.follow(rest, (tension[1:] + tension[:-1]) / 2, steps, limits)
     kept = locked.model.split(found.states)
-    own = np.vstack([rest[:1], internal])
+    own = np.vstack([start.internal, internal])
     states = np.hstack([kept.positions, kept.velocities, own, kept.clock])
-    return found._replace(states=states, force_density=rates)
+    return found._replace(states=states, force_density=inputs)
+
+
+def _find_tensions(model: Model, states: Array, rest: Array) -> Array:
+    """Compute the tensions (K, α) [N] of rest lengths (K, α) [m]."""
+    ends = model.nodes(states)[:, model.structure.strings]
+    lengths = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2)
+    return np.asarray(forces_of(build_smooth_model(model), states, rest) * lengths)
 
 
 def _convert_rest_lengths(problem: Problem, fractions: Array, found: Outcome) -> Outcome:

@@ -10,7 +10,11 @@ from planning import prism
 
 import ocp
 import tenscasadi as tc
+from ocp.search.methods import _plan_guess
+from ocp.search.policy import Attempt, attempts
 from ocp.search.rest_lengths import build_force_density_problem
+from ocp.search.task import prepare
+from ocp.transcription.mesh import PiecewiseConstant
 
 
 def stiff(stiffness, *bounds, damping=1e-3, **changes):
@@ -72,6 +76,43 @@ def test_rates_of_rest_lengths_are_planned_in_force_densities(stiffness):
     assert np.diff(rest, axis=0) == pytest.approx(steps, abs=1e-7)
     assert np.abs(plan.rest_length_rate).max() <= 0.5 + 1e-6
     assert plan.force_density.min() > 4.5
+
+
+def motors(**limits):
+    winch = tc.Winch(radius=0.02, inertia=1e-4, friction=1e-3, **limits)
+    problem = stiff(1e3)
+    scene = replace(problem.model.scene, control=winch)
+    return replace(problem, model=tc.Model(scene), start=None)
+
+
+def test_torques_follow_from_rest_lengths():
+    problem = motors(torque=5.0, speed=60.0)
+    task = prepare(problem, PiecewiseConstant(), 1e-2)
+    attempt = next(iter(attempts(task, None)))
+    assert isinstance(attempt.guess, Attempt)
+    assert "from a plan in force densities" in attempt.describe()
+    guess = _plan_guess(task, attempt.guess)
+    model, step = problem.model, guess.duration / len(guess.force_density)
+    rest, speed = np.split(model.split(guess.states).internal, 2, axis=1)
+    assert rest[0] == pytest.approx(model.structure.rest_length)
+    assert not speed[0].any()
+    assert np.diff(rest, axis=0) == pytest.approx(-0.02 * step * speed[1:], abs=1e-9)
+    assert np.abs(guess.force_density).max() <= 5.0
+    ends = model.nodes(guess.states)[:, model.structure.strings]
+    lengths = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2)
+    stretch = model.structure.stiffness * (lengths - rest)  # nearly the tension
+    tension = (stretch[1:] + stretch[:-1]) / 2
+    torque = 0.02 * tension + 1e-3 * speed[1:] + 1e-4 * np.diff(speed, axis=0) / step
+    assert guess.force_density == pytest.approx(torque, abs=0.05)
+
+
+@pytest.mark.slow  # 10 s of CPU time
+def test_motors_of_winches_are_planned_from_force_densities():
+    plan = ocp.solve(motors(torque=5.0, speed=60.0))
+    assert plan.success, plan.message
+    assert "from a plan in force densities" in plan.message
+    assert np.abs(plan.motor_torque).max() <= 5.0 + 1e-6
+    assert np.abs(plan.trajectory.internal_states["winding speed"]).max() <= 60.0 + 1e-3
 
 
 def test_rates_from_forces_beyond_limits_have_no_counterpart():
