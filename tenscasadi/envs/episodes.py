@@ -11,6 +11,7 @@ import numpy as np
 from tenscasadi.envs.task import Task, Transition, read_spread
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.stabilization import build_projection
+from tenscasadi.scene.failed_strings import find_failed
 from tenscasadi.simulation.engine.build import build_kernel
 from tenscasadi.simulation.engine.kernel import BROKEN_BARS
 from tenscasadi.util.casadi_tools import ArrayFunction
@@ -159,9 +160,13 @@ class Episodes:
 
     def find_ended(self, now: Transition, lost: Array) -> Any:
         """Find the terminated episodes (n,)."""
+        ended = lost.copy()
+        if self.task.end_on_failure:
+            internal = self.task.model.split(self.states).internal
+            ended = lost | find_failed(self.task.model.scene, internal).any(axis=1)
         if self.task.terminated is None:
-            return lost.copy()
-        return lost | (_per_episode("terminated", self.task.terminated, now) != 0)
+            return ended
+        return ended | (_per_episode("terminated", self.task.terminated, now) != 0)
 
     def _places(self, states: Array) -> tuple[Array, Array]:
         """Compute nodes and velocities of the structure, (n, N, 3)."""

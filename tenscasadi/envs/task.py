@@ -99,10 +99,13 @@ class Task:
     observation : callable, optional
         Function of nodes (n, N, 3), velocities (n, N, 3) and control (n, nu) that returns
         observations (n, k), clipped to ±1e6. Default: nodes and velocities, rest lengths that are
-        controlled, and internal states of winches.
+        controlled, and internal states of winches and of strings that can fail.
     terminated : callable, optional
         Function of a `Transition` that returns the terminated episodes (n,). Default: those that
         diverge.
+    end_on_failure : bool
+        Whether an episode is terminated once a string breaks or yields, see `Scene.strength`.
+        Otherwise it continues with the failed string.
     correction : Projection or BarLengthCorrection, optional
         Constraint stabilization after every `correction.every`-th step of a period, or after the
         last step of a shorter period; None for none.
@@ -142,12 +145,11 @@ class Task:
     observation: Callable[[Array, Array, Array], ArrayLike] | None = None
     terminated: Callable[[Transition], ArrayLike] | None = None
     correction: Correction | None = Projection(10)  # noqa: RUF009  frozen
+    end_on_failure: bool = False
 
     def __post_init__(self) -> None:
         model = self.model
         instance("Task.model", model, Model, "a tenscasadi.Model")
-        if model.scene.strength is not None:
-            raise ValueError("Task.model has strings that can fail: give Scene(..., strength=None)")
         if model.scene.control is None or not model.nu:
             cure = "give Scene(..., control=ForceDensity()), Tension(), RestLength() or a winch"
             raise ValueError(f"Task.model has the control {model.scene.control}: {cure}")
@@ -155,6 +157,7 @@ class Task:
             given = getattr(self, name)
             if not callable(given) and (name == "reward" or given is not None):
                 raise TypeError(f"Task.{name} is {format_value(given)}: give a function")
+        instance("Task.end_on_failure", self.end_on_failure, bool, "True or False")
         whole_number("Task.steps", self.steps, 1, 10**6)  # about a second of computation
         state = model.initial_state if self.state is None else self.state
         own: dict[str, Any] = {
@@ -188,7 +191,8 @@ class Task:
     def _per_string(self, name: str, strict: bool = False) -> Array:
         field = f"Task.{name}"
         array = per_item(field, getattr(self, name), self.model.nu)
-        if self.model.na:  # rates and torques have two directions
+        scene = self.model.scene
+        if scene.locked.control is not scene.control:  # rates and torques have two directions
             return array
         return nonnegative(field, array, "string", strict=strict)
 

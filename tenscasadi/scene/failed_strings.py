@@ -44,14 +44,22 @@ def describe_overload(scene: Any, tension: Array) -> str:
     )
 
 
+def find_failed(scene: Any, internal: Array) -> Any:
+    """Find the strings and cables (..., m) that have failed, of those that can.
+
+    `internal` (..., na) are internal states.
+    """
+    count, initial = len(find_limited(scene)), join_initial(declare_strength(scene))
+    own = internal[..., internal.shape[-1] - len(initial) :]
+    return own[..., :count] != initial[:count]
+
+
 def require_intact(name: str, scene: Any, states: Array) -> None:
     """Raise ValueError if a string has broken or yielded in internal states (na,).
 
     `name` is that of the state in messages.
     """
-    count, initial = len(find_limited(scene)), join_initial(declare_strength(scene))
-    own = states[len(states) - len(initial) :]
-    for k in np.flatnonzero(own[:count] != initial[:count])[:1]:
+    for k in np.flatnonzero(find_failed(scene, states))[:1]:
         kind, cure = "yielded", "give a structure with its new rest length"
         if scene.strength.breaks:
             kind, cure = "broken", "give a structure without it"

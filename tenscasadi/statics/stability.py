@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.binding import fix
+from tenscasadi.scene.failed_strings import describe_overload
 from tenscasadi.scene.loads import NodalForce
 from tenscasadi.scene.scene import Scene
 from tenscasadi.statics.equilibrium import (
@@ -239,7 +240,7 @@ def stability(
     Raises
     ------
     TypeError, ValueError
-        If an argument is wrong.
+        If an argument is wrong, or the tension of a string reaches its strength.
 
     See Also
     --------
@@ -299,6 +300,13 @@ def read_state(
     else:
         force = equations.in_free_directions(point.applied)
         tension = system.factor_bars(point.bars).solve(force)[1]
+    strings = slice(len(structure.strings))
+    lengths = np.linalg.norm(point.springs[strings], axis=1)
+    if overload := describe_overload(bare, point.gamma[strings] * lengths):
+        raise ValueError(
+            f"source has an overload: {overload}; give a lower tension, or Scene(..., strength=None) "
+            "for the stiffness of strings that do not fail"
+        )
     return PrestressedState(system, point, tension), structure
 
 

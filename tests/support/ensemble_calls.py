@@ -58,7 +58,7 @@ def environment_calls(model: tc.Model) -> dict[str, Call]:
 
     task = {"model": model, "reward": lambda now: now.time, "lower": np.zeros(model.nu), "upper": np.full(model.nu, 9.0), "rest_length_rate": None,
             "period": 0.05, "steps": 2, "duration": 0.1, "state": model.initial_state, "start": (0.01, 0.0), "parameters": {},
-            "observation": lambda nodes, velocities, control: nodes[:, :, 0], "terminated": lambda now: now.time > 1.0, "correction": None}  # fmt: skip
+            "observation": lambda nodes, velocities, control: nodes[:, :, 0], "terminated": lambda now: now.time > 1.0, "correction": None, "end_on_failure": False}  # fmt: skip
     env, envs = TensegrityEnv(Task(**task)), TensegrityVectorEnv(Task(**task), 2)
     env.reset(seed=0)
     envs.reset(seed=0)

@@ -165,7 +165,7 @@ def dynamics_calls() -> dict[str, Call]:
         "equilibrium_force_density": (tc.equilibrium_force_density, {"structure": SEGMENTED, "loads": np.zeros((4, 3)), "minimum": np.zeros(2), "compression_strings": [0]}),
         "self_stress": (tc.self_stress, {"structure": SEGMENTED}),
         "Scene": (tc.Scene, scene),
-        "export_mjcf": (tc.export_mjcf, {"scene": m.scene, "path": "scene.xml", "velocities": np.zeros((n, 3)), "joints": "ball", "step": 1e-3}),
+        "export_mjcf": (tc.export_mjcf, {"scene": m.scene, "path": "scene.xml", "velocities": np.zeros((n, 3)), "joints": "ball", "step": 1e-3, "strict": True}),
         "import_mjcf": (tc.import_mjcf, {"path": "missing.xml"}),
         "Clip": (tc.Clip, {"damping": "unclamped"}),
         "Scene, laws": (tc.Scene, {"structure": SEGMENTED, "slack": {0: tc.Linear(), 1: tc.Clip()}}),

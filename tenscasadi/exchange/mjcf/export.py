@@ -6,6 +6,8 @@ Bars become bodies, and strings become spatial tendons.
 from __future__ import annotations
 
 import os
+import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 from xml.etree import ElementTree as ET  # to write alone
@@ -39,6 +41,8 @@ def export_mjcf(
     velocities: ArrayLike | None = None,
     joints: Literal["ball", "connect"] = "ball",
     step: float = 1e-3,
+    *,
+    strict: bool = True,
 ) -> Path:
     """Write a scene as MuJoCo's XML, MJCF.
 
@@ -61,6 +65,9 @@ def export_mjcf(
     step : float
         MuJoCo's time step [s]. Equalities have a time constant of two steps, so export again to
         change the step.
+    strict : bool
+        Whether strings that can fail (`Scene.strength`) are rejected. If not, they cannot fail in
+        the file, and a warning says so.
 
     Returns
     -------
@@ -121,6 +128,11 @@ def export_mjcf(
     choice("joints", joints, "ball", "connect")
     h = positive_number("step", step)
     target = file_path("path", path)
+    instance("strict", strict, bool, "True or False")
+    if scene.strength is not None and not strict:
+        told = f"its strings carry any tension, MJCF has no counterpart of {scene.strength}"
+        warnings.warn(f"{target.name} differs from the scene: {told}", stacklevel=2)
+        scene = replace(scene, strength=None)
     _check_scene(scene)
     V = None if velocities is None else _check_velocities(scene.modelled, velocities)
     tree = build_tree(scene.modelled, joints == "ball")

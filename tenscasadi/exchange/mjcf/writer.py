@@ -60,7 +60,7 @@ def list_tendons(scene: Scene) -> list[SpatialTendon]:
     if scene.strength is not None:
         raise ValueError(
             f"scene.strength is {scene.strength}, which MJCF files cannot hold: "
-            "export a scene with strength=None"
+            "give strict=False to leave it out, or a scene with strength=None"
         )
     if scene.internal_states:
         raise ValueError(

@@ -411,3 +411,34 @@ def test_envs_name_gymnasium_if_it_is_missing():
     assert (
         "ImportError: tenscasadi.envs needs gymnasium: pip install 'tenscasadi[gym]'" in done.stderr
     )
+
+
+ROPE = tc.Structure(
+    [(0, 0, 0), (0, 0, -1)],
+    strings=[(0, 1)],
+    pinned=[0],
+    node_mass=[0.0, 1.0],
+    stiffness=1e3,
+    rest_length=0.99,
+    damping=5.0,
+)
+
+
+@pytest.mark.parametrize("ends", [False, True])
+@pytest.mark.parametrize("strength", [tc.Breaking(30.0), tc.Yielding(12.0, viscosity=50.0)])
+def test_strings_fail_in_episodes(strength, ends):
+    """The first action winds up the string, the second one holds it."""
+    scene = tc.Scene(ROPE, control=tc.RestLength(), gravity=tc.Gravity(), strength=strength)
+    limits = {"lower": 0.5, "upper": 1.2, "rest_length_rate": 2.0}
+    task = Task(
+        tc.Model(scene), lambda now: now.nodes[:, 1, 2], **limits, period=0.05, end_on_failure=ends
+    )
+    envs = TensegrityVectorEnv(task, 2)
+    envs.reset(seed=0)
+    terminated = np.zeros(2, dtype=bool)
+    for _ in range(4):
+        seen, rewards, ended, _, _ = envs.step(np.array([[-1.0], [0.0]], dtype=np.float32))
+        terminated |= ended
+        assert np.isfinite(seen).all()
+        assert np.isfinite(rewards).all()
+    assert terminated.tolist() == [ends, False]

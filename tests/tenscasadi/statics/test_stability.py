@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.linalg
@@ -435,3 +437,22 @@ def test_any_structure_has_a_verdict(seed, pins, level, rollers):
     assert np.isfinite(found.displacement(rng.normal(size=(n, 3)))).all()
     if found.stable and len(found.eigenvalues):
         assert found.eigenvalues[0] > 0
+
+
+@pytest.mark.parametrize("strength", [tc.Breaking(4.0), tc.Yielding(4.0, viscosity=1.0)])
+def test_overloaded_strings_are_rejected(strength):
+    line = tc.Structure(
+        [(-1, 0, 0), (0, 0, 0), (1, 0, 0)],
+        strings=[(0, 1), (1, 2)],
+        pinned=[0, 2],
+        node_mass=1.0,
+        stiffness=100.0,
+        rest_length=0.95,
+    )
+    with pytest.raises(
+        ValueError, match=r"source has an overload: string 0 (breaks|yields), .*5 N"
+    ):
+        tc.stability(tc.Scene(line, strength=strength))
+    strong = replace(strength, force=6.0)
+    found = tc.stability(tc.Scene(line, strength=strong))
+    np.testing.assert_allclose(found.eigenvalues, tc.stability(line).eigenvalues)

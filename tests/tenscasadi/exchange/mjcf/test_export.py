@@ -286,3 +286,13 @@ def test_friction_of_cables_is_rejected(tmp_path):
     s = tc.shapes.prism().replace(cables=[[0, 1, 2]], cable_friction=0.1)
     with pytest.raises(ValueError, match="cable_friction has no counterpart in MJCF"):
         tc.export_mjcf(tc.Scene(s), tmp_path / "rough.xml")
+
+
+def test_strength_is_left_out_if_not_strict(tmp_path):
+    scene = tc.Scene(tc.shapes.prism(), strength=tc.Breaking(50.0))
+    with pytest.raises(ValueError, match="give strict=False to leave it out"):
+        tc.export_mjcf(scene, tmp_path / "strict.xml")
+    with pytest.warns(UserWarning, match="its strings carry any tension, MJCF has no counterpart"):
+        found = tc.export_mjcf(scene, tmp_path / "s.xml", strict=False)
+    bare = tc.export_mjcf(replace(scene, strength=None), tmp_path / "bare.xml")
+    assert found.read_text(encoding="utf-8") == bare.read_text(encoding="utf-8")
