@@ -22,6 +22,7 @@ from tenscasadi.design.prestress_goals import (
 )
 from tenscasadi.design.tangent_stiffness import TangentStiffness
 from tenscasadi.statics.self_stress import self_stress
+from tenscasadi.structure.body_assembly import is_separate
 from tenscasadi.structure.cables import reject_cable_friction
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.immutable import ReadOnlyArrays
@@ -318,7 +319,10 @@ class _PrestressSearch:
         if gap > TOLERANCE:
             message += f", the least stiffness is within {gap:.1g} of the largest, relative to it"
         if not stable:
-            message = f"unstable within the limits, the least stiffness is {softest:.3g} N/m: add members or supports"
+            reason = f"unstable within the limits, the least stiffness is {softest:.3g} N/m"
+            if is_separate(structure):
+                reason = "no member connects one part of the structure with the others"
+            message = f"{reason}: add members or supports"
         return PrestressDesign(
             forces[:strings], forces[strings:], q[:strings], softest, structure, stable, message
         )

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.sparse import block_diag, csr_array
+from scipy.sparse.csgraph import connected_components
 
 from tenscasadi.structure.class_one import member_lengths
 from tenscasadi.util.linear_algebra import fit_rotation, fit_velocities
@@ -154,6 +155,14 @@ def connected_pairs(structure: Any) -> Indices:
         for body in structure.bodies
     ]
     return np.concatenate([structure.bars, structure.strings, *bodies])
+
+
+def is_separate(structure: Any) -> bool:
+    """Return whether a part without supports has no connection to another part."""
+    pairs, count = connected_pairs(structure), len(structure.nodes)
+    links = csr_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    parts, label = connected_components(links, directed=False)
+    return bool(parts > 1 and len(np.unique(label[structure.held.any(axis=1)])) < parts)
 
 
 def assemble_bodies(structure: Any) -> BodyAssembly | None:

@@ -327,3 +327,19 @@ def test_stiffest_prestress_without_limit_asks_for_a_maximum():
         found = tc.find_prestress(dome, goal=tc.Stiffest())
         assert not found.success
         assert "give a maximum" in found.message
+
+
+@pytest.mark.parametrize("pinned", [(), (0, 1, 2)])
+def test_separate_parts_are_named(pinned: tuple[int, ...]) -> None:
+    prism = tc.shapes.prism()
+    two = tc.Structure(
+        np.vstack([prism.nodes, prism.nodes + 5]),
+        np.vstack([prism.bars, prism.bars + 6]),
+        np.vstack([prism.strings, prism.strings + 6]),
+        pinned=pinned,
+    )
+    pre = tc.find_prestress(two, tc.Even(), minimum=1.0)
+    assert not pre.success
+    assert "no member connects one part" in pre.message
+    held = tc.find_prestress(two.replace(pinned=[0, 1, 2, 6, 7, 8]), tc.Even(), minimum=1.0)
+    assert held.success, held.message
