@@ -12,6 +12,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from tqdm import tqdm
 
 from tenscasadi.dynamics.base_model import check_model
 from tenscasadi.dynamics.instruction_count import count_instructions
@@ -28,7 +29,7 @@ from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.troubleshooting import add_address
-from tenscasadi.util.validate import Array, finite_array, positive_number
+from tenscasadi.util.validate import Array, finite_array, flag, positive_number
 
 _FINER = 4  # refinement factor between pairs of solutions
 _TOLERANCES = (1e-10, 1e-12, 1e-14)
@@ -98,6 +99,7 @@ def reference_solution(
     max_instructions: float = 1e10,
     parameters: Any = None,
     time_limit: float | None = None,
+    progress: bool | None = False,
 ) -> ReferenceSolution:
     """Compute a reference solution with an error estimate.
 
@@ -132,6 +134,8 @@ def reference_solution(
     time_limit : float, optional
         Limit of the wall time of all solutions [s]. The best pair by then counts. Default: no
         limit.
+    progress : bool, optional
+        Whether to show a progress bar after two seconds. None: if standard error is a terminal.
 
     Returns
     -------
@@ -185,15 +189,27 @@ def reference_solution(
     target_difference = max(target_difference, 2 * pairs.rounding)
     floor = _ROUNDING * size
     counts = _step_counts(model, t_end, state, max_instructions, parameters)
-    _refine_steps(pairs, counts, target_difference, max(max_difference, floor))
-    if pairs.apart > floor and (pairs.has_events or model.scene.over_time):
-        for rtol in _TOLERANCES:
-            if pairs.late or pairs.error <= target_difference:
-                break
-            pairs.try_tolerance(rtol)
+    with show_progress(progress, " runs of the reference") as pairs.bar:
+        _refine_steps(pairs, counts, target_difference, max(max_difference, floor))
+        if pairs.apart > floor and (pairs.has_events or model.scene.over_time):
+            for rtol in _TOLERANCES:
+                if pairs.late or pairs.error <= target_difference:
+                    break
+                pairs.try_tolerance(rtol)
     if pairs.best is not None and pairs.error <= max_difference:
         return pairs.best
     raise add_address(NoReferenceError(_explain_failure(pairs, t_end, max_difference, time_limit)))
+
+
+def show_progress(progress: bool | None, unit: str, total: int | None = None) -> Any:
+    """Build a progress bar that appears after two seconds.
+
+    None: if standard error is a terminal. Raises TypeError.
+    """
+    if progress is not None:
+        flag("progress", progress)
+    hidden = None if progress is None else not progress
+    return tqdm(total=total, unit=unit, delay=2.0, disable=hidden, leave=False)
 
 
 def _refine_steps(pairs: _Pairs, counts: Iterable[int], target: float, accepted: float) -> None:
@@ -238,6 +254,7 @@ class _Pairs:
         self.has_events = build_events(model) is not None
         self.best: ReferenceSolution | None = None
         self.apart, self.fault = np.inf, "not tried"
+        self.bar: Any = None
         self.rounding = self._round_clock()
 
     @property
@@ -333,6 +350,7 @@ class _Pairs:
             )
             if run.interrupted:
                 raise KeyboardInterrupt
+            self.bar.update()
             if not run.success or UNRESOLVED in run.message:
                 self.fault = run.message
                 return

@@ -112,6 +112,7 @@ def measuring_calls() -> dict[str, Call]:
                 "target_difference": 1e-3,
                 "compiled": False,
                 "max_instructions": 1e6,
+                "progress": False,
             },
         ),
         "recommend": (
@@ -125,6 +126,7 @@ def measuring_calls() -> dict[str, Call]:
                 "corrections": (None,),
                 "compiled": False,
                 "time_limit": 2.0,
+                "progress": False,
             },
         ),
         "tradeoff": (tc.tradeoff, study),

@@ -302,7 +302,7 @@ def test_out_of_time_the_best_so_far_is_returned(monkeypatch):
     def late(case, step, **options):
         if case.scheme == tc.Rattle():
             monkeypatch.setattr(
-                sys.modules["tenscasadi.analysis.recommend"],
+                sys.modules["tenscasadi.analysis.option_search"],
                 "time",
                 SimpleNamespace(perf_counter=lambda: np.inf),
             )
@@ -319,6 +319,67 @@ def test_out_of_time_the_best_so_far_is_returned(monkeypatch):
         "the time limit of 60 s expired before Rattle, DormandPrince54 were tested"
         in advice.message
     )
+
+
+@pytest.mark.parametrize(("press", "found"), [(1, tc.RungeKutta4()), (0, None)])
+def test_after_ctrl_c_the_best_so_far_is_returned(monkeypatch, press, found):
+    """Ctrl-C is pressed at the first run of a scheme, by its place."""
+    model, start = pendulum()
+    schemes = [tc.RungeKutta4(), tc.Rattle(), tc.DormandPrince54()]
+    run = Case.run
+
+    def interrupted(case, step, **options):
+        if case.scheme == [tc.RungeKutta4(), tc.DormandPrince54()][press]:
+            raise KeyboardInterrupt
+        return run(case, step, **options)
+
+    monkeypatch.setattr(Case, "run", interrupted)
+    options = {"schemes": schemes, "corrections": [None], "compiled": False}
+    if found is None:
+        with pytest.raises(KeyboardInterrupt):
+            tc.recommend(model, 0.5, 1e-5, start, **options)
+        return
+    advice = tc.recommend(model, 0.5, 1e-5, start, **options)
+    assert advice.scheme in (tc.RungeKutta4(), tc.Rattle())
+    assert advice.error <= 1e-5
+    assert "interrupted from the keyboard before DormandPrince54 were tested" in advice.message
+
+
+def test_after_ctrl_c_a_partial_search_counts(monkeypatch):
+    """Ctrl-C is pressed in the search of the only scheme, after a sufficient run."""
+    model, start = pendulum()
+    measure = sys.modules["tenscasadi.analysis.option_search"]._measure
+
+    def interrupted(case, step, price, goal):
+        found = measure(case, step, price, goal)
+        goal.interrupted = found.error <= goal.wanted
+        return found
+
+    monkeypatch.setattr(sys.modules["tenscasadi.analysis.option_search"], "_measure", interrupted)
+    advice = tc.recommend(
+        model, 0.5, 1e-5, start, schemes=[tc.RungeKutta4()], corrections=[None], compiled=False
+    )
+    assert advice.error <= 1e-5
+    assert "interrupted from the keyboard" in advice.message
+
+
+@pytest.mark.slow  # the bar appears after two seconds
+@pytest.mark.parametrize("progress", [True, False])
+def test_progress_is_shown_after_two_seconds(monkeypatch, capsys, progress):
+    model, start = pendulum()
+    run = Case.run
+    waits = [2.1]
+
+    def slow(case, step, **options):
+        time.sleep(waits.pop() if waits else 0.0)
+        return run(case, step, **options)
+
+    options = {"schemes": [tc.RungeKutta4()], "compiled": False, "progress": progress}
+    tc.recommend(model, 0.5, 1e-5, start, **options)
+    assert not capsys.readouterr().err
+    monkeypatch.setattr(Case, "run", slow)
+    tc.recommend(model, 0.5, 1e-5, start, **options)
+    assert ("schemes" in capsys.readouterr().err) == progress
 
 
 def hinged_twice():

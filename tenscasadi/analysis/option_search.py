@@ -1,0 +1,223 @@
+"""Search for the largest sufficient step or tolerance of a scheme."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from tenscasadi.analysis.reference_solution import GRID, distance, end_nodes
+from tenscasadi.analysis.tradeoff import Case
+from tenscasadi.integrators.scheme import extent
+from tenscasadi.integrators.stability import find_limit
+from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.util.compile import Single
+from tenscasadi.util.validate import MAX_ITERATIONS, Array
+
+_CLOSE = 1.15  # factor between the step found and the largest sufficient one
+_REPEATS = 3  # timed runs
+
+
+@dataclass(eq=False)
+class AccuracyTarget:
+    """Position error to reach, and the deadline.
+
+    The nodes (n, 3) are to be within `wanted` m. The search ends at the time `deadline` of the
+    clock [s], `time_limit` after its start, or once it is interrupted.
+    """
+
+    nodes: Array
+    wanted: float
+    deadline: float
+    time_limit: float
+    bar: Any
+    interrupted: bool = False
+
+    @property
+    def late(self) -> bool:
+        """Whether the search has to end."""
+        return self.interrupted or time.perf_counter() > self.deadline
+
+    def check_time(self, expected: float, best: Choice | None) -> None:
+        """Raise OutOfTime if a run would end after the deadline."""
+        self.bar.update(0)  # shows the time
+        if self.late or time.perf_counter() + expected > self.deadline:
+            raise OutOfTime(best)
+
+
+class OutOfTime(Exception):
+    """Exception for an expired deadline.
+
+    `best` is the best result so far.
+    """
+
+    def __init__(self, best: Choice | None) -> None:
+        super().__init__()
+        self.best = best
+
+
+@dataclass(frozen=True)
+class Price:
+    """Price of a run in instructions.
+
+    `step` counts for each trial step, `second` for each second of wall time.
+    """
+
+    step: float
+    second: float
+
+
+def find_option(case: Case, speed: float, goal: AccuracyTarget, most: float) -> Choice | None:
+    """Find about the cheapest sufficient step or rtol.
+
+    None: no option costs less than `most`.
+
+    `speed`: instructions in a second, where they are not counted.
+    """
+    if not case.scheme.implicit:
+        # Error control and event location double the work.
+        price = Price(case.instructions() * (2.0 if case.scheme.adaptive else 1.0), 0.0)
+        return (_find_loosest if case.scheme.adaptive else _find_fewest)(case, price, goal, most)
+    clock = Price(0.0, speed)
+    if case.scheme.adaptive:
+        return _find_loosest(case, clock, goal, most)
+    if case.compiled is False:
+        return _find_fewest(case, clock, goal, most)
+    promising = _find_fewest(
+        replace(case, compiled=False), Price(0.0, speed / 6.0), goal, most
+    )  # compilation takes seconds and makes the code about 6 times as fast
+    if promising is None:
+        return None
+    goal.check_time(0.0, None)
+    return _measure(case.with_code(), promising.step, clock, goal)
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """Measured candidate, sufficient or not.
+
+    It takes `steps` of at most `step` s and ends in the state `end` (nx,) with an error of `error`
+    m. It costs `cost` instructions and `seconds` s of wall time.
+    """
+
+    case: Case
+    step: float
+    steps: int
+    error: float
+    end: Array
+    cost: float
+    seconds: float
+
+    def time_loop(self) -> float:
+        """Measure the time loop, s."""
+        case = self.case.with_code()
+        if not case.even or self.steps <= 2048:
+            return min(case.run(self.step, energy_balance=False).seconds for _ in range(_REPEATS))
+        return case.seconds_per_step(self.step, _REPEATS) * self.steps
+
+
+def _measure(case: Case, step: float, price: Price, goal: AccuracyTarget) -> Choice:
+    """Run once and measure the error.
+
+    The error is infinite if the run fails.
+    """
+
+    def run(**options: Any) -> Trajectory:
+        return case.run(step, **options, time_limit=max(0.1, goal.deadline - time.perf_counter()))
+
+    bare = {"energy_balance": False, "save_every": 10**9}
+    try:
+        first = run(**bare)
+    except KeyboardInterrupt:  # the next run is not started, and the best so far counts
+        goal.interrupted = True
+        return Choice(case, step, 1, np.inf, np.empty(0), 0.0, 0.0)
+    error = distance(end_nodes(case.model, first), goal.nodes) if first.success else np.inf
+    if error <= goal.wanted and not run().success:  # with its energy, as the user runs it
+        error = np.inf
+    seconds = first.seconds
+    if price.second and error <= goal.wanted:
+        seconds = min(seconds, *(run(**bare).seconds for _ in range(_REPEATS - 1)))
+    cost = price.step * first.attempts + price.second * seconds
+    return Choice(case, step, first.attempts, error, first.states[-1], cost, first.seconds)
+
+
+def _find_loosest(case: Case, price: Price, goal: AccuracyTarget, most: float) -> Choice | None:
+    """Find about the largest sufficient rtol.
+
+    Its error is at most `wanted`; None if it costs `most` or more.
+    """
+    best: Choice | None = None
+    wanted, expected = goal.wanted, 0.0
+    least = 1e-6 if isinstance(case.compiled, Single) else 1e-15
+    rtol, tight, loose = 0.1 * wanted / extent(case.model), 0.0, 0.1
+    for _ in range(MAX_ITERATIONS):
+        rtol = min(max(rtol, least), 0.1)
+        tried = replace(case, scheme=replace(case.scheme, rtol=rtol, atol=None))  # type: ignore[type-var]
+        goal.check_time(expected, best)
+        now = _measure(tried, case.t_end / GRID, price, goal)
+        if now.error <= wanted:
+            tight, best = rtol, now
+        else:
+            loose = rtol
+            if rtol <= least or (best is None and np.isfinite(now.error) and now.cost >= most):
+                break
+        if loose <= 4 * tight or (best is now and now.error > wanted / 4):
+            break
+        ratio = float(np.clip(0.5 * wanted / max(now.error, 1e-300), 1e-3, 1e3))
+        before, rtol = (
+            rtol,
+            rtol * ratio
+            if tight < rtol * ratio < loose
+            else float(np.sqrt(max(tight, 1e-16) * loose)),
+        )
+        expected = now.seconds * (before / rtol) ** (1 / case.scheme.order)
+    return best
+
+
+def _find_fewest(case: Case, price: Price, goal: AccuracyTarget, most: float) -> Choice | None:
+    """Find about the fewest equal steps that suffice.
+
+    Their error is at most `wanted`; None if they cost `most` or more.
+    """
+    wanted = goal.wanted
+    limit = np.ceil(most / price.step) - 1 if price.step else np.inf
+    steps = int(max(1, min(count_coarsest(case), limit)))  # the search goes downward from there
+    low, best, each = 0, None, price.step / 1e8
+    for _ in range(MAX_ITERATIONS):
+        if steps > limit:
+            return None
+        goal.check_time(each * steps, best)
+        now = _measure(case, case.t_end / steps, price, goal)
+        each = now.seconds / max(now.steps, 1)
+        if now.error <= wanted:
+            best = now
+        else:
+            low = steps
+            if now.cost >= most:
+                return None
+        if best is None:
+            # extrapolation with the order of the scheme
+            factor = (
+                (now.error / wanted) ** (1 / case.scheme.order) if np.isfinite(now.error) else 2.0
+            )
+            steps = max(low + 1, int(np.ceil(low * float(np.clip(1.05 * factor, _CLOSE, 8.0)))))
+        elif best.steps <= max(_CLOSE * low, low + 1):
+            break
+        else:
+            middle = int(np.sqrt(low * best.steps)) if low else best.steps // 2
+            steps = min(max(middle, low + 1), best.steps - 1)
+    return best
+
+
+def count_coarsest(case: Case, state: Array | None = None) -> int:
+    """Count the steps at the stability limit.
+
+    The limit is that of the start and of `state`.
+    """
+    if case.scheme.implicit:
+        return 8
+    states = [case.state] if state is None else [case.state, state]
+    limit = min(find_limit(case.model, case.scheme, x, parameters=case.parameters) for x in states)
+    return max(1, int(np.ceil(case.t_end / limit))) if np.isfinite(limit) and limit > 0 else 1
