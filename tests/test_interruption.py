@@ -61,7 +61,7 @@ def test_ctrl_c_keeps_the_motion_up_to_there(compiled: bool, schemes: list[Any])
         assert child.stdout is not None
         for scheme in schemes:
             assert child.stdout.readline() == "begun\n"
-            time.sleep(0.5)
+            time.sleep(0.2)
             sent = time.monotonic()
             child.send_signal(signal.SIGINT)
             found, last = child.stdout.readline().split()

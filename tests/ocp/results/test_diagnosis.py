@@ -149,7 +149,7 @@ def test_violations_have_units():
 )
 def test_what_cannot_be_solved_is_explained(name):
     make, words = FAILED[name]
-    limit = 1 if name == "too few iterations" else 300
+    limit = {"too few iterations": 1, "too little time": 300}.get(name, 60)
     plan = ocp.solve(
         make(), ocp.MultipleShooting(5), ocp.Ipopt(max_iterations=limit), tolerance=1e-5
     )

@@ -108,8 +108,15 @@ def test_finds_what_ipopt_finds(case):
     assert np.abs(again.trajectory.states - plan.trajectory.states).max() < 0.05
 
 
-@pytest.mark.parametrize("limited", [False, True], ids=["", "slow"])
-@pytest.mark.parametrize("duration", [1.0, (0.4, 2.0)], ids=["fixed", "free duration"])
+@pytest.mark.parametrize(
+    ("duration", "limited"),
+    [
+        pytest.param(1.0, False, id="fixed"),
+        pytest.param((0.4, 2.0), True, id="free duration, limited speed"),
+        pytest.param(1.0, True, id="fixed, limited speed", marks=pytest.mark.slow),
+        pytest.param((0.4, 2.0), False, id="free duration", marks=pytest.mark.slow),
+    ],
+)
 def test_supports_may_be_moved(duration, limited):
     """As multiple shooting knows them, and exact integration."""
     slow = ocp.Constraint("speed", lambda now: ca.sumsqr(now.velocities[:, 5]), upper=0.01)

@@ -76,16 +76,22 @@ def shaken_by_shooting(free, control):
     return ocp.solve(problem, ocp.MultipleShooting(24, control=control))
 
 
-@pytest.mark.parametrize("free", [False, True], ids=["fixed duration", "free duration, slow"])
+MIDPOINT = ocp.ImplicitMidpoint(24)
+LEAPFROG = ocp.Variational(24, accuracy=1e-7)
+LINEAR = ocp.Variational(24, control=ocp.PiecewiseLinear(), accuracy=1e-6)
+COLLOCATION = ocp.DirectCollocation(24)
+
+
 @pytest.mark.parametrize(
-    "transcription",
+    ("transcription", "free"),
     [
-        ocp.ImplicitMidpoint(24),
-        ocp.Variational(24, accuracy=1e-7),
-        ocp.Variational(24, control=ocp.PiecewiseLinear(), accuracy=1e-6),
-        ocp.DirectCollocation(24),
+        *((transcription, False) for transcription in (LEAPFROG, COLLOCATION)),
+        *((transcription, True) for transcription in (MIDPOINT, LEAPFROG, COLLOCATION)),
+        *(
+            pytest.param(*case, marks=pytest.mark.slow)
+            for case in ((MIDPOINT, False), (LINEAR, False), (LINEAR, True))
+        ),
     ],
-    ids=["ImplicitMidpoint", "Variational", "linear", "Collocation"],
 )
 def test_supports_may_be_moved(transcription, free):
     """As multiple shooting knows them, and SciPy."""

@@ -77,7 +77,7 @@ def test_energy_and_momenta_of_free_motion_are_kept_at_fourth_order() -> None:
     assert np.all(ratios > 13), (losses, ratios)
 
 
-@pytest.mark.parametrize("coordinates", ["reduced", "full"])
+@pytest.mark.parametrize("coordinates", ["reduced", pytest.param("full", marks=pytest.mark.slow)])
 def test_projection_keeps_bars_over_many_steps(coordinates: Any) -> None:
     model = prism(coordinates=coordinates)
     run = simulate(model, 100.0, 1e-3, state=moving(model, 0.3), correction=Projection())

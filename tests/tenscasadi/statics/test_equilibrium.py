@@ -389,7 +389,7 @@ def test_free_structure_under_gravity_falls():
     assert np.isfinite(eq.nodes).all()
 
 
-@pytest.mark.parametrize("joint_class", [1, 2])
+@pytest.mark.parametrize("joint_class", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_tall_tower_without_prestress_ends_hanging(joint_class):
     tower = tc.shapes.prism_tower(10, joint_class=joint_class, pinned=[0, 1, 2])
     eq = tc.find_equilibrium(tc.Scene(tower, gravity=GRAVITY))

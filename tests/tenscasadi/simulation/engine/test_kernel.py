@@ -87,7 +87,7 @@ def inputs(model, n, intervals):
     return model.initial_control * (1 + 0.05 * rng.random((n, intervals, model.nu)))
 
 
-SLOW = ("rattle, bars that meet", "full, rattle", "full")  # to compile
+SLOW = ("rattle, bars that meet", "full, rattle", "full", "853")  # to compile
 
 
 @pytest.mark.parametrize(

@@ -121,7 +121,7 @@ def test_splines_take_one_lane():
     assert kernel.lanes == 1
 
 
-@pytest.mark.parametrize("lanes", [2, None])
+@pytest.mark.parametrize("lanes", [pytest.param(2, marks=pytest.mark.slow), None])
 def test_terrain_is_looked_up_in_each_lane(lanes):
     rng = np.random.default_rng(0)
     fields = [

@@ -25,9 +25,9 @@ def turning(control: tc.ForceDensity | None = None) -> tuple[tc.Model, np.ndarra
     "scheme",
     [
         tc.RungeKutta4(),
-        tc.DormandPrince853(),
+        pytest.param(tc.DormandPrince853(), marks=pytest.mark.slow),
         tc.DormandPrince54(rtol=1e-6),
-        tc.Rattle(),
+        pytest.param(tc.Rattle(), marks=pytest.mark.slow),
         tc.Collocation(tolerance=1e-6),
     ],
 )
