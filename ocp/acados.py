@@ -48,10 +48,10 @@ def export_acados(mpc: Mpc, folder: str | Path) -> list[Path]:
     f_impl, y, y_e, h and h_e. The parameter p is the time [s] of a stage. `references(time)` returns
     `yref` of all stages, to be set before each solution.
 
-    The cost is that of `Mpc`: ½ ‖y − yref‖² with scaled outputs and force densities, in the form
-    NONLINEAR_LS. Force densities have bounds. Other limits h are soft, and hold at the starts of
-    intervals; those that do not depend on force densities also at the end of the
-    horizon. The integrator is RK4 with the steps of `mpc`.
+    The cost is that of `Mpc`: ½ ‖y − yref‖² with scaled outputs and controls, in the form
+    NONLINEAR_LS. Controls have bounds. Other limits h are soft, and hold at the starts of intervals;
+    those that do not depend on the control also at the end of the horizon. The integrator is RK4
+    with the steps of `mpc`.
 
     Examples
     --------

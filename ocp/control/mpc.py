@@ -47,8 +47,8 @@ class Mpc:
     """Model predictive control that tracks a plan or holds goals.
 
     It is a controller for `run`. From the measured state it predicts the motion under its last
-    decision, shifted. A quadratic program improves the force densities, and those of the first
-    period are applied.
+    decision, shifted. A quadratic program improves the controls, and those of the first period
+    are applied.
 
     Parameters
     ----------
@@ -259,7 +259,7 @@ class Mpc:
         before: Any,
         earlier: Any,
     ) -> Any:
-        """Compute γ of the horizon, of symbols (α, intervals) or of arrays (intervals, α).
+        """Compute the controls of the horizon: symbols (nu, intervals), arrays (intervals, nu).
 
         `before` and `earlier` are the last decision and its state, or NaN.
         """
@@ -346,7 +346,7 @@ class Mpc:
         )
 
     def _improve(self, gamma: Array, G: Array, g: Array, a: Array, b: Array) -> Array:
-        """Improve γ (intervals, α) by DAQP; keep it after a failure."""
+        """Improve the controls (intervals, nu) by DAQP; keep them after a failure."""
         slack = self._slack
         H, now = G @ G.T, gamma.ravel()
         H[np.diag_indices(len(H))] += self._weights
@@ -387,7 +387,7 @@ class Mpc:
 
 
 class _MpcDecision(NamedTuple):
-    """Time, force densities and state of a decision, or NaN."""
+    """Time, control and state of a decision, or NaN."""
 
     time: float
     force_density: Array
@@ -424,8 +424,8 @@ def _build_reference(
 ) -> tuple[ca.Function, float]:
     """Build the reference, and return a typical force density [N/m].
 
-    The Function time → departures (·, count), γ (α, count) has values at the ends of the next
-    intervals and in them. A plan is tracked, and held at its end by an equilibrium if it is at
+    The Function time → departures (·, count), controls (nu, count) has values at the ends of the
+    next intervals and in them. A plan is tracked, and held at its end by an equilibrium if it is at
     rest. Without a plan, the state of the goals is held. Raises ValueError, InfeasibleGoalError.
     """
     time = ca.MX.sym("time")

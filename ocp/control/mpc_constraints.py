@@ -19,14 +19,14 @@ NO_LIMIT = 1 / TOLERANCE  # scaled distance that stands for no limit
 class Horizon(NamedTuple):
     """Predicted motion over K intervals, and its derivatives.
 
-    The derivatives are those by the changes ΔU (K α) of all force densities.
+    The derivatives are those by the changes ΔU (K nu) of all controls.
 
     Attributes
     ----------
     states, state_effects : list
         States and derivatives at the last decision, now, and at the ends of the intervals.
     controls, control_effects : list
-        Force densities and derivatives of the last decision, and of the intervals.
+        Controls and derivatives of the last decision, and of the intervals.
     """
 
     states: list[Any]
@@ -41,7 +41,7 @@ class Horizon(NamedTuple):
 
 
 class HorizonLimits:
-    """Linearized limits of a problem except those of force densities.
+    """Linearized limits of a problem except those of the controls.
 
     Limits of instants hold at the end of each interval, and terminal limits at the end of the
     horizon. Rate limits hold between the starts of neighboring intervals, and from the last
@@ -71,7 +71,7 @@ class HorizonLimits:
         return bool(self._rates)
 
     def rows(self, horizon: Horizon, time: Any, begun: Any) -> tuple[Any, Any]:
-        """Build a (rows, K α) and b (rows,); `begun`: whether there was a last decision."""
+        """Build a (rows, K nu) and b (rows,); `begun`: whether there was a last decision."""
         a, b = [ca.DM(0, horizon.control_effects[0].shape[1])], [ca.DM(0, 1)]
         x, dx, u, du = horizon
         for limit, last in self._instants:

@@ -191,7 +191,7 @@ class Mppi:
         self._control_cost = _map_cost(costs.control, self.samples)
         self._rate_cost = _map_cost(costs.rates, self.samples * self.intervals)
         self.effective_samples: float
-        self._plan: Array  # γ (K, α) of the last decision
+        self._plan: Array  # controls (K, nu) of the last decision
         self._last: _Decision | None
         self.reset()
         self._evaluate(
@@ -261,7 +261,7 @@ class Mppi:
         return np.asarray(0.1 * (self._upper - self._lower))
 
     def _draw(self) -> Array:
-        """Draw force densities (samples, K, α) about the last decision."""
+        """Draw controls (samples, K, nu) about the last decision."""
         knots = self._random.standard_normal(
             (self.samples, self._basis.shape[1], len(self._directions))
         )
@@ -307,7 +307,7 @@ class Mppi:
 
 
 class _Decision(NamedTuple):
-    """Time, state (nx,) and force densities (α,) of a decision."""
+    """Time, state (nx,) and control (nu,) of a decision."""
 
     time: float
     state: Array
