@@ -42,9 +42,9 @@ def explain_limits(task: PlanningTask) -> str:
 
 def _explain(task: PlanningTask, target: Target) -> str:
     problem = task.problem
-    # a rough motion serves, which is searched no longer than the plan, but for short searches
+    # searched no longer than the plan, but for short searches
     limit = max(1.0, task.monitor.elapsed)
-    solver = Ipopt(tolerance=1e-4, max_iterations=120, time_limit=limit)
+    solver = Ipopt(time_limit=limit)
     program = _build(task, target)
     relaxed = relax_limits(program, ("path", "rate"), controls=True)
     found = solve_relaxed(relaxed, solver, task.monitor)
@@ -53,7 +53,7 @@ def _explain(task: PlanningTask, target: Target) -> str:
         return ""
     units = {**list_units(problem), control_name(problem.model): control_unit(problem.model)}
     needed = " and ".join(_describe(one, units, problem.model.scene.structure) for one in wider)
-    longest = 3 * problem.longest
+    longest = 3 * problem.longest  # more would be another task
     duration = _find_duration(task, longest, solver)
     longer = "" if duration is None else f", or a duration of {duration:.3g} s"
     if duration == np.inf:

@@ -171,7 +171,7 @@ class _TargetSearch:
         if len(self.goals.names) > problem.model.nq:
             return  # few states meet such goals, which is costly to find out
         drawn = np.random.default_rng(0)
-        for size in np.linspace(0.1, 0.5, STARTS):
+        for size in (0.3,) * STARTS:
             y = np.append(near, self.typical)
             split(y[:-1]).clock[:] = split(problem.initial_state).clock + self.typical
             places = split(y[:-1]).positions
