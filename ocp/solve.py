@@ -62,7 +62,8 @@ def solve(
         abandoned in its thread, for which Python waits at exit. By default there is no limit.
     n_starts : int
         Number of initial guesses with different seeds (see `InverseDynamics`; with `Sampling` its
-        own). The plan is the best of all; `Plan.start_objectives` holds all objectives.
+        own). The plan is the best of all; `Plan.start_objectives` holds all objectives. The default
+        is 1, as second starts rarely find a better plan.
     executor : concurrent.futures.Executor, optional
         Executor that solves the starts in parallel, such as a ``ProcessPoolExecutor``. Default: one
         after the other.
