@@ -19,7 +19,7 @@ class Certificate(NamedTuple):
     bound : float
         Least value of the sum, greater than 0.
     relaxation : str
-        "linear" or "convex", as the sum is in the state.
+        "linear" or "convex": dependence of the weighted sum on the state.
 
     Examples
     --------

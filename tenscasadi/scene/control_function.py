@@ -25,7 +25,7 @@ from tenscasadi.util.validate import (
 
 @dataclass(frozen=True, eq=False)
 class ControlFunction:
-    """Control function of time, evaluated at each stage.
+    """Control as a function of time, evaluated at all integrator stages.
 
     A function that CasADi cannot trace, as with Python's ``if``, is interpolated by piecewise
     cubics. Pieces are halved until they agree with the function. Steps of a simulation end at the
@@ -36,8 +36,8 @@ class ControlFunction:
     function : callable
         Function of the time since the start of the run [s] that returns the control (nu,).
     breakpoints : array_like, shape (B,), optional
-        Times [s] at which the function jumps or has a kink, or a pulse begins or ends. Those of
-        comparisons, signs and roundings are found without it.
+        Times [s] at which the function jumps or has a kink, or a pulse begins or ends. Jumps of
+        comparisons, signs and roundings are found automatically.
     resolution : float, optional
         Shortest piece of the interpolation [s]. A faster change becomes a ramp of this length.
         Default: a billionth of the run.

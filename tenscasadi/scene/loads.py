@@ -41,8 +41,8 @@ class Gravity(OverTime, kind="Gravity", short="acceleration"):
     times : array_like, shape (K,), optional
         Increasing times of a table [s]. Steps of a simulation end there.
     breakpoints : array_like, shape (B,), optional
-        Times [s] at which a function jumps or has a kink, or a pulse begins or ends. Those of
-        comparisons, signs and roundings are found without it. Steps of a simulation end there.
+        Times [s] at which a function jumps or has a kink, or a pulse begins or ends. Jumps of
+        comparisons, signs and roundings are found automatically. Steps of a simulation end there.
 
     Notes
     -----
@@ -122,8 +122,8 @@ class Pressure(OverTime, kind="Pressure"):
     times : array_like, shape (K,), optional
         Increasing times of a table [s]. Steps of a simulation end there.
     breakpoints : array_like, shape (B,), optional
-        Times [s] at which a function jumps or has a kink, or a pulse begins or ends. Those of
-        comparisons, signs and roundings are found without it. Steps of a simulation end there.
+        Times [s] at which a function jumps or has a kink, or a pulse begins or ends. Jumps of
+        comparisons, signs and roundings are found automatically. Steps of a simulation end there.
 
     Examples
     --------
@@ -214,8 +214,8 @@ class NodalForce(OverTime, ReadOnlyArrays, kind="NodalForce"):
     times : array_like, shape (K,), optional
         Increasing times of a table [s]. Steps of a simulation end there.
     breakpoints : array_like, shape (B,), optional
-        Times [s] at which a function jumps or has a kink, or a pulse begins or ends. Those of
-        comparisons, signs and roundings are found without it. Steps of a simulation end there.
+        Times [s] at which a function jumps or has a kink, or a pulse begins or ends. Jumps of
+        comparisons, signs and roundings are found automatically. Steps of a simulation end there.
     bars : mapping of int or str to int or str, optional
         Bar whose end takes the force, by node. Default: the first bar of the node in the columns of
         `Structure.class_one`. The choice changes only the constraint forces in the joint (Ω of

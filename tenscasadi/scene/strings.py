@@ -188,7 +188,7 @@ class Clip(StringLaw, kind="Clip"):
         stiffness : casadi expression
             Stiffness k [N/m].
         rate : casadi expression or None
-            c sᵀṡ [N·m], None without damping.
+            Damping coefficient c times sᵀṡ of string vectors s [N·m], None without damping.
         unit : casadi expression
             Constant typical lengths [m]. Lengths are regularized by 1e-9 of them, so that
             derivatives are finite at length 0.
@@ -221,7 +221,7 @@ class Clip(StringLaw, kind="Clip"):
         stiffness : casadi expression
             Stiffness k [N/m].
         rate : casadi expression or None
-            c sᵀṡ [N·m], None without damping.
+            Damping coefficient c times sᵀṡ of string vectors s [N·m], None without damping.
         unit : casadi expression
             Constant typical lengths [m].
 
@@ -303,7 +303,7 @@ class Smooth(StringLaw, kind="Smooth"):
         stiffness : casadi expression
             Stiffness k [N/m].
         rate : casadi expression or None
-            c sᵀṡ [N·m], None without damping.
+            Damping coefficient c times sᵀṡ of string vectors s [N·m], None without damping.
         unit : casadi expression
             Constant typical lengths [m]. Lengths are regularized by 1e-9 of them, so that
             derivatives are finite at length 0.
@@ -383,7 +383,7 @@ class Linear(StringLaw, kind="Linear"):
         stiffness : casadi expression
             Stiffness k [N/m].
         rate : casadi expression or None
-            c sᵀṡ [N·m], None without damping.
+            Damping coefficient c times sᵀṡ of string vectors s [N·m], None without damping.
         unit : casadi expression
             Constant typical lengths [m]. Lengths are regularized by 1e-9 of them, so that
             derivatives are finite at length 0.

@@ -53,8 +53,8 @@ class SupportMotion(Value, kind="SupportMotion"):
         Functions by node that convert the time [s] to (x, y, z) [m]. At t = 0 they return the
         node's position in the structure. Three numbers are a constant.
     breakpoints : array_like, shape (B,), optional
-        Times [s] at which an acceleration jumps, or a pulse begins or ends. Those of comparisons,
-        signs and roundings are found without it. Steps of a simulation end at breakpoints.
+        Times [s] at which an acceleration jumps, or a pulse begins or ends. Jumps of comparisons,
+        signs and roundings are found automatically. Steps of a simulation end at breakpoints.
 
     Examples
     --------

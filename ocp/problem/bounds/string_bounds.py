@@ -145,7 +145,7 @@ class ForceDensityRateLimits(RateBound, kind="ForceDensityRateLimits"):
 
     See Also
     --------
-    PiecewiseConstant : Limits the number of control changes (``changes``).
+    PiecewiseConstant : Limits the number of control changes (``max_changes``).
     RestLengthRateLimits : Limits of the rate of each rest length.
 
     Examples
@@ -177,7 +177,7 @@ class ForceDensityRateLimits(RateBound, kind="ForceDensityRateLimits"):
         broadcast_limits("ForceDensityRateLimits.rate", self.rate, len(structure.strings), np.inf)
 
     def limit(self, before: Instant, after: Instant, interval: Any) -> Limit:
-        """Build the constrained rates.
+        """Build the limited rates and their limits.
 
         Parameters
         ----------
@@ -398,7 +398,7 @@ class RestLengthRateLimits(RateBound, kind="RestLengthRateLimits"):
         read_stiffness("RestLengthRateLimits.stiffness", self.stiffness, structure)
 
     def limit(self, before: Instant, after: Instant, interval: Any) -> Limit:
-        """Build the constrained rates.
+        """Build the limited rates and their limits.
 
         Parameters
         ----------

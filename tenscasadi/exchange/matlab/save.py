@@ -55,7 +55,7 @@ def save_mat(
     path : str or PathLike
         File to write, in MATLAB's format v7; no suffix is added.
     class_one : bool
-        Whether to write a structure in the paper's split, for MOTES.
+        Whether to write one node for each end of a bar, as MOTES requires.
 
     Returns
     -------

@@ -58,8 +58,8 @@ def load_mat_trajectory(
 
     A file of `save_mat` is restored exactly. From MOTES, Nhist, Ndhist, t and gamma are read, and
     from TsgFEM n_t, nd_t and out_tspan, in a struct or outside. Forces, energies and errors are
-    then those of the model at these positions and velocities. Nodes that P ties together, as in
-    MOTES' split, are one node.
+    then those of the model at these positions and velocities. Nodes that the
+    matrix P of MOTES ties together become one node.
 
     Parameters
     ----------
