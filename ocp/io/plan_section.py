@@ -218,7 +218,9 @@ def write_plan(problem: Problem, arguments: Mapping[str, Any]) -> dict[str, Any]
     goals, costs = join_soft(problem.goals, problem.costs)
     model, bounds = problem.model, tuple(problem.bounds)
     fields: dict[str, Any] = {
-        "bounds": bounds[: len(bounds) - len(derive_bounds(problem.scene))],
+        "bounds": bounds[
+            : len(bounds) - len(derive_bounds(model.scene.structure, problem.strength))
+        ],
         "phases": problem.phases,
         "goals": goals,
         "costs": costs,

@@ -28,6 +28,7 @@ from ocp.problem.phase import Phase
 from ocp.problem.reading import limits_of
 from ocp.problem.resolved import fraction_of, resolve, string_limits
 from ocp.problem.start import FreeStart
+from tenscasadi.scene.breaking import Strength
 from tenscasadi.scene.winches import Winch
 from tenscasadi.schema.value import Value
 from tenscasadi.util.renamed import RenamedAttribute
@@ -61,7 +62,7 @@ class Problem(Value, kind="Problem"):
     bounds : iterable of bounds, optional
         Limits along the whole plan, such as `ForceDensityLimits`, `TensionLimits`, `BarClearance`
         and `Constraint`. `Scene.strength` adds `TensionLimits`, and `Problem.model` is then the
-        model of strings that cannot break.
+        model of strings that cannot fail.
     costs : iterable of costs, optional
         Terms of the objective, such as `Effort`, `Tracking` and `Integral`; their sum is minimized.
         Without costs, all feasible plans are equally good; if a force density has no upper limit,
@@ -74,6 +75,10 @@ class Problem(Value, kind="Problem"):
         Consecutive phases with contact between nodes and the scene's ground, as in jumps, landings
         and steps. Their durations replace that of the problem. The problem's goals hold at the end
         of the last phase.
+    strength : Breaking or Yielding, optional
+        Tensions at which strings fail. Default: `Scene.strength` of the model. It adds
+        `TensionLimits` to the bounds, and plans are checked against it. `dataclasses.replace` keeps
+        it; None with a model without `Scene.strength` for none.
 
     Raises
     ------
@@ -105,6 +110,7 @@ class Problem(Value, kind="Problem"):
     costs: Iterable[Cost] = ()
     parameters: Any = None
     phases: Sequence[Phase] = ()
+    strength: Strength | None = None
     given: Mapping[str, Any] = field(init=False, repr=False)  # the arguments as given
 
     fixed = RenamedAttribute("with_parameters")
@@ -165,8 +171,10 @@ class Problem(Value, kind="Problem"):
     @property
     def scene(self) -> Scene:
         """Scene of the model, with the strength of its strings."""
-        strength = self.given["model"].scene.strength
-        return replace(self.model.scene, strength=strength) if strength else self.model.scene
+        strength, scene = self.strength, self.model.scene
+        if strength is None or (scene.commands_forces and not strength.breaks):
+            return scene  # commanded forces do not yield
+        return replace(scene, strength=strength)
 
     @property
     def shortest(self) -> float:

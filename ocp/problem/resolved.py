@@ -25,15 +25,15 @@ from ocp.problem.phase import Phase, check_phases, phases_between
 from ocp.problem.reading import Duration, limits_of, read_duration, read_items
 from ocp.problem.start import FreeStart, read_start
 from tenscasadi.dynamics.base_model import check_model
+from tenscasadi.scene.breaking import Strength
 from tenscasadi.scene.failed_strings import require_intact
 from tenscasadi.scene.strength import count_states, drop_states, limit_tensions
 from tenscasadi.schema.definitions import resolve_names
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, finite_array, format_value, nesting
+from tenscasadi.util.validate import Array, finite_array, format_value, instance, nesting
 
 if TYPE_CHECKING:
     from tenscasadi.dynamics.model import Model
-    from tenscasadi.scene.scene import Scene
 
 
 class Resolved(NamedTuple):
@@ -50,6 +50,8 @@ class Resolved(NamedTuple):
     goals, bounds, costs, phases : tuple
         Goals are bound to model and start; soft goals are among the costs. Waypoints of free times
         become phases.
+    strength : Strength or None
+        Tensions at which strings fail.
     """
 
     model: Model
@@ -59,6 +61,7 @@ class Resolved(NamedTuple):
     bounds: tuple[Bound, ...]
     costs: tuple[Cost, ...]
     phases: tuple[Phase, ...]
+    strength: Strength | None
 
 
 def resolve(
@@ -70,6 +73,7 @@ def resolve(
     costs: Iterable[Cost],
     parameters: Any,
     phases: Sequence[Phase],
+    strength: Strength | None,
 ) -> Resolved:
     """Validate and complete the arguments of a problem.
 
@@ -77,8 +81,13 @@ def resolve(
     """
     check_model(model, "Problem.model")
     model = model.with_parameters(parameters)
-    strength, derived = limit_tensions(model.scene), derive_bounds(model.scene)
     names = model.scene.structure.names
+    if strength is not None:
+        instance("Problem.strength", strength, Strength, "Breaking(), Yielding() or None")
+        strength = resolve_names(strength, names)
+        strength.check(len(model.scene.structure.strings))
+    strength = strength if model.scene.strength is None else model.scene.strength
+    most = limit_tensions(model.scene.structure, strength)
     start = resolve_names(start, names)
     start = _drop_strength_states(model, start)
     if model.scene.strength is not None:
@@ -97,7 +106,8 @@ def resolve(
     own_goals, parts = _divide(structure, own_goals, own_phases, time)
     begin = read_start(model, start)
     own_bounds = read_items("Problem.bounds", bounds, Bound, "[ForceDensityLimits(0, 200)]", names)
-    own_bounds = (*own_bounds, *derived)
+    derived = derive_bounds(structure, strength)  # a copied problem has them
+    own_bounds = (*(one for one in own_bounds if not _equal_any(one, derived)), *derived)
     own_costs = read_items("Problem.costs", costs, Cost, "[Effort()]", names)
     first_goals = begin.goals if isinstance(begin, FreeStart) else ()
     for item in (*own_goals, *own_bounds, *own_costs, *first_goals):
@@ -109,7 +119,7 @@ def resolve(
     own_costs = tuple(
         cost.bind(model, state) if isinstance(cost, SoftGoal) else cost for cost in own_costs
     )
-    _check_limits(structure, own_bounds, strength)
+    _check_limits(structure, own_bounds, most)
     upper = string_limits(structure, own_bounds, ForceDensityLimits)[1]
     if not own_costs and np.isposinf(upper).any():
         # Without a cost, the barrier function of the solver lets force densities diverge.
@@ -117,7 +127,7 @@ def resolve(
     own_goals, penalties = _split_soft(own_goals, own_costs, time)
     own_costs = (*own_costs, *penalties)
     check_expressions(model, own_bounds, own_costs, state)
-    found = Resolved(model, time, begin, own_goals, own_bounds, own_costs, parts)
+    found = Resolved(model, time, begin, own_goals, own_bounds, own_costs, parts, strength)
     if parts:
         _check_phases(found, divided=parts is not own_phases)
     return found
@@ -221,10 +231,17 @@ def join_soft(
     return tuple(given), tuple(own)
 
 
-def derive_bounds(scene: Scene) -> tuple[Bound, ...]:
+def derive_bounds(structure: Structure, strength: Strength | None) -> tuple[TensionLimits, ...]:
     """Derive the bounds that keep strings below their strength."""
-    strength = limit_tensions(scene)
-    return (TensionLimits(upper=strength),) if np.isfinite(strength).any() else ()
+    most = limit_tensions(structure, strength)
+    return (TensionLimits(upper=most),) if np.isfinite(most).any() else ()
+
+
+def _equal_any(bound: Bound, derived: Sequence[TensionLimits]) -> bool:
+    """Return whether a bound equals a derived one, which has upper limits alone."""
+    if not isinstance(bound, TensionLimits) or bound.lower is not None:
+        return False
+    return any(np.array_equal(np.asarray(bound.upper), np.asarray(one.upper)) for one in derived)
 
 
 def _drop_strength_states(model: Model, start: Any) -> Any:

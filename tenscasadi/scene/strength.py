@@ -30,15 +30,16 @@ def find_limited(scene: Any) -> Indices:
     return np.unique(scene.structure.cable_of[np.isfinite(list_strengths(scene))])
 
 
-def limit_tensions(scene: Any) -> Array:
+def limit_tensions(structure: Any, strength: Any) -> Array:
     """Compute the tensions (m,) of inputs, of cables and lone strings, that plans stay below [N].
 
     They are inf for inputs without a strength.
     """
-    cable_of = scene.structure.cable_of
+    cable_of = structure.cable_of
     found = np.full(int(cable_of.max(initial=-1)) + 1, np.inf)
-    if scene.strength is not None:
-        np.minimum.at(found, cable_of, (1 - scene.strength.margin) * list_strengths(scene))
+    if strength is not None:
+        forces = strength.list_forces(len(cable_of))
+        np.minimum.at(found, cable_of, (1 - strength.margin) * forces)
     return found
 
 

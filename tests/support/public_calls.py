@@ -257,7 +257,7 @@ def planning_calls() -> dict[str, Call]:
     weight = {"weight": 1.0}
     mesh = {"intervals": 5, "control": ocp.PiecewiseConstant(), "accuracy": None}
     found: dict[str, Call] = {
-        "Problem": (ocp.Problem, {"model": m, "duration": (0.5, 1.0), "start": x, "goals": [ocp.AtRest()], "bounds": [ocp.ForceDensityLimits(1.0, 100.0)], "costs": [ocp.Effort()]}),
+        "Problem": (ocp.Problem, {"model": m, "duration": (0.5, 1.0), "start": x, "goals": [ocp.AtRest()], "bounds": [ocp.ForceDensityLimits(1.0, 100.0)], "costs": [ocp.Effort()], "strength": tc.Breaking(1e6)}),
         "Phase": (ocp.Phase, {"duration": (0.1, 0.5), "contact_nodes": [0, 1], "goals": [ocp.AtRest()], "bounds": [ocp.ForceDensityLimits(0.0, 9.0)], "until": (0.1, 0.5)}),
         "FreeStart": (ocp.FreeStart, {"near": x, "goals": [ocp.AtRest()]}),
         "StringLengths": (bounded(ocp.StringLengths, goal=True), {"lengths": {0: 1.0, 1: 1.0}}),

@@ -149,3 +149,28 @@ def test_closed_loops_go_on_after_a_break():
     first = broken.trajectory.breaks[0]
     late = broken.trajectory.time > first.time + 1e-9
     assert (broken.trajectory.tension[late][:, list(first.strings)] == 0).all()
+
+
+def test_copied_problems_keep_the_strength():
+    first = problem(cross(FORCE))
+    copied = replace(replace(first, duration=0.4), costs=[ocp.Effort(2.0)])
+    assert copied.strength == copied.scene.strength == first.strength
+    assert len(copied.bounds) == len(first.bounds) == 1
+    bounded = replace(first, bounds=[ocp.ForceDensityLimits(0.1)])
+    kinds = [type(bound) for bound in bounded.bounds]
+    assert kinds == [ocp.ForceDensityLimits, ocp.TensionLimits]
+    given = problem(cross(), strength=tc.Breaking(FORCE, 0.05))
+    np.testing.assert_array_equal(given.bounds[-1].upper, first.bounds[-1].upper)
+    assert problem(cross()).strength is None
+    with pytest.raises(TypeError, match=r"Problem\.strength is 3"):
+        problem(cross(), strength=3)
+
+
+def test_overloads_of_copied_problems_are_found():
+    structure = tc.shapes.d_bar(pinned=[0], prestress=20.0, stiffness=500.0)
+    strength = tc.Breaking(17.46, margin=0.0)  # as above
+    tight = tc.Model(tc.Scene(structure, control=tc.RestLength(), strength=strength))
+    copied = replace(problem(tight, duration=0.5), duration=0.6)
+    plan = ocp.solve(copied, ocp.MultipleShooting(4, substeps=8))
+    assert not plan.success
+    assert "between mesh points: give more intervals, or a larger Breaking.margin" in plan.message
