@@ -110,13 +110,13 @@ class _EvaluatedGuess(NamedTuple):
         return self.origin.guess(problem, target, intervals)
 
 
+# No second start from another seed where limits are active: no plan of 25 gets better by more than
+# 0.01 %, in twice the time (docs/benchmarks.md); `n_starts` asks for one.
 def attempts(task: PlanningTask, guess: InitialGuess | None) -> Iterator[Attempt]:
     """Yield the attempts at a problem in their order.
 
     `find_plan` runs those that apply after the last failure, and stops at the first success.
     """
-    # No second start from another seed where limits are active: 0 of 25 plans get better by 0.01 %,
-    # in twice the time (docs/benchmarks.md); `n_starts` asks for one.
     problem, model = task.problem, task.problem.model
     if task.target is None:  # phases have a method of their own
         yield Attempt(Variational(PHASE_INTERVALS), Ipopt(), guess, "phases")
