@@ -19,7 +19,7 @@ from tenscasadi.util.validate import MAX_COUNT, Array
 _DEFAULTS = {"solref": (0.02, 1.0), "friction": (1.0, 0.005, 0.0001)}  # of MuJoCo
 
 
-class Touch(NamedTuple):
+class PlaneTouch(NamedTuple):
     """Contact of a node or bar with a plane.
 
     Attributes
@@ -79,7 +79,7 @@ def _read_grounds(
             f"has {len(fixed)} geoms in the world and {len(moving)} in bodies, too many to find which touch: give fewer"
         )
     for plane in fixed:
-        touches: dict[tuple[int | None, int], Touch] = {}
+        touches: dict[tuple[int | None, int], PlaneTouch] = {}
         for k, geom in moving:
             law = pairs.get(frozenset((plane.element.text("name"), geom.element.text("name"))))
             if law is None and (k in apart or not _can_touch(plane.element, geom.element)):
@@ -175,7 +175,7 @@ def _mix(one: Element, other: Element) -> Element:
     return other.replace({**other.attributes, **mixed})
 
 
-def _find_touches(k: int, geom: Geom, law: Element, locator: Locator) -> list[Touch]:
+def _find_touches(k: int, geom: Geom, law: Element, locator: Locator) -> list[PlaneTouch]:
     """Find the contacts of a geom that covers a bar, or has its ends at nodes."""
     if geom.rod is None:
         return []
@@ -183,11 +183,11 @@ def _find_touches(k: int, geom: Geom, law: Element, locator: Locator) -> list[To
     nodes = [node for end in ends if (node := locator.find_node(k, end)) is not None]
     bar = locator.find_bar(k, geom.rod)
     if bar is not None:
-        return [Touch(tuple(nodes), bar, geom.rod.radius, law)]
-    return [Touch((node,), None, geom.rod.radius, law) for node in nodes]
+        return [PlaneTouch(tuple(nodes), bar, geom.rod.radius, law)]
+    return [PlaneTouch((node,), None, geom.rod.radius, law) for node in nodes]
 
 
-def _build_grounds(plane: Geom, touches: list[Touch], weights: ContactWeights) -> list[Ground]:
+def _build_grounds(plane: Geom, touches: list[PlaneTouch], weights: ContactWeights) -> list[Ground]:
     """Build the grounds of a plane, one for each law."""
     normal = plane.frame.turn[:, 2]
     height = float(normal @ plane.frame.place)
@@ -195,7 +195,7 @@ def _build_grounds(plane: Geom, touches: list[Touch], weights: ContactWeights) -
         node: touch.distance for touch in touches if touch.bar is not None for node in touch.nodes
     }
 
-    def weigh(touch: Touch) -> float:
+    def weigh(touch: PlaneTouch) -> float:
         inverse = weights.inverse[touch.nodes[0]] if touch.bar is None else weights.bars[touch.bar]
         return float(inverse)
 

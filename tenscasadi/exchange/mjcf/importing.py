@@ -323,12 +323,12 @@ class _SceneBuilder:
             return bare
         balls = any(piece.anchor is not None for _, piece in self.bodies.moving())
 
-        locator = _Locator(self, bare, balls)
+        locator = _SceneLocator(self, bare, balls)
         grounds, bar_contact = read_contacts(root, self.bodies, defaults, locator)
         return Scene(structure, **parts, ground=grounds or None, bar_contact=bar_contact)
 
 
-class _Locator(NamedTuple):
+class _SceneLocator(NamedTuple):
     """Nodes and bars of a scene by pieces of the file."""
 
     builder: _SceneBuilder
