@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from tenscasadi.util.validate import Indices
 
 
-class Touch(NamedTuple):
+class TouchingPoints(NamedTuple):
     """Contact of points with a surface, or with opposite points."""
 
     contact: Contact
@@ -51,11 +51,11 @@ class ContactElement(ForceElement):
     mech: Mechanism
     mode: Any = None
 
-    def find_touch(self, N: Any) -> Touch:
+    def find_touch(self, N: Any) -> TouchingPoints:
         """Find the contact of the columns N (3×n) [m]."""
         raise NotImplementedError
 
-    def assemble(self, touch: Touch, N: Any, F: Any) -> Any:
+    def assemble(self, touch: TouchingPoints, N: Any, F: Any) -> Any:
         """Assemble forces (3×m) [N] on the points, and the opposite ones, to 3×n."""
         W, columns = touch.points.end_forces(N, F), touch.points.columns
         if touch.opposite is not None:
@@ -97,9 +97,9 @@ class NodeContacts(ContactElement):
         """Number of nodes that may be in contact."""
         return len(self.columns)
 
-    def find_touch(self, N: Any) -> Touch:
+    def find_touch(self, N: Any) -> TouchingPoints:
         """Find the contact of the columns N (3×n) [m]."""
-        return Touch(self.surface.contact(N[:, self.columns]), NodePoints(self.columns))
+        return TouchingPoints(self.surface.contact(N[:, self.columns]), NodePoints(self.columns))
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,12 +118,12 @@ class CapsuleContacts(ContactElement):
         """Number of points of bars that may be in contact."""
         return len(self._points.bars)
 
-    def find_touch(self, N: Any) -> Touch:
+    def find_touch(self, N: Any) -> TouchingPoints:
         """Find the contact of the columns N (3×n) [m]."""
         bars, fractions, radii = self._points
         ends = self.mech.bar_ends[bars]
         points = BarPoints(ends[:, 0].tolist(), ends[:, 1].tolist(), ca.DM(fractions).T)
-        return Touch(*press_spheres(self.surface, points, radii, N))
+        return TouchingPoints(*press_spheres(self.surface, points, radii, N))
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +142,7 @@ class BarContacts(ContactElement):
         """Number of pairs that may be in contact."""
         return len(self._pairs)
 
-    def find_touch(self, N: Any) -> Touch:
+    def find_touch(self, N: Any) -> TouchingPoints:
         """Find the contact of the columns N (3×n) [m]."""
         ends = self.mech.bar_ends[self._pairs]
         columns = [ends[:, bar, end].tolist() for bar in (0, 1) for end in (0, 1)]
@@ -158,4 +158,4 @@ class BarContacts(ContactElement):
         one, other = (
             BarPoints(columns[2 * k], columns[2 * k + 1], fractions[k], offsets[k]) for k in (0, 1)
         )
-        return Touch(contact, one, other)
+        return TouchingPoints(contact, one, other)
