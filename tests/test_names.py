@@ -199,3 +199,14 @@ def test_a_name_gives_the_result_of_its_index(place):
 def test_an_unknown_name_is_rejected_with_the_nearest(place):
     with pytest.raises(ValueError, match=r"which is not there: did you mean '(tip|boom|stay)'"):
         VALUES[place]("tpi", "bom", "sty")
+
+
+def test_messages_of_statics_name_members():
+    loads = np.zeros((6, 3))
+    loads[3] = (0, 0, 1e3)
+    with pytest.raises(tc.EquilibriumError, match=r"most at node 3 .*\(node 3: tip\)"):
+        tc.equilibrium_force_density(PRISM.replace(nodes=NODES, pinned=[0, 1, 2, 4, 5]), loads)
+    line = {"nodes": [(0, 0, 0), (2, 0, 0), (1, 0, 0)], "strings": [(0, 2), (2, 1)]}
+    net = tc.Structure(**line, node_mass=1.0, pinned=[0, 1], string_names=["left", "right"])
+    form = tc.form_find(net, lengths={"left": 0.5, "right": 0.5})
+    assert form.message.endswith("(string 0: left)")

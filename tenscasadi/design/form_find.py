@@ -26,6 +26,7 @@ from tenscasadi.design.force_density_method import (
 from tenscasadi.design.form_program import FEASIBLE, FormProgram, Goals
 from tenscasadi.structure.cables import reject_cable_friction
 from tenscasadi.structure.equilibrium_matrix import balance_columns, free_directions, member_pairs
+from tenscasadi.structure.names import add_names
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.immutable import ReadOnlyArrays
 from tenscasadi.util.linear_algebra import fit_rotation
@@ -257,7 +258,7 @@ def _assess(
     change = np.abs(lengths[strings:] / structure.bar_lengths - 1.0).max(initial=0.0)
     far = f", bars change their lengths by up to {change:.2g} times" if change > TOLERANCE else ""
     balanced = f"in equilibrium, unbalanced forces below {max(unbalanced, 1e-16):.1g} N"
-    message = fault or balanced + far
+    message = add_names(fault, structure) or balanced + far
     return Form(formed, q[:strings], forces[strings:], not fault, message)
 
 

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from tenscasadi.statics.least_force_density import least_force_density
 from tenscasadi.structure.cables import density_basis
 from tenscasadi.structure.equilibrium_matrix import equilibrium_matrix, free_directions
+from tenscasadi.structure.names import add_names
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.troubleshooting import add_address
@@ -114,13 +115,11 @@ def equilibrium_force_density(
         size = np.linalg.norm((directions @ unbalanced).reshape(-1, 3), axis=1)
         worst, bounds = int(np.argmax(size)), least[~either]
         bound = f"of at least {bounds.min():g} N/m " if bounds.size else ""
-        raise add_address(
-            EquilibriumError(
-                f"no force densities {bound}hold the structure: {residual:.3g} N stay unbalanced at best, most at node {worst} "
-                f"({size[worst]:.3g} N); change the nodes, the loads, what is pinned, or add strings",
-                residual,
-            )
+        message = (
+            f"no force densities {bound}hold the structure: {residual:.3g} N stay unbalanced at best, most at node {worst} "
+            f"with {size[worst]:.3g} N; change the nodes, the loads, what is pinned, or add strings"
         )
+        raise add_address(EquilibriumError(add_names(message, structure), residual))
     if gamma is None:
         raise EquilibriumError(
             "the least force densities were not found, though some balance the loads: give another minimum",

@@ -13,6 +13,7 @@ from tenscasadi.design.sizing.program import SizingProgram
 from tenscasadi.scene.loads import NodalForce
 from tenscasadi.scene.scene import Scene
 from tenscasadi.statics.buckling import buckling_factor
+from tenscasadi.structure.names import add_names
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.immutable import ReadOnlyArrays
 from tenscasadi.util.validate import NEGLIGIBLE, TOLERANCE, Array
@@ -115,7 +116,8 @@ def report_sections(
     largest = float(np.abs(force).max(initial=0.0))
     slack = np.flatnonzero(force[:, :strings].min(axis=0, initial=0.0) < -TOLERANCE * largest)
     if len(slack):
-        message = f"string {slack[0]} would be compressed under a load: raise the prestress"
+        fault = f"string {slack[0]} would be compressed under a load: raise the prestress"
+        message = add_names(fault, structure)
     return Sized(
         not len(slack),
         message,
