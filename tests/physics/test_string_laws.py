@@ -221,7 +221,7 @@ REFUSED: list[tuple[str, type[Exception], Any]] = [
     (r"Scene\.slack has 2 entries", ValueError, [tc.Clip(), tc.Linear()]),
     (r"Scene\.slack\[0\] is None", TypeError, [None]),
     (r"Scene\.slack, string is 1: string indices run from 0 to 0", ValueError, {1: tc.Linear()}),
-    (r"Scene\.slack, string is 'a'", TypeError, {"a": tc.Linear()}),
+    (r"Scene\.slack names string 'a', which is not there", ValueError, {"a": tc.Linear()}),
     (r"Scene\.slack\[0\] is 3", TypeError, {0: 3}),
 ]
 
