@@ -90,11 +90,11 @@ class Worker:
                 try:
                     call, reply = self._calls.get(timeout=0.05)
                 except Empty:
-                    if is_late():
-                        break
-                    continue
+                    call, reply = _do_nothing, Future()
                 if call is None:
                     return self._result.result()  # type: ignore[no-any-return]
+                if is_late():
+                    break
                 _answer(call, reply)
         finally:
             self._abandoned = True
@@ -116,6 +116,10 @@ class Worker:
                 if reply.done():  # meanwhile, or the function raised this error
                     return reply.result()
         raise Abandoned
+
+
+def _do_nothing() -> None:
+    pass
 
 
 def _answer(call: Callable[[], Any], reply: Future[Any]) -> None:

@@ -41,6 +41,20 @@ def test_work_that_does_not_stop_is_abandoned():
     assert time.perf_counter() - began < 5
 
 
+def test_work_that_asks_often_is_abandoned():
+    ended, monitor = threading.Event(), Monitor(0.01)
+
+    def work():
+        while not ended.is_set():
+            monitor.ask(lambda: time.sleep(0.01))
+        return "stopped"
+
+    timer = threading.Timer(5.0, ended.set)
+    timer.start()
+    assert monitor.run(work, lambda: "best") == "best"
+    timer.cancel()
+
+
 def test_work_that_stops_soon_gives_its_own_result():
     stop = threading.Event()
     found = Worker(lambda: stop.wait(30)).wait(lambda: bool(stop.set()), lambda: "best")
