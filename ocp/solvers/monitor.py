@@ -18,7 +18,7 @@ Result = TypeVar("Result")
 
 STOPPED = "User_Requested_Stop"
 TIME_UP = "Time_Limit_Reached"  # of the whole search, with all that comes before the solver
-# permitted delay of results after the limit: the larger of 1 s and 10 % of it
+# permitted delay of results: 1 s after a stop request, the larger of 1 s and 10 % of a time limit
 DELAY, RELATIVE_DELAY = 1.0, 0.1
 # shares of it until which solvers may stop by themselves, and the last replay may end
 STOPPING, REPLAYING = 0.3, 0.9
@@ -79,6 +79,7 @@ class Monitor:
     ) -> None:
         self.began = time.perf_counter()
         self.deadline = math.inf if time_limit is None else self.began + time_limit
+        self._delay = max(DELAY, RELATIVE_DELAY * (time_limit or 0.0))
         self.interrupted, self.phase = False, ""
         self._show, self._next_line = show, self.began + 2.0  # s
         self._watch, self._catches = watch, False
@@ -124,8 +125,7 @@ class Monitor:
         """
 
         def is_late() -> bool:
-            permitted = max(DELAY, RELATIVE_DELAY * (self.deadline - self.began))
-            return bool(self.status()) and -self.left > share * permitted
+            return bool(self.status()) and -self.left > share * self._delay
 
         self._worker = Worker(work)
         return self._worker.wait(is_late, otherwise)
@@ -177,7 +177,7 @@ class Monitor:
 
     def stop(self) -> None:
         """Request a stop of the search."""
-        self.interrupted = True
+        self.interrupted, self._delay = True, DELAY
         self.deadline = min(self.deadline, time.perf_counter())
 
 

@@ -55,6 +55,20 @@ def test_work_that_asks_often_is_abandoned():
     timer.cancel()
 
 
+def test_stop_is_soon_after_a_long_search():
+    """The permitted delay does not grow with the elapsed time."""
+    for time_limit in (None, 1e4):
+        release, monitor = threading.Event(), Monitor(time_limit)
+        monitor.began -= 1e3
+        monitor.stop()
+        timer = threading.Timer(5.0, release.set)
+        timer.start()
+        found = monitor.run(lambda event=release: event.wait(30), lambda: "best")
+        release.set()
+        timer.cancel()
+        assert found == "best"
+
+
 def test_work_that_stops_soon_gives_its_own_result():
     stop = threading.Event()
     found = Worker(lambda: stop.wait(30)).wait(lambda: bool(stop.set()), lambda: "best")
