@@ -25,37 +25,32 @@ class AccuracyTarget:
     """Position error to reach, and the deadline.
 
     The nodes (n, 3) are to be within `wanted` m. The search ends at the time `deadline` of the
-    clock [s], `time_limit` after its start, or once it is interrupted.
+    clock [s], `time_limit` after its start, or once it is interrupted. `found` is the best
+    sufficient choice of the case in search, which stays when an exception ends the search.
     """
 
     nodes: Array
     wanted: float
     deadline: float
     time_limit: float
-    bar: Any
+    progress_bar: Any
     interrupted: bool = False
+    found: Choice | None = None
 
     @property
     def late(self) -> bool:
         """Whether the search has to end."""
         return self.interrupted or time.perf_counter() > self.deadline
 
-    def check_time(self, expected: float, best: Choice | None) -> None:
+    def check_time(self, expected: float) -> None:
         """Raise OutOfTime if a run would end after the deadline."""
-        self.bar.update(0)  # shows the time
+        self.progress_bar.update(0)  # shows the time
         if self.late or time.perf_counter() + expected > self.deadline:
-            raise OutOfTime(best)
+            raise OutOfTime
 
 
 class OutOfTime(Exception):
-    """Exception for an expired deadline.
-
-    `best` is the best result so far.
-    """
-
-    def __init__(self, best: Choice | None) -> None:
-        super().__init__()
-        self.best = best
+    """Exception for an expired deadline."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +67,8 @@ class Price:
 def find_option(case: Case, speed: float, goal: AccuracyTarget, most: float) -> Choice | None:
     """Find about the cheapest sufficient step or rtol.
 
-    None: no option costs less than `most`.
+    None: no option costs less than `most`. If the deadline or Ctrl-C ends the search, the best
+    choice so far is `goal.found`.
 
     `speed`: instructions in a second, where they are not counted.
     """
@@ -90,7 +86,7 @@ def find_option(case: Case, speed: float, goal: AccuracyTarget, most: float) -> 
     )  # compilation takes seconds and makes the code about 6 times as fast
     if promising is None:
         return None
-    goal.check_time(0.0, None)
+    goal.check_time(0.0)
     return _measure(case.with_code(), promising.step, clock, goal)
 
 
@@ -121,26 +117,28 @@ class Choice:
 def _measure(case: Case, step: float, price: Price, goal: AccuracyTarget) -> Choice:
     """Run once and measure the error.
 
-    The error is infinite if the run fails.
+    The error is infinite if the run fails. A sufficient choice becomes `goal.found` before its time
+    is measured.
     """
 
     def run(**options: Any) -> Trajectory:
         return case.run(step, **options, time_limit=max(0.1, goal.deadline - time.perf_counter()))
 
     bare = {"energy_balance": False, "save_every": 10**9}
-    try:
-        first = run(**bare)
-    except KeyboardInterrupt:  # the next run is not started, and the best so far counts
-        goal.interrupted = True
-        return Choice(case, step, 1, np.inf, np.empty(0), 0.0, 0.0)
+    first = run(**bare)
     error = distance(end_nodes(case.model, first), goal.nodes) if first.success else np.inf
     if error <= goal.wanted and not run().success:  # with its energy, as the user runs it
         error = np.inf
-    seconds = first.seconds
-    if price.second and error <= goal.wanted:
+    steps, seconds = first.attempts, first.seconds
+    cost = price.step * steps + price.second * seconds
+    choice = Choice(case, step, steps, error, first.states[-1], cost, seconds)
+    if error > goal.wanted:
+        return choice
+    goal.found = choice
+    if price.second:
         seconds = min(seconds, *(run(**bare).seconds for _ in range(_REPEATS - 1)))
-    cost = price.step * first.attempts + price.second * seconds
-    return Choice(case, step, first.attempts, error, first.states[-1], cost, first.seconds)
+        goal.found = replace(choice, cost=price.step * steps + price.second * seconds)
+    return goal.found
 
 
 def _find_loosest(case: Case, price: Price, goal: AccuracyTarget, most: float) -> Choice | None:
@@ -155,7 +153,7 @@ def _find_loosest(case: Case, price: Price, goal: AccuracyTarget, most: float) -
     for _ in range(MAX_ITERATIONS):
         rtol = min(max(rtol, least), 0.1)
         tried = replace(case, scheme=replace(case.scheme, rtol=rtol, atol=None))  # type: ignore[type-var]
-        goal.check_time(expected, best)
+        goal.check_time(expected)
         now = _measure(tried, case.t_end / GRID, price, goal)
         if now.error <= wanted:
             tight, best = rtol, now
@@ -188,7 +186,7 @@ def _find_fewest(case: Case, price: Price, goal: AccuracyTarget, most: float) ->
     for _ in range(MAX_ITERATIONS):
         if steps > limit:
             return None
-        goal.check_time(each * steps, best)
+        goal.check_time(each * steps)
         now = _measure(case, case.t_end / steps, price, goal)
         each = now.seconds / max(now.steps, 1)
         if now.error <= wanted:

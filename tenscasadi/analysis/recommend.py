@@ -76,7 +76,7 @@ class Recommendation:
         Largest position error to expect at the end, m, that of the reference included.
     seconds : float
         Wall time to expect of the time loop, s, without set-up. If the time limit has expired, it
-        is that of the search, which may be without machine code.
+        is that of the search, which may be without machine code; likewise after Ctrl-C.
     work : float
         Instructions of the run without those of error control; NaN for implicit schemes.
     message : str
@@ -208,39 +208,42 @@ def recommend(
         for scheme, correction in product(schemes, corrections)
     ]
     wanted = 0.7 * tolerance - reference.error
-    with show_progress(progress, " schemes", len(ways)) as bar:
-        goal = AccuracyTarget(reference.nodes, wanted, deadline, time_limit, bar)
-        best, told = _find_cheapest(ways, goal)
+    with show_progress(progress, " schemes", len(ways)) as progress_bar:
+        goal = AccuracyTarget(reference.nodes, wanted, deadline, time_limit, progress_bar)
+        best, notes = _find_cheapest(ways, goal)
     names = ", ".join(map(abbreviate, schemes))
     if best is None and goal.interrupted:
         raise KeyboardInterrupt
     if best is None:
         failed = f"tolerance is {tolerance:g} m: none of {names} meets it up to t_end = {t_end:g} s; give a larger tolerance or other schemes"
-        raise NoSchemeError("; ".join(dict.fromkeys([failed, *told])))
-    told = [f"compared with {names}", f"reference: {reference.message}", *told]
-    return _report_choice(best, reference.error, goal, told)
+        raise NoSchemeError("; ".join(dict.fromkeys([failed, *notes])))
+    notes = [f"compared with {names}", f"reference: {reference.message}", *notes]
+    return _report_choice(best, reference.error, goal, notes)
 
 
 def _report_choice(
-    best: Choice, reference_error: float, goal: AccuracyTarget, told: list[str]
+    best: Choice, reference_error: float, goal: AccuracyTarget, notes: list[str]
 ) -> Recommendation:
     """Time the choice, and add its limits to the message."""
     case = best.case
     model, scheme = case.model, case.scheme
     expected = best.error + reference_error
-    # machine code would take seconds
-    duration = best.seconds if goal.late else best.time_loop()
+    try:  # machine code would take seconds after the deadline
+        duration = best.seconds if goal.late else best.time_loop()
+    except KeyboardInterrupt:
+        duration = best.seconds
+        notes = [*notes, f"{INTERRUPTED} before the time loop was measured"]
     limit = find_limit(model, scheme, case.state, parameters=case.parameters)
-    told = [
+    notes = [
         f"{best.steps} steps of {abbreviate(scheme)}: {expected:.2g} m, {duration:.2g} s",
-        *told,
+        *notes,
     ]
     if best.step > limit and not scheme.adaptive:
-        told.append(
+        notes.append(
             f"the step is above the stability limit {limit:.2g} s: positions serve, fast vibrations of strings are not resolved"
         )
     if advice := compare_coordinates(model.structure, model.coordinates):
-        told.append(advice)
+        notes.append(advice)
     return Recommendation(
         scheme,
         best.step,
@@ -248,7 +251,7 @@ def _report_choice(
         expected,
         duration,
         work=float(best.steps * case.instructions()) or np.nan,
-        message="; ".join(dict.fromkeys(told)),
+        message="; ".join(dict.fromkeys(notes)),
     )
 
 
@@ -259,24 +262,25 @@ def _find_cheapest(ways: Sequence[Case], goal: AccuracyTarget) -> tuple[Choice |
     serve only when they are tiny: schemes that locate them say beforehand how few may be tried.
     """
     best: Choice | None = None
-    told, late = [], []
+    notes, late = [], []
     events = build_events(ways[0].model) is not None
     coarsest, speed = 0, 0.0  # steps at the stability limit and instructions per second of `best`
     for case in sorted(
         ways, key=lambda case: (case.scheme.implicit, events and not case.scheme.adaptive)
     ):
         name = abbreviate(case.scheme)
-        goal.bar.update()
         if goal.late:
             late.append(name)
             continue
         most = np.inf if best is None else best.cost
+        goal.found = None
         try:
+            goal.progress_bar.update()
             if case.scheme.implicit and best is not None and not best.case.scheme.implicit:
                 coarsest = coarsest or count_coarsest(best.case, best.end)
                 # More than twice the fewest stable steps are due to accuracy.
                 if best.steps > 2.0 * coarsest:
-                    told.append(
+                    notes.append(
                         f"{name} left out: stability does not bound the steps of {abbreviate(best.case.scheme)}"
                     )
                     continue
@@ -286,23 +290,22 @@ def _find_cheapest(ways: Sequence[Case], goal: AccuracyTarget) -> tuple[Choice |
             ):
                 continue  # nothing to correct
             found = find_option(case, speed or 1.0, goal, most)
-        except OutOfTime as stop:
-            found = stop.best
-            late.append(name)
-        except KeyboardInterrupt:
-            found, goal.interrupted = None, True
+        except (OutOfTime, KeyboardInterrupt) as stop:
+            goal.interrupted |= isinstance(stop, KeyboardInterrupt)
+            found = goal.found
             late.append(name)
         except (
             TypeError,
             ValueError,
             CompileError,
         ) as error:  # such as Appendix C's correction where bars meet
-            told.append(f"{name} left out: {error}")
+            notes.append(f"{name} left out: {error}")
             continue
-        best = found if found is not None and found.cost < most else best
+        if found is not None and found.error <= goal.wanted and found.cost < most:
+            best = found
     if late:
         end, cure = f"the time limit of {goal.time_limit:g} s expired", ": increase time_limit"
         if goal.interrupted:
             end, cure = INTERRUPTED, ""
-        told.append(f"{end} before {', '.join(dict.fromkeys(late))} were tested{cure}")
-    return best, told
+        notes.append(f"{end} before {', '.join(dict.fromkeys(late))} were tested{cure}")
+    return best, notes

@@ -189,7 +189,7 @@ def reference_solution(
     target_difference = max(target_difference, 2 * pairs.rounding)
     floor = _ROUNDING * size
     counts = _step_counts(model, t_end, state, max_instructions, parameters)
-    with show_progress(progress, " runs of the reference") as pairs.bar:
+    with show_progress(progress, " runs of the reference") as pairs.progress_bar:
         _refine_steps(pairs, counts, target_difference, max(max_difference, floor))
         if pairs.apart > floor and (pairs.has_events or model.scene.over_time):
             for rtol in _TOLERANCES:
@@ -254,7 +254,7 @@ class _Pairs:
         self.has_events = build_events(model) is not None
         self.best: ReferenceSolution | None = None
         self.apart, self.fault = np.inf, "not tried"
-        self.bar: Any = None
+        self.progress_bar: Any = None
         self.rounding = self._round_clock()
 
     @property
@@ -350,7 +350,7 @@ class _Pairs:
             )
             if run.interrupted:
                 raise KeyboardInterrupt
-            self.bar.update()
+            self.progress_bar.update()
             if not run.success or UNRESOLVED in run.message:
                 self.fault = run.message
                 return

@@ -344,22 +344,59 @@ def test_after_ctrl_c_the_best_so_far_is_returned(monkeypatch, press, found):
     assert "interrupted from the keyboard before DormandPrince54 were tested" in advice.message
 
 
-def test_after_ctrl_c_a_partial_search_counts(monkeypatch):
-    """Ctrl-C is pressed in the search of the only scheme, after a sufficient run."""
-    model, start = pendulum()
-    measure = sys.modules["tenscasadi.analysis.option_search"]._measure
+def is_energy_run(options):
+    return "save_every" not in options and "energy_balance" not in options
 
-    def interrupted(case, step, price, goal):
-        found = measure(case, step, price, goal)
-        goal.interrupted = found.error <= goal.wanted
-        return found
 
-    monkeypatch.setattr(sys.modules["tenscasadi.analysis.option_search"], "_measure", interrupted)
+def is_time_loop(options):
+    return "save_every" not in options and not options.get("energy_balance", True)
+
+
+@pytest.mark.parametrize("pressed", [is_energy_run, is_time_loop])
+def test_options_stay_after_ctrl_c_in_a_later_run(monkeypatch, pressed):
+    """Ctrl-C is pressed in the second search run with energy, or in the timed runs."""
+    bar = tc.Structure([(0, 0, 0), (1, 0, 0)], bars=[(0, 1)], pinned=[0])
+    model = tc.Model(tc.Scene(bar, gravity=tc.Gravity()))
+    start = model.initial_state
+    run = Case.run
+    met = []
+
+    def interrupted(case, step, **options):
+        if pressed(options):
+            met.append(step)
+        if len(met) == (2 if pressed is is_energy_run else 1):
+            raise KeyboardInterrupt
+        return run(case, step, **options)
+
+    monkeypatch.setattr(Case, "run", interrupted)
     advice = tc.recommend(
         model, 0.5, 1e-5, start, schemes=[tc.RungeKutta4()], corrections=[None], compiled=False
     )
     assert advice.error <= 1e-5
-    assert "interrupted from the keyboard" in advice.message
+    assert advice.seconds > 0
+    assert "interrupted from the keyboard before" in advice.message
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_options_stay_after_ctrl_c_in_machine_code(monkeypatch, count):
+    """Ctrl-C is pressed in the compiled runs of an implicit scheme after its search."""
+    model, start = pendulum()
+    run = Case.run
+    met = []
+
+    def interrupted(case, step, **options):
+        if case.compiled is not False:
+            met.append(step)
+            if len(met) >= count:
+                raise KeyboardInterrupt
+            case = replace(case, compiled=False)
+        return run(case, step, **options)
+
+    monkeypatch.setattr(Case, "run", interrupted)
+    advice = tc.recommend(model, 0.5, 1e-5, start, schemes=[tc.Collocation()], corrections=[None])
+    assert advice.error <= 1e-5
+    assert advice.seconds > 0
+    assert "interrupted from the keyboard before Collocation were tested" in advice.message
 
 
 @pytest.mark.slow  # the bar appears after two seconds
