@@ -13,13 +13,14 @@ import ocp.sampling.solver  # noqa: F401  registers its solver
 from ocp.guess.initial_guess import NamedGuess
 from ocp.io.study_sections import SECTIONS as STUDIES
 from ocp.problem.bounds.bound import Bound
+from ocp.problem.bounds.string_bounds import StrengthLimits, TensionLimits
 from ocp.problem.costs import Cost
 from ocp.problem.expressions import AtEnd, Constraint, Integral
 from ocp.problem.goals.goal import Goal
 from ocp.problem.instant_formula import InstantFormula
 from ocp.problem.phase import Phase
 from ocp.problem.problem import Problem
-from ocp.problem.resolved import derive_bounds, join_soft
+from ocp.problem.resolved import drop_derived, join_soft
 from ocp.problem.start import FreeStart
 from ocp.solvers.base import NamedSolver
 from ocp.transcription.base import Transcription
@@ -216,11 +217,9 @@ def write_plan(problem: Problem, arguments: Mapping[str, Any]) -> dict[str, Any]
     """
     _reject_functions(problem)
     goals, costs = join_soft(problem.goals, problem.costs)
-    model, bounds = problem.model, tuple(problem.bounds)
+    model = problem.model
     fields: dict[str, Any] = {
-        "bounds": bounds[
-            : len(bounds) - len(derive_bounds(model.scene.structure, problem.strength))
-        ],
+        "bounds": _select_bounds(problem),
         "phases": problem.phases,
         "goals": goals,
         "costs": costs,
@@ -234,6 +233,20 @@ def write_plan(problem: Problem, arguments: Mapping[str, Any]) -> dict[str, Any]
     if problem.free_start or not np.array_equal(problem.initial_state, model.initial_state):
         fields["start"] = problem.start
     return PLAN.write(vars(PlanPart(**fields, **arguments)))
+
+
+def _select_bounds(problem: Problem) -> tuple[Bound, ...]:
+    """Select the bounds that a file holds.
+
+    Bounds that derive from a strength are written if the scene does not have it, as commanded
+    forces do not yield.
+    """
+    if problem.scene.strength is not None:
+        return drop_derived(problem.bounds)
+    return tuple(
+        TensionLimits(upper=bound.upper) if isinstance(bound, StrengthLimits) else bound
+        for bound in problem.bounds
+    )
 
 
 def _reject_functions(problem: Problem) -> None:

@@ -61,8 +61,8 @@ class Problem(Value, kind="Problem"):
         Soft goals (`Goal.soft`) are added to the costs.
     bounds : iterable of bounds, optional
         Limits along the whole plan, such as `ForceDensityLimits`, `TensionLimits`, `BarClearance`
-        and `Constraint`. `Scene.strength` adds `TensionLimits`, and `Problem.model` is then the
-        model of strings that cannot fail.
+        and `Constraint`. A strength adds limits of the tension, and `Problem.model` is then the model of
+        strings that cannot fail.
     costs : iterable of costs, optional
         Terms of the objective, such as `Effort`, `Tracking` and `Integral`; their sum is minimized.
         Without costs, all feasible plans are equally good; if a force density has no upper limit,
@@ -76,9 +76,9 @@ class Problem(Value, kind="Problem"):
         and steps. Their durations replace that of the problem. The problem's goals hold at the end
         of the last phase.
     strength : Breaking or Yielding, optional
-        Tensions at which strings fail. Default: `Scene.strength` of the model. It adds
-        `TensionLimits` to the bounds, and plans are checked against it. `dataclasses.replace` keeps
-        it; None with a model without `Scene.strength` for none.
+        Tensions at which strings fail. Default: `Scene.strength` of the model. It adds limits of
+        the tension to the bounds, and plans are checked against it. `dataclasses.replace` keeps it,
+        also for another model: give ``strength=None`` for that of the model, if any.
 
     Raises
     ------

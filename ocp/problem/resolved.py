@@ -13,6 +13,7 @@ from ocp.problem.bounds.bound import Bound
 from ocp.problem.bounds.string_bounds import (
     ForceDensityLimits,
     RestLengthLimits,
+    StrengthLimits,
     StringLimits,
     TensionLimits,
 )
@@ -86,7 +87,7 @@ def resolve(
         instance("Problem.strength", strength, Strength, "Breaking(), Yielding() or None")
         strength = resolve_names(strength, names)
         strength.check(len(model.scene.structure.strings))
-    strength = strength if model.scene.strength is None else model.scene.strength
+    strength = model.scene.strength if strength is None else strength
     most = limit_tensions(model.scene.structure, strength)
     start = resolve_names(start, names)
     start = _drop_strength_states(model, start)
@@ -106,8 +107,9 @@ def resolve(
     own_goals, parts = _divide(structure, own_goals, own_phases, time)
     begin = read_start(model, start)
     own_bounds = read_items("Problem.bounds", bounds, Bound, "[ForceDensityLimits(0, 200)]", names)
-    derived = derive_bounds(structure, strength)  # a copied problem has them
-    own_bounds = (*(one for one in own_bounds if not _equal_any(one, derived)), *derived)
+    own_bounds = drop_derived(own_bounds)  # a copied problem has them
+    if np.isfinite(most).any():
+        own_bounds = (*own_bounds, StrengthLimits(upper=most))
     own_costs = read_items("Problem.costs", costs, Cost, "[Effort()]", names)
     first_goals = begin.goals if isinstance(begin, FreeStart) else ()
     for item in (*own_goals, *own_bounds, *own_costs, *first_goals):
@@ -231,17 +233,9 @@ def join_soft(
     return tuple(given), tuple(own)
 
 
-def derive_bounds(structure: Structure, strength: Strength | None) -> tuple[TensionLimits, ...]:
-    """Derive the bounds that keep strings below their strength."""
-    most = limit_tensions(structure, strength)
-    return (TensionLimits(upper=most),) if np.isfinite(most).any() else ()
-
-
-def _equal_any(bound: Bound, derived: Sequence[TensionLimits]) -> bool:
-    """Return whether a bound equals a derived one, which has upper limits alone."""
-    if not isinstance(bound, TensionLimits) or bound.lower is not None:
-        return False
-    return any(np.array_equal(np.asarray(bound.upper), np.asarray(one.upper)) for one in derived)
+def drop_derived(bounds: Iterable[Bound]) -> tuple[Bound, ...]:
+    """Drop the bounds that derive from a strength."""
+    return tuple(bound for bound in bounds if not isinstance(bound, StrengthLimits))
 
 
 def _drop_strength_states(model: Model, start: Any) -> Any:

@@ -265,6 +265,14 @@ class TensionLimits(TensionBound, kind="TensionLimits"):
 
 
 @dataclass(frozen=True, eq=False)
+class StrengthLimits(TensionLimits):
+    """Limits of the tension that `Problem` derives from the strength.
+
+    They are no arguments: a copied problem derives its own.
+    """
+
+
+@dataclass(frozen=True, eq=False)
 class RestLengthLimits(StringLimits, PathBound, kind="RestLengthLimits"):
     """Limits of the rest length of each string.
 

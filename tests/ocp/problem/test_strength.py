@@ -11,6 +11,7 @@ import pytest
 
 import ocp
 import tenscasadi as tc
+from ocp.problem.bounds.string_bounds import StrengthLimits
 
 FORCE = 11.5
 
@@ -108,7 +109,7 @@ def test_problem_files_hold_the_strength(force: object, tmp_path: Path):
     again = ocp.load_problem(path)
     assert again.scene.strength == scene.strength
     assert path.read_text(encoding="utf-8").count("TensionLimits") == 1
-    assert [type(bound) for bound in again.bounds] == [ocp.TensionLimits] * 2
+    assert [type(bound) for bound in again.bounds] == [ocp.TensionLimits, StrengthLimits]
     assert np.array_equal(again.limits(ocp.TensionLimits), given.limits(ocp.TensionLimits))
     assert np.array_equal(again.start, given.start)
     second = ocp.save_problem(again, tmp_path / "again.toml")
@@ -158,12 +159,44 @@ def test_copied_problems_keep_the_strength():
     assert len(copied.bounds) == len(first.bounds) == 1
     bounded = replace(first, bounds=[ocp.ForceDensityLimits(0.1)])
     kinds = [type(bound) for bound in bounded.bounds]
-    assert kinds == [ocp.ForceDensityLimits, ocp.TensionLimits]
+    assert kinds == [ocp.ForceDensityLimits, StrengthLimits]
     given = problem(cross(), strength=tc.Breaking(FORCE, 0.05))
     np.testing.assert_array_equal(given.bounds[-1].upper, first.bounds[-1].upper)
     assert problem(cross()).strength is None
     with pytest.raises(TypeError, match=r"Problem\.strength is 3"):
         problem(cross(), strength=3)
+
+
+def test_limits_are_those_of_the_present_strength(tmp_path: Path):
+    first, other = problem(cross(FORCE)), tc.Breaking(20.0, 0.05)
+    for strength, model in [(other, first.model), (other, cross(30.0)), (None, cross(20.0))]:
+        copied = replace(first, strength=strength, model=model)
+        assert copied.strength == other
+        assert [np.unique(bound.upper).tolist() for bound in copied.bounds] == [[19.0]]
+    assert replace(first, model=cross(20.0)).strength == first.strength
+    free = replace(first, strength=None)
+    assert free.strength is None
+    assert free.bounds == ()
+    assert "Limits" not in ocp.save_problem(free, tmp_path / "free.toml").read_text("utf-8")
+
+
+def test_files_hold_limits_of_strings_that_would_yield(tmp_path: Path):
+    given = problem(cross(), strength=tc.Yielding(FORCE, viscosity=2.0))
+    assert given.scene.strength is None
+    again = ocp.load_problem(ocp.save_problem(given, tmp_path / "cross.toml"))
+    assert np.array_equal(again.limits(ocp.TensionLimits), given.limits(ocp.TensionLimits))
+
+
+def test_limits_of_the_user_stay_if_equal_to_the_derived():
+    own = ocp.TensionLimits(upper=0.95 * FORCE)
+    given = problem(cross(FORCE), bounds=[own])
+    assert replace(given, strength=None).bounds == (own,)
+
+
+def test_strength_of_the_problem_replaces_that_of_the_scene():
+    given = problem(cross(FORCE), strength=tc.Breaking(5.0, 0.0))
+    assert given.strength == given.scene.strength == tc.Breaking(5.0, 0.0)
+    assert given.limits(ocp.TensionLimits)[1].max() == 5.0
 
 
 def test_overloads_of_copied_problems_are_found():
