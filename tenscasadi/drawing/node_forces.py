@@ -14,7 +14,7 @@ from tenscasadi.dynamics.constraint_forces import nodal_forces
 from tenscasadi.dynamics.equation_of_motion import forward_dynamics
 from tenscasadi.dynamics.forces import total
 from tenscasadi.dynamics.model import Model
-from tenscasadi.scene.bar_points import BarPoints, press_spheres
+from tenscasadi.scene.bar_points import press_spheres
 from tenscasadi.scene.binding import fix
 from tenscasadi.scene.contact_law import compute_forces
 from tenscasadi.scene.scene import Scene
@@ -77,12 +77,10 @@ def _find_contact_forces(scene: Scene, frame: Frame) -> Array:
         nodes = ground.select_nodes(scene.modelled).tolist()
         if nodes:
             found[nodes] += np.asarray(ca.DM(ground.forces(N[:, nodes], V[:, nodes]))).T
-        bars, fractions, radii = ground.select_bar_points(scene.modelled)
-        if len(bars):
-            starts, ends = scene.modelled.bars[bars].T.tolist()
-            contact, points = press_spheres(
-                ground, BarPoints(starts, ends, ca.DM(fractions).T), radii, N
-            )
+        capsules = ground.select_bar_points(scene.modelled)
+        if len(capsules.bars):
+            ends = scene.modelled.bars[capsules.bars]
+            contact, points = press_spheres(ground, capsules, ends, N)
             F = compute_forces(ground, contact, points.velocities(N, V))
             np.add.at(found, points.columns, np.asarray(ca.DM(points.end_forces(N, F))).T)
     return found

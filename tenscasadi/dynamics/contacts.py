@@ -71,8 +71,11 @@ class ContactElement(ForceElement):
 
     def energy(self, N: Any) -> Any:
         """Compute the energy of the contact springs [J]."""
-        depth = ca.fmax(self.find_touch(N).contact.depth, 0)
-        return self.surface.stiffness * ca.sum2(depth * depth) / 2
+        contact = self.find_touch(N).contact
+        squared = ca.fmax(contact.depth, 0) ** 2
+        if contact.weight is not None:
+            squared = squared * contact.weight
+        return self.surface.stiffness * ca.sum2(squared) / 2
 
     def switches(self, at: NodeMotion) -> Any:
         """Compute the switching functions [m], positive in contact."""
@@ -120,10 +123,8 @@ class CapsuleContacts(ContactElement):
 
     def find_touch(self, N: Any) -> TouchingPoints:
         """Find the contact of the columns N (3×n) [m]."""
-        bars, fractions, radii = self._points
-        ends = self.mech.bar_ends[bars]
-        points = BarPoints(ends[:, 0].tolist(), ends[:, 1].tolist(), ca.DM(fractions).T)
-        return TouchingPoints(*press_spheres(self.surface, points, radii, N))
+        ends = self.mech.bar_ends[self._points.bars]
+        return TouchingPoints(*press_spheres(self.surface, self._points, ends, N))
 
 
 @dataclass(frozen=True, eq=False)

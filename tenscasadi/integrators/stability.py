@@ -139,7 +139,11 @@ def contact_step(model: Model, parameters: Any = None) -> float:
 
 
 def _bounce_rates(model: Model, parameters: Any) -> Complex:
-    """Compute the eigenvalues of the lightest node on each ground, without friction."""
+    """Compute the eigenvalues of the lightest node on each ground, without friction.
+
+    They also bound those of bars: Σ w (1 − s, s)ᵀ(1 − s, s) over the contact points at fractions s
+    has no eigenvalue above 1, as the weights w are shares of 2. Each end has at most k and c.
+    """
     grounds, m, _ = _contact(model, parameters)
     rates = [(1j * np.sqrt(float(g.stiffness) / m), -float(g.damping) / m) for g in grounds]
     return np.array(rates, dtype=complex).ravel()

@@ -12,11 +12,15 @@ from tenscasadi.util.validate import Array, Indices
 
 
 class CapsulePoints(NamedTuple):
-    """Centers of spheres on the axes of bars."""
+    """Centers of spheres on the axes of bars.
+
+    The weights of a bar add up to 2, those of its two ends on a plane.
+    """
 
     bars: Indices  # (m,)
     fractions: Array  # of the length of the bar, (m,)
     radii: Array  # (m,) [m]
+    weights: Array  # factors on stiffness and damping, (m,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,17 +94,19 @@ class NodePoints:
         return F
 
 
-def press_spheres(surface: Any, points: BarPoints, radii: Any, N: Any) -> tuple[Any, BarPoints]:
+def press_spheres(
+    surface: Any, capsules: CapsulePoints, ends: Indices, N: Any
+) -> tuple[Any, BarPoints]:
     """Find the contact of spheres on the axes of bars with a ground.
 
     Parameters
     ----------
     surface : Surface
         Ground.
-    points : BarPoints
-        Centers of the spheres.
-    radii : ndarray, shape (m,)
-        Their radii [m].
+    capsules : CapsulePoints
+        Spheres.
+    ends : ndarray of int, shape (m, 2)
+        Columns of the ends of their bars.
     N : casadi expression, shape (3, n)
         Positions of the columns [m].
 
@@ -109,9 +115,13 @@ def press_spheres(surface: Any, points: BarPoints, radii: Any, N: Any) -> tuple[
     tuple
         Contact, and the points where the spheres touch.
     """
-    row = ca.DM(radii).T
+    fractions = ca.DM(capsules.fractions).T
+    points = BarPoints(ends[:, 0].tolist(), ends[:, 1].tolist(), fractions)
+    row = ca.DM(capsules.radii).T
     contact = surface.contact(points.place(N))
     contact = contact._replace(depth=contact.depth + row)
+    if (capsules.weights != 1.0).any():
+        contact = contact._replace(weight=ca.DM(capsules.weights).T)
     if surface.friction is None:
         return contact, points  # normal forces have no moment about the axes
     lever = row if contact.steepness is None else row / contact.steepness

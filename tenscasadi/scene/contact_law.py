@@ -13,18 +13,21 @@ class Contact(NamedTuple):
     depth: Any  # 1×n [m], negative above the surface
     outward: Any  # −∂depth/∂n, 3×n, or 3×1 if it is the same for all nodes
     steepness: Any  # length of `outward`, 1×n, or None if it is 1
+    weight: Any = None  # factors on stiffness and damping, 1×n, or None if they are 1
 
 
 def press(law: Any, contact: Contact, V: Any, touching: Any = None) -> Any:
-    """Compute the normal forces k d − c v (1×n) [N], at least 0.
+    """Compute the normal forces w (k d − c v) (1×n) [N], at least 0.
 
-    `law` has stiffness and damping, and V (3×n) [m/s] are relative velocities.
+    w are the weights of the contact. `law` has stiffness and damping, and V (3×n) [m/s] are relative velocities.
     """
-    depth, outward, _ = contact
+    depth, outward = contact.depth, contact.outward
     push = law.stiffness * depth
     if isinstance(law.damping, ca.SX | ca.MX | ca.DM) or law.damping:  # a parameter, or not 0
         push = push - law.damping * along(outward, V)
         push = ca.fmax(push, 0) if touching is None else push
+    if contact.weight is not None:
+        push = push * contact.weight
     return ca.if_else(depth > 0, push, 0) if touching is None else touching * push
 
 
@@ -46,8 +49,8 @@ def compute_forces(law: Any, contact: Contact, V: Any, touching: Any = None) -> 
 
 def find_switching(law: Any, contact: Contact, V: Any) -> Any:
     """Compute the switching functions (1×n) of a contact [m], positive in contact."""
-    depth, outward, _ = contact
-    return ca.fmin(depth, depth - law.damping / law.stiffness * along(outward, V))
+    depth = contact.depth
+    return ca.fmin(depth, depth - law.damping / law.stiffness * along(contact.outward, V))
 
 
 def along(outward: Any, V: Any) -> Any:
@@ -65,7 +68,7 @@ def compute_slip(contact: Contact, V: Any) -> tuple[Any, Any]:
 
     Also return the ratio (1×n) of the normal force to k d − c v, None if it is 1.
     """
-    _, outward, steepness = contact
+    outward, steepness = contact.outward, contact.steepness
     if steepness is None:
         return V - times(outward, along(outward, V)), None
     return V - times(outward, along(outward, V) / steepness**2), steepness

@@ -105,11 +105,14 @@ class Surface(Value, ABC, implied="Ground"):
         CapsulePoints
             The points.
         """
-        bars = self._list_bars(structure)
-        own = [self._place_points(float(structure.bar_lengths[bar])) for bar in bars]
-        which = np.repeat(np.array(bars, dtype=np.intp), [len(each) for each in own])
-        fractions = np.concatenate([np.zeros(0), *own])
-        return CapsulePoints(which, fractions, structure.bar_radius[which])
+        bars = np.array(self._list_bars(structure), dtype=np.intp)
+        counts = [self._count_points(length) for length in structure.bar_lengths[bars].tolist()]
+        which = np.repeat(bars, counts)
+        fractions = np.concatenate([np.zeros(0), *(np.linspace(0, 1, n) for n in counts)])
+        # Shares of the length (trapezoidal rule): the force does not depend on the number of points.
+        weights = np.repeat(2.0 / (np.array(counts, dtype=float) - 1.0), counts)
+        weights[(fractions == 0.0) | (fractions == 1.0)] /= 2.0
+        return CapsulePoints(which, fractions, structure.bar_radius[which], weights)
 
     def find_depths(self, structure: Any, nodes: Array) -> tuple[Array, Array]:
         """Compute penetration depths of all nodes and bars that can touch.
@@ -142,9 +145,9 @@ class Surface(Value, ABC, implied="Ground"):
             return list(range(len(structure.bars)))
         return sorted(self.bars or ())
 
-    def _place_points(self, length: float) -> Array:
-        """Place contact points on a bar, as fractions of its length [m]."""
-        return np.array([0.0, 1.0])
+    def _count_points(self, length: float) -> int:
+        """Count the equally spaced points on a bar of a length [m]."""
+        return 2
 
     def forces(self, N: Any, V: Any, touching: Any = None) -> Any:
         """Build the contact forces on nodes.

@@ -9,6 +9,7 @@ import pytest
 from mujoco_runs import mujoco_ends
 
 import tenscasadi as tc
+from tenscasadi.integrators.stability import contact_rate, find_limit
 
 GRAVITY, RADIUS, MASS, STIFFNESS = 9.81, 0.05, 2.0, 1e4
 TILTED = [(0, 0, 0.3), (0.6, 0, 1.1)]  # 1 m long
@@ -45,6 +46,29 @@ def test_bar_on_a_ridge_touches_between_its_ends():
     without = tc.Terrain([[0, 0], [0.5, 0.5], [0, 0]], (-1, -1), (1, 1), 1e5)
     low = tc.find_equilibrium(tc.Scene(held, gravity=tc.Gravity(), ground=without))
     assert low.nodes[:, 2].max() < 0.3  # only its ends touch
+
+
+@pytest.mark.parametrize(
+    ("size", "options"), [(3, {"bar_points": 2}), (3, {}), (11, {}), (101, {})]
+)
+def test_bar_on_flat_terrain_moves_as_on_a_plane(size: int, options: dict):
+    law = {"stiffness": 2e4, "damping": 50.0, "friction": 0.5, "bars": "all"}
+    flat = tc.Terrain(np.zeros((size, size)), (-2, -2), (2, 2), **law, **options)
+    nodes = [(-0.6, 0, RADIUS - 1e-3), (0.6, 0.2, RADIUS - 1e-3)]
+    model, plane = fall(flat, nodes), fall(tc.Ground(**law), nodes)
+    assert contact_rate(model) == contact_rate(plane)
+    assert find_limit(model, tc.RungeKutta4()) >= find_limit(plane, tc.RungeKutta4())
+    ours, theirs = run(model, 0.2, 5e-4), run(plane, 0.2, 5e-4)
+    np.testing.assert_allclose(ours.nodes, theirs.nodes, atol=1e-9)
+    np.testing.assert_allclose(ours.energy, theirs.energy, atol=1e-9)
+
+
+def test_bar_on_a_bowl_keeps_its_energy_over_many_points():
+    x = np.linspace(-1, 1, 41)
+    bowl = tc.Terrain(0.2 * (x[:, None] ** 2 + x**2), (-1, -1), (1, 1), STIFFNESS, bars="all")
+    found = run(fall(bowl, [(-0.4, 0, 0.2), (0.5, 0.1, 0.35)]), 0.5, 1e-4, correction=None)
+    assert found.nodes[:, :, 2].min() < 0.1  # it touched
+    np.testing.assert_allclose(found.energy, found.energy[0], rtol=1e-3)
 
 
 def test_frictionless_impact_keeps_energy():

@@ -237,6 +237,14 @@ def test_bars_touch_a_height_field_along_their_length() -> None:
     assert np.diff(fractions).max() * s.bar_lengths[0] <= found.spacing.min() / 2
 
 
+@pytest.mark.parametrize("size", [3, 30, 2000])
+def test_points_of_bars_share_the_stiffness_of_two_ends(size: int) -> None:
+    s = tc.shapes.prism()
+    found = terrain(heights=np.zeros((2, size)), bars="all").select_bar_points(s)
+    np.testing.assert_allclose(np.bincount(found.bars, found.weights), 2.0)
+    assert np.bincount(found.bars).max() <= 101
+
+
 @pytest.mark.parametrize("kind", ["ground", "terrain"])
 @pytest.mark.parametrize("bars", [None, "all", [0]])
 def test_scene_files_hold_bars_of_grounds(kind, bars, tmp_path) -> None:
