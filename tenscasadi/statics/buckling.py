@@ -19,7 +19,7 @@ from tenscasadi.scene.scene import Scene
 from tenscasadi.statics.equilibrium import Equilibrium, find_equilibrium, read_load
 from tenscasadi.statics.solver.motions import motion_basis
 from tenscasadi.statics.solver.prestressed_state import PrestressedState
-from tenscasadi.statics.stability import describe_state, read_state
+from tenscasadi.statics.stability import describe_state, find_overload, read_state
 from tenscasadi.util.linear_algebra import DENSE
 from tenscasadi.util.validate import NEGLIGIBLE, ROUNDING, Array, instance
 
@@ -119,8 +119,11 @@ def buckling_factor(
     st = describe_state(state, structure)
     none = np.zeros(eq.nodes.shape)
     size = st.stiffness(load)  # also checks the load
-    if not (eq.success and st.stable):
-        fault = "is a saddle or has motions without stiffness" if eq.success else eq.message
+    overload = find_overload(eq, state)
+    if overload or not (eq.success and st.stable):
+        fault = eq.message
+        if eq.success:
+            fault = overload or "is a saddle or has motions without stiffness"
         return BucklingFactor(0.0, none, False, f"no stable equilibrium without the load: {fault}")
     if size == 0.0:
         return BucklingFactor(0.0, none, False, "the load moves the structure freely: support it")

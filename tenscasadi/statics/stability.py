@@ -275,7 +275,14 @@ def stability(
     kinds = (Structure, Scene, Model, Equilibrium)
     instance("source", source, kinds, "a tenscasadi.Structure, Scene, Model or Equilibrium")
     number = None if count is None else whole_number("count", count, 1)
-    return describe_state(*read_state(source, force_density, parameters), number)
+    state, structure = read_state(source, force_density, parameters)
+    if overload := find_overload(source, state):
+        name = "source" if force_density is None else "force_density"
+        raise ValueError(
+            f"{name} has an overload: {overload}; give a lower tension, or Scene(..., strength=None) "
+            "for the stiffness of strings that do not fail"
+        )
+    return describe_state(state, structure, number)
 
 
 def read_state(
@@ -300,14 +307,19 @@ def read_state(
     else:
         force = equations.in_free_directions(point.applied)
         tension = system.factor_bars(point.bars).solve(force)[1]
-    strings = slice(len(structure.strings))
-    lengths = np.linalg.norm(point.springs[strings], axis=1)
-    if overload := describe_overload(bare, point.gamma[strings] * lengths):
-        raise ValueError(
-            f"source has an overload: {overload}; give a lower tension, or Scene(..., strength=None) "
-            "for the stiffness of strings that do not fail"
-        )
     return PrestressedState(system, point, tension), structure
+
+
+def find_overload(source: Structure | Scene | Model | Equilibrium, state: PrestressedState) -> str:
+    """Describe the most overloaded string in the state of a source.
+
+    Returns "" if there is none.
+    """
+    scene, _ = _read_source(source)
+    bare, point = scene if isinstance(scene, Scene) else scene.scene, state.point
+    strings = slice(len(state.system.equations.structure.strings))
+    lengths = np.linalg.norm(point.springs[strings], axis=1)
+    return describe_overload(bare, point.gamma[strings] * lengths)
 
 
 def _read_source(source: Any) -> tuple[Any, Any]:

@@ -46,6 +46,16 @@ def test_own_loads_of_the_scene_count():
     assert tc.buckling_factor(eq, END).factor == pytest.approx(30.0, rel=1e-9)
 
 
+def test_overloads_are_no_stable_equilibria():
+    scene = tc.Scene(column(), strength=tc.Breaking(20.0))
+    for source in (scene, tc.find_equilibrium(scene)):
+        found = tc.buckling_factor(source, END)
+        assert (found.success, found.factor) == (False, 0.0)
+        assert "no stable equilibrium without the load: string 0 breaks, " in found.message
+    strong = tc.Scene(column(), strength=tc.Breaking(30.0))
+    assert tc.buckling_factor(strong, END).factor == pytest.approx(50.0, rel=1e-9)
+
+
 def test_tension_never_buckles():
     found = tc.buckling_factor(tc.Scene(column()), -np.array(END))
     assert found.success

@@ -453,6 +453,8 @@ def test_overloaded_strings_are_rejected(strength):
         ValueError, match=r"source has an overload: string 0 (breaks|yields), .*5 N"
     ):
         tc.stability(tc.Scene(line, strength=strength))
+    with pytest.raises(ValueError, match="force_density has an overload: string 1 "):
+        tc.stability(tc.Scene(line, strength=strength), [1.0, 6.0])
     strong = replace(strength, force=6.0)
     found = tc.stability(tc.Scene(line, strength=strong))
     np.testing.assert_allclose(found.eigenvalues, tc.stability(line).eigenvalues)
