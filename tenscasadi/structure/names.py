@@ -119,7 +119,8 @@ def add_names(text: str, structure: Any) -> str:
 def find_names(counts: Mapping[Any, int], names: Mapping[Any, Sequence[str]]) -> Names:
     """Find the indices of names and groups.
 
-    Names such as "guys[2]" belong to the group "guys".
+    Names such as "guys[2]" belong to the group "guys". The segment "guys[2][0]" of a string belongs
+    to the groups "guys[2]" and "guys".
     """
     found: dict[Any, dict[str, list[int]]] = {}
     for which, own in names.items():
@@ -127,8 +128,10 @@ def find_names(counts: Mapping[Any, int], names: Mapping[Any, Sequence[str]]) ->
         for k, name in enumerate(own):
             if name:
                 table[name] = [k]
-            if group := _MEMBER.fullmatch(name):
-                table.setdefault(group[1], []).append(k)
+            group = name
+            while found_group := _MEMBER.fullmatch(group):
+                group = found_group[1]
+                table.setdefault(group, []).append(k)
     strings, bars = (counts.get(which, 0) for which in ("string", "bar"))
     members = {name: list(own) for name, own in found.get("string", {}).items()}
     for name, indices in found.get("bar", {}).items():

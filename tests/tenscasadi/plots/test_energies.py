@@ -54,6 +54,20 @@ def test_tensions_of_named_strings(bounce):
         plots.tensions(bounce, strings=["middle"])
 
 
+@pytest.mark.parametrize(("name", "strings"), [("guys", 2), ("guys[1]", 1), ("x", 1)])
+@pytest.mark.parametrize("segments", [1, 2])
+def test_tensions_show_the_segments_of_a_group(name, strings, segments):
+    names = ["guys[0]", "guys[1]", *"xyzuvwt"]
+    structure = tc.shapes.prism(string_mass=0.1).replace(string_names=names)
+    model = tc.Model(tc.Scene(structure, segments=segments))
+    motion = tc.simulate(model, 0.002, 1e-3, compiled=False)
+    lines = plots.tensions(motion, strings=[name]).axes[0].lines
+    assert len(lines) == strings * segments
+    tension = motion.tension[:, : strings * segments]
+    if name == "guys":
+        np.testing.assert_allclose(np.transpose([line.get_ydata() for line in lines]), tension)
+
+
 def test_phase_portraits_start_at_the_point(bounce):
     ax = plots.phase_portrait(bounce, ["top[0]"], axis="z").axes[0]
     curve, start = ax.lines
