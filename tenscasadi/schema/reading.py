@@ -6,6 +6,7 @@ import difflib
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
@@ -15,6 +16,7 @@ from tenscasadi.schema.text import Key, find_line
 from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import (
     LARGEST,
+    MAX_COUNT,
     Indices,
     as_tuple,
     format_value,
@@ -338,17 +340,21 @@ class Item(NamedTuple):
 def list_entries(field: str, value: Any) -> tuple[Any, ...] | None:
     """List the entries of a list that can hold names, None for other values.
 
-    Raises TypeError for an iterator that fails, as it cannot be read again.
+    Raises TypeError for an iterator that fails, as it cannot be read again, and ValueError for more
+    than MAX_COUNT entries.
     """
     numbers = isinstance(value, np.ndarray) and value.dtype.kind in "biufc"
     if numbers or isinstance(value, (str, bytes, Mapping)):
         return None
     try:
-        return tuple(value)
+        entries = tuple(islice(value, MAX_COUNT + 1))
     except Exception as error:  # each kind of matrix raises its own error
         if isinstance(value, Iterator):
             raise TypeError(f"{field} is {format_value(value)} ({error}): give a list") from error
         return None
+    if len(entries) > MAX_COUNT:
+        raise ValueError(f"{field} has more than {MAX_COUNT} entries: give at most {MAX_COUNT}")
+    return entries
 
 
 def nearest(word: str, known: Iterable[str]) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import pytest
 
 import tenscasadi as tc
@@ -51,6 +53,13 @@ def test_groups_are_found_by_the_names_of_their_members():
     assert names.find("node", 3) == [3]
     with pytest.raises(ValueError, match="did you mean 'bottom'"):
         names.find("node", "bottm")
+
+
+@pytest.mark.parametrize("field", ["pinned", "bars", "strings", "cables"])
+@pytest.mark.parametrize("endless", [range(10**9), itertools.count()])
+def test_endless_lists_are_rejected_by_field(field, endless):
+    with pytest.raises(ValueError, match=f"^{field} has more than 100000 entries"):
+        tc.Structure([(0, 0, 0), (1, 0, 0)], **{field: endless})
 
 
 def test_messages_show_names_beside_indices():
