@@ -69,10 +69,10 @@ class Surface(Value, ABC, implied="Ground"):
         name, count = type(self).__name__, len(structure.bars)
         for node in self.nodes or ():
             node_index(f"{name}.nodes", node, len(structure.nodes))
-        if self.bars is not None and not count:
+        if isinstance(self.bars, str) and not count:
             raise ValueError(f"{name}.bars is {self.bars!r}, but there are no bars: leave it out")
-        if (last := self._list_bars(structure)[-1:]) and last[0] >= count:
-            raise ValueError(f"{name}.bars has bar {last[0]}: bars run from 0 to {count - 1}")
+        for bar in self._list_bars(structure):
+            node_index(f"{name}.bars", bar, count, "bar")
 
     def select_nodes(self, structure: Any) -> Indices:
         """Select the nodes that touch as points.
@@ -228,7 +228,9 @@ class Surface(Value, ABC, implied="Ground"):
 
 def _distinct(field: str, given: Any, item: str, none: str, empty: bool) -> tuple[int, ...]:
     found = tuple(index_or_name(field, index) for index in as_tuple(field, given, "[0, 3]"))
-    if (not found and not empty) or len(set(found)) < len(found):
+    if not found and not empty:
+        raise ValueError(f"{field} is (): give at least one {item}, or None for {none}")
+    if len(set(found)) < len(found):
         raise ValueError(f"{field} is {found}: give each {item} once, or None for {none}")
     return found
 

@@ -114,6 +114,10 @@ class Terrain(ReadOnlyArrays, Surface, kind="Terrain"):
                 )
         if (points := self.bar_points) is not None:
             points = whole_number("Terrain.bar_points", points, 2, MAX_COUNT)
+            if self.bars is None:
+                raise ValueError(
+                    f'Terrain.bar_points is {points}, but no bars touch: give bars="all", or leave it out'
+                )
         self._check_fields(heights=heights, bar_points=points, **corners)
 
     def _count_points(self, length: float) -> int:

@@ -273,20 +273,25 @@ def test_scene_files_hold_bars_of_grounds(kind, bars, tmp_path) -> None:
         (lambda: Ground(height=float("nan")), r"Ground\.height"),
         (lambda: Ground(normal=(0, 0, 0)), r"Ground\.normal"),
         (lambda: Ground(slip_speed=0), r"Ground\.slip_speed"),
-        (lambda: Ground(nodes=[]), r"Ground\.nodes is \(\)"),
+        (
+            lambda: Ground(nodes=[]),
+            r"Ground\.nodes is \(\): give at least one node, or None for all",
+        ),
         (lambda: Ground(nodes=[1, 1]), r"Ground\.nodes is \(1, 1\)"),
         (lambda: Ground(nodes=[-1]), r"Ground\.nodes is -1"),
         (lambda: Ground(nodes=3), r"Ground\.nodes is 3"),
-        (lambda: Ground(bars=[]), r"Ground\.bars is \(\): give each bar once, or None for none"),
+        (lambda: Ground(bars=[]), r"Ground\.bars is \(\): give at least one bar, or None for none"),
         (lambda: Ground(bars="some"), r'Ground\.bars is .*some.*: give indices, "all" or None'),
         (lambda: Ground(bars=[-1]), r"Ground\.bars is -1"),
+        (lambda: Ground(bars=[1, 1]), r"Ground\.bars is \(1, 1\): give each bar once"),
+        (lambda: terrain(bar_points=5), r"Terrain\.bar_points is 5, but no bars touch"),
         (
             lambda: Scene(Structure([(0, 0, 0)], node_mass=1.0), ground=Ground(bars="all")),
             r"Ground\.bars is 'all', but there are no bars: leave it out",
         ),
         (
             lambda: Scene(tc.shapes.pendulum(), ground=Ground(bars=[1])),
-            r"Ground\.bars has bar 1: bars run from 0 to 0",
+            r"Ground\.bars is 1: bar indices run from 0 to 0",
         ),
         (lambda: terrain(bars=[0], bar_points=1), r"Terrain\.bar_points is 1"),
         (
