@@ -17,6 +17,7 @@ from tenscasadi.util.renamed import rename_fields
 from tenscasadi.util.validate import (
     Array,
     finite_array,
+    flag,
     format_value,
     instance,
     nesting,
@@ -157,7 +158,7 @@ class Task:
             given = getattr(self, name)
             if not callable(given) and (name == "reward" or given is not None):
                 raise TypeError(f"Task.{name} is {format_value(given)}: give a function")
-        instance("Task.end_on_failure", self.end_on_failure, bool, "True or False")
+        flag("Task.end_on_failure", self.end_on_failure)
         whole_number("Task.steps", self.steps, 1, 10**6)  # about a second of computation
         state = model.initial_state if self.state is None else self.state
         own: dict[str, Any] = {

@@ -27,6 +27,7 @@ from tenscasadi.util.validate import (
     choice,
     file_path,
     finite_array,
+    flag,
     instance,
     positive_number,
 )
@@ -128,7 +129,7 @@ def export_mjcf(
     choice("joints", joints, "ball", "connect")
     h = positive_number("step", step)
     target = file_path("path", path)
-    instance("strict", strict, bool, "True or False")
+    flag("strict", strict)
     if scene.strength is not None and not strict:
         told = f"its strings carry any tension, MJCF has no counterpart of {scene.strength}"
         warnings.warn(f"{target.name} differs from the scene: {told}", stacklevel=2)

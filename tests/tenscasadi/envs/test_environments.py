@@ -431,7 +431,11 @@ def test_strings_fail_in_episodes(strength, ends):
     scene = tc.Scene(ROPE, control=tc.RestLength(), gravity=tc.Gravity(), strength=strength)
     limits = {"lower": 0.5, "upper": 1.2, "rest_length_rate": 2.0}
     task = Task(
-        tc.Model(scene), lambda now: now.nodes[:, 1, 2], **limits, period=0.05, end_on_failure=ends
+        tc.Model(scene),
+        lambda now: now.nodes[:, 1, 2],
+        **limits,
+        period=0.05,
+        end_on_failure=np.bool_(ends),
     )
     envs = TensegrityVectorEnv(task, 2)
     envs.reset(seed=0)

@@ -293,6 +293,6 @@ def test_strength_is_left_out_if_not_strict(tmp_path):
     with pytest.raises(ValueError, match="give strict=False to leave it out"):
         tc.export_mjcf(scene, tmp_path / "strict.xml")
     with pytest.warns(UserWarning, match="its strings carry any tension, MJCF has no counterpart"):
-        found = tc.export_mjcf(scene, tmp_path / "s.xml", strict=False)
+        found = tc.export_mjcf(scene, tmp_path / "s.xml", strict=np.False_)
     bare = tc.export_mjcf(replace(scene, strength=None), tmp_path / "bare.xml")
     assert found.read_text(encoding="utf-8") == bare.read_text(encoding="utf-8")
