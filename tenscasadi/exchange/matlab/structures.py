@@ -218,7 +218,9 @@ def _build(source: Source, variables: Variables, options: Variables) -> ParsedSt
         columns = np.unique(read.class_one(sparse=True).physical, return_index=True)[1]
         return ParsedStructure(read.replace(**options), columns)
     supports = {"pinned": _read_pins(variables, count), "rollers": _read_rollers(variables, count)}
-    given |= {"node_mass": mass, **supports, **_read_cables(source, variables, len(strings))}
+    given |= {"node_mass": mass, **supports}
+    if "cables" not in options:  # the file's friction is that of its own cables
+        given |= _read_cables(source, variables, len(strings))
     given |= {"bodies": _read_bodies(variables, count), **options}
     structure = Structure(N.T, bars, strings, **given)
     return ParsedStructure(_lump_string_mass(source, structure), np.arange(count))

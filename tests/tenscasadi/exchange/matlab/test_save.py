@@ -60,6 +60,15 @@ def test_cables_have_the_matrix_of_ctsfem(tmp_path):
     assert {(2, 8), (3, 4, 5)} <= set(groups)
 
 
+@pytest.mark.parametrize("cables", [(), [(2, 8)], [(8, 2), (5, 4, 3)]])
+def test_given_cables_replace_those_of_a_file_and_their_friction(cables, tmp_path):
+    path = tc.save_mat(STRUCTURES["cables"], tmp_path / "x.mat")
+    expected = STRUCTURES["cables"].replace(cables=(), cable_friction=0.0).replace(cables=cables)
+    assert_same_structure(tc.load_mat(path, cables=cables), expected)
+    if cables:
+        assert tc.load_mat(path, cables=cables, cable_friction=0.1).cable_friction[0] == 0.1
+
+
 @pytest.mark.parametrize(
     "changes",
     [
