@@ -31,7 +31,6 @@ from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.schema.definitions import resolve_names
 from tenscasadi.simulation.engine.build import build_kernel
 from tenscasadi.structure.cables import name_inputs
-from tenscasadi.structure.names import find_input_names
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.troubleshooting import add_address
@@ -170,7 +169,7 @@ class Mppi:
         self._steps = whole_number("steps", steps, 1, MAX_REPETITIONS)
         self._seed = whole_number("seed", seed, 0)
         self._lower, self._upper = problem.control_limits
-        noise = resolve_names(noise, find_input_names(self.model.scene.structure))
+        noise = resolve_names(noise, self.model.scene.structure.names)
         smooth = noise if isinstance(noise, SplineNoise) else SplineNoise(self._deviation(noise))
         self._sizes, self._directions, self._basis = (
             smooth.sizes(self.samples),

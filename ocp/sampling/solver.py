@@ -79,7 +79,7 @@ class Sampling(NamedSolver, kind="Sampling"):
     True
     """
 
-    groups: Annotated[Iterable[Sequence[IndexOrName]] | None, ListOf(Members("string"))] = None
+    groups: Annotated[Iterable[Sequence[IndexOrName]] | None, ListOf(Members("input"))] = None
     knots: int | None = None
     samples: int = 256
     seed: int = 0

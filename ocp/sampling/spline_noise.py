@@ -63,7 +63,7 @@ class SplineNoise(Value, kind="SplineNoise"):
 
     deviation: Annotated[ArrayLike, PER_ITEM]
     knots: int = 4
-    groups: Annotated[Iterable[Sequence[IndexOrName]] | None, ListOf(Members("string"))] = None
+    groups: Annotated[Iterable[Sequence[IndexOrName]] | None, ListOf(Members("input"))] = None
     min_scale: float = 0.03
 
     def __post_init__(self) -> None:

@@ -37,7 +37,6 @@ from ocp.transcription.base import Transcription
 from ocp.transcription.mesh import Guess, held_values
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.schema.definitions import resolve_names
-from tenscasadi.structure.names import find_input_names
 from tenscasadi.util.validate import instance
 
 
@@ -115,7 +114,7 @@ def program_of(
         Transcription,
         "a transcription, such as ocp.MultipleShooting()",
     )
-    transcription = resolve_names(transcription, find_input_names(problem.model.scene.structure))
+    transcription = resolve_names(transcription, problem.model.scene.structure.names)
     task = prepare(problem, transcription.control, np.inf)
     if task.target is None:
         raise TypeError("Problem.phases are no part of one program: leave them out")

@@ -32,7 +32,6 @@ from ocp.transcription.multiple_shooting import MultipleShooting
 from ocp.transcription.variational import Variational
 from tenscasadi.integrators.stability import fastest_rate
 from tenscasadi.schema.definitions import resolve_names
-from tenscasadi.structure.names import find_input_names
 
 FIRST, INEXACT, FAILED = "first", "inexact", "failed"
 PHASE_INTERVALS = 20  # number of intervals of each phase
@@ -232,7 +231,7 @@ def complete(
         else:
             condenses = isinstance(solver, CondensedNewton)
             transcription = Variational() if condenses else MultipleShooting()
-    names = find_input_names(problem.model.scene.structure)
+    names = problem.model.scene.structure.names
     return Attempt(
         resolve_names(transcription, names), resolve_names(solver, names), guess, "asked for"
     )

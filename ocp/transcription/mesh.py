@@ -74,7 +74,7 @@ class Profile(Protocol):
 class NamedProfile(Value):
     """Control profile with a kind in files."""
 
-    groups: Annotated[tuple[tuple[IndexOrName, ...], ...], ListOf(Members("string"))] = ()
+    groups: Annotated[tuple[tuple[IndexOrName, ...], ...], ListOf(Members("input"))] = ()
 
     def __post_init__(self) -> None:
         field = f"{type(self).__name__}.groups"

@@ -25,7 +25,8 @@ from tenscasadi.util.validate import (
 )
 
 T = TypeVar("T")
-ItemKind = Literal["node", "bar", "string", "member"]  # members: strings, then bars
+# members: strings, then bars; inputs: cables and lone strings
+ItemKind = Literal["node", "bar", "string", "member", "input"]
 
 
 class SceneFileError(ValueError):

@@ -27,7 +27,13 @@ from tenscasadi.structure.class_one import (
 )
 from tenscasadi.structure.derived import read_derived, write_derived
 from tenscasadi.structure.mass_checks import check_node_masses
-from tenscasadi.structure.names import find_names, names_of, read_names, reset_item_fields
+from tenscasadi.structure.names import (
+    add_inputs,
+    find_names,
+    names_of,
+    read_names,
+    reset_item_fields,
+)
 from tenscasadi.structure.pins import Normals, read_axes, read_pins, read_rollers
 from tenscasadi.structure.prestress import find_rest_lengths
 from tenscasadi.structure.properties import read_properties
@@ -201,7 +207,7 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         own["strings"] = names.pairs("strings", strings, "string", parallel=True)
         own["string_names"] = read_names("string_names", string_names, len(self.strings))
         own["bar_names"] = read_names("bar_names", bar_names, len(self.bars))
-        names = self.names
+        names = names_of(self)
         own["pinned"], own["rollers"] = read_rollers(rollers, read_pins(pinned, names), names)
         own["fixed"], own["held"] = read_axes(self.pinned, self.rollers, n)
         own["bar_lengths"] = member_lengths("bars", self.nodes, self.bars, "bar")
@@ -312,8 +318,8 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
 
     @property
     def names(self) -> Names:
-        """Indices by name of nodes, strings and bars."""
-        return names_of(self)
+        """Indices by name of nodes, strings, bars and inputs."""
+        return add_inputs(names_of(self), self.cable_of)
 
     def mass_matrix(self) -> csr_array:
         """Compute the mass matrix on physical nodes (Eq. 59).

@@ -19,7 +19,6 @@ from tenscasadi.simulation.engine.step_code import Account
 from tenscasadi.simulation.trajectory import Trajectory, observe_states, record_trajectory
 from tenscasadi.simulation.verdict.endings import FAULTS, RunSamples, explain_loss
 from tenscasadi.simulation.verdict.judge import find_doubts, measure_trajectory
-from tenscasadi.structure.names import find_input_names
 from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import SMALLEST, Array, finite_array, instance
 from tenscasadi.viewer.live_mode.inputs import add_inputs
@@ -169,8 +168,8 @@ class LiveSimulation:
             It is not finite, or a rest length is not greater than 0.
         """
         control = self.control.copy()
-        names = find_input_names(self.model.scene.structure)
-        control[names.mask("strings", "string", strings)] = finite_array("value", value, ())
+        names = self.model.scene.structure.names
+        control[names.mask("strings", "input", strings)] = finite_array("value", value, ())
         self._check_lengths(control)
         self.control = control
 

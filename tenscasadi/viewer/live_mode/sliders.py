@@ -13,7 +13,6 @@ from tenscasadi.drawing.view_content import list_names
 from tenscasadi.scene.strings import RestLength
 from tenscasadi.schema.reading import Names
 from tenscasadi.structure.cables import name_inputs, select_first
-from tenscasadi.structure.names import find_input_names
 from tenscasadi.util.tables import MOST_LISTED
 from tenscasadi.util.validate import Array, as_tuple, format_value, text
 from tenscasadi.viewer.live_mode.simulation import LiveSimulation
@@ -138,7 +137,7 @@ def choose_sliders(simulation: LiveSimulation, groups: Groups = None) -> list[Sl
     named = (
         _group_equal(simulation)
         if groups is None
-        else _read_groups(groups, find_input_names(simulation.model.scene.structure))
+        else _read_groups(groups, simulation.model.scene.structure.names)
     )
     factors = _RANGES["rest length" if _by_length(simulation) else "force density"]
     found = []
@@ -212,10 +211,10 @@ def _read_groups(groups: Any, names: Names) -> dict[str, tuple[int, ...]]:
     for name, strings in groups.items():
         text("groups", name)
         field = f"groups[{format_value(name)}]"
-        own = names.resolve_all(field, "string", strings)
+        own = names.resolve_all(field, "input", strings)
         given = as_tuple(field, own, "[0, 1, 2] of indices of strings")
         if not given:
             raise ValueError(f"{field} is empty: give at least one string")
-        indices = [names.index(field, "string", string) for string in given]
+        indices = [names.index(field, "input", string) for string in given]
         read[name] = tuple(dict.fromkeys(indices))
     return read

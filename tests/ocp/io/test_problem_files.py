@@ -322,6 +322,26 @@ def test_names_groups_and_shapes_stand_for_numbers(written):
     assert np.array_equal(shaped.goals[0].nodes, tc.shapes.prism(radius=0.5).nodes)
 
 
+def test_groups_of_controls_are_those_of_cables(written):
+    cables = """
+    [structure]
+    nodes = { a = [-1, 0, 1], eye = [0, 0, 0], b = [1, 0, 1], c = [0, 1, 0], d = [0, -1, 0] }
+    node_mass = { eye = 1.0 }
+    pinned = ["a", "b", "c", "d"]
+    strings = { run = [["a", "eye"], ["eye", "b"]], left = [["eye", "c"]], right = [["eye", "d"]] }
+    cables = [["run"]]
+    [scene]
+    control = "RestLength"
+    [plan]
+    costs = ["Effort"]
+    duration = 1.0
+    goals = ["AtRest"]
+    transcription = { kind = "MultipleShooting", intervals = 5, control = { kind = "PiecewiseConstant", groups = [["run"], ["left", "right"]] } }
+    """
+    way = ocp.load_solve_arguments(written(cables))
+    assert way["transcription"].control.groups == ((0,), (1, 2))
+
+
 def test_the_start_is_that_of_the_scene_unless_the_plan_has_its_own(written):
     moving = (
         ARM
