@@ -85,6 +85,15 @@ class Names:
     counts: Mapping[ItemKind, int] = field(default_factory=dict)
     named: Mapping[ItemKind, Mapping[str, Sequence[int]]] = field(default_factory=dict)
 
+    def add_inputs(self, cable_of: Indices) -> Names:
+        """Add the inputs, of cables and lone strings, by the names of their strings."""
+        own = {
+            name: sorted({*cable_of[strings].tolist()})
+            for name, strings in self.named["string"].items()
+        }
+        count = int(cable_of.max(initial=-1)) + 1
+        return Names({**self.counts, "input": count}, {**self.named, "input": own})
+
     def find(self, which: ItemKind, word: Any) -> list[int]:
         """Find the indices of an index or a name.
 

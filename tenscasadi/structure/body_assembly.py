@@ -14,8 +14,8 @@ from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
 from scipy.sparse import block_diag, csr_array
-from scipy.sparse.csgraph import connected_components
 
 from tenscasadi.structure.class_one import member_lengths
 from tenscasadi.util.linear_algebra import fit_rotation, fit_velocities
@@ -161,7 +161,7 @@ def is_separate(structure: Any) -> bool:
     """Return whether a part without supports has no connection to another part."""
     pairs, count = connected_pairs(structure), len(structure.nodes)
     links = csr_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
-    parts, label = connected_components(links, directed=False)
+    parts, label = sp.csgraph.connected_components(links, directed=False)
     return bool(parts > 1 and len(np.unique(label[structure.held.any(axis=1)])) < parts)
 
 

@@ -8,7 +8,7 @@ from contextlib import suppress
 from typing import Any
 
 from tenscasadi.schema.reading import Names
-from tenscasadi.util.validate import Indices, as_tuple, format_value, text
+from tenscasadi.util.validate import as_tuple, format_value, text
 
 _INDEXED = re.compile(r"\b(node|bar|string) (\d+)\b(?! \()")  # of a member in a message
 _MEMBER = re.compile(r"(.*)\[\d+\]")  # name of a member of a group, such as "guys[2]"
@@ -39,15 +39,6 @@ def names_of(structure: Any, **counts: int) -> Names:
     parts = ("node", "string", "bar")
     own = {which: len(getattr(structure, f"{which}s")) for which in parts}
     return find_names(own, {which: getattr(structure, f"{which}_names") for which in parts})
-
-
-def add_inputs(names: Names, cable_of: Indices) -> Names:
-    """Add the inputs, of cables and lone strings, by the names of their strings."""
-    inputs = {
-        name: sorted({*cable_of[own].tolist()}) for name, own in names.named["string"].items()
-    }
-    counts = {**names.counts, "input": int(cable_of.max(initial=-1)) + 1}
-    return Names(counts, {**names.named, "input": inputs})
 
 
 def name_members(groups: Iterable[tuple[str, int]]) -> list[str]:

@@ -27,13 +27,7 @@ from tenscasadi.structure.class_one import (
 )
 from tenscasadi.structure.derived import read_derived, write_derived
 from tenscasadi.structure.mass_checks import check_node_masses
-from tenscasadi.structure.names import (
-    add_inputs,
-    find_names,
-    names_of,
-    read_names,
-    reset_item_fields,
-)
+from tenscasadi.structure.names import find_names, names_of, read_names, reset_item_fields
 from tenscasadi.structure.pins import Normals, read_axes, read_pins, read_rollers
 from tenscasadi.structure.prestress import find_rest_lengths
 from tenscasadi.structure.properties import read_properties
@@ -319,7 +313,7 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
     @property
     def names(self) -> Names:
         """Indices by name of nodes, strings, bars and inputs."""
-        return add_inputs(names_of(self), self.cable_of)
+        return names_of(self).add_inputs(self.cable_of)
 
     def mass_matrix(self) -> csr_array:
         """Compute the mass matrix on physical nodes (Eq. 59).

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import threading
 import time
@@ -122,7 +123,9 @@ def test_time_limit_ends_parts_before_the_solver(part, monkeypatch):
     release.set()
     assert seconds < 10
     assert not plan.success
-    assert "stopped before the solver began, with the start: increase time_limit" in plan.message
+    known = "start" if part == "find_plan.prepare" else "(start|guess)"  # if there is time for one
+    stopped = f"stopped before the solver began, with the {known}: increase time_limit"
+    assert re.search(stopped, plan.message)
     assert np.all(np.isfinite(plan.trajectory.states))
 
 
