@@ -22,7 +22,7 @@ from ocp.results.diagnosis import interpolate_plan
 from ocp.results.replay import replay_open
 from ocp.results.result import PlanResult
 from ocp.search.coordinates import ReducedCoordinates, reduce_coordinates
-from ocp.search.methods import run_attempt
+from ocp.search.methods import plan_guess, run_attempt
 from ocp.search.narrow_limits import explain_limits
 from ocp.search.policy import INEXACT, Attempt, attempts, complete, is_inexact
 from ocp.search.task import Method, PlanningTask, prepare
@@ -141,7 +141,9 @@ def _walk(
             continue
         if plan is not None and attempt.after == INEXACT:
             attempt = attempt.refine(search.task.problem, plan)
+        attempt, spent = plan_guess(search.task, attempt)
         plan, target = _try(search, attempt)
+        plan = replace(plan, iterations=spent + plan.iterations)
         search = search._replace(task=search.task._replace(target=target))
         tried.append((attempt.describe(), plan))
         if plan.success or plan.status == TOO_SLOW or search.task.monitor.status():

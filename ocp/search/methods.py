@@ -16,7 +16,7 @@ from ocp.results.diagnosis import build_interpolant, explain_failure
 from ocp.results.result import PlanResult
 from ocp.sampling.method import solve_sampled
 from ocp.sampling.solver import Sampling
-from ocp.search.policy import Attempt
+from ocp.search.policy import Attempt, PlannedGuess
 from ocp.search.rest_lengths import convert_outcome
 from ocp.search.task import PlanningTask, prepare
 from ocp.solvers.base import Outcome, Solution, Solver, find_best_iterate
@@ -51,8 +51,7 @@ def run_attempt(task: PlanningTask, attempt: Attempt) -> tuple[Outcome, Target |
     problem, target, monitor = task.problem, task.target, task.monitor
     transcription, solver, guess, *_ = attempt
     if isinstance(guess, Attempt):
-        guess = _plan_guess(task, guess)
-        attempt = attempt._replace(guess=guess)
+        raise TypeError("an initial guess is planned before")
     monitor.phase = attempt.describe()
     if target is None:
         if not problem.phases:  # the search stopped before it found a target
@@ -88,15 +87,21 @@ def _plan_force_densities(
     return outcome, task.target if task.problem.model.na else target
 
 
-def _plan_guess(task: PlanningTask, attempt: Attempt) -> InitialGuess | None:
-    """Run an attempt, and use its result as an initial guess.
+def plan_guess(task: PlanningTask, attempt: Attempt) -> tuple[Attempt, int]:
+    """Replace an initial guess that is an attempt in force densities by its plan.
 
-    Returns None, the default guess, if it failed.
+    If there is no plan in force densities, the default guess replaces it. Limits of the other
+    control may be violated. Returns the attempt with this guess, and the number of iterations.
     """
-    found, _ = run_attempt(task, attempt)
-    if not np.isfinite(found.objective):
-        return None
-    return TrajectoryGuess(found.states, found.force_density, found.duration)
+    first = attempt.guess
+    if not isinstance(first, Attempt) or first.twin is None:
+        return attempt, 0
+    found, _ = run_attempt(first.twin, first._replace(twin=None))
+    if not (found.success or found.coarse):
+        return attempt._replace(guess=None), found.iterations
+    own = convert_outcome(task.problem, first.transcription.fractions, found)
+    plan = TrajectoryGuess(own.states, own.force_density, own.duration)
+    return attempt._replace(guess=PlannedGuess(plan)), found.iterations
 
 
 def program_of(

@@ -11,7 +11,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ocp.guess.initial_guess import NOISE, InitialGuess, InverseDynamics, evaluate_guess
+from ocp.guess.initial_guess import (
+    NOISE,
+    InitialGuess,
+    InverseDynamics,
+    TrajectoryGuess,
+    evaluate_guess,
+)
 from ocp.problem.control import controls_force_densities, has_elastic_strings
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
@@ -42,13 +48,23 @@ INTERVALS_PER_BAR = 6.0
 CONDENSED_BARS = 6  # number of bars from which the condensed method is faster
 
 
+class PlannedGuess(NamedTuple):
+    """Plan in force densities that is an initial guess."""
+
+    plan: TrajectoryGuess
+
+    def guess(self, problem: Problem, target: Target, intervals: int) -> Guess:
+        """Compute the guess on equal intervals."""
+        return self.plan.guess(problem, target, intervals)
+
+
 class Attempt(NamedTuple):
     """One attempt of the search.
 
     Attributes
     ----------
     transcription, solver, guess
-        The method. The guess may be the plan of another attempt.
+        The method. The guess may be the plan of another attempt, see `plan_guess`.
     why : str
         Reason for the attempt.
     after : str
@@ -60,7 +76,7 @@ class Attempt(NamedTuple):
 
     transcription: Transcription
     solver: Method
-    guess: InitialGuess | Attempt | None
+    guess: InitialGuess | PlannedGuess | Attempt | None
     why: str
     after: str = FIRST
     twin: PlanningTask | None = None
@@ -72,7 +88,7 @@ class Attempt(NamedTuple):
         """
         name, count = type(self.transcription).__name__, self.transcription.count
         text = f"{name} of {count} intervals by {type(self.solver).__name__}"
-        if isinstance(self.guess, Attempt):
+        if isinstance(self.guess, Attempt | PlannedGuess):
             return f"{text}, from a plan in force densities"
         return text if self.twin is None else f"{text}, in force densities"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from dataclasses import replace
 
 import numpy as np
@@ -10,10 +11,11 @@ from planning import prism
 
 import ocp
 import tenscasadi as tc
-from ocp.search.methods import _plan_guess
+from ocp.search.methods import plan_guess
 from ocp.search.policy import Attempt, attempts
 from ocp.search.rest_lengths import build_force_density_problem
 from ocp.search.task import prepare
+from ocp.solvers.base import Outcome
 from ocp.transcription.mesh import PiecewiseConstant
 
 
@@ -91,7 +93,10 @@ def test_torques_follow_from_rest_lengths():
     attempt = next(iter(attempts(task, None)))
     assert isinstance(attempt.guess, Attempt)
     assert "from a plan in force densities" in attempt.describe()
-    guess = _plan_guess(task, attempt.guess)
+    planned, iterations = plan_guess(task, attempt)
+    assert iterations > 0
+    assert planned.describe() == attempt.describe()
+    guess = planned.guess.plan
     model, step = problem.model, guess.duration / len(guess.force_density)
     rest, speed = np.split(model.split(guess.states).internal, 2, axis=1)
     assert rest[0] == pytest.approx(model.structure.rest_length)
@@ -104,6 +109,26 @@ def test_torques_follow_from_rest_lengths():
     tension = (stretch[1:] + stretch[:-1]) / 2
     torque = 0.02 * tension + 1e-3 * speed[1:] + 1e-4 * np.diff(speed, axis=0) / step
     assert guess.force_density == pytest.approx(torque, abs=0.05)
+
+
+def test_failed_plans_are_no_guess(monkeypatch):
+    """The description of the search names the guess that was used."""
+    problem = motors(torque=5.0, speed=60.0)
+    asked = []
+
+    def fail(task, attempt):
+        asked.append(attempt.describe())
+        states = np.tile(task.problem.initial_state, (attempt.transcription.count + 1, 1))
+        controls = np.ones((attempt.transcription.count, task.problem.model.nu))
+        return Outcome(states, controls, 0.5, 1.0, False, "failed", 7, why="it fails"), task.target
+
+    for name in ("methods", "find_plan"):
+        monkeypatch.setattr(importlib.import_module(f"ocp.search.{name}"), "run_attempt", fail)
+    plan = ocp.solve(problem)
+    assert asked[0].startswith("Variational of ")
+    assert asked[1].startswith("DirectCollocation of ")
+    assert "from a plan" not in plan.message
+    assert plan.iterations == 7 * len(asked)
 
 
 @pytest.mark.slow  # 10 s of CPU time
