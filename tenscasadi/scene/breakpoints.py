@@ -26,6 +26,15 @@ def probe_times(first: float, last: float) -> Array:
     return np.linspace(first, last, 4001)
 
 
+def sample_times(first: float, last: float) -> Array:
+    """Return 65 equidistant times of a run [s].
+
+    They show the largest values of a control or load, and are the ends of the first pieces of an
+    interpolant, which halves them as needed. Narrow features need breakpoints.
+    """
+    return np.linspace(first, last, 65)
+
+
 def find_breakpoints(function: ca.Function, first: float, last: float) -> Array:
     """Find the times [s] at which conditions switch.
 

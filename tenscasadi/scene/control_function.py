@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscasadi.scene.breakpoints import find_breakpoints, probe_times
+from tenscasadi.scene.breakpoints import find_breakpoints, probe_times, sample_times
 from tenscasadi.scene.time_functions import as_numbers, express, format_row, is_same, values_at
 from tenscasadi.util.validate import (
     MAX_COUNT,
@@ -121,7 +121,7 @@ class ControlSchedule:
         ndarray, shape (K, nu)
             Controls.
         """
-        return values_at(self.at, np.linspace(first, last, 65))
+        return values_at(self.at, sample_times(first, last))
 
     def changing(self) -> ca.Function:
         """Return the function of time that integration steps must resolve.
@@ -243,7 +243,7 @@ def _interpolate(
 
     around = 4 * np.spacing(t_end)
     own = np.concatenate([breakpoints - around, breakpoints + around])
-    edges = np.union1d(np.linspace(0.0, t_end, 65), own)
+    edges = np.union1d(sample_times(0.0, t_end), own)
     waiting = list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))[::-1]
     pieces, steep = [], []
     while waiting:

@@ -10,7 +10,7 @@ from typing import Protocol
 import casadi as ca
 import numpy as np
 
-from tenscasadi.scene.breakpoints import clock_error
+from tenscasadi.scene.breakpoints import clock_error, sample_times
 from tenscasadi.scene.time_functions import values_at
 from tenscasadi.simulation.engine.request import Integers, Intervals
 from tenscasadi.util.validate import Array, Indices
@@ -209,7 +209,7 @@ def _find_cuts(part: Changing, first: float, last: float, error: float) -> Array
     if function is None or not len(times):
         return times
     before, after = values_at(function, times - 2 * error), values_at(function, times + 2 * error)
-    some = values_at(function, np.linspace(first, last, 65))
+    some = values_at(function, sample_times(first, last))
     largest = max(abs(values).max(initial=0.0) for values in (some, before, after))
     jumps = abs(after - before).max(axis=1, initial=0.0) > 1e-6 * largest
     return np.concatenate([times[~jumps], times[jumps] - error, times[jumps] + error])
