@@ -51,7 +51,7 @@ class ContactElement(ForceElement):
     mech: Mechanism
     mode: Any = None
 
-    def find_touch(self, N: Any) -> TouchingPoints:
+    def locate_contact(self, N: Any) -> TouchingPoints:
         """Find the contact of the columns N (3×n) [m]."""
         raise NotImplementedError
 
@@ -65,13 +65,13 @@ class ContactElement(ForceElement):
 
     def forces(self, at: NodeMotion) -> Any:
         """Compute the contact forces (3×n) [N]."""
-        touch = self.find_touch(at.N)
+        touch = self.locate_contact(at.N)
         V = touch.velocities(at.N, at.V)
         return self.assemble(touch, at.N, compute_forces(self.surface, touch.contact, V, self.mode))
 
     def energy(self, N: Any) -> Any:
         """Compute the energy of the contact springs [J]."""
-        contact = self.find_touch(N).contact
+        contact = self.locate_contact(N).contact
         squared = ca.fmax(contact.depth, 0) ** 2
         if contact.weight is not None:
             squared = squared * contact.weight
@@ -79,7 +79,7 @@ class ContactElement(ForceElement):
 
     def switches(self, at: NodeMotion) -> Any:
         """Compute the switching functions [m], positive in contact."""
-        touch = self.find_touch(at.N)
+        touch = self.locate_contact(at.N)
         return find_switching(self.surface, touch.contact, touch.velocities(at.N, at.V))
 
 
@@ -100,7 +100,7 @@ class NodeContacts(ContactElement):
         """Number of nodes that may be in contact."""
         return len(self.columns)
 
-    def find_touch(self, N: Any) -> TouchingPoints:
+    def locate_contact(self, N: Any) -> TouchingPoints:
         """Find the contact of the columns N (3×n) [m]."""
         return TouchingPoints(self.surface.contact(N[:, self.columns]), NodePoints(self.columns))
 
@@ -121,7 +121,7 @@ class CapsuleContacts(ContactElement):
         """Number of points of bars that may be in contact."""
         return len(self._points.bars)
 
-    def find_touch(self, N: Any) -> TouchingPoints:
+    def locate_contact(self, N: Any) -> TouchingPoints:
         """Find the contact of the columns N (3×n) [m]."""
         ends = self.mech.bar_ends[self._points.bars]
         return TouchingPoints(*press_spheres(self.surface, self._points, ends, N))
@@ -143,7 +143,7 @@ class BarContacts(ContactElement):
         """Number of pairs that may be in contact."""
         return len(self._pairs)
 
-    def find_touch(self, N: Any) -> TouchingPoints:
+    def locate_contact(self, N: Any) -> TouchingPoints:
         """Find the contact of the columns N (3×n) [m]."""
         ends = self.mech.bar_ends[self._pairs]
         columns = [ends[:, bar, end].tolist() for bar in (0, 1) for end in (0, 1)]

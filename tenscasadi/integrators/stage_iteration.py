@@ -236,7 +236,7 @@ class _Dragging(ForceElement):
     direction: Any
 
     def forces(self, at: NodeMotion) -> Any:
-        touch = self.contacts.find_touch(at.N)
+        touch = self.contacts.locate_contact(at.N)
         slip, _ = compute_slip(touch.contact, touch.velocities(at.N, at.V))
         slip = slip - self.direction * ca.repmat(ca.sum1(self.direction * slip), 3, 1)
         friction = -slip * ca.repmat(self.drag, 3, 1)
@@ -269,7 +269,7 @@ def _drag_slopes(
         if not isinstance(element, ContactElement) or element.surface.friction is None:
             linear.append(element)
             continue
-        law, touch = element.surface, element.find_touch(at.N)
+        law, touch = element.surface, element.locate_contact(at.N)
         v = touch.velocities(at.N, at.V)
         slip, steepness = compute_slip(touch.contact, v)
         speed = ca.sqrt(ca.sum1(slip * slip) + law.slip_speed**2)

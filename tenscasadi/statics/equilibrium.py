@@ -22,7 +22,12 @@ from tenscasadi.statics.solver.relaxation import relax
 from tenscasadi.statics.solver.settling import settle
 from tenscasadi.statics.solver.static_equations import Conditions, StaticEquations
 from tenscasadi.statics.solver.trust_region import MOVES_AWAY, SINGULAR, SearchResult
-from tenscasadi.statics.stuck_cables import find_sliding, hold, read_sliding, stick
+from tenscasadi.statics.stuck_cables import (
+    find_sliding,
+    fix_rest_lengths,
+    read_sliding,
+    replace_cables,
+)
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.immutable import ReadOnlyArrays, keep
 from tenscasadi.util.validate import NEGLIGIBLE, Array, finite_array, instance, nesting
@@ -193,9 +198,9 @@ def find_equilibrium(
     bare = scene if isinstance(scene, Scene) else scene.scene
     if bare.structure.cable_friction.any():
         fixed = read_sliding(bare, control, parameters)
-        stuck = stick(fixed)
+        stuck = replace_cables(fixed)
         found = find_sliding(fixed, lambda rho, begin: find_equilibrium(stuck, begin, rho), start)
-        sliding: Equilibrium = hold(fixed, found)
+        sliding: Equilibrium = fix_rest_lengths(fixed, found)
         return sliding
     nodes, given = read_problem(scene, start, control, parameters)
     system = newton_system(bare)

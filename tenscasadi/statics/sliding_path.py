@@ -17,7 +17,7 @@ from tenscasadi.statics.equilibrium import (
 )
 from tenscasadi.statics.solver.continuation import LONGEST, SHORTEST, unit_length
 from tenscasadi.statics.solver.settling import settle
-from tenscasadi.statics.stuck_cables import find_sliding, read_sliding, stick
+from tenscasadi.statics.stuck_cables import find_sliding, read_sliding, replace_cables
 from tenscasadi.util.validate import Array
 
 
@@ -42,7 +42,7 @@ class _SlidingPath:
     """
 
     def __init__(self, scene: Scene, load: Any, start: Any) -> None:
-        self.scene, self._stuck = scene, stick(scene)
+        self.scene, self._stuck = scene, replace_cables(scene)
         self._system = newton_system(self._stuck)
         self._load = read_load(self._system, load)
         self._anchor = read_problem(self._stuck, start, scene.structure.rest_length, None)[0]

@@ -48,18 +48,18 @@ def read_sliding(scene: Scene, control: Any, parameters: Any) -> Scene:
     return fixed
 
 
-def stick(scene: Scene) -> Scene:
+def replace_cables(scene: Scene) -> Scene:
     """Build the scene with strings in place of cables, whose rest lengths are the control."""
     strings = scene.structure.replace(cables=(), cable_friction=0.0)
     return replace(scene, structure=strings, control=RestLength())
 
 
-def hold(scene: Scene, found: Any) -> Any:
-    """Convert an equilibrium under the control of `stick` into that of strings without control."""
+def fix_rest_lengths(scene: Scene, found: Any) -> Any:
+    """Convert an equilibrium of the scene of `replace_cables` into one without control."""
     lengths = found.control
     strings = scene.structure.replace(cables=(), cable_friction=0.0, rest_length=lengths)
-    held = replace(scene, structure=strings)
-    return replace(found, source=held, control=lengths[:0])
+    strings_only = replace(scene, structure=strings)
+    return replace(found, source=strings_only, control=lengths[:0])
 
 
 def find_sliding(scene: Scene, search: Callable[[Array, Any], Any], start: Any) -> Any:
@@ -76,7 +76,7 @@ def find_sliding(scene: Scene, search: Callable[[Array, Any], Any], start: Any) 
         Scene with rest lengths and without parameters.
     search : callable
         Function of rest lengths (α,) and a start that finds the equilibrium of the scene of
-        `stick`.
+        `replace_cables`.
     start : object
         Start of the first search.
 
@@ -101,9 +101,9 @@ def find_sliding(scene: Scene, search: Callable[[Array, Any], Any], start: Any) 
         def slide(moved: Array, begin: Any = found) -> Any:
             return search(_rest_lengths(scene, bends, moved), begin)
 
-        room = _room(_rest_lengths(scene, bends, slip), bends)
-        step = _find_step(lambda moved: _excess(scene, slide(moved)), slip, side, error, room)
-        share = min(1.0, _LARGEST_STEP / float((np.abs(step) / room).max(initial=_LARGEST_STEP)))
+        limits = _find_slip_limits(_rest_lengths(scene, bends, slip), bends)
+        step = _find_step(lambda moved: _excess(scene, slide(moved)), slip, side, error, limits)
+        share = min(1.0, _LARGEST_STEP / float((np.abs(step) / limits).max(initial=_LARGEST_STEP)))
         while share > NEGLIGIBLE:
             moved = slip + share * step
             onward = np.where(side * moved < 0.0, 0.0, side)
@@ -125,7 +125,7 @@ def find_sliding(scene: Scene, search: Callable[[Array, Any], Any], start: Any) 
 
 
 def _find_step(
-    excess: Callable[[Array], Array], slip: Array, side: Array, error: Array, room: Array
+    excess: Callable[[Array], Array], slip: Array, side: Array, error: Array, limits: Array
 ) -> Array:
     """Find the Newton step (c,) of the slips.
 
@@ -136,7 +136,7 @@ def _find_step(
     slopes = np.zeros((len(slipping), len(slipping)))
     for k, bend in enumerate(slipping):
         change = np.zeros(len(slip))
-        change[bend] = side[bend] * _STEP * room[bend]
+        change[bend] = side[bend] * _STEP * limits[bend]
         slopes[:, k] = (_select(excess(slip + change), side) - error) / change[bend]
     step = np.zeros(len(slip))
     found = -np.linalg.lstsq(slopes, error, rcond=NEGLIGIBLE)[0]
@@ -165,7 +165,7 @@ def _rest_lengths(scene: Scene, bends: _Bends, slip: Array) -> Array:
     return lengths
 
 
-def _room(lengths: Array, bends: _Bends) -> Array:
+def _find_slip_limits(lengths: Array, bends: _Bends) -> Array:
     """Compute the length (c,) that can slip at each node [m]."""
     return np.asarray(np.minimum(lengths[bends.before], lengths[bends.after]))
 

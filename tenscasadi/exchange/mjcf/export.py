@@ -131,8 +131,8 @@ def export_mjcf(
     target = file_path("path", path)
     flag("strict", strict)
     if scene.strength is not None and not strict:
-        told = f"its strings carry any tension, MJCF has no counterpart of {scene.strength}"
-        warnings.warn(f"{target.name} differs from the scene: {told}", stacklevel=2)
+        difference = f"its strings carry any tension, MJCF has no counterpart of {scene.strength}"
+        warnings.warn(f"{target.name} differs from the scene: {difference}", stacklevel=2)
         scene = replace(scene, strength=None)
     _check_scene(scene)
     V = None if velocities is None else _check_velocities(scene.modelled, velocities)
