@@ -117,10 +117,11 @@ def find_sliding(scene: Scene, search: Callable[[Array, Any], Any], start: Any) 
             break
         found, slip, side = trial, moved, onward
     cable = bends.cable[side != 0.0][int(np.argmax(np.abs(error)))]
+    cure = "give rest lengths at which its tensions differ less, raise cable_friction, or change supports or loads"
     return replace(
         found,
         success=False,
-        message=f"no equilibrium: cable {cable} slips on without end: raise cable_friction, or change supports or loads",
+        message=f"no equilibrium found, the search for slips of cable {cable} stalled: {cure}",
     )
 
 
