@@ -53,7 +53,7 @@ def _explain(task: PlanningTask, target: Target) -> str:
         return ""
     units = {**list_units(problem), control_name(problem.model): control_unit(problem.model)}
     needed = " and ".join(_describe(one, units, problem.model.scene.structure) for one in wider)
-    longest = 3 * problem.longest  # more would be another task
+    longest = 3 * problem.longest  # a longer one would be another problem
     duration = _find_duration(task, longest, solver)
     longer = "" if duration is None else f", or a duration of {duration:.3g} s"
     if duration == np.inf:

@@ -161,22 +161,16 @@ def attempts(task: PlanningTask, guess: InitialGuess | None) -> Iterator[Attempt
     # to follow, 0.6 more), 9 to 12 bars 1.9 and 3.0, above 2.7 and 19.7.
     few = model.mechanism.bars < CONDENSED_BARS
     solver = Ipopt() if few else CondensedNewton()
-    twin = build_force_density_task(task)
     # CPU time with strings of 1e3 to 1e6 N/m: 1 to 2 s; the attempts below take over 18 s from 2e4 on
-    if twin is not None and twin.target is not None:
-        known = convert_guess(problem, first)
-        forces = evaluate_guess(known, twin.problem, twin.target, MIN_INTERVALS)
-        coarse = Variational(
-            choose_intervals(twin.problem, forces), control=PiecewiseLinear(), accuracy=accuracy
-        )
-        through = Attempt(coarse, solver, known, "stiff strings", after, twin)
-        if model.has_coupled_rates:
-            # CPU time of a prism of nine strings: 10 s, 30 s by shooting on all intervals; without
-            # the plan none is found in 60 s
-            wide = DirectCollocation(max(MIN_INTERVALS, count // 3))
-            yield Attempt(wide, Ipopt(), through, "motors of winches", after)
-        else:
-            yield through
+    force_attempt = build_force_density_attempt(task, first, solver, accuracy, after)
+    if force_attempt is not None and model.has_coupled_rates:
+        # CPU time of a prism of nine strings: 10 s, 30 s by shooting on all intervals; without
+        # the plan none is found in 60 s
+        collocation = DirectCollocation(max(MIN_INTERVALS, count // 3))
+        yield Attempt(collocation, Ipopt(), force_attempt, "motors of winches", after)
+        after = FAILED
+    elif force_attempt is not None:
+        yield force_attempt
         after = FAILED
     if model.has_coupled_rates:  # which Variational does not take
         yield Attempt(shooting, Ipopt(), start, "motors of winches", after)
@@ -190,6 +184,23 @@ def attempts(task: PlanningTask, guess: InitialGuess | None) -> Iterator[Attempt
     yield Attempt(shooting, Ipopt(), start, "mesh too coarse", INEXACT)
     if sampled and not near:
         yield Attempt(_for_sampling(problem), Sampling(), guess, "contact after all", FAILED)
+
+
+def build_force_density_attempt(
+    task: PlanningTask, guess: Guess, solver: Method, accuracy: float, after: str
+) -> Attempt | None:
+    """Build the attempt with force densities as controls.
+
+    Returns None if they cannot be the controls, or if no target was found.
+    """
+    twin = build_force_density_task(task)
+    if twin is None or twin.target is None:
+        return None
+    known = convert_guess(task.problem, guess)
+    forces = evaluate_guess(known, twin.problem, twin.target, MIN_INTERVALS)
+    count = choose_intervals(twin.problem, forces)
+    coarse = Variational(count, control=PiecewiseLinear(), accuracy=accuracy)
+    return Attempt(coarse, solver, known, "stiff strings", after, twin)
 
 
 def build_force_density_task(task: PlanningTask) -> PlanningTask | None:

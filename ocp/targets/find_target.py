@@ -171,11 +171,12 @@ class _TargetSearch:
         if len(self.goals.names) > problem.model.nq:
             return  # few states meet such goals, which is costly to find out
         drawn = np.random.default_rng(0)
-        for size in (0.3,) * STARTS:
+        spread = 0.3  # in units of the size; sizes from 0.1 to 0.5 find the same targets
+        for _ in range(STARTS):
             y = np.append(near, self.typical)
             split(y[:-1]).clock[:] = split(problem.initial_state).clock + self.typical
             places = split(y[:-1]).positions
-            places += size * self.scales.length * drawn.uniform(-1.0, 1.0, places.shape)
+            places += spread * self.scales.length * drawn.uniform(-1.0, 1.0, places.shape)
             yield y
 
     def _find_nearest(self, y: Array) -> Array:

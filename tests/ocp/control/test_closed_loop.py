@@ -31,7 +31,7 @@ def test_what_bars_do_not_allow_of_a_push_is_taken_off(plan):
     assert held.bar_length_error.max() < 1e-6
 
 
-def test_run_names_functions_of_time_of_the_plant_that_are_not_finite(plan):
+def test_run_names_functions_of_time_that_are_not_finite(plan):
     def fade(t):
         return ca.DM.ones(6, 3) * ca.sqrt(0.05 - t)
 
