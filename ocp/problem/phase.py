@@ -18,7 +18,7 @@ from ocp.problem.reading import limits_of, read_duration, read_items
 from tenscasadi.schema.field_types import SPAN, Members
 from tenscasadi.schema.value import Value
 from tenscasadi.util.renamed import rename_fields
-from tenscasadi.util.validate import Array, IndexOrName, as_tuple, index_or_name, node_index
+from tenscasadi.util.validate import Array, IndexOrName, as_tuple, check_indices, index_or_name
 
 if TYPE_CHECKING:
     from ocp.problem.goals.waypoints import Waypoint
@@ -212,8 +212,8 @@ def _check_contact(model: Model, start: Array, phases: Sequence[Phase]) -> None:
     on_bodies = {node for body in structure.bodies for node in body.nodes}
     for k, phase in enumerate(phases):
         name = f"Problem.phases[{k}].contact_nodes"
+        check_indices(name, phase.contact_nodes, len(structure.nodes))
         for node in phase.contact_nodes:
-            node_index(name, node, len(structure.nodes))
             if structure.held[node].any():
                 raise ValueError(
                     f"{name} has node {node}, which is pinned: leave it out, it does not move anyway"

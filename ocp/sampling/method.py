@@ -27,7 +27,7 @@ from ocp.solvers.monitor import STOPPED, TIME_UP, Monitor, Progress
 from ocp.transcription.base import Transcription
 from ocp.transcription.mesh import Guess, held_values
 from tenscasadi.integrators.stability import contact_rate, contact_step
-from tenscasadi.util.validate import Array, node_index
+from tenscasadi.util.validate import Array, check_indices
 
 _STOPS = {
     TIME_UP: "stopped at the time limit, with the best so far: increase time_limit",
@@ -52,8 +52,8 @@ def check_sampling(problem: Problem, transcription: Transcription, solver: Sampl
         raise ValueError(
             f"{name}.control is PiecewiseLinear, and Sampling holds force densities in intervals: give PiecewiseConstant()"
         )
-    for string in (string for group in solver.groups or () for string in group):
-        node_index("Sampling.groups", string, problem.model.nu, "string")
+    for k, group in enumerate(solver.groups or ()):
+        check_indices(f"Sampling.groups[{k}]", group, problem.model.nu, "string")
 
 
 def solve_sampled(

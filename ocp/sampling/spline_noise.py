@@ -18,8 +18,8 @@ from tenscasadi.util.validate import (
     Array,
     IndexOrName,
     as_tuple,
+    check_indices,
     index_or_name,
-    node_index,
     nonnegative,
     number_or_vector,
     per_item,
@@ -134,9 +134,8 @@ class SplineNoise(Value, kind="SplineNoise"):
         if self.groups is None:
             return np.diag(spread)
         matrix = np.zeros((len(tuple(self.groups)), count))
-        for row, group in zip(matrix, self.groups, strict=True):
-            for string in group:
-                node_index("SplineNoise.groups", string, count, "string")
+        for k, (row, group) in enumerate(zip(matrix, self.groups, strict=True)):
+            check_indices(f"SplineNoise.groups[{k}]", group, count, "string")
             row[list(group)] = spread[list(group)]
         return matrix
 

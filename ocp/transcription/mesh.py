@@ -22,10 +22,10 @@ from tenscasadi.util.validate import (
     Array,
     IndexOrName,
     Indices,
+    check_indices,
     finite_array,
     format_value,
     index_or_name,
-    node_index,
     positive_number,
     whole_number,
 )
@@ -159,9 +159,8 @@ def group_matrix(profile: Profile, strings: int) -> Array:
 
     A string in no group is a group. Raises ValueError for a string that does not exist.
     """
-    for group in profile.groups:
-        for string in group:
-            node_index(f"{type(profile).__name__}.groups", string, strings, "string")
+    for k, group in enumerate(profile.groups):
+        check_indices(f"{type(profile).__name__}.groups[{k}]", group, strings, "string")
     leader = np.arange(strings)
     for group in profile.groups:
         leader[list(group)] = min(group)

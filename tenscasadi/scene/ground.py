@@ -20,10 +20,10 @@ from tenscasadi.util.validate import (
     IndexOrName,
     Indices,
     as_tuple,
+    check_indices,
     finite_array,
     format_value,
     index_or_name,
-    node_index,
     number,
     positive_number,
 )
@@ -67,12 +67,10 @@ class Surface(Value, ABC, implied="Ground"):
             If an index is out of range, or there are no bars.
         """
         name, count = type(self).__name__, len(structure.bars)
-        for node in self.nodes or ():
-            node_index(f"{name}.nodes", node, len(structure.nodes))
+        check_indices(f"{name}.nodes", self.nodes or (), len(structure.nodes))
         if isinstance(self.bars, str) and not count:
             raise ValueError(f"{name}.bars is {self.bars!r}, but there are no bars: leave it out")
-        for bar in self._list_bars(structure):
-            node_index(f"{name}.bars", bar, count, "bar")
+        check_indices(f"{name}.bars", self._list_bars(structure), count, "bar")
 
     def select_nodes(self, structure: Any) -> Indices:
         """Select the nodes that touch as points.

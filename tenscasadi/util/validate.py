@@ -238,6 +238,12 @@ def node_index(field: str, value: Any, count: int, item: str = "node") -> int:
     return int(value)
 
 
+def check_indices(field: str, values: Iterable[Any], count: int, item: str = "node") -> None:
+    """Check that the entries of a list are indices of `count` items."""
+    for k, value in enumerate(values):
+        node_index(f"{field}[{k}]", value, count, item)
+
+
 def index_or_name(field: str, value: Any) -> Any:
     """Check an index, at least 0, or a name, which a structure replaces by its index."""
     return str(value) if isinstance(value, str) else whole_number(field, value, 0)

@@ -13,7 +13,7 @@ from ocp.problem.bounds.bound import Limit, PathBound
 from ocp.problem.rows import RESOLUTION
 from tenscasadi.schema.field_types import Members
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import IndexOrName, as_tuple, node_index, positive_number
+from tenscasadi.util.validate import IndexOrName, as_tuple, check_indices, positive_number
 
 if TYPE_CHECKING:
     from ocp.problem.instant import Instant
@@ -68,8 +68,8 @@ class NodeAccelerationLimits(PathBound, kind="NodeAccelerationLimits"):
         TypeError, ValueError
             If a node does not exist or is pinned, or if no node can move.
         """
+        check_indices("NodeAccelerationLimits.nodes", self.nodes or (), len(structure.nodes))
         for node in self.nodes or ():
-            node_index("NodeAccelerationLimits.nodes", node, len(structure.nodes))
             if structure.fixed[node].all():
                 raise ValueError(
                     f"NodeAccelerationLimits.nodes has node {node}, which is pinned: leave it out"

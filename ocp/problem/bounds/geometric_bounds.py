@@ -23,6 +23,7 @@ from tenscasadi.util.renamed import rename_fields
 from tenscasadi.util.validate import (
     IndexOrName,
     as_tuple,
+    check_indices,
     finite_array,
     format_value,
     node_index,
@@ -93,8 +94,9 @@ class InsideBox(AxisLimits, kind="InsideBox"):
             If a node does not exist or is pinned outside.
         """
         lower, upper = self.corners()
-        for node in self._chosen(structure):
-            node_index(f"{type(self).__name__}.nodes", node, len(structure.nodes))
+        chosen = self._chosen(structure)
+        check_indices(f"{type(self).__name__}.nodes", chosen, len(structure.nodes))
+        for node in chosen:
             for axis in np.flatnonzero(structure.fixed[node]):
                 place = structure.nodes[node, axis]
                 if not lower[axis] <= place <= upper[axis]:
@@ -344,8 +346,8 @@ class Obstacle(PathBound, kind="Obstacle"):
             If a bar or node does not exist.
         """
         for item, all_items in (("bar", structure.bars), ("node", structure.nodes)):
-            for index in getattr(self, f"{item}s") or ():
-                node_index(f"Obstacle.{item}s", index, len(all_items), item)
+            own = getattr(self, f"{item}s") or ()
+            check_indices(f"Obstacle.{item}s", own, len(all_items), item)
 
     def limit(self, now: Instant) -> Limit:
         """Build the constrained quantities.

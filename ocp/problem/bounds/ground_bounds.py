@@ -12,7 +12,7 @@ from ocp.problem.bounds.bound import Limit, PathBound
 from tenscasadi.scene.ground import Surface
 from tenscasadi.schema.field_types import Members
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import IndexOrName, as_tuple, instance, node_index, number
+from tenscasadi.util.validate import IndexOrName, as_tuple, check_indices, instance, number
 
 if TYPE_CHECKING:
     from ocp.problem.instant import Instant
@@ -77,8 +77,7 @@ class AboveSurface(PathBound, kind="AboveSurface"):
         TypeError, ValueError
             If a node does not exist, or all are pinned.
         """
-        for node in self.nodes or ():
-            node_index("AboveSurface.nodes", node, len(structure.nodes))
+        check_indices("AboveSurface.nodes", self.nodes or (), len(structure.nodes))
         if not self._chosen(structure):
             raise ValueError("AboveSurface.nodes names nodes that are pinned alone: leave it out")
 

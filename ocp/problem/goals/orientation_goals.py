@@ -20,6 +20,7 @@ from tenscasadi.util.validate import (
     Array,
     IndexOrName,
     as_tuple,
+    check_indices,
     finite_array,
     format_value,
     index_or_name,
@@ -182,8 +183,7 @@ class NodeTripleOrientation(Goal, kind="NodeTripleOrientation"):
         TypeError, ValueError
             If a node does not exist, or the nodes lie on a line.
         """
-        for node in self.nodes:
-            node_index("NodeTripleOrientation.nodes", node, len(structure.nodes))
+        check_indices("NodeTripleOrientation.nodes", self.nodes, len(structure.nodes))
         first, second = _edges(structure.nodes.T, self.nodes)
         size = np.linalg.norm(first) * np.linalg.norm(second)
         if np.linalg.norm(np.cross(first, second)) <= NEGLIGIBLE * size:

@@ -250,7 +250,7 @@ def test_what_sampling_does_not_do_is_refused():
             ocp.MultipleShooting(10),
             ocp.Sampling(),
         )
-    with pytest.raises(ValueError, match=r"Sampling\.groups is 9"):
+    with pytest.raises(ValueError, match=r"Sampling\.groups\[0\]\[1\] is 9"):
         ocp.solve(problem, solver=ocp.Sampling(groups=[(0, 9)]))
 
 

@@ -83,7 +83,7 @@ BAD = {
     "no such string": (
         lambda: ocp.SplineNoise(1.0, groups=[[7]]).directions(4),
         ValueError,
-        "SplineNoise.groups is 7: string indices run from 0 to 3",
+        r"SplineNoise.groups\[0\]\[0\] is 7: string indices run from 0 to 3",
     ),
     "other strings": (
         lambda: ocp.SplineNoise([1.0, 2.0]).directions(4),

@@ -101,7 +101,7 @@ def test_groups_share_their_force_density():
         ocp.solve(raising(), ocp.Variational(12)).objective, rel=1e-4
     )  # which is symmetric by itself
     with pytest.raises(
-        ValueError, match=r"PiecewiseConstant.groups is 9: string indices run from 0 to 8"
+        ValueError, match=r"PiecewiseConstant.groups\[0\]\[1\] is 9: string indices run from 0 to 8"
     ):
         ocp.solve(raising(), ocp.Variational(12, control=ocp.PiecewiseConstant(((0, 9),))))
 

@@ -291,7 +291,7 @@ def test_scene_files_hold_bars_of_grounds(kind, bars, tmp_path) -> None:
         ),
         (
             lambda: Scene(tc.shapes.pendulum(), ground=Ground(bars=[1])),
-            r"Ground\.bars is 1: bar indices run from 0 to 0",
+            r"Ground\.bars\[0\] is 1: bar indices run from 0 to 0",
         ),
         (lambda: terrain(bars=[0], bar_points=1), r"Terrain\.bar_points is 1"),
         (
@@ -300,14 +300,14 @@ def test_scene_files_hold_bars_of_grounds(kind, bars, tmp_path) -> None:
         ),
         (
             lambda: Scene(Structure([(0, 0, 0)], node_mass=1.0), ground=Ground(nodes=[1])),
-            r"Ground\.nodes is 1: node indices run from 0 to 0",
+            r"Ground\.nodes\[0\] is 1: node indices run from 0 to 0",
         ),
         (
             lambda: Scene(
                 Structure([(0, 0, 0)], node_mass=1.0),
                 ground=[terrain(nodes=[0]), terrain(nodes=[7])],
             ),
-            r"Terrain\.nodes is 7",
+            r"Terrain\.nodes\[0\] is 7",
         ),
         (
             lambda: Scene(Structure([(0, 0, 0)], node_mass=1.0), ground=[Ground(), "rock"]),

@@ -133,7 +133,7 @@ BAD = {
     "box without a node": (
         lambda: raised(ocp.AboveGround(-1.0, nodes=[7])),
         ValueError,
-        "InsideBox.nodes is 7",
+        r"InsideBox.nodes\[0\] is 7",
     ),
     "start below ground": (
         lambda: raised(ocp.AboveGround(0.5)),
@@ -195,7 +195,7 @@ BAD = {
     "obstacle of no bar": (
         lambda: raised(ocp.Obstacle((9, 0, 0), 1.0, bars=[5])),
         ValueError,
-        "Obstacle.bars is 5",
+        r"Obstacle.bars\[0\] is 5",
     ),
     "start in obstacle": (
         lambda: raised(ocp.Obstacle(prism(1.0).nodes[0], 0.1)),

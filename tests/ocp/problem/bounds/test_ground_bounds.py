@@ -76,7 +76,7 @@ def test_a_plan_stays_above_hills_that_are_in_its_way(transcription):
         (lambda: ocp.AboveSurface(SLOPE, nodes=3), "AboveSurface.nodes is 3: give a list"),
         (
             lambda: ocp.AboveSurface(SLOPE, nodes=[9]).check(PRISM),
-            "AboveSurface.nodes is 9: node indices run from 0 to 5",
+            "AboveSurface.nodes[0] is 9: node indices run from 0 to 5",
         ),
         (
             lambda: ocp.AboveSurface(SLOPE, nodes=[1]).check(PRISM.replace(pinned=[1])),
