@@ -261,7 +261,7 @@ def _check_limits(structure: Structure, bounds: tuple[Bound, ...], strength: Arr
             if kind is TensionLimits and upper[i] == strength[i]:
                 raise ValueError(
                     f"TensionLimits.lower is {lower[i]:g} for {kind.names_of(structure)[i]}: "
-                    f"Scene.strength leaves {upper[i]:g} N to plans, give a smaller one"
+                    f"Problem.strength leaves {upper[i]:g} N to plans, give a smaller one"
                 )
             raise ValueError(
                 f"Problem.bounds: {kind.__name__} leave {kind.names_of(structure)[i]} nothing, lower {lower[i]:g} and upper {upper[i]:g}: widen one"

@@ -82,7 +82,7 @@ def test_plans_found_in_reduced_coordinates_are_rejected_too():
 
 def test_limits_that_contradict_the_strength_are_rejected():
     with pytest.raises(
-        ValueError, match=r"TensionLimits\.lower is 11 .*Scene\.strength leaves 10\.925 N"
+        ValueError, match=r"TensionLimits\.lower is 11 .*Problem\.strength leaves 10\.925 N"
     ):
         problem(cross(FORCE), bounds=[ocp.TensionLimits(lower=11.0)])
 
