@@ -11,9 +11,9 @@ import scipy.sparse as sp
 from tenscasadi.schema.reading import Names
 from tenscasadi.structure.cables import density_basis
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, IndexOrName, Indices, as_tuple, real_array
+from tenscasadi.util.validate import Array, Indices, as_tuple, real_array
 
-Groups = Iterable[Sequence[IndexOrName]]  # members that share a value: strings first, then bars
+Groups = Iterable[Sequence[int | str]]  # members that share a value: strings first, then bars
 
 
 class ForceDensities(NamedTuple):

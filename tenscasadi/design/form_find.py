@@ -83,7 +83,7 @@ def form_find(
     lengths: Mapping[IndexOrName, float] | None = None,
     positions: Mapping[IndexOrName, Sequence[float | None]] | None = None,
     groups: Groups | None = None,
-    equal_tension: Iterable[Sequence[IndexOrName]] | None = None,
+    equal_tension: Iterable[Sequence[int | str]] | None = None,
     loads: ArrayLike | None = None,
 ) -> Form:
     """Find nodes and force densities in equilibrium.

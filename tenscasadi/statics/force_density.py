@@ -21,7 +21,6 @@ from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import (
     NEGLIGIBLE,
     Array,
-    IndexOrName,
     finite_array,
     instance,
     nonnegative,
@@ -48,7 +47,7 @@ def equilibrium_force_density(
     structure: Structure,
     loads: ArrayLike | None = None,
     minimum: ArrayLike = 1.0,
-    compression_strings: Iterable[IndexOrName] = (),
+    compression_strings: Iterable[int | str] = (),
 ) -> Array:
     """Compute the least string force densities in equilibrium with loads.
 

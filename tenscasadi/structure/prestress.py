@@ -22,7 +22,7 @@ from tenscasadi.util.validate import (
 
 
 def find_rest_lengths(
-    structure: Any, force_density: Any, compression_strings: Iterable[int]
+    structure: Any, force_density: Any, compression_strings: Iterable[int | str]
 ) -> dict[str, Array]:
     """Compute the rest lengths of strings and elastic bars.
 

@@ -170,12 +170,12 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
     def __init__(  # noqa: PLR0913  one keyword for each property
         self,
         nodes: ArrayLike,
-        bars: Iterable[Sequence[IndexOrName]] | Indices = (),
-        strings: Iterable[Sequence[IndexOrName]] | Indices = (),
+        bars: Iterable[Sequence[int | str]] | Indices = (),
+        strings: Iterable[Sequence[int | str]] | Indices = (),
         bar_mass: ArrayLike = 1.0,
         bar_radius: ArrayLike = 0.0,
         node_mass: ArrayLike = 0.0,
-        pinned: Iterable[IndexOrName] | Mapping[IndexOrName, str] = (),
+        pinned: Iterable[int | str] | Mapping[IndexOrName, str] = (),
         stiffness: ArrayLike = 100.0,
         damping: ArrayLike = 0.0,
         rest_length: ArrayLike | None = None,
@@ -184,7 +184,7 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         bar_stiffness: ArrayLike | None = None,
         bar_rest_length: ArrayLike | None = None,
         bodies: Iterable[RigidBody] = (),
-        cables: Iterable[Sequence[IndexOrName]] = (),
+        cables: Iterable[Sequence[int | str]] = (),
         cable_friction: ArrayLike = 0.0,
         node_names: Iterable[str] = (),
         string_names: Iterable[str] = (),
@@ -400,7 +400,7 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
 
     @rename_keywords(pushing="compression_strings")
     def prestressed(
-        self, force_density: ArrayLike, compression_strings: Iterable[IndexOrName] = ()
+        self, force_density: ArrayLike, compression_strings: Iterable[int | str] = ()
     ) -> Structure:
         """Copy the structure with rest lengths for given force densities.
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
-IndexOrName = Any  # of an item; values in a scene or problem have indices
+IndexOrName = Any  # int or str in fields, which hold indices in a scene, and in invariant keys
 
 LARGEST = 1e100  # largest input in size: its square does not overflow
 SMALLEST = 1 / LARGEST  # smallest positive input: a division by it does not overflow
