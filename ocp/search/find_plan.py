@@ -95,9 +95,9 @@ def _prepare(
     tolerance: float | None,
     monitor: Monitor,
 ) -> PlanningTask:
-    """Prepare the task of a search; it has no target if the search has to stop before.
+    """Prepare the task of a search.
 
-    Raises InfeasibleGoalError.
+    It has no target if the search has to stop before. Raises InfeasibleGoalError.
     """
     scales, near = Scales.of(problem), _interpolate_guess(problem, guess)
     limit = RELIABLE * scales.length if tolerance is None else tolerance

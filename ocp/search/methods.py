@@ -51,7 +51,7 @@ def run_attempt(task: PlanningTask, attempt: Attempt) -> tuple[Outcome, Target |
     problem, target, monitor = task.problem, task.target, task.monitor
     transcription, solver, guess, *_ = attempt
     if isinstance(guess, Attempt):
-        raise TypeError("an initial guess is planned before")
+        raise TypeError("an attempt as initial guess needs plan_guess first")
     monitor.phase = attempt.describe()
     if target is None:
         if not problem.phases:  # the search stopped before it found a target

@@ -149,7 +149,10 @@ class TableOf(FieldType):
 def _resolve_values(
     field: str, value: Any, choose: Callable[[Any], FieldType], names: Names
 ) -> Any:
-    """Replace the names in the values of a mapping; `choose` finds the type of a key's value."""
+    """Replace the names in the values of a mapping.
+
+    `choose` finds the type of the value of a key.
+    """
     if not isinstance(value, Mapping):
         return value
     found = {

@@ -192,9 +192,9 @@ class Names:
         return found
 
     def expand(self, field: str, which: ItemKind, word: Any) -> list[Any]:
-        """List the indices of the name of an item or group, or a value that is no name.
+        """List the indices of the name of an item or group.
 
-        Raises ValueError.
+        A value that is no name is listed unchanged. Raises ValueError.
         """
         if not isinstance(word, str):
             return [word]
