@@ -185,7 +185,8 @@ def load_path(
         for name, value in (("control", control), ("parameters", parameters)):
             if value is not None:
                 raise ValueError(
-                    f"{name} is {format_value(value)}: load paths of cables with friction take a load only"
+                    f"{name} is {format_value(value)}: load paths of cables with friction take a load only; "
+                    "give load, or Structure.replace(cable_friction=0.0)"
                 )
         return _collect_sliding(bare, *follow_sliding(bare, load, (low, high), start))
     nodes, given = read_problem(scene, start, None, None)

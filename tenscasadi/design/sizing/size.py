@@ -26,6 +26,7 @@ from tenscasadi.scene.loads import Gravity
 from tenscasadi.structure.cables import reject_cable_friction
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import (
+    MAX_ITERATIONS,
     NEGLIGIBLE,
     TOLERANCE,
     Array,
@@ -150,7 +151,7 @@ def _stabilize(
     elastic = structure.replace(bar_stiffness=1.0)  # any: areas give the stiffness
     search = StableSizing(program, TangentStiffness(elastic), given)
     start, lightest = sections.needed(design.best.force), 0.0
-    while True:
+    for _ in range(MAX_ITERATIONS):
         found = search.search(start)
         if found.message:
             return report_failure(structure, cases, found.message)
@@ -161,9 +162,10 @@ def _stabilize(
         if least >= 1.0 - TOLERANCE:
             return sized
         if least == 0.0 or sized.mass <= lightest:  # more sections do not help
-            reason = f"a load case buckles at {least:.6g} times its load: give a minimum area"
-            return replace(sized, success=False, message=reason)
+            break
         search.factor, start, lightest = search.factor / least, found.area, sized.mass
+    reason = f"a load case buckles at {least:.6g} times its load: give a minimum area"
+    return replace(sized, success=False, message=reason)
 
 
 def _gap(mass: float, bound: float) -> float:
