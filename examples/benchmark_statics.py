@@ -77,7 +77,7 @@ def tasks(quick: bool) -> Iterator[Task]:
         for cells in (8,) if quick else (10, 40):
             yield from net_tasks(cells)
     with contextlib.suppress(ImportError):
-        for stages in (2,) if quick else (3, 10):
+        for stages in (2,) if quick else (3, 10, 14, 20):
             yield self_stress_task(stages)
     yield sizing_task(4 if quick else 16)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -20,7 +20,7 @@ from tenscasadi.design.prestress_goals import (
     PrestressProgram,
     Stiffest,
 )
-from tenscasadi.design.tangent_stiffness import TangentStiffness
+from tenscasadi.design.tangent_stiffness import TangentStiffness, tangent_stiffness
 from tenscasadi.statics.self_stress import self_stress
 from tenscasadi.structure.body_assembly import is_separate
 from tenscasadi.structure.cables import reject_cable_friction
@@ -72,10 +72,18 @@ class PrestressDesign(ReadOnlyArrays):
     tension: Array
     bar_force: Array
     force_density: Array
-    least_stiffness: float
     original: Structure
     success: bool
     message: str
+    _density: Array = field(repr=False)  # (μ,), of all members, also the bars of bodies
+
+    @cached_property
+    def least_stiffness(self) -> float:
+        """Least eigenvalue of the tangent stiffness [N/m]; 0 without prestress."""
+        if not self.success and not self.force_density.any():
+            return 0.0
+        values = tangent_stiffness(self.original).softest(self._density, 1)[0]
+        return float(values.min(initial=np.inf))
 
     @cached_property
     def structure(self) -> Structure:
@@ -150,7 +158,7 @@ def find_prestress(
         raise ValueError(
             f"minimum is 0: {type(goal).__name__} needs a minimum above 0 N, which fixes the scale"
         )
-    search = _PrestressSearch(TangentStiffness(structure), groups, least, most, cases)
+    search = _PrestressSearch(tangent_stiffness(structure), groups, least, most, cases)
     return search.run(goal)
 
 
@@ -254,14 +262,18 @@ class _PrestressSearch:
                 relaxation = float(np.clip(relaxation, 0.1, 1.0))
             assumed, last = assumed + relaxation * error, error
             found = goal.solve(self.program(np.hstack([assumed, margin]), self.least))
-            if found.status != "solved":
+            if found.status in ("infeasible", "unbounded"):
                 return self.fail(self.explain(found.status))
+            if found.status != "solved":
+                break
             q = self.basis @ found.x
         least = float(self.tangent.softest(q, 1)[0].min(initial=np.inf))
         if least <= 0.0:
             return self.fail(
                 f"the load cases need a prestress that is unstable, the least stiffness is {least:.3g} N/m: reduce the loads, or add members"
             )
+        if found.status != "solved":
+            return self.fail(self.explain(found.status))
         return self.fail("prestress and response to the loads do not settle: reduce the loads")
 
     def program(self, response: Array, least: Array) -> PrestressProgram:
@@ -296,7 +308,7 @@ class _PrestressSearch:
         """Build an unsuccessful result without prestress."""
         structure = self.tangent.structure
         strings, bars = np.zeros(len(structure.strings)), np.zeros(len(structure.bars))
-        return PrestressDesign(strings, bars, strings, 0.0, structure, False, message)
+        return PrestressDesign(strings, bars, strings, structure, False, message, np.zeros(0))
 
     def report(self, q: Array, gap: float = 0.0) -> PrestressDesign:
         """Build the result for force densities q (α + β,), with their distance from the optimum."""
@@ -312,20 +324,20 @@ class _PrestressSearch:
                     "the structure has no self-stress: add members or change the nodes"
                 )
             q, forces = np.zeros_like(q), np.zeros_like(q)
-        values = self.tangent.softest(q, 1)[0]
-        softest = float(values[0]) if len(values) else np.inf
-        stable = softest > 0.0
         message = "within all limits"
         if gap > TOLERANCE:
             message += f", the least stiffness is within {gap:.1g} of the largest, relative to it"
-        if not stable:
-            reason = f"unstable within the limits, the least stiffness is {softest:.3g} N/m"
-            if is_separate(structure):
-                reason = "no member connects one part of the structure with the others"
-            message = f"{reason}: add members or supports"
-        return PrestressDesign(
-            forces[:strings], forces[strings:], q[:strings], softest, structure, stable, message
+        found = PrestressDesign(
+            forces[:strings], forces[strings:], q[:strings], structure, True, message, q
         )
+        if self.tangent.has_stiff_motions(q) or found.least_stiffness > 0.0:
+            return found
+        reason = (
+            f"unstable within the limits, the least stiffness is {found.least_stiffness:.3g} N/m"
+        )
+        if is_separate(structure):
+            reason = "no member connects one part of the structure with the others"
+        return replace(found, success=False, message=f"{reason}: add members or supports")
 
 
 def read_load_cases(load_cases: Any, structure: Structure) -> Array:

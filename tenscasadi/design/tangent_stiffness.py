@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.linalg import qr
 
 from tenscasadi.statics.self_stress import rigid_body_motions
 from tenscasadi.statics.solver.constrained_eigenproblem import SaddlePoint
 from tenscasadi.statics.solver.motions import softest_motions
+from tenscasadi.statics.solver.sparse_pattern import MatrixEntries, SparsePattern
 from tenscasadi.structure.cables import add_compliances, find_units
 from tenscasadi.structure.equilibrium_matrix import body_pairs, free_directions, member_pairs
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array
+from tenscasadi.util.immutable import keep
+from tenscasadi.util.validate import ROUNDING, Array, Indices
 
 SOFTEST = 12  # softest motions added to a program at once
 
@@ -101,13 +105,15 @@ class TangentStiffness:
         k = self.stiffness if stiffness is None else stiffness
         k = np.where(self.stiffness > 0.0, k, 0.0)
         along = np.where(self.stiffness > 0.0, 1.0, 0.0)[self.unit] * q
-        blocks = q[:, None, None] * np.eye(3) - along[:, None, None] * (
-            self.directions[:, :, None] * self.directions[:, None, :]
-        )
-        members = sp.bsr_array((blocks, np.arange(len(q)), np.arange(len(q) + 1)))
-        geometric = self.relative.T @ sp.csr_array(members) @ self.relative
-        material = self.springs.T @ sp.csr_array(self.springs.multiply(k[:, None]))
-        return sp.csc_array(material + geometric)
+        return self._pattern.fill(np.concatenate([np.repeat(q, 3), -along, k]))
+
+    @cached_property
+    def _pattern(self) -> SparsePattern:
+        """Pattern of K, from a weight of each relative displacement and elongation."""
+        rows = sp.csr_array(sp.vstack([self.relative, self.elongation, self.springs]))
+        each = np.arange(rows.shape[0])
+        squares = MatrixEntries(each, each, each, np.ones(len(each))).project(rows)
+        return SparsePattern(squares, (rows.shape[1], rows.shape[1]), len(each))
 
     def reduce(self, motions: Array) -> tuple[Array, Array]:
         """Project the stiffness of units and members onto motions.
@@ -138,6 +144,26 @@ class TangentStiffness:
         """
         return softest_motions(self.at(q, stiffness), self.J, self.rigid_body, count)
 
+    def has_stiff_motions(self, q: Array) -> bool:
+        """Return whether all motions that keep rigid bars are stiff, by the inertia of K.
+
+        Rigid-body motions are left out: a few fixed coordinates exclude them. False can also mean
+        that rounding hides a stiffness.
+        """
+        K, J = self.at(q)[self._others][:, self._others], self.J[:, self._others]
+        if not K.nnz:
+            return not K.shape[0]
+        shift = sp.diags_array(np.full(K.shape[0], ROUNDING * float(abs(K.data).max())))
+        with suppress(np.linalg.LinAlgError):
+            return SaddlePoint(K - shift, J).count_negative() == 0
+        return False
+
+    @cached_property
+    def _others(self) -> Indices:
+        """Free coordinates without the fewest that exclude rigid-body motions."""
+        order = qr(self.rigid_body.T, mode="r", pivoting=True)[1]
+        return np.sort(order[self.rigid_body.shape[1] :])
+
     @cached_property
     def freedom(self) -> int:
         """Number of independent motions that keep rigid bars.
@@ -161,6 +187,11 @@ class TangentStiffness:
         change = self.stiffness[:, None] * (self.springs @ motion)
         change[self._rigid] = pull[: len(self._rigid)]
         return np.asarray(change[self.unit])
+
+
+def tangent_stiffness(structure: Structure) -> TangentStiffness:
+    """Return the tangent stiffness of a structure."""
+    return keep(structure, "tangent_stiffness", lambda: TangentStiffness(structure))
 
 
 def extend_basis(basis: Array, more: Array) -> Array:

@@ -87,11 +87,12 @@ class Names:
 
     def add_inputs(self, cable_of: Indices) -> Names:
         """Add the inputs, of cables and lone strings, by the names of their strings."""
+        inputs = cable_of.tolist()
         own = {
-            name: sorted({*cable_of[strings].tolist()})
+            name: sorted({inputs[string] for string in strings})
             for name, strings in self.named["string"].items()
         }
-        count = int(cable_of.max(initial=-1)) + 1
+        count = max(inputs, default=-1) + 1
         return Names({**self.counts, "input": count}, {**self.named, "input": own})
 
     def find(self, which: ItemKind, word: Any) -> list[int]:

@@ -33,7 +33,7 @@ from tenscasadi.structure.prestress import find_rest_lengths
 from tenscasadi.structure.properties import read_properties
 from tenscasadi.structure.rigid_body import RigidBody, move_bodies, read_bodies
 from tenscasadi.structure.subdivision import average_segments, divide_strings
-from tenscasadi.util.immutable import ReadOnlyArrays, read_only
+from tenscasadi.util.immutable import ReadOnlyArrays, keep, read_only
 from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import (
@@ -313,7 +313,7 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
     @property
     def names(self) -> Names:
         """Indices by name of nodes, strings, bars and inputs."""
-        return names_of(self).add_inputs(self.cable_of)
+        return keep(self, "names", lambda: names_of(self).add_inputs(self.cable_of))
 
     def mass_matrix(self) -> csr_array:
         """Compute the mass matrix on physical nodes (Eq. 59).

@@ -12,6 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import ArpackError, LinearOperator, eigsh, splu
 
+from tenscasadi.statics.solver.sparse_pattern import join_blocks
 from tenscasadi.util.validate import Array
 
 
@@ -24,24 +25,23 @@ class SaddlePoint:
 
     def __init__(self, A: Any, J: Any) -> None:
         self.size, self.rows = int(A.shape[0]), int(J.shape[0])
-        block = float(abs(A).max()) or 1.0
+        block = float(np.abs(A.data).max(initial=0.0)) or 1.0
         norm = np.sqrt(J.multiply(J).sum(axis=1))
-        self.scale = np.concatenate(
-            [np.full(self.size, block**-0.5), block**0.5 / np.where(norm > 0.0, norm, 1.0)]
-        )
-        D = sp.diags_array(self.scale)
-        self.exact = sp.csc_array(D @ sp.block_array([[A, J.T], [J, None]]) @ D)
-        unit = self.exact[self.size :, : self.size]
+        norm = np.where(norm > 0.0, norm, 1.0)
+        self.scale = np.concatenate([np.full(self.size, block**-0.5), block**0.5 / norm])
+        unit = sp.csr_array(J.multiply(1.0 / norm[:, None]))
+        saddle = [(0, 0, A * (1.0 / block)), (self.size, 0, unit), (0, self.size, unit.T)]
+        self.exact = join_blocks(saddle, len(self.scale))
         # A + ρ JᵀJ is equivalent for J v = 0, and has larger pivots because it is closer to definite
         self.added = sp.csc_array(10.0 * unit.T)
-        upper = self.exact[: self.size, : self.size] + self.added @ unit
         # a compliance of constraints allows redundant rows, and the refinement removes it
         slack = sp.diags_array(np.full(self.rows, -1e-8))
+        added = [(0, 0, self.added @ unit), (self.size, self.size, slack)]
         # diagonal pivots keep the symmetry, so that they have the signs of the eigenvalues
         options = {"SymmetricMode": True}
         try:
             self.factors = splu(
-                sp.csc_array(sp.block_array([[upper, unit.T], [unit, slack]])),
+                join_blocks([*saddle, *added], len(self.scale)),
                 "MMD_AT_PLUS_A",
                 0.0,
                 options=options,
