@@ -36,8 +36,8 @@ def export_acados(mpc: Mpc, folder: str | Path) -> list[Path]:
     Raises
     ------
     TypeError, ValueError
-        If `mpc` is not an `Mpc`, or has limits of rates or of forces at the end of the horizon,
-        which acados' problems do not have.
+        If `mpc` is not an `Mpc`, or has rate limits or limits of forces at the end of the horizon,
+        which acados does not support.
     OSError
         If a file cannot be written.
 

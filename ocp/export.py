@@ -147,10 +147,10 @@ def export_mpc(mpc: Mpc, folder: str | Path) -> list[Path]:
 
     Notes
     -----
-    The function is `decide` (time, state, before) → after. `Mpc.function` describes it and the
-    fourth input that some controllers have. before and after are α × intervals numbers, interval by
-    interval. Apply the first α of `after`. mpc.h has the sizes, the sampling period, and
-    `MPC_FIRST`, the first `before`.
+    The C function is `decide` (time, state, before) → after, see `Mpc.function`; with rate limits
+    it has a fourth input. `before` is the result of the previous call, or `MPC_FIRST` in the first
+    one. It contains α × intervals numbers, interval by interval. Apply the first α numbers of
+    `after`. mpc.h has the sizes, the sampling period, and `MPC_FIRST`.
 
     Examples
     --------

@@ -54,16 +54,17 @@ def solve(
         also provides initial duals (see `Ipopt`).
         `Sampling` searches if the guess leads to no plan. Default: `InverseDynamics()`.
     tolerance : float, optional
-        Largest distance of the replay from the goals [m]; velocities: m per duration. Default: 1 %
-        of the structure's size.
+        Largest permitted residual of the goals in the replay [m]; that of velocities is multiplied
+        by the duration. Default: 1 % of the structure's size.
     time_limit : float, optional
-        Wall time of building, solving and replaying [s]. After it, as after Ctrl-C, the plan is the
-        best so far. A step that cannot be interrupted, such as a large factorization, is then
-        abandoned in its thread, for which Python waits at exit. By default there is no limit.
+        Limit of the wall time of building, solving and replaying [s]. After it, as after Ctrl-C,
+        the plan is the best so far. A step that cannot be interrupted, such as a large
+        factorization, continues in its thread, and Python waits for it at exit. By default there is
+        no limit.
     n_starts : int
-        Number of initial guesses with different seeds (see `InverseDynamics`; with `Sampling` its
-        own). The plan is the best of all; `Plan.start_objectives` holds all objectives. The default
-        is 1, as second starts rarely find a better plan.
+        Number of initial guesses with different seeds, of `InverseDynamics` or `Sampling`. The best
+        plan is returned; `Plan.start_objectives` holds all objectives. The default is 1, because
+        second starts rarely find a better plan.
     executor : concurrent.futures.Executor, optional
         Executor that solves the starts in parallel, such as a ``ProcessPoolExecutor``. Default: one
         after the other.
@@ -72,11 +73,11 @@ def solve(
         open-loop replay decides, unless it fails because errors grow along the motion.
     parameters : array_like, shape (np,), or mapping of str to array_like, optional
         Values of the parameters of the problem's model, see `Problem.with_parameters`. Default:
-        those of the problem. They are constants of the plan. New values need no new code, except
-        for `Sampling`.
+        those of the problem. They are constants of the plan. Other values need no new compilation,
+        except for `Sampling`.
     progress : bool or callable, optional
         Whether a line on standard error shows the progress of a plan that takes longer than two
-        seconds. Default: if standard error is a terminal. A function of a `Progress` is called
+        seconds. Default: only if standard error is a terminal. A function of a `Progress` is called
         after each iteration of every method, except for starts in an executor, and stops the search
         if it returns False. `tenscasadi.plots.Convergence` draws a chart, also live in a notebook.
 
@@ -96,7 +97,7 @@ def solve(
     Warns
     -----
     TargetNotFoundWarning
-        No state was found that meets the goals; the solver tries nevertheless.
+        No state that meets the goals was found. The solver tries to meet them nevertheless.
 
     See Also
     --------
@@ -104,19 +105,20 @@ def solve(
 
     Notes
     -----
-    By default method and number of intervals are selected. The mesh has three intervals for each
-    radian of the fastest vibration, at least 30. If nodes may touch a ground, `Sampling` comes
-    first. Plans of rest lengths are found in force densities, whose motions elastic vibrations do
-    not limit, and converted; if that fails, they are found like other plans. Otherwise
-    `Variational` is corrected to a third of the tolerance, and solved by `Ipopt`, or from six bars
-    on by `CondensedNewton`. If its replay is too inexact, a mesh twice as fine follows; if the
-    solver fails, `MultipleShooting`. The message says which method was chosen.
+    By default, the method and the number of intervals are selected automatically. The mesh has
+    three intervals for each radian of the fastest vibration, at least 30. If nodes may touch a
+    ground, `Sampling` is tried first. For rest-length control, a plan of force densities is found
+    and converted, because elastic vibrations then do not limit the mesh; if that fails, rest
+    lengths are planned directly. Otherwise the transcription is `Variational`, with deferred
+    correction to a third of the tolerance, and the solver `Ipopt`, or from six bars on
+    `CondensedNewton`. If the replay is too inaccurate, a mesh twice as fine follows; if the solver
+    fails, `MultipleShooting`. The message names the selected method.
 
-    A plan is a success if its replay meets goals, waypoints and limits of the end within the
-    tolerance, and if it keeps the other limits at mesh points. Nothing else is judged.
+    `Plan.success` is True if the replay satisfies goals, waypoints and terminal limits within the
+    tolerance, and if the plan satisfies all other limits at the mesh points.
 
-    Problems in full coordinates are planned in reduced ones, as motions do not depend on them. The
-    plan and its replay are those of the given model.
+    Problems in full coordinates are planned in reduced coordinates, because the motion is the same.
+    The plan and its replay are those of the given model.
 
     Examples
     --------

@@ -68,9 +68,9 @@ class Tracker(ReadOnlyArrays):
     """Time-varying LQR about a plan, made by `track`.
 
     It is a controller for `run` with the law u = u_plan − G (x − x_plan), within limits. After a
-    plan that ends at rest it holds that state. The control is then that of the least forces of
-    strings in equilibrium, with the gains of a stationary regulator. If there is none, `message`
-    gives the reason, and the last gain holds the last state.
+    plan that ends at rest it holds that state. The control then consists of the smallest string
+    forces in equilibrium and the feedback of a stationary LQR. If there is none, `message` gives
+    the reason, and the last gain holds the last state.
 
     Attributes
     ----------
@@ -191,12 +191,14 @@ def track(
     decisions : int, optional
         Number of decisions, at equal times. Default: one per interval of the plan.
     position_scale : float, optional
-        Departure of a coordinate that costs as much as `control_scale` [m]; of velocities, 10 of it
-        in the duration. Default: 1 % of the structure's size.
+        Deviation of a coordinate [m] that costs as much as a control deviation of `control_scale`.
+        The scale of velocities is 10 · position_scale/duration. Default: 1 % of the structure's
+        size.
     control_scale : float, optional
-        Departure of a force density [N/m], or of another control in its unit. Default: a tenth of
-        the plan's mean force density, or the change of tensions or rest lengths that causes it. Of
-        rest-length rates, the departure of velocities; of torques, those that hold the mean tension.
+        Control deviation, of force densities [N/m] or of another control in its unit. Default: a
+        tenth of the plan's mean force density, or the change of tensions or rest lengths that
+        causes it. For rest-length rates, it is the scale of velocities; for torques, the torques of
+        the mean tension.
     lower, upper : array_like, scalar or shape (nu,), optional
         Limits of the control, such as force densities [N/m] as in `ForceDensityLimits`. Default:
         those of the plan's problem; if it is unknown, 0 (rates and torques: −infinity) and
@@ -210,7 +212,8 @@ def track(
     Raises
     ------
     TypeError, ValueError
-        If a value has another type or is out of bounds, or the motion diverges in so few decisions.
+        If a value has another type or is out of bounds, or the deviations grow too fast for the
+        number of decisions.
 
     Notes
     -----

@@ -46,9 +46,9 @@ from tenscasadi.util.validate import (
 class Mpc:
     """Model predictive control that tracks a plan or holds goals.
 
-    It is a controller for `run`. From the measured state it predicts the motion under its last
-    decision, shifted. A quadratic program improves the controls, and those of the first period
-    are applied.
+    It is a controller for `run`. At each decision, it predicts the motion from the measured state
+    under the previous controls, shifted by a period. A quadratic program improves the controls, and
+    those of the first period are applied.
 
     Parameters
     ----------
@@ -61,21 +61,21 @@ class Mpc:
     intervals : int
         Prediction horizon in periods.
     plan : Plan, optional
-        Plan to track, and to hold at its end. Default: the state of the goals, under the control
-        that holds it best. Problems with `Waypoint`, `Periodic` or `FreeStart` need a
+        Plan to track, and to hold at its end. Default: the target state of the goals, with the
+        control that balances it best. Problems with `Waypoint`, `Periodic` or `FreeStart` need a
         plan.
     iterations : int
         Quadratic programs for each decision. 1 is the real-time iteration [1]_.
     substeps : int
         Number of steps of `RungeKutta4` in each period.
     position_scale : float, optional
-        Departure of a coordinate that costs as much as `control_scale` [m]; of velocities, 10 of it
-        in the duration. For free structures, departures are those of distances between nodes.
-        Default: 1 % of the structure's size.
+        Deviation of a coordinate [m] that costs as much as a control deviation of `control_scale`.
+        The scale of velocities is 10 · position_scale/duration. For free structures, deviations are
+        those of distances between nodes. Default: 1 % of the structure's size.
     control_scale : float, optional
-        Departure of a force density [N/m], or of another control in its unit. Default: the mean
-        force density of the plan or of the goals, or the change of tensions, rest lengths or torques
-        that causes it; of rest-length rates, the departure of velocities.
+        Control deviation, of force densities [N/m] or of another control in its unit. Default: the
+        mean force density of the plan or of the goals, or the change of tensions, rest lengths or
+        torques that causes it. For rest-length rates, it is the scale of velocities.
 
     Raises
     ------
@@ -87,9 +87,9 @@ class Mpc:
     Notes
     -----
     The quadratic program is condensed. Its unknowns are the changes of the control, and the states
-    follow by the exact derivatives of the steps, so that bars, joints and momenta need no
-    rows. DAQP solves it. Rate limits, such as `RestLengthRateLimits`, also hold from the last
-    decision to the new one.
+    follow by the exact derivatives of the steps, so bars, joints and momenta need no constraints.
+    DAQP solves it. Rate limits, such as `RestLengthRateLimits`, also hold from the last decision to
+    the new one.
 
     References
     ----------
@@ -220,7 +220,7 @@ class Mpc:
     def function(self) -> ca.Function:
         """Build the decision as one CasADi Function, for C code.
 
-        An interior-point method takes the place of DAQP.
+        An interior-point method replaces DAQP.
 
         Returns
         -------

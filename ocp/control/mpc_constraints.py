@@ -19,7 +19,7 @@ NO_LIMIT = 1 / TOLERANCE  # scaled distance that stands for no limit
 class Horizon(NamedTuple):
     """Predicted motion over K intervals, and its derivatives.
 
-    The derivatives are those by the changes ΔU (K nu) of all controls.
+    The derivatives are with respect to the changes ΔU (K nu) of all controls.
 
     Attributes
     ----------

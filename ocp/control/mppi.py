@@ -51,30 +51,31 @@ Asked: TypeAlias = Cost | ca.Function | Callable[[Instant], Any]
 class Mppi:
     """Model predictive path integral control (MPPI) by sampled motions.
 
-    It is a controller for `run` that works through contact and friction, where gradients mislead.
-    At each decision, many motions are simulated from the measured state. Their controls are
-    the last decision, shifted, with smooth noise. The new decision is their mean, weighted by the
-    costs, and its first period is applied.
+    It is a controller for `run`, also for contact and friction, where gradients are of little use.
+    At each decision, many motions are simulated from the measured state. Their controls are the
+    previous ones, shifted by a period, with smooth noise. The new controls are their mean, weighted
+    by the costs, and those of the first period are applied.
 
     Parameters
     ----------
     problem : Problem, Cost, casadi.Function, callable, or a list of the last three
         Optimal control problem, or costs per second: CasADi Functions (x, u) or (x, u, t), or
         functions of an `Instant`. Costs of a problem are integrated over the horizon, and goals are
-        terminal costs. Limits of the control are kept, and violations of other limits at the
-        end of a period are penalized. The duration is only a scale. Without a problem, force
+        terminal costs. Limits of the control are kept, and violations of other limits at the end of
+        a period are penalized. The duration only scales velocities. Without a problem, force
         densities have the lower limit 0.
     period : float
         Sampling period [s].
     horizon : float
         Prediction horizon [s], rounded up to whole periods.
     samples : int
-        Motions in each iteration. 8 are simulated at once if the processor can.
+        Motions in each iteration. Up to 8 are simulated at once in SIMD lanes.
     noise : SplineNoise, float or array_like of shape (nu,), optional
         Noise of the control, or its standard deviation, such as [N/m]. Default: a tenth of the
         distance between the limits of the control.
     initial : float or array_like of shape (nu,), optional
-        Initial control, such as force densities [N/m]. Default: that which holds the start best.
+        Initial control, such as force densities [N/m]. Default: the control that balances the
+        initial state best.
     temperature : float
         Temperature λ of the weights, in units of the difference between the median and the least
         cost. Towards 0, only the best motion counts.
@@ -83,8 +84,8 @@ class Mppi:
     steps : int
         Number of steps of `RungeKutta4` in each period.
     position_scale : float, optional
-        Distance from a goal that costs 1 [m]; of velocities, 10 of it in the duration. Default: 1 %
-        of the structure's size.
+        Distance from a goal [m] that costs 1. The scale of velocities is 10 ·
+        position_scale/duration. Default: 1 % of the structure's size.
     seed : int
         Seed of the noise.
     model : Model, optional
@@ -93,14 +94,14 @@ class Mppi:
     Attributes
     ----------
     effective_samples : float
-        Effective number 1/Σw² of motions in the last decision. 0 if all diverged; the decision
-        before is then kept.
+        Effective number 1/Σw² of motions in the last decision. 0 if all diverged; the previous
+        decision is then kept.
 
     Raises
     ------
     TypeError, ValueError
-        If a value has another type or is out of bounds, or the problem asks for a motion of a given
-        duration (`Waypoint`, `FreeStart`).
+        If a value has another type or is out of bounds, or the problem has a `Waypoint` or
+        `FreeStart`.
 
     See Also
     --------
@@ -109,10 +110,10 @@ class Mppi:
     Notes
     -----
     The weights of samples with costs S are w ∝ exp(−(S − min S)/λ) [1]_. The noise is about the
-    last decision, for which the term of importance sampling vanishes. It consists of splines
-    through random knots, of many sizes; one sample has none. Costs are integrated by the rectangle
-    rule at the ends of the periods. Motions do not count if they diverge, or if the length of a bar
-    is off by more than 10 % at the end of a period.
+    previous controls, so the importance-sampling term is zero. It consists of splines through
+    random knots, of several sizes; one sample has no noise. Costs are integrated by the rectangle
+    rule at the ends of the periods. Motions have no weight if they diverge, or if the relative
+    error of a bar length exceeds 10 % at the end of a period.
 
     References
     ----------

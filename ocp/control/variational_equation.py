@@ -1,4 +1,4 @@
-"""Variational equation of a model: derivatives of motions by the controls."""
+"""Variational equation: derivatives of motions with respect to controls."""
 
 from __future__ import annotations
 

@@ -150,7 +150,7 @@ class InverseDynamics(NamedGuess, kind="InverseDynamics"):
 class EquilibriumGuess(NamedGuess, kind="EquilibriumGuess", earlier="Equilibrium"):
     """Initial guess that is constant in time.
 
-    Every state is the start. The controls balance it as nearly as their limits allow.
+    All states equal the initial state. The controls balance it as well as their limits permit.
 
     Examples
     --------

@@ -51,10 +51,10 @@ class MpcOptions(ControllerOptions, kind="Mpc"):
     substeps : int
         Number of steps of RungeKutta4 in each period.
     position_scale : float
-        Departure of a coordinate that costs as much as `control_scale` [m]. Default: 1 % of the
-        structure's size.
+        Deviation of a coordinate [m] that costs as much as a control deviation of `control_scale`.
+        Default: 1 % of the structure's size.
     control_scale : float
-        Departure of a force density [N/m]. Default: the mean of the plan or of the goals.
+        Deviation of a force density [N/m]. Default: the mean of the plan or of the goals.
     """
 
     period: float = 0.05
@@ -136,10 +136,10 @@ class TrackOptions(ControllerOptions, kind="Track"):
     decisions : int
         Number of decisions, at equal times. Default: one per interval of the plan.
     position_scale : float
-        Departure of a coordinate that costs as much as `control_scale` [m]. Default: 1 % of the
-        structure's size.
+        Deviation of a coordinate [m] that costs as much as a control deviation of `control_scale`.
+        Default: 1 % of the structure's size.
     control_scale : float
-        Departure of a force density [N/m]. Default: a tenth of the plan's mean.
+        Deviation of a force density [N/m]. Default: a tenth of the plan's mean.
     """
 
     decisions: int | None = None

@@ -38,7 +38,8 @@ class Refinement:
     Parameters
     ----------
     tolerance : float
-        Permitted distance of the replay from the goals [m], also for velocities × duration.
+        Largest permitted residual of the goals in the replay [m]; that of velocities is multiplied
+        by the duration.
     attempts : int
         Maximum number of attempts.
     """

@@ -48,7 +48,7 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
     status : str
         Return status of the solver.
     message : str
-        Imposed rows and the result. After a failure, its cause and a cure.
+        Number of terminal constraints and the result; after a failure, its cause and a cure.
     objective : float
         Sum of the costs.
     iterations : int
@@ -63,13 +63,13 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
     trajectory : Trajectory
         Planned motion at the mesh points.
     replay_error : float
-        Distance of the replay from the goals and from states within the terminal limits [m]; NaN if
-        the replay diverges.
+        Largest residual of position goals and violation of terminal limits in the replay [m]; NaN
+        if the replay diverges.
     replay_speed_error : float
         Residual of velocity goals in the replay [m/s]; NaN if the replay diverges.
     open_loop_error : float
-        Larger error of the open-loop replay [m]: of positions, or velocities × duration. It is inf
-        if the replay diverges.
+        Error of the open-loop replay [m]: the larger one of the position error and the velocity
+        error × duration. It is inf if the replay diverges.
     tracked : bool
         Whether `replay_error` and `success` are those of the replay under `track`. By default they
         are those of the open-loop replay.
@@ -209,7 +209,7 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
     def report(self) -> Report:
         """List active limits with their duals, and violated limits.
 
-        Violations are those of the plan, and those of its open-loop replay.
+        The report includes violations of the plan and of its open-loop replay.
 
         Returns
         -------
@@ -242,12 +242,14 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
 
         Each attempt solves on a finer mesh, starting from the last plan. If finer meshes are not
         sufficient, deferred correction follows, as with `accuracy` of a transcription. Refinement
-        ends when the error is within the tolerance or rounding, or a finer mesh no longer halves it.
+        ends if the error is within the tolerance or at the level of rounding, or if a finer mesh no
+        longer halves it.
 
         Parameters
         ----------
         tolerance : float
-            Permitted distance of the replay from the goals [m], also for velocities × duration.
+            Largest permitted residual of the goals in the replay [m]; that of velocities is
+            multiplied by the duration.
         attempts : int
             Maximum number of attempts.
         time_limit : float, optional
@@ -259,8 +261,8 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
         Returns
         -------
         Plan
-            The best plan. Its message reports if it misses the tolerance. A plan that is no optimum
-            is returned unchanged.
+            The best plan. Its message reports if it misses the tolerance. A plan of a search that
+            did not converge is returned unchanged.
 
         Raises
         ------
@@ -309,8 +311,8 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
             Whether to replay under the feedback of `track`. Under rest-length control, its force
             densities are converted to rest lengths at the planned string lengths.
         tolerance : float, optional
-            Permitted distance of a replay from the goals [m], also for velocities × duration.
-            Default: 1 % of the structure's size.
+            Largest permitted residual of the goals in a replay [m]; that of velocities is
+            multiplied by the duration. Default: 1 % of the structure's size.
         progress : bool
             Whether to show a progress bar.
 

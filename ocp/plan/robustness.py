@@ -42,7 +42,8 @@ class Robustness(ReadOnlyArrays):
     duration : float
         Duration of the plan [s].
     tolerance : float
-        Permitted distance of a replay from the goals [m], also for velocities × duration.
+        Largest permitted residual of the goals in a replay [m]; that of velocities is multiplied by
+        the duration.
     importance : dict of str to float
         Fraction of the residuals' variance that each of `names` explains. That of "start" is the
         fraction that the parameters do not explain. NaN if there are too few replays.

@@ -30,8 +30,8 @@ class Instant:
     state : casadi.SX or casadi.MX, shape (nx,)
         State of the model.
     control : casadi.SX or casadi.MX, shape (nu,)
-        Control: force densities γ [N/m], or tensions [N] or rest lengths [m] of cables and strings,
-        as the model's control is.
+        Control of the model: force densities γ [N/m], or tensions [N] or rest lengths [m] of cables
+        and strings.
     time : casadi.SX or casadi.MX
         Time since the start [s].
 

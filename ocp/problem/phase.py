@@ -37,7 +37,7 @@ class Phase(Value, kind="Phase"):
     Parameters
     ----------
     duration : float or (float, float)
-        Duration [s], or (shortest, longest) to let the solver choose.
+        Duration [s], or its limits (shortest, longest), between which the solver chooses.
     contact_nodes : sequence of int or str, optional
         Nodes in contact with the ground; none in a flight phase.
     goals : iterable of goals, optional

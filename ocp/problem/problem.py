@@ -50,7 +50,7 @@ class Problem(Value, kind="Problem"):
         latter, the rest lengths of elastic strings are the control, force densities follow, and
         strings may go slack.
     duration : float or (float, float), optional
-        Duration [s], or (shortest, longest) to let the solver choose.
+        Duration [s], or its limits (shortest, longest), between which the solver chooses.
     start : array_like of shape (n, 3) or (nx,), or FreeStart, optional
         Initial nodes at rest [m], or initial state. None for the model's initial state;
         ``FreeStart(...)`` to let the solver choose. It is projected onto the constraints of bars
@@ -61,8 +61,8 @@ class Problem(Value, kind="Problem"):
         Soft goals (`Goal.soft`) are added to the costs.
     bounds : iterable of bounds, optional
         Limits along the whole plan, such as `ForceDensityLimits`, `TensionLimits`, `BarClearance`
-        and `Constraint`. A strength adds limits of the tension, and `Problem.model` is then the model of
-        strings that cannot fail.
+        and `Constraint`. `strength` adds limits of the tension; strings of `Problem.model` then
+        cannot fail.
     costs : iterable of costs, optional
         Terms of the objective, such as `Effort`, `Tracking` and `Integral`; their sum is minimized.
         Without costs, all feasible plans are equally good; if a force density has no upper limit,
@@ -236,9 +236,9 @@ class Problem(Value, kind="Problem"):
 
     @property
     def waypoints(self) -> list[tuple[float, tuple[Goal, ...]]]:
-        """Goals before the end by fraction of the duration.
+        """Goals before the end, by fraction of the duration.
 
-        They are in the order of time; those of the same instant are joined.
+        They are in the order of time. Goals of one instant form one entry.
         """
         found: list[tuple[float, tuple[Goal, ...]]] = []
         for share, goals in sorted(self._instants, key=lambda pair: pair[0]):

@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class FreeStart(Value, kind="FreeStart"):
-    """Free initial state, as of an unknown gait.
+    """Initial state that the solver chooses, as for a gait.
 
-    The solver chooses it. Bar lengths are constraints on it; a clock has the value of ``near``.
+    Bar lengths and joints are constraints on it. A clock keeps its value in ``near``.
 
     Parameters
     ----------

@@ -36,7 +36,7 @@ class Tracking(RunningCost, kind="Tracking"):
 
     Parameters
     ----------
-    positions : mapping of int or str to place
+    positions : mapping of int or str to position
         Reference positions ``{node: (x, y, z)}`` [m], with None for an untracked axis; or
         ``{node: function}``. A function takes the time [s] as a CasADi symbol and returns three
         such entries.

@@ -41,8 +41,8 @@ def refine_until_accurate(
     correction is tried once, if the error is too large for one finer mesh or if a finer mesh does
     not halve it. `find_plan` has the arguments of `ocp.search.find_plan.find_plan`, one of which is
     the `monitor`. Returns the best plan, whose message reports if it misses the tolerance. A plan
-    that is no optimum is returned unchanged. Raises ValueError if problem, transcription or solver
-    of the plan are unknown.
+    of a search that did not converge is returned unchanged. Raises ValueError if problem,
+    transcription or solver of the plan are unknown.
     """
     problem, transcription, solver = plan.problem, plan.transcription, plan.solver
     if problem is None or transcription is None or solver is None:

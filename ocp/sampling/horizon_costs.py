@@ -53,7 +53,8 @@ def build_horizon_costs(
     period : float
         Length of one of the `intervals` periods [s].
     place : float
-        Distance from a goal that costs 1 [m]; of velocities, 10 of it in the duration.
+        Distance from a goal [m] that costs 1. The scale of velocities is 10 ·
+        position_scale/duration.
     strength : float
         Typical force density [N/m].
 

@@ -19,19 +19,20 @@ from tenscasadi.util.validate import MAX_ENTRIES, IndexOrName, flag, format_valu
 class Sampling(NamedSolver, kind="Sampling"):
     """Random search on simulated motions, then Gauss-Newton.
 
-    Use it for motions through contact, where derivatives mislead. Goals and limits are met. Costs
-    are low, but not optimal.
+    Use it for motions through contact, where derivatives are of little use. The plan satisfies
+    goals and limits; its cost is low, but not optimal.
 
     Parameters
     ----------
     groups : sequence of sequences of int or str, optional
         Groups of strings that change together. Strings in no group do not change. Default: strings
-        of one length with ends of equal heights at the start, then single strings if these do not
-        reach the goals.
+        of equal length whose ends have equal heights at the start; then single strings, if these
+        groups do not reach the goals.
     knots : int, optional
-        Knots of the splines between two waypoints. Default: three in the time of a fall, 6 to 24.
+        Number of spline knots between two waypoints. Default: three in the time of a free fall over
+        the structure's size, from 6 to 24.
     samples : int
-        Motions in each round. 8 are simulated at once if the processor can.
+        Motions in each round. Up to 8 are simulated at once in SIMD lanes.
     seed : int
         Seed of the samples. The plan does not depend on the number of threads.
     rounds : int
@@ -45,8 +46,8 @@ class Sampling(NamedSolver, kind="Sampling"):
     verbose : bool
         Whether to print a line for each round and iteration.
     callback : callable, optional
-        Function of a line of progress. The search stops if it returns False. The plan is then the
-        best so far, as after Ctrl-C.
+        Function that receives a line of text after each round and iteration. The search stops if it
+        returns False. The plan is then the best so far, as after Ctrl-C.
 
     Raises
     ------
@@ -56,13 +57,13 @@ class Sampling(NamedSolver, kind="Sampling"):
     Notes
     -----
     Splines through random knots change the force densities. The best sample is kept, and the next
-    samples are drawn about it with less spread. A feedback of elastic, damped strings keeps shapes
-    that constant force densities let collapse; the plan is the resulting force densities.
-    Gauss-Newton then removes the residuals of goals and limits. Its derivatives are finite
-    differences of motions that are simulated in one batch.
+    samples are drawn about it with less spread. In these simulations, strings are elastic and
+    damped, because constant force densities may let a shape collapse. The plan contains the
+    resulting force densities. Gauss-Newton then removes the residuals of goals and limits. Its
+    derivatives are finite differences of motions that are simulated in one batch.
 
-    Without a C++ compiler the motions are simulated one by one, more slowly, and `Plan.status`
-    says so.
+    Without a C++ compiler, motions are simulated one by one, more slowly, and `Plan.status` reports
+    it.
 
     Examples
     --------

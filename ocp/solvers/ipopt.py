@@ -155,7 +155,7 @@ class Ipopt(NamedSolver, kind="Ipopt", earlier="Fatrop"):
         Raises
         ------
         ValueError
-            If IPOPT refuses an option.
+            If IPOPT rejects an option.
         """
         run = self.build(program)
         if monitor is None:
@@ -194,7 +194,7 @@ class Ipopt(NamedSolver, kind="Ipopt", earlier="Fatrop"):
         Raises
         ------
         ValueError
-            If IPOPT refuses an option.
+            If IPOPT rejects an option.
         """
         best = BestIterate(
             program.problem["x"].shape[0], len(program.lower), program.objective, self.callback

@@ -24,12 +24,12 @@ class Duals(Stored):
     ----------
     names : tuple of str
         Names of the m duals: path constraints and the motion, then goals, then the n unknowns of
-        the program. Goals that bars or momenta meet near the target are also inequalities, such as
-        "goal, AtRest: node 1 y".
+        the program. Goals that bar lengths or momenta determine near the target are inequalities,
+        such as "goal, AtRest: node 1 y".
     values : ndarray, shape (m,)
-        Duals λ of J + Σ λ c, in units of J per unit of the constraint c (N/m, N, m, m/s). Goals
-        count only in the directions that bars and momenta leave free. Duals of the motion have the
-        scale of its rows.
+        Duals λ of J + Σ λ c, in units of J per unit of the constraint c (N/m, N, m, m/s). Duals of
+        goals refer to the directions that bar lengths and momenta do not determine. Duals of defect
+        constraints have the scale of their rows.
     point : ndarray, shape (n,)
         Unknowns at the optimum.
 

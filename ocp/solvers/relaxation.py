@@ -251,7 +251,7 @@ def _group_limits(block: Block, keys: dict[tuple[str, str, float], int]) -> Indi
 
 
 def _find_excess(program: Program, blocks: Sequence[Block], w: Array) -> list[tuple[Array, Array]]:
-    """Evaluate rows, and by how much they exceed lower and upper limits."""
+    """Evaluate rows and their violations of lower and upper limits."""
     known = program.parts.unknowns
     y = np.append(known.scale * w, known.constants)
     found = []

@@ -55,10 +55,10 @@ class InfeasibleGoalError(ValueError):
     -----
     Goals, bar lengths, joints, the clock, momenta and the plane of a flat structure are rows that
     are quadratic in the state at their instant. A goal is rejected if a combination of the rows is
-    convex and has a positive minimum [1]_. Momenta and plane count in scenes without ground,
-    pressure, nodal forces and moving supports, and for a given start. A `Periodic` motion is
-    rejected if it needs a change of a momentum that no string can cause. Limits reject a goal if
-    linear rows alone determine all coordinates on which they depend.
+    convex and has a positive minimum [1]_. Momenta and plane are used only in scenes without
+    ground, pressure, nodal forces and moving supports, and with a given initial state. A `Periodic`
+    motion is rejected if it needs a change of a momentum that no string can cause. Limits reject a
+    goal if linear rows alone determine all coordinates on which they depend.
 
     Other goals are tried, with a `TargetNotFoundWarning` if the search finds no state that meets
     them. Examples are goals that need more force or time than available.

@@ -56,8 +56,9 @@ class Transcription(Value):
     control : PiecewiseConstant or PiecewiseLinear
         Profile of the controls over the intervals.
     accuracy : float, optional
-        Largest permitted distance of the plan from an integration in fine steps [m], also for
-        velocities × duration. `solve` reaches it by deferred correction. Default: no correction.
+        Largest permitted distance of the plan from an integration in fine steps [m]; that of
+        velocities is multiplied by the duration. `solve` reaches it by deferred correction.
+        Default: no correction.
     """
 
     intervals: Annotated[Intervals, Either((list, tuple), TIMES, WHOLE)] = 40

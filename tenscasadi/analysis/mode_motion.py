@@ -26,9 +26,8 @@ def mode_motion(
 
     The trajectory, about the model's initial shape, is for plots and animations.
 
-    Nodes move in straight lines, so bar lengths are off in the second order of the amplitude;
-    `bar_length_error` says by how much. An unstable mode gets the period that its rate of growth
-    would give a vibration.
+    Nodes move in straight lines, so bar lengths have errors of second order in the amplitude, see
+    `bar_length_error`. For an unstable mode with the growth rate σ, the period is 2π/σ.
 
     Parameters
     ----------
@@ -39,7 +38,7 @@ def mode_motion(
     index : int
         Number of the mode, from 0.
     amplitude : float, optional
-        Way of the node that moves furthest, m; None: a twentieth of the structure's size.
+        Largest displacement of a node [m]; None: a twentieth of the structure's size.
     rows : int
         Number of times in the trajectory.
     parameters : array_like, shape (np,), or mapping, optional

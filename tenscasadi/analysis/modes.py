@@ -33,16 +33,16 @@ class Linearization(ReadOnlyArrays):
     Attributes
     ----------
     A : ndarray (nx, nx)
-        Derivative of the state's rate by the state.
+        Derivative of ẋ with respect to the state x.
     B : ndarray (nx, nu)
-        Derivative of the state's rate by the control.
+        Derivative of ẋ with respect to the control u.
     residual : ndarray (nx,)
-        The rate ode(x₀, u₀); zero in equilibrium.
+        ẋ = ode(x₀, u₀); zero in equilibrium.
     tangent : ndarray (nq, d)
         Orthonormal basis of the displacements that bars and joints allow. Only motions within it
         are physical.
     by_parameters : ndarray (nx, np)
-        Derivative of the state's rate by the model's parameters.
+        Derivative of ẋ with respect to the model's parameters.
 
     Examples
     --------
@@ -68,14 +68,14 @@ class Modes(ReadOnlyArrays):
     Attributes
     ----------
     frequency : ndarray (k,)
-        Natural frequencies in increasing order, Hz. An unstable mode has a negative one: −√(−λ)/2π
+        Natural frequencies in increasing order [Hz]. An unstable mode has a negative one: −√(−λ)/2π
         for an eigenvalue λ < 0.
     shape : ndarray (k, n, 3)
         Displacements of the nodes in each mode, normalized by mass.
     rigid : int
         Number of rigid-body motions that were left out.
     residual : float
-        Largest acceleration at the state, m/s²; zero in equilibrium.
+        Largest acceleration at the state [m/s²]; zero in equilibrium.
 
     Examples
     --------
@@ -120,7 +120,7 @@ def linearize(
     Raises
     ------
     TypeError
-        If an argument has a wrong type, or is a symbol of CasADi's: its expressions are
+        If an argument has a wrong type, or is a CasADi symbol: for expressions, use
         `ca.jacobian(model.ode(x, u), x)`.
     ValueError
         If an argument has a wrong shape, or the equations have no derivative at the state, as where
@@ -129,7 +129,7 @@ def linearize(
     Notes
     -----
     The constraints are those of bars (Eqs. 26-29 of the paper) and joints (Eq. 84). `tangent` spans
-    the null space of their derivative by the coordinates.
+    the null space of their derivative with respect to the coordinates.
 
     Examples
     --------
@@ -179,12 +179,12 @@ def modes(
     Returns
     -------
     Modes
-        Frequencies, Hz, and mode shapes.
+        Frequencies [Hz] and mode shapes.
 
     Raises
     ------
     TypeError
-        If an argument has a wrong type, or is a symbol of CasADi's.
+        If an argument has a wrong type, or is a CasADi symbol.
     ValueError
         If an argument has a wrong shape, or the equations have no derivative at the state, as where
         a bar has no length.

@@ -55,7 +55,7 @@ SCHEMES: tuple[Scheme, ...] = (
 
 
 class NoSchemeError(ValueError):
-    """Raised where no scheme that was tried meets the tolerance."""
+    """Error if no tested scheme meets the tolerance."""
 
 
 @dataclass(frozen=True)
@@ -69,14 +69,14 @@ class Recommendation:
     scheme : scheme
         The integration scheme.
     step : float
-        Step, s; the largest where the scheme controls its error.
+        Step [s]; the largest one for schemes with error control.
     correction : Projection, BarLengthCorrection or None
         Correction of bars and joints.
     error : float
-        Largest position error to expect at the end, m, that of the reference included.
+        Largest expected position error at the end [m], including that of the reference.
     seconds : float
-        Wall time to expect of the time loop, s, without set-up. If the time limit has expired, it
-        is that of the search, which may be without machine code; likewise after Ctrl-C.
+        Expected wall time of the time loop [s], without set-up. After the time limit or Ctrl-C, it
+        is that measured in the search, which may be without machine code.
     work : float
         Instructions of the run without those of error control; NaN for implicit schemes.
     message : str
@@ -132,15 +132,15 @@ def recommend(
     model : Scene or Model
         Scene or model to simulate.
     t_end : float
-        Duration of the motion, s.
+        Duration of the motion [s].
     tolerance : float
-        Largest distance of a node from its true place at `t_end`, m.
+        Largest distance of a node from its exact position at `t_end` [m].
     state : array_like (nx,), optional
         Start; None: the model's initial state.
     control : array_like or callable, optional
         Control input, as for `simulate`.
     schemes : sequence of schemes
-        Schemes to choose from. Of those with an `rtol` the tolerance is looked for, without
+        Schemes to choose from. For those with `rtol`, the search varies `rtol`, without
         corrections.
     corrections : sequence of corrections
         Each None, `Projection()` or `BarLengthCorrection()`.
@@ -163,7 +163,7 @@ def recommend(
     Raises
     ------
     NoReferenceError
-        If no solution of that accuracy exists: chaos, instability.
+        If no reference of that accuracy can be computed, as for chaotic motions.
     NoSchemeError
         If no scheme meets the tolerance, or none was found within `time_limit`.
     KeyboardInterrupt

@@ -51,12 +51,12 @@ class ReferenceSolution:
     Attributes
     ----------
     nodes : ndarray (n, 3)
-        Nodes of the scene's structure at `t_end`, m, read-only; those inside strings are left out.
+        Nodes of the scene's structure at `t_end` [m], read-only, without those inside strings.
     error : float
-        Estimate of their error, m: the largest distance of a node between two solutions by
+        Estimate of their error [m]: the largest distance of a node between two solutions by
         different schemes and steps.
     t_end : float
-        Time of the end, s.
+        Final time [s].
     message : str
         Description of the two solutions.
 

@@ -64,11 +64,10 @@ def tradeoff(
 ) -> Tradeoff:
     """Measure the cost of accuracy in a trade-off study.
 
-    Every scheme runs with every step, correction, model and way to run.
+    There is a run for each combination of scheme, step, correction, model and `compiled`.
 
-    A run that diverges, and a scheme that cannot serve a model, give rows with `success` False and
-    the reason in `message`. Ctrl-C ends the study and returns the rows so far, with `complete`
-    False.
+    If a run diverges or a scheme does not support a model, its row has `success` False and the
+    reason in `message`. Ctrl-C ends the study and returns the rows so far, with `complete` False.
 
     Parameters
     ----------

@@ -30,30 +30,30 @@ class TradeoffRow:
     scheme : scheme
         The integration scheme.
     step : float
-        Largest step, s; NaN for a scheme that takes steps of its own.
+        Largest step [s]; NaN for a scheme with error control.
     correction : Projection, BarLengthCorrection or None
         Correction of bars and joints.
     fidelity : str
         Name of the model.
     compiled : bool
-        Whether it ran as machine code, not in CasADi's virtual machine.
+        Whether the run used machine code, not CasADi's virtual machine.
     single : bool
-        Whether it ran in single precision.
+        Whether the run was in single precision.
     seconds : float
-        Wall time of the time loop per simulated second, s/s, the median of the repeats.
+        Wall time of the time loop per simulated second [s/s], the median of the repeats.
     setup : float
-        Wall time of building and compiling the equations, s.
+        Wall time of building and compiling the equations [s].
     position : float
-        Largest distance of a node from the reference at the end, m. All errors are NaN if the run
+        Largest distance of a node from the reference at the end [m]. All errors are NaN if the run
         failed.
     bar : float
         Largest relative error of a bar's length over the run.
     joint : float
-        Largest gap of a joint over the run, m.
+        Largest joint error over the run [m].
     energy : float
-        Largest error of the energy over the run, J.
+        Largest energy error over the run [J].
     instructions : int
-        Instructions of one step with its correction; 0 where they are not known.
+        Number of instructions of one step with its correction; 0 if unknown.
     steps : int
         Steps of the run, including rejected trial steps.
     success : bool
@@ -101,7 +101,7 @@ class TradeoffRow:
 
     @property
     def name(self) -> str:
-        """All but the step in words."""
+        """Scheme and variant of the run, without its step."""
         return ", ".join([abbreviate(self.scheme), *self._variant()])
 
     @property
@@ -130,13 +130,13 @@ class Tradeoff:
     rows : tuple of TradeoffRow
         The runs.
     t_end : float
-        Duration of each, s.
+        Duration of each run [s].
     reference_error : float
-        Estimated error of the reference, m.
+        Estimated error of the reference [m].
     reference_message : str
         Description of the reference.
     complete : bool
-        False where the study was interrupted.
+        False if the study was interrupted.
     message : str
         Where it was interrupted.
 
@@ -168,7 +168,7 @@ class Tradeoff:
 
         No other row is better in both cost and position error.
 
-        Errors below that of the reference are not told apart.
+        Errors below that of the reference count as equal.
 
         Parameters
         ----------
@@ -199,7 +199,7 @@ class Tradeoff:
         Parameters
         ----------
         tolerance : float
-            Largest position error, m.
+            Largest position error [m].
         cost : {"seconds", "work"}
             Wall time as measured, or instructions times steps.
 
@@ -238,7 +238,7 @@ class Tradeoff:
         Returns
         -------
         str
-            A line for each row, and how the reference was found.
+            A line for each row, and a description of the reference.
         """
         width = max([len(row.name) for row in self.rows] + [6])
         names = {
@@ -310,7 +310,7 @@ class Tradeoff:
         Parameters
         ----------
         path : path-like
-            File to write, exactly so named.
+            File to write; no suffix is added.
 
         Returns
         -------

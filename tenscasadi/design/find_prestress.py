@@ -52,8 +52,8 @@ class PrestressDesign(ReadOnlyArrays):
     force_density : ndarray (α,)
         Force densities of strings [N/m].
     least_stiffness : float
-        Least eigenvalue of the tangent stiffness [N/m] on motions that keep rigid bars; rigid-body
-        motions are left out.
+        Least eigenvalue of the tangent stiffness [N/m] on motions that preserve the lengths of
+        rigid bars; rigid-body motions are left out.
     original : Structure
         The structure as given.
     success : bool

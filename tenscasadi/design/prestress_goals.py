@@ -105,9 +105,9 @@ class PrestressGoal(Protocol):
 class Stiffest(Value, kind="Stiffest"):
     """Goal of `find_prestress`: the largest stiffness of the softest motion.
 
-    It maximizes the least eigenvalue of the tangent stiffness on motions that keep rigid bars: a
-    semidefinite program. The message of the result tells the distance from the largest stiffness if
-    it is above 1e-6, as for symmetric structures with many self-stresses.
+    It maximizes the least eigenvalue of the tangent stiffness on motions that preserve the lengths
+    of rigid bars: a semidefinite program. The message of the result gives the distance from the
+    largest stiffness if it is above 1e-6, as for symmetric structures with many self-stresses.
 
     Examples
     --------

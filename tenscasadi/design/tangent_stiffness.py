@@ -138,7 +138,7 @@ class TangentStiffness:
     def softest(
         self, q: Array, count: int | None = None, stiffness: Array | None = None
     ) -> tuple[Array, Array]:
-        """Compute the softest motions that keep rigid bars.
+        """Compute the softest motions that preserve the lengths of rigid bars.
 
         Returns the lowest eigenvalues of K [N/m], and their motions.
         """
@@ -166,7 +166,7 @@ class TangentStiffness:
 
     @cached_property
     def freedom(self) -> int:
-        """Number of independent motions that keep rigid bars.
+        """Number of independent motions that preserve the lengths of rigid bars.
 
         Rigid-body motions are left out.
         """

@@ -205,7 +205,8 @@ class Observations(StateSpace):
     def internal_power(self, x: Any, w: Any, stored: bool, mode: Any = None) -> Any:
         """Compute the power [W] of changes of the internal states.
 
-        It is that part of the rate of the kinetic energy and, if `stored`, of the potential energy.
+        It is their contribution to the rate of the kinetic energy and, if `stored`, of the
+        potential energy.
         """
         if not self.na:
             return ca.DM(0)

@@ -40,7 +40,7 @@ class ExplicitRungeKutta(NamedScheme):
 
     @property
     def adaptive(self) -> bool:
-        """Whether steps are of the scheme's own size."""
+        """Whether the scheme chooses its steps."""
         return False
 
     @property

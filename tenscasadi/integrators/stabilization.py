@@ -112,14 +112,14 @@ class Projection(Correction, kind="Projection"):
 class BarLengthCorrection(Correction, kind="BarLengthCorrection"):
     """Correction of each bar, then of joints (Appendix C).
 
-    Bars are corrected one by one in length and rate. In closed loops of bars, joints stay open by
-    about half the error of the bars, since the existence condition, Eq. 143, does not hold. Use
+    Bars are corrected one by one in length and rate. In closed loops of bars, a joint error of
+    about half the bar error remains, because the existence condition (Eq. 143) does not hold. Use
     `Projection` there.
 
     Parameters
     ----------
     weight : float
-        Weight q of positions against velocities, 1/s².
+        Weight q of positions relative to velocities [1/s²].
     every : int
         Number of steps between corrections.
 

@@ -61,7 +61,7 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
 def save_scene(scene: Any, path: str | os.PathLike[str]) -> Path:
     """Write a scene or a simulation to a scene file.
 
-    It comes back to the last bit.
+    Numbers read back are equal to the last bit.
 
     Parameters
     ----------
@@ -80,8 +80,8 @@ def save_scene(scene: Any, path: str | os.PathLike[str]) -> Path:
     TypeError
         If `scene` is neither.
     ValueError
-        If a part of it cannot be written, by its name: a function of time in Python, or a scheme or
-        law of an own class.
+        If a part of it cannot be written, by its name: a function of time in Python, or a
+        user-defined scheme or string law.
     OSError
         If the file cannot be written.
 

@@ -116,7 +116,7 @@ def time_lapse(
 ) -> Figure:
     """Draw a motion in one 3-D picture, at several times.
 
-    The color tells the time, from pale at the start to dark at the end.
+    The color shows the time, from pale at the start to dark at the end.
 
     Parameters
     ----------

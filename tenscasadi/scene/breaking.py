@@ -186,8 +186,8 @@ class Yielding(Strength, kind="Yielding"):
     Raises
     ------
     TypeError, ValueError
-        If a field is wrong. In a `Scene`: if the number of forces differs from that of strings, or if
-        the control commands forces.
+        If a field is wrong. In a `Scene`: if the number of forces differs from that of strings, or
+        if the control prescribes forces.
 
     See Also
     --------

@@ -161,7 +161,7 @@ class OverTime(Value):
         return np.unique(np.concatenate(found))
 
     def changing(self) -> ca.Function | None:
-        """Build the function of time that integration steps must resolve.
+        """Build the quantity that integration steps must resolve over time.
 
         It is None for tables, as steps end at their times.
         """

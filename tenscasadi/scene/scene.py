@@ -225,7 +225,7 @@ class Scene(Value, Viewable, kind="Scene"):
 
     @property
     def rest_shares(self) -> Array:
-        """Share (α,) of each modeled string in the rest length of its input."""
+        """Fraction (α,) of each modeled string in its cable's rest length."""
         s = self.modelled
         shares = s.string_fraction.copy()
         for cable in map(list, s.cables):
@@ -253,18 +253,18 @@ class Scene(Value, Viewable, kind="Scene"):
 
     @property
     def commands_forces(self) -> bool:
-        """Whether the control is the forces of strings, which then have no law."""
+        """Whether the control prescribes string forces instead of string laws."""
         return self.control is not None and self.control.commands_forces
 
     @property
     def input_laws(self) -> list[tuple[StringLaw, Indices]]:
-        """String laws, each with indices of `first_strings`."""
+        """String laws, each with indices of its cables and lone strings."""
         of = self.modelled.cable_of
         return [(law, np.unique(of[which])) for law, which in self.string_laws]
 
     @property
     def switching_inputs(self) -> Indices:
-        """Inputs whose strings can go slack, as indices of `first_strings`."""
+        """Indices of cables and lone strings that can go slack."""
         return np.unique(self.modelled.cable_of[self.switching_strings])
 
     @property
@@ -325,7 +325,7 @@ class Scene(Value, Viewable, kind="Scene"):
 
     @property
     def breakable_inputs(self) -> Indices:
-        """Inputs, of cables and lone strings, that can break."""
+        """Indices of cables and lone strings that can break."""
         breaks = self.strength is not None and self.strength.breaks
         return self.limited_inputs if breaks else self.limited_inputs[:0]
 

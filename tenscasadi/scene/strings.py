@@ -145,9 +145,9 @@ class Clip(StringLaw, kind="Clip"):
 
     Notes
     -----
-    With unclamped damping the tension jumps by c ds/dt when a string becomes taut or slack. It
-    dissipates the power c (ds/dt)² while the string is longer than at rest. Clamped damping
-    dissipates less.
+    With unclamped damping the tension jumps by c ds/dt when a string becomes taut or slack. The
+    damping dissipates the power c (ds/dt)² while the string is longer than its rest length. Clamped
+    damping dissipates less.
 
     Examples
     --------

@@ -218,14 +218,14 @@ class SupportMotion(Value, kind="SupportMotion"):
         return np.unique(np.concatenate(found))
 
     def changing(self) -> ca.Function:
-        """Build the function of time that integration steps must resolve.
+        """Build the quantity that integration steps must resolve over time.
 
         Returns
         -------
         casadi.Function
-            t (s) → accelerations (m/s²) and velocities (m/s) of the moved nodes, (3, k) in the
-            order of `nodes`. Accelerations alone do not show a shift within a step: their impulse
-            is zero.
+            Function of the time [s] that returns accelerations [m/s²] and velocities [m/s] of the
+            moved nodes, (3, k) in the order of `nodes`. The impulse of the accelerations is zero
+            for a displacement within a step, so velocities are included.
         """
         t = ca.SX.sym("t")
         _, velocities, accelerations = self.rates()(t)
@@ -237,8 +237,8 @@ class SupportMotion(Value, kind="SupportMotion"):
         Returns
         -------
         casadi.Function
-            t (s) → position (m), velocity (m/s), acceleration (m/s²), each (3, k) in the order of
-            `nodes`.
+            Function of the time [s] that returns positions [m], velocities [m/s] and accelerations
+            [m/s²], each (3, k) in the order of `nodes`.
         """
         t = ca.SX.sym("t")
         columns = []

@@ -321,7 +321,7 @@ class Winch(Control, kind="Winch"):
         return internal[: u.shape[0]]
 
     def internal_rates(self, u: Any, internal: Any, tension: Any) -> Any:
-        """Build the rates of rest lengths and speeds.
+        """Build the rates of rest lengths and winding speeds.
 
         Parameters
         ----------
@@ -335,7 +335,7 @@ class Winch(Control, kind="Winch"):
         Returns
         -------
         casadi column, shape (na,)
-            Rates of the rest lengths [m/s] and of the speeds [rad/s²].
+            Rates of the rest lengths [m/s] and of the winding speeds [rad/s²].
         """
         count = u.shape[0]
         radius, inertia, friction = (

@@ -54,7 +54,7 @@ class Stored(ReadOnlyArrays):
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write to a compressed .npz file.
 
-        Python functions, such as loads over time, are sampled at the saved times or left out.
+        Python functions, such as time-varying loads, are sampled at the saved times or left out.
 
         Parameters
         ----------

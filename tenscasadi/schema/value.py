@@ -54,7 +54,7 @@ class Value:
     def maker(cls, function: T) -> T:
         """Register a function that builds values of this family.
 
-        Its name is the kind.
+        The name of the function is its ``kind`` in scene files.
         """
         _add(cls, function.__name__, function)
         return function

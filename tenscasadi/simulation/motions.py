@@ -39,7 +39,7 @@ class Rollouts(Viewable, SceneResult, form="tenscasadi rollouts 1", title="file 
     bar_length_error : ndarray, shape (n,)
         Largest relative error of a bar's length during the run.
     joint_error : ndarray, shape (n,)
-        Largest gap of a joint during the run [m].
+        Largest joint error during the run [m].
     energy : ndarray, shape (n, T)
         Total energy [J]. If the control changes at a saved time, it is that under the previous
         control.

@@ -61,7 +61,7 @@ class Trajectory(
     bar_length_error : ndarray, shape (T,)
         Largest relative error of a bar's length.
     joint_error : ndarray, shape (T,)
-        Largest gap of a joint [m].
+        Largest joint error [m].
     correction_shift : ndarray, shape (T,)
         Distance by which the first correction after this row moves a node [m]. It is 0 without a
         correction, and NaN for schemes with error control.

@@ -78,9 +78,9 @@ def buckling_factor(
     Returns
     -------
     BucklingFactor
-        Factor and mode. Without a stable equilibrium, `success` is False and the factor 0. So it
-        is where supports let the load tip the structure over. Loads that balance each other
-        without reactions rotate with the structure.
+        Factor and mode. Without a stable equilibrium, `success` is False and the factor is 0. The
+        factor is also 0 if the load tips the structure over on its supports. Loads that balance
+        each other without reactions rotate with the structure.
 
     Raises
     ------
@@ -93,8 +93,8 @@ def buckling_factor(
 
     Notes
     -----
-    (K + f ΔK) v = 0 on motions that keep rigid bars, with the tangent stiffness K and its change
-    ΔK = Σ Δt/l (I − e eᵀ) by the member forces Δt that the load adds.
+    (K + f ΔK) v = 0 on motions that preserve the lengths of rigid bars, with the tangent stiffness
+    K and its change ΔK = Σ Δt/l (I − e eᵀ) by the member forces Δt that the load adds.
 
     Examples
     --------

@@ -66,7 +66,7 @@ class Equilibrium(OperatingPoint, ReadOnlyArrays):
     parameters : ndarray, shape (np,)
         Parameters.
     time : float
-        Time at which loads and supports are taken [s].
+        Time of the loads and support positions [s].
     iterations : int
         Number of steps of the search.
     source : Scene or Model
@@ -146,7 +146,7 @@ def find_equilibrium(
         The scene.
     start : array_like, shape (n, 3) or (nx,), or Equilibrium, optional
         Nodes [m] or state from which the search begins; by default the nodes of the scene. The
-        clock of a state is the time at which loads and supports are taken, by default 0.
+        clock of a state is the time of the loads and support positions, by default 0.
     control : array_like, shape (nu,), optional
         Control; by default the initial control of the scene. Winches are locked: under
         `RestLengthRate`, it contains rest lengths [m].

@@ -57,7 +57,8 @@ class Stability(ReadOnlyArrays):
     message : str
         Result in one sentence.
     eigenvalues : ndarray, shape (k,)
-        Eigenvalues of the tangent stiffness on motions that keep rigid bars, ascending [N/m].
+        Eigenvalues of the tangent stiffness on motions that preserve the lengths of rigid bars,
+        ascending [N/m].
     modes : ndarray, shape (k, n, 3)
         Their motions, of unit norm.
     success : bool
@@ -99,7 +100,7 @@ class Stability(ReadOnlyArrays):
     def stable(self) -> bool:
         """Whether the structure is stable.
 
-        All motions that keep rigid bars then have a positive stiffness.
+        All motions that preserve the lengths of rigid bars then have a positive stiffness.
         """
         return self._state.is_stable
 

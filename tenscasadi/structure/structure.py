@@ -109,7 +109,7 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
     elastic : ndarray of bool, shape (β,)
         Whether a bar is elastic.
     cable_of : ndarray of int, shape (α,)
-        Input of each string, of cables and lone strings by their first strings.
+        Index of the input of each string: one input for each cable and lone string, in order.
     bar_inertia : ndarray, shape (β,)
         J of each bar [kg] (Eq. 19).
     string_parent : ndarray of int, shape (α,)

@@ -36,7 +36,7 @@ class Sweep(ReadOnlyArrays):
     success : ndarray of bool, shape (n,)
         Whether each case has finished without error.
     seconds : ndarray, shape (n,)
-        Wall time of each case, s; NaN if it is unknown.
+        Wall time of each case [s]; NaN if it is unknown.
     message : str
         Number of computed, read and failed cases, and the end of the sweep.
     interrupted : bool

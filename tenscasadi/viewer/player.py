@@ -80,7 +80,7 @@ class Player:
     def film(self, client: Any, name: str) -> None:
         """Let a page save a film of the motion.
 
-        The page tells why if there can be none.
+        The page shows the reason if there can be none.
         """
         self.play(False)
         try:

@@ -79,7 +79,7 @@ class StringLimits(Bound):
         return [f"string {string}" for string in range(len(structure.strings))]
 
     def limits(self, structure: Structure) -> tuple[Array, Array]:
-        """Return the lower and upper limits (α,), or (nu,) if cables have one.
+        """Return the lower and upper limits (α,), or (nu,) with cables.
 
         They are −inf and inf where there are none.
         """
@@ -276,11 +276,11 @@ class StrengthLimits(TensionLimits):
 class RestLengthLimits(StringLimits, PathBound, kind="RestLengthLimits"):
     """Limits of the rest length of each string.
 
-    The rest length is ρ = s (1 − γ/k). The limits hold at both ends of every interval.
-    ``RestLengthLimits(0)`` keeps every force density within reach of an actuator that changes the
-    rest length of a string of stiffness k. Under rest-length control (``control=RestLength()``),
-    they are bounds on decision variables, which are positive without these limits, too. A cable has
-    one limit, see `tenscasadi.Structure.cable_of`.
+    The rest length is ρ = s (1 − γ/k). The limits hold at both ends of every interval. With
+    ``RestLengthLimits(0)``, an actuator can realize all force densities by changing the rest length
+    of a string of stiffness k. Under rest-length control (``control=RestLength()``), they are
+    bounds on decision variables, which are positive without these limits, too. A cable has one
+    limit, see `tenscasadi.Structure.cable_of`.
 
     Parameters
     ----------

@@ -21,14 +21,14 @@ from tenscasadi.util.validate import Array, whole_number
 
 @dataclass(frozen=True, eq=False)
 class BodyOrientation(Goal, kind="BodyOrientation"):
-    """Orientation of a rigid body at the end.
+    """Goal for the final orientation of a rigid body.
 
     Parameters
     ----------
     body : int
         Index of the body in ``Structure.bodies``.
     rotation : array_like, shape (3, 3) or (3,)
-        Rotation from the nodes of the structure: a matrix, or a rotation vector [rad].
+        Rotation relative to the structure's nodes: a matrix, or a rotation vector [rad].
 
     Raises
     ------

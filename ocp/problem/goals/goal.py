@@ -53,7 +53,7 @@ class Goal(Value):
 
     @property
     def repeats_start(self) -> bool:
-        """Whether the goal refers to a start outside itself."""
+        """Whether the goal takes the initial state from the problem."""
         return False
 
     def check(self, structure: Structure) -> None:
@@ -251,7 +251,7 @@ def soft_goals(costs: Iterable[Cost]) -> Iterator[tuple[float, SoftGoal]]:
 
 @dataclass(frozen=True, eq=False)
 class StringLengths(Goal, kind="StringLengths"):
-    """String lengths at the end.
+    """Goal for the final lengths of strings.
 
     If a string is modeled in segments, its length is the distance between its ends.
 
@@ -354,7 +354,7 @@ class StringLengths(Goal, kind="StringLengths"):
 
 @dataclass(frozen=True, eq=False)
 class Shape(Goal, kind="Shape"):
-    """Shape at the end, up to rigid motions.
+    """Goal for the final shape, up to rigid motions.
 
     Position and orientation are free. The constraints are the distances of all pairs of nodes
     without a bar between them. A shape and its mirror image have the same distances.

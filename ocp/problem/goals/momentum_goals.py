@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class CenterOfMassVelocity(Goal, kind="CenterOfMassVelocity"):
-    """Velocity of the center of mass at the end.
+    """Goal for the final velocity of the center of mass.
 
     The mass is that of bars, bodies, nodes and strings, pinned or not.
 
@@ -71,7 +71,7 @@ class CenterOfMassVelocity(Goal, kind="CenterOfMassVelocity"):
 
 @dataclass(frozen=True, eq=False)
 class AngularMomentum(Goal, kind="AngularMomentum"):
-    """Angular momentum about the center of mass at the end.
+    """Goal for the final angular momentum about the center of mass.
 
     Parameters
     ----------

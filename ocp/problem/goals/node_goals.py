@@ -35,7 +35,7 @@ _EACH = OfStructure("nodes", Either((dict,), MapOf("node", POINT), POINTS))
 
 @dataclass(frozen=True, eq=False)
 class NodePositions(Goal, kind="NodePositions"):
-    """Node positions at the end.
+    """Goal for the final positions of nodes.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ class NodePositions(Goal, kind="NodePositions"):
 
 @dataclass(frozen=True, eq=False)
 class NodeVelocities(Goal, kind="NodeVelocities"):
-    """Node velocities at the end.
+    """Goal for the final velocities of nodes.
 
     Parameters
     ----------
@@ -232,7 +232,7 @@ class NodeVelocities(Goal, kind="NodeVelocities"):
 
 @dataclass(frozen=True)
 class AtRest(Goal, kind="AtRest"):
-    """Zero velocities of all nodes at the end.
+    """Goal of zero final velocities of all nodes.
 
     Examples
     --------
@@ -277,7 +277,7 @@ class AtRest(Goal, kind="AtRest"):
 
 @dataclass(frozen=True, eq=False)
 class CenterOfMass(Goal, kind="CenterOfMass", earlier="CentreOfMass"):
-    """Position of the center of mass at the end.
+    """Goal for the final position of the center of mass.
 
     It is the center of the whole mass of the model: of bars, nodes and strings, pinned or not.
 

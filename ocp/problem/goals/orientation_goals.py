@@ -30,7 +30,7 @@ from tenscasadi.util.validate import (
 
 @dataclass(frozen=True, eq=False)
 class BarOrientation(Goal, kind="BarOrientation"):
-    """Direction of a bar at the end.
+    """Goal for the final direction of a bar.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ class BarOrientation(Goal, kind="BarOrientation"):
 
 @dataclass(frozen=True, eq=False)
 class NodeTripleOrientation(Goal, kind="NodeTripleOrientation"):
-    """Orientation of three nodes at the end.
+    """Goal for the final orientation of three nodes.
 
     The orientation is that of the direction from the first to the second node, and of the normal of
     the plane through all three. Distances between the nodes may change.
@@ -136,7 +136,7 @@ class NodeTripleOrientation(Goal, kind="NodeTripleOrientation"):
     nodes : sequence of int or str, length 3
         Three nodes.
     rotation : array_like, shape (3, 3) or (3,)
-        Rotation from the nodes of the structure: a matrix, or a rotation vector [rad].
+        Rotation relative to the structure's nodes: a matrix, or a rotation vector [rad].
 
     Raises
     ------

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Periodic(Goal, kind="Periodic"):
-    """Final state equal to the initial state.
+    """Goal that the final state equals the initial state.
 
     Each node returns to its initial position, displaced by ``shift``, with its initial velocity.
 
@@ -58,7 +58,7 @@ class Periodic(Goal, kind="Periodic"):
 
     @property
     def repeats_start(self) -> bool:
-        """Whether the goal refers to a start outside itself."""
+        """Whether the goal takes the initial state from the problem."""
         return self.start is None
 
     def __post_init__(self) -> None:

@@ -34,9 +34,9 @@ UNSTABLE, UNDETERMINED = "unstable", "undetermined"
 class CondensedNewton(NamedSolver, kind="CondensedNewton"):
     """Newton method in the controls: the defects eliminate the states.
 
-    It takes the program of any transcription. Its work grows linearly with the intervals, and far
-    slower with the bars than the factorizations of `Ipopt`. Programs along whose motion errors grow
-    too much for an elimination, such as arms that stand upright, are left to `Ipopt`.
+    It solves the program of any transcription. Its cost grows linearly with the number of
+    intervals, and more slowly with the number of bars than that of `Ipopt`. Unstable motions, such
+    as those of an upright arm, amplify errors too much for the elimination: use `Ipopt` for them.
 
     Parameters
     ----------
@@ -54,12 +54,13 @@ class CondensedNewton(NamedSolver, kind="CondensedNewton"):
 
     Notes
     -----
-    States and multipliers of bars are iterates of their own, which need not fit the controls before
-    the end: a smooth path is a good start. Each iteration linearizes the defects about them. An
-    interior-point method with exact second derivatives takes a step of the controls, by projected
-    conjugate gradients in a trust region, and the states follow to first order. The largest matrix
-    that is factored has a row for each goal, and for each path constraint that is near its limit.
-    These have slacks with barriers of their own, so that a guess may violate them.
+    States and bar multipliers are iterates, too. They satisfy the defect constraints only at
+    convergence, so a smooth path is a good initial guess. Each iteration linearizes the defects
+    about the iterates. An interior-point method with exact second derivatives takes a step of the
+    controls, by projected conjugate gradients in a trust region, and the states follow to first
+    order. The largest matrix that is factored has a row for each goal, and for each path constraint
+    that is near its limit. Path constraints have slacks with barriers, so an initial guess may
+    violate them.
 
     References
     ----------
@@ -151,9 +152,9 @@ class CondensedNewton(NamedSolver, kind="CondensedNewton"):
         Returns
         -------
         callable
-            Function of a program that differs from this one in limits of rows, start and duals
-            alone, and of a `Monitor`. It returns the nearest `Solution` that meets the moved rows:
-            near an optimum, its cost exceeds the least one by a difference of second order.
+            Function of a program that differs from this one only in row limits, initial guess and
+            duals, and of a `Monitor`. It returns the nearest `Solution` that satisfies the shifted
+            rows. Near an optimum, its cost exceeds the minimum by a term of second order.
         """
         of = CondensedProgram(program)
 

@@ -26,7 +26,7 @@ def elastic_response(program: SizingProgram, area: Array) -> Array:
 
 
 def response_slopes(program: SizingProgram, area: Array) -> Array:
-    """Compute the derivatives of `elastic_response` by the areas.
+    """Compute the derivatives of `elastic_response` with respect to the areas.
 
     Their shape is (cases, α + β, α + β) [N/m²].
     """

@@ -58,7 +58,7 @@ def export_mjcf(
     path : str or path
         The file, such as ``"prism.xml"``.
     velocities : array_like, shape (n, 3), optional
-        Initial velocities of the modelled nodes [m/s], for the keyframe ``start``; at rest if None.
+        Initial velocities of the modeled nodes [m/s], for the keyframe ``start``; at rest if None.
     joints : {"ball", "connect"}
         "ball" connects bars with shared or pinned nodes by ball joints, which are exact. Loops of
         bars are closed by the equality ``connect``. With "connect" each bar is a free body, and
@@ -67,8 +67,8 @@ def export_mjcf(
         MuJoCo's time step [s]. Equalities have a time constant of two steps, so export again to
         change the step.
     strict : bool
-        Whether strings that can fail (`Scene.strength`) are rejected. If not, they cannot fail in
-        the file, and a warning says so.
+        Whether strings that can fail (`Scene.strength`) are rejected. Otherwise they cannot fail in
+        the file, with a warning.
 
     Returns
     -------
@@ -90,7 +90,8 @@ def export_mjcf(
     - A bar has the axial inertia m r²/2, and at least 0.01 of its transverse inertia, because
       MuJoCo rejects 0. No force turns a bar about its axis, so only friction on the contact spheres
       changes the trajectory.
-    - A damped string also damps while it is slack in MuJoCo, and may then push. Strings without
+    - A damped string in MuJoCo also damps while it is slack, and may then be in compression.
+      Strings without
       damping follow `Clip` exactly, and strings with the law `Linear` are always exact. `Smooth` is
       rejected.
     - Rigid bodies become bodies ``body0``, ``body1`` … that are free, or have a ball joint at a

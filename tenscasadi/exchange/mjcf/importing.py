@@ -33,10 +33,10 @@ Side = tuple[int, Array]  # a piece, and a position in it
 def import_mjcf(path: str | os.PathLike[str], *, strict: bool = True) -> Scene:
     """Read a tensegrity from MuJoCo's XML, MJCF.
 
-    Bodies with two ends become bars, bodies with one end become point masses, bodies with three or
-    more attached points that are not on a line become rigid bodies, spatial tendons
-    between two sites become strings. Ball joints and ``connect`` become nodes that bars share. A
-    hinge becomes two shared or pinned nodes on its axis, of rigid bodies. Bodies that ``weld`` or
+    Bodies with two ends become bars, and bodies with one end point masses. Bodies with three or
+    more attached points that are not on a line become rigid bodies. Spatial tendons between two
+    sites become strings. Ball joints and ``connect`` become nodes that bars share. A hinge becomes
+    two nodes on its axis, which two rigid bodies share or which are pinned. Bodies that ``weld`` or
     nesting fixes to each other are one body. Features without a counterpart in a scene are rejected
     by name, or left out.
 
@@ -81,9 +81,10 @@ def import_mjcf(path: str | os.PathLike[str], *, strict: bool = True) -> Scene:
       becomes the stiffness for the mean mass. A `pair` of two such capsules becomes `BarContact`.
       Other contacts between bodies, velocities of keys, step and solver are ignored.
     - If not `strict`, attached points move to the nearer end of their bar. Hinges that slide become
-      balls, a tendon through several sites becomes a row of strings, and boxes are bars along their
-      longest side. Actuators with affine forces become control by rest lengths, and tendons without
-      actuator are controlled, too. Limits, friction of joints and activation dynamics are left out.
+      balls, a tendon through several sites becomes strings in series, and boxes are bars along
+      their longest side. Actuators with affine forces become control by rest lengths, and tendons
+      without actuator are controlled, too. Limits, friction of joints and activation dynamics are
+      left out.
 
     Nodes, bars and strings keep the numbers in the names of `export_mjcf`. Others are numbered in
     the order of the file.

@@ -52,8 +52,8 @@ def load_ntrt(
         NTRT's unit of length [m], which its files do not state. It is 0.1 if the gravity is 98.1,
         and 0.01 if the gravity is 981. Mass is in kg.
     ball_joints : bool
-        Whether rods that share a node are connected there by a ball joint, of which a warning
-        tells. If False, they form one `RigidBody`, as in NTRT, without bars.
+        Whether a ball joint connects rods that share a node, with a warning. If False, they form
+        one `RigidBody` without bars, as in NTRT.
     folder : str or PathLike, optional
         Folder that must contain the files of substructures. Default: that above the file.
     strict : bool

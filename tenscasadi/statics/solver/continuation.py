@@ -326,7 +326,7 @@ class Tracer:
         return solve
 
     def _push(self, point: StaticPoint, factor: float) -> Array:
-        """Compute the derivative (free,) of forces by the factor."""
+        """Compute the derivative (free,) of forces with respect to the factor."""
         pushed = self.change.load
         if self.change.inputs.any():
             pushed = pushed + self.equations.push(

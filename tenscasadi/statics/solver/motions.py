@@ -58,7 +58,7 @@ def softest_motions(
 
 
 def motion_basis(J: Any, left_out: Array) -> Array:
-    """Compute a basis of the motions that keep rigid bars.
+    """Compute a basis of the motions that preserve the lengths of rigid bars.
 
     It is an orthonormal basis (n, ·) of all v with J v = 0.
 

@@ -304,10 +304,10 @@ class NewtonFactors:
     def count_negative(self, left_out: Array | None = None) -> int:
         """Count the negative eigenvalues of the constrained stiffness.
 
-        It is K + σ I on motions that keep rigid bars and are orthogonal to `left_out` (free, r). By
-        Sylvester's law of inertia, the count is the number of negative pivots less the number of
-        rigid bars. Motions left out are further constraints, by Haynsworth's formula. Raises
-        LinAlgError if a pivot left the diagonal.
+        It is K + σ I on motions that preserve the lengths of rigid bars and are orthogonal to
+        `left_out` (free, r). By Sylvester's law of inertia, the count is the number of negative
+        pivots less the number of rigid bars. Motions left out are further constraints, by
+        Haynsworth's formula. Raises LinAlgError if a pivot left the diagonal.
         """
         if not np.array_equal(self.factors.perm_r, self.factors.perm_c):
             raise np.linalg.LinAlgError("a pivot left the diagonal")

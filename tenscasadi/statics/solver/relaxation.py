@@ -49,7 +49,7 @@ def relax(scene: Scene, nodes: Array, control: Array, parameters: Array, time: f
     control, parameters : ndarray, shape (nu,), (np,)
         Constant control and parameters.
     time : float
-        Time at which loads are taken [s].
+        Time of the loads [s].
 
     Returns
     -------

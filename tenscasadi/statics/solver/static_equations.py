@@ -42,7 +42,7 @@ class Conditions(NamedTuple):
     inputs : ndarray (nw,)
         Control, then parameters.
     time : float
-        Time at which loads and supports are taken [s].
+        Time of the loads and support positions [s].
     anchor : ndarray (n, 3)
         Nodes from which contacts slip [m].
     pressing : ndarray (n, 3) or None
@@ -89,10 +89,11 @@ class StaticPoint(NamedTuple):
     springs, bars : ndarray (·, 3)
         Vectors of strings and elastic bars, and of rigid bars [m].
     gamma, slope : ndarray (·,)
-        Force densities γ of springs [N/m], and their derivatives by the squared lengths.
+        Force densities γ of springs [N/m], and their derivatives with respect to the squared
+        lengths.
     coupling : ndarray (pairs,)
-        Derivative of γ of the first string of a pair by the squared length of the second, for
-        pairs of strings in one cable.
+        Derivative of γ of the first string of a pair with respect to the squared length of the
+        second, for pairs of strings in one cable.
     ground : ndarray (n, 3)
         Forces of the grounds on nodes [N].
     loads : ndarray (n, 3)

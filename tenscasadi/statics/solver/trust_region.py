@@ -329,7 +329,8 @@ class _SearchState:
     def _factor(self, shift: float) -> NewtonFactors | None:
         """Factorize with a shift σ.
 
-        Return None unless K + σ I is positive definite on the motions that keep rigid bars.
+        Return None unless K + σ I is positive definite on the motions that preserve the lengths of
+        rigid bars.
         """
         try:
             factors = self.system.factor(self.point, self.tension, self.scale, shift)
