@@ -23,7 +23,7 @@ class Formulation(NamedTuple):
         Function time → references of the output (·, N) at the ends of the intervals, and of the
         control (nu, N) in them.
     control_scale : ndarray, shape (nu,)
-        Scale of departures of the control.
+        Scale of deviations of the control.
     substeps : int
         Number of Runge-Kutta steps in each period.
     limits : list of ScaledRows

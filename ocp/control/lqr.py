@@ -11,11 +11,11 @@ import scipy.linalg
 from numpy.typing import ArrayLike
 
 from ocp.control.closed_loop import run
-from ocp.control.departures import build_departures
 from ocp.control.holding import Rest, compute_stationary_cost, find_rest, force_limits
+from ocp.control.scaled_output import build_scaled_output
 from ocp.problem.bounds.string_bounds import StringLimits
 from ocp.problem.path_constraints import control_limits
-from ocp.problem.scaling import scale_departures
+from ocp.problem.scaling import scale_deviations
 from ocp.results.result import STEPS, PlanResult
 from ocp.transcription.mesh import profile_at
 from tenscasadi.dynamics.linear_steps import riccati_gains, transitions
@@ -267,26 +267,27 @@ def track(
                 gamma,
                 rest,
                 T / count,
-                build_departures(model, size, 10 * size / T),
+                build_scaled_output(model, size, 10 * size / T),
                 force**-2,
             )
     except (scipy.linalg.LinAlgError, ValueError):
-        told = f"departures along the motion{'' if plan.success else ' of a plan that failed'} grow too fast for gains to be found"
+        failed = "" if plan.success else ", which failed,"
+        reason = f"deviations from the plan{failed} grow too fast for LQR gains"
         raise add_address(
-            ValueError(f"decisions is {count}: {told}, give more decisions")
+            ValueError(f"decisions is {count}: {reason}, give more decisions")
         ) from None
     hold = Hold(rest.state, rest.control, gains[count]) if rest.state is not None else None
     return Tracker(model, time, states, gamma, gains[:count], *own, hold, rest.message)
 
 
 def _default_scale(plan: PlanResult, model: Model, speed: float) -> float:
-    """Compute the default departure of the control.
+    """Compute the default deviation of the control.
 
-    `speed` is the departure of velocities [m/s].
+    `speed` is the deviation of velocities [m/s].
     """
     fraction = 1.0 if isinstance(model.scene.control, Winch) else 0.1  # torques that hold
     strength = fraction * float(plan.force_density.mean()) or 1.0
-    return float(scale_departures(model, strength, speed).mean())
+    return float(scale_deviations(model, strength, speed).mean())
 
 
 def _read_limits(

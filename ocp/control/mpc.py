@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from ocp.control.departures import build_departures
 from ocp.control.formulation import Formulation
 from ocp.control.holding import find_rest, force_limits
 from ocp.control.mpc_constraints import Horizon, HorizonLimits
+from ocp.control.scaled_output import build_scaled_output
 from ocp.control.variational_equation import build_slopes, build_variational
 from ocp.guess.inverse_dynamics import inverse_dynamics
 from ocp.problem.bounds.bound import PathBound, RateBound
@@ -23,7 +23,7 @@ from ocp.problem.goals.waypoints import Waypoint
 from ocp.problem.path_constraints import scaled_rows
 from ocp.problem.phase import reject_phases
 from ocp.problem.problem import Problem
-from ocp.problem.scaling import Scales, scale_departures
+from ocp.problem.scaling import Scales, scale_deviations
 from ocp.problem.start import FreeStart
 from ocp.results.result import PlanResult
 from ocp.sampling.horizon_costs import OVERSTEP
@@ -137,14 +137,14 @@ class Mpc:
         self._substeps = whole_number("substeps", substeps, 1, MAX_REPETITIONS)
         scales = Scales.of(problem)
         size = scales.read_position(position_scale)
-        self._departures = build_departures(self.model, size, 10 * size / scales.time)
+        self._scaled_output = build_scaled_output(self.model, size, 10 * size / scales.time)
         self._reference, strength = _build_reference(
-            problem, scales, plan, self._departures, self.intervals, self.period, size
+            problem, scales, plan, self._scaled_output, self.intervals, self.period, size
         )
         if control_scale is not None:
             own = np.full(self.model.nu, positive_number("control_scale", control_scale))
         else:
-            own = scale_departures(self.model, strength, 10 * size / scales.time)
+            own = scale_deviations(self.model, strength, 10 * size / scales.time)
         self._control_scale = own
         self._weights = np.tile(self._control_scale**-2, self.intervals)
         self._lower, self._upper = (
@@ -197,13 +197,13 @@ class Mpc:
     @property
     def formulation(self) -> Formulation:
         """Costs and limits of the predictive control problem."""
-        x = symbol_kind(self._departures).sym("x", self.model.nx)
+        x = symbol_kind(self._scaled_output).sym("x", self.model.nx)
         smooth = replace(self.problem, model=self._predicted)
         limits = scaled_rows(smooth, PathBound, self._scales, self._strength)
         rates = scaled_rows(smooth, RateBound, self._scales, self._strength)
         return Formulation(
             self._predicted.ode,
-            ca.Function("output", [x], [self._departures(x)[0]]),
+            ca.Function("output", [x], [self._scaled_output(x)[0]]),
             self._reference,
             self._control_scale,
             self._substeps,
@@ -306,7 +306,7 @@ class Mpc:
         gamma = ca.if_else(is_finite(ends), given, held)
         begun = is_finite(earlier)
         horizon = self._horizon(state, gamma, ca.if_else(begun, earlier, state), before[:, 0])
-        reached, slopes = zip(*(self._departures(x) for x in horizon.states[2:]), strict=True)
+        reached, slopes = zip(*(self._scaled_output(x) for x in horizon.states[2:]), strict=True)
         G = ca.vertcat(
             *(C @ effect for C, effect in zip(slopes, horizon.state_effects[2:], strict=True))
         )
@@ -424,8 +424,8 @@ def _build_reference(
 ) -> tuple[ca.Function, float]:
     """Build the reference, and return a typical force density [N/m].
 
-    The Function time → departures (·, count), controls (nu, count) has values at the ends of the
-    next intervals and in them. A plan is tracked, and held at its end by an equilibrium if it is at
+    The Function of the time returns references of the scaled output (·, count) at the ends of the
+    next intervals, and of the control (nu, count) in them. A plan is tracked, and held at its end by an equilibrium if it is at
     rest. Without a plan, the state of the goals is held. Raises ValueError, InfeasibleGoalError.
     """
     time = ca.MX.sym("time")

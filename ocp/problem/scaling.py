@@ -114,10 +114,10 @@ def scale_control(model: Model, strength: float, duration: float) -> Array:
     )
 
 
-def scale_departures(model: Model, strength: float, speed: float) -> Array:
-    """Compute the scale (nu,) of departures of the control in regulators.
+def scale_deviations(model: Model, strength: float, speed: float) -> Array:
+    """Compute the scale (nu,) of deviations of the control in regulators.
 
-    It is that of `scale_control`; of rest-length rates, the departure of velocities `speed` [m/s].
+    It is that of `scale_control`; of rest-length rates, the deviation of velocities `speed` [m/s].
     """
     if isinstance(model.scene.control, RestLengthRate):
         return np.full(model.nu, speed)

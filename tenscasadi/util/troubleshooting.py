@@ -50,7 +50,7 @@ _WORDS = {
     "mesh-too-coarse": "too coarse: corrections end",
     "refinement-missed": "iterations; the tolerance of",
     "unstable-motion": "the motion is so unstable that",
-    "tracking-too-slow": "grow too fast for gains to be found",
+    "tracking-too-slow": "grow too fast for LQR gains",
     "no-noise": "noise is None",
     "robustness-with-parameters": "robustness varies the values of the scene",
     "large-archive": "it unpacks to",

@@ -114,12 +114,12 @@ def test_bad_arguments_are_refused_by_name(plan, name):
 
 
 @pytest.mark.parametrize("success", [True, False])
-def test_a_plan_along_which_departures_explode_is_refused(plan, monkeypatch, success):
+def test_track_rejects_a_plan_whose_deviations_explode(plan, monkeypatch, success):
     exact = lqr.transitions
     monkeypatch.setattr(lqr, "transitions", lambda *given: [1e200 * part for part in exact(*given)])
-    told = "motion" if success else "motion of a plan that failed"
+    failed = "" if success else ", which failed,"
     with pytest.raises(
         ValueError,
-        match=rf"decisions is 20: departures along the {told} grow too fast.* more decisions",
+        match=rf"decisions is 20: deviations from the plan{failed} grow too fast.* more decisions",
     ):
         ocp.track(replace(plan, success=success))

@@ -11,7 +11,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.util.casadi_tools import column_norms
 
 
-def build_departures(model: Model, place: float, speed: float) -> ca.Function:
+def build_scaled_output(model: Model, place: float, speed: float) -> ca.Function:
     """Build the scaled output of a regulator and its Jacobian.
 
     The output is the coordinates in units of `place` [m] and the velocities in units of `speed`
@@ -37,4 +37,4 @@ def build_departures(model: Model, place: float, speed: float) -> ca.Function:
     ]
     own = model.split(x).internal / ca.DM(np.concatenate([np.zeros(0), *parts]))
     value = ca.vertcat(q / place, v / speed, own)
-    return ca.Function("departures", [x], [value, ca.jacobian(value, x)], {"cse": True})
+    return ca.Function("scaled_output", [x], [value, ca.jacobian(value, x)], {"cse": True})
