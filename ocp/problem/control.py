@@ -51,7 +51,8 @@ def build_force_density_model(model: Model) -> Model:
     structure = model.scene.structure
     if not structure.cables:
         return _change(model, control=ForceDensity())
-    return _change(model, control=ForceDensity(), structure=structure.replace(cables=()))
+    lone = structure.replace(cables=(), cable_friction=0.0)
+    return _change(model, control=ForceDensity(), structure=lone)
 
 
 def build_force_model(model: Model) -> Model:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple
 
 import casadi as ca
 from numpy.typing import ArrayLike
 
+from ocp.problem.control import controls_force_densities
 from tenscasadi.schema.field_types import PER_ITEM
 from tenscasadi.schema.value import Value
 from tenscasadi.structure.structure import Structure
@@ -23,6 +25,7 @@ from tenscasadi.util.validate import (
 
 if TYPE_CHECKING:
     from ocp.problem.instant import Instant
+    from tenscasadi.dynamics.model import Model
 
 ControlTerm = Callable[[Any, Any], Any]  # (force densities α×intervals, interval)
 InstantTerm = Callable[["Instant"], Any]
@@ -37,12 +40,30 @@ class CostTerms(NamedTuple):
     changes : functions of the force densities of neighboring intervals.
     running : functions of each instant, which are integrated over time.
     instants : functions of one instant, with its fraction of the duration (1 at the end).
+    effort : functions of the force densities of each interval, or of the torques of motors.
     """
 
     control: tuple[ControlTerm, ...] = ()
     changes: tuple[ControlTerm, ...] = ()
     running: tuple[InstantTerm, ...] = ()
     instants: tuple[tuple[float, InstantTerm], ...] = ()
+    effort: tuple[ControlTerm, ...] = ()
+
+    def express(self, model: Model) -> CostTerms:
+        """Express the terms by the controls of a model.
+
+        Terms of force densities that are no controls become integrals over time.
+        """
+        direct = controls_force_densities(model)
+        effort = direct or model.has_coupled_rates
+        own = (*(self.effort if effort else ()), *(self.control if direct else ()))
+        others = (*(() if effort else self.effort), *(() if direct else self.control))
+        forces = tuple(partial(_evaluate_forces, one) for one in others)
+        return self._replace(control=own, effort=(), running=(*forces, *self.running))
+
+
+def _evaluate_forces(term: ControlTerm, now: Instant) -> Any:
+    return term(now.force_density, 1.0)
 
 
 def cost_terms(costs: Iterable[Cost]) -> CostTerms:
@@ -155,6 +176,8 @@ class CostAt(Cost):
 class Effort(ControlCost, kind="Effort"):
     """Cost weight · ∫ Σ γ² dt over all strings.
 
+    Under control by motor torques, it is weight · ∫ Σ τ² dt over all motors.
+
     Parameters
     ----------
     weight : float, optional
@@ -167,8 +190,8 @@ class Effort(ControlCost, kind="Effort"):
 
     Notes
     -----
-    The integral is exact for piecewise-constant and piecewise-linear force densities. Its unit is
-    N²·s/m².
+    The integral is exact for piecewise-constant and piecewise-linear controls. Its unit is N²·s/m²,
+    or N²·m²·s for torques.
 
     Examples
     --------
@@ -182,13 +205,23 @@ class Effort(ControlCost, kind="Effort"):
     def __post_init__(self) -> None:
         check_weight(self)
 
+    def terms(self) -> CostTerms:
+        """Return the cost of each interval.
+
+        Returns
+        -------
+        CostTerms
+            Terms of the effort only.
+        """
+        return CostTerms(effort=(self.expression,))
+
     def expression(self, force_density: Any, interval: Any) -> Any:
         """Build the cost on some intervals.
 
         Parameters
         ----------
         force_density : casadi.SX or casadi.MX
-            Force densities, α×intervals [N/m].
+            Force densities, α×intervals [N/m], or torques of motors, nu×intervals [N·m].
         interval : casadi.SX, casadi.MX or float
             Length of each interval [s].
 

@@ -145,7 +145,11 @@ def typical_cost(
     changed = np.diag(control_scale(problem, strength) / strength) @ pattern[: problem.model.nu]
     total = sum(
         float(ca.DM(expression(ca.DM(held), step)))
-        for expressions, held in ((terms.control, pattern), (terms.changes, changed))
+        for expressions, held in (
+            (terms.control, pattern),
+            (terms.effort, changed if problem.model.has_coupled_rates else pattern),
+            (terms.changes, changed),
+        )
         for expression in expressions
     )
     for expression in terms.running:

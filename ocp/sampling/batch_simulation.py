@@ -270,7 +270,10 @@ class BatchSimulation:
         Running costs are integrated by the trapezoid rule.
         """
         h, now = duration * self.fractions, symbolic(self.problem.model)
-        ends, terms = np.append(0.0, np.cumsum(h)), cost_terms(self.problem.costs)
+        ends, terms = (
+            np.append(0.0, np.cumsum(h)),
+            cost_terms(self.problem.costs).express(self.problem.model),
+        )
         spacing = (h[1:] + h[:-1]) / 2
         total = 0.0
         for expression in terms.control:

@@ -90,7 +90,8 @@ def build_running_cost(
 ) -> ca.Function:
     """Build the running cost per second, with penalties of limits."""
     now, given = _instant(problem)
-    stage = weight * sum((rate(now) for rate in cost_terms(problem.costs).running), ca.DM(0))
+    running = cost_terms(problem.costs).express(problem.model).running
+    stage = weight * sum((rate(now) for rate in running), ca.DM(0))
     along = [
         rows for rows in scaled_rows(problem, PathBound, scales, strength) if rows.ends != ("last",)
     ]
@@ -146,8 +147,8 @@ def _excess(rows: ScaledRows, *given: Any) -> Any:
 
 
 def build_control_cost(problem: Problem, period: float, intervals: int) -> ca.Function | None:
-    """Build the Function γ → cost of force densities alone."""
-    terms = cost_terms(problem.costs)
+    """Build the Function u → cost of controls alone."""
+    terms = cost_terms(problem.costs).express(problem.model)
     gamma = ca.SX.sym("u", problem.model.nu, intervals)
     each = [expression(gamma, period) for expression in (*terms.control, *terms.changes)]
     return ca.Function("control", [gamma], [ca.densify(sum(each, ca.SX(0)))]) if each else None

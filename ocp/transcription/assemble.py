@@ -10,7 +10,6 @@ import casadi as ca
 import numpy as np
 
 from ocp.problem.bounds.bound import PathBound, RateBound
-from ocp.problem.control import controls_force_densities
 from ocp.problem.costs import ControlTerm, InstantTerm, cost_terms
 from ocp.problem.instant import symbolic
 from ocp.problem.path_constraints import ScaledRows, scaled_rows
@@ -153,11 +152,8 @@ def build_path_blocks(v: Variables) -> list[Block]:
 
 def build_cost_blocks(v: Variables) -> list[Block]:
     """Build all costs: integrals, differences of neighboring controls, and instants."""
-    terms = cost_terms(v.problem.costs)
-    if controls_force_densities(v.model):
-        found = [_build_integral(v, one) for one in terms.control]
-    else:
-        found = [_build_force_term(v, one) for one in terms.control]
+    terms = cost_terms(v.problem.costs).express(v.model)
+    found = [_build_integral(v, one) for one in terms.control]
     if len(v.controls) > 1:
         found += [_build_differences(v, one) for one in terms.changes]
     found += [_build_simpson(v, rate) for rate in terms.running]
@@ -321,11 +317,6 @@ def _build_integral(v: Variables, expression: ControlTerm) -> _Summand:
     points = ca.horzcat(*(v.gamma(z[:-2], 0.5 + offset) for offset in offsets))
     value = expression(points, z[-2] * z[-1] / len(offsets))
     return z, value, np.hstack([v.interval_controls, v.repeat(v.duration), v.share])
-
-
-def _build_force_term(v: Variables, expression: ControlTerm) -> _Summand:
-    """Build a cost of force densities that are no controls."""
-    return _build_simpson(v, lambda now: expression(now.force_density, 1.0))
 
 
 def _build_simpson(v: Variables, expression: InstantTerm) -> _Summand:

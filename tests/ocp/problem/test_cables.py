@@ -7,6 +7,7 @@ import pytest
 
 import ocp
 import tenscasadi as tc
+from ocp.problem.control import build_force_density_model
 
 
 def hung(control: tc.RestLength | tc.Tension, **options: object) -> tc.Model:
@@ -58,6 +59,12 @@ def test_automatic_method_plans_cables(control):
     plan = ocp.solve(lift(hung(control), ocp.TensionLimits(0.5)))
     assert plan.success, plan.message
     assert plan.control.shape[1] == 2
+
+
+def test_force_densities_of_cables_with_friction_are_those_of_lone_strings():
+    model = build_force_density_model(hung(tc.RestLength(), cable_friction=0.1))
+    assert model.nu == 3
+    assert not model.scene.structure.cables
 
 
 def test_plan_comes_back_from_its_file(tmp_path):

@@ -73,6 +73,25 @@ def test_plans_of_motors_keep_their_limits(tmp_path: Path) -> None:
         ocp.solve(motors(), ocp.Variational(10))
 
 
+@pytest.mark.parametrize("costs", [[], [ocp.Effort(0.5)]])
+def test_effort_of_motors_is_that_of_their_torques(costs: list[ocp.Effort]) -> None:
+    hanging = tc.Structure(
+        nodes=[(0, 0, 0), (0, 0, -1)],
+        strings=[(0, 1)],
+        pinned=[0],
+        node_mass=[0.0, 2.0],
+        stiffness=500.0,
+        rest_length=0.96,
+    )
+    scene = tc.Scene(hanging, control=tc.Winch(0.05, 2e-3, 1e-3), gravity=tc.Gravity())
+    goals = [ocp.NodePositions({1: (0, 0, -0.8)}), ocp.AtRest()]
+    plan = ocp.solve(ocp.Problem(tc.Model(scene), 0.6, goals=goals, costs=costs))
+    assert plan.success, plan.message  # without limits, torques do not alternate
+    effort = float(np.diff(plan.time) @ (plan.motor_torque**2).sum(axis=1))
+    weight = costs[0].weight if costs else 1.0
+    assert plan.objective == pytest.approx(weight * effort, rel=1e-6)
+
+
 def test_the_default_method_plans_winches() -> None:
     plan = ocp.solve(problem())
     assert plan.success, plan.message

@@ -54,6 +54,22 @@ def test_running_costs_are_those_of_the_periods_ends_in_time():
         )
 
 
+def test_effort_under_rest_lengths_is_that_of_force_densities():
+    elastic = tc.shapes.d_bar(pinned=[0], prestress=20.0, stiffness=500.0)
+    model = tc.Model(tc.Scene(elastic, control=tc.RestLength()))
+    problem = ocp.Problem(model, 0.8, costs=[ocp.Effort(0.5)])
+    controller = ocp.Mppi(problem, PERIOD, 0.4, 3, steps=STEPS, position_scale=0.1, noise=0.01)
+    tried = (
+        model.initial_control * np.linspace(0.98, 1.0, 3)[:, None, None] * np.ones((3, COUNT, 1))
+    )
+    found = controller._evaluate(0.0, model.initial_state, tried)
+    for cost, rest in zip(found, tried, strict=True):
+        run = tc.simulate(model, 0.4, PERIOD / STEPS, control=rest, compiled=False)
+        ends = zip(run.states[STEPS::STEPS], rest, strict=True)
+        squared = [np.sum(model.force_density(x, u) ** 2) for x, u in ends]
+        assert cost == pytest.approx(0.5 * PERIOD * np.sum(squared), rel=1e-9)
+
+
 def test_costs_of_force_densities_are_those_of_plans():
     found, tried, _ = costs(costs=[ocp.Effort(0.5), ocp.Smoothness(0.1), ocp.Prestress([1.0, 2.0])])
     for cost, gamma in zip(found, tried, strict=True):
