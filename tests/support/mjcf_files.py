@@ -51,7 +51,7 @@ REFUSED: dict[str, tuple[str, str]] = {
     "class": (file(FREE + ROD.replace("type", 'class="thin" type') + SITES), "names the class 'thin'"),
     "same site": (file(FREE + ROD + SITES * 2), '<site name="a"> name: is the name of two sites'),
     "wrapping": (file(tendon='<spatial><site site="a"/><geom geom="g"/><site site="w"/></spatial>'), "<geom>: has no counterpart in a scene: .*wrap"),
-    "three sites": (file(tendon=STRING.replace("</sp", '<site site="b"/></sp')), "runs through 3 sites"),
+    "one site": (file(tendon=STRING.replace('<site site="w"/>', "")), "runs through 1 sites"),
     "no site": (file(tendon=STRING.replace('"w"', '"v"')), "<site> site: is 'v', which is no site"),
     "fixed tendon": (file(tendon='<fixed><joint joint="j" coef="1"/></fixed>'), "<fixed>: has no counterpart"),
     "limited tendon": (file(tendon=STRING.replace("<spatial", '<spatial range="0 1"')), "<spatial> range: limits the length"),

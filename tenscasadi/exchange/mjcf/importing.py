@@ -21,7 +21,7 @@ from tenscasadi.exchange.source import Source
 from tenscasadi.scene.control import Control
 from tenscasadi.scene.loads import Gravity
 from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.strings import Clip, ForceDensity, Linear
+from tenscasadi.scene.strings import Clip, Linear
 from tenscasadi.schema.reading import SceneFileError
 from tenscasadi.structure.rigid_body import RigidBody
 from tenscasadi.structure.structure import Structure
@@ -35,8 +35,9 @@ def import_mjcf(path: str | os.PathLike[str], *, strict: bool = True) -> Scene:
 
     Bodies with two ends become bars, and bodies with one end point masses. Bodies with three or
     more attached points that are not on a line become rigid bodies. Spatial tendons between two
-    sites become strings. Ball joints and ``connect`` become nodes that bars share. A hinge becomes
-    two nodes on its axis, which two rigid bodies share or which are pinned. Bodies that ``weld`` or
+    sites become strings, and those through more sites cables without friction. Ball joints and
+    ``connect`` become nodes that bars share. A hinge becomes two nodes on its axis, which two rigid
+    bodies share or which are pinned. Bodies that ``weld`` or
     nesting fixes to each other are one body. Features without a counterpart in a scene are rejected
     by name, or left out.
 
@@ -74,20 +75,20 @@ def import_mjcf(path: str | os.PathLike[str], *, strict: bool = True) -> Scene:
     - A tendon with two spring lengths, the first of them 0, becomes a string with `Clip`. A tendon
       with one spring length has the law `Linear`. Damped tendons also damp while they are slack in
       MuJoCo; here only strings with `Linear` do.
-    - Position actuators on all tendons become control by rest lengths. Its initial value is that of
-      the first key. Control ranges are ignored, because they are bounds of a plan.
+    - Position actuators on all tendons become control by rest lengths, and integrators such as
+      ``intvelocity`` control by their rates. Initial rest lengths are those of the first key. Forces
+      become control by tensions or force densities. Control ranges are ignored, because they are bounds of a plan.
     - Nodes touch the ground. Spheres, capsules and cylinders that end at a node give its distance.
       A capsule with the radius of its bar makes it one of `Ground.bars`. A contact time constant
       becomes the stiffness for the mean mass. A `pair` of two such capsules becomes `BarContact`.
       Other contacts between bodies, velocities of keys, step and solver are ignored.
     - If not `strict`, attached points move to the nearer end of their bar. Hinges that slide become
-      balls, a tendon through several sites becomes strings in series, and boxes are bars along
-      their longest side. Actuators with affine forces become control by rest lengths, and tendons
+      balls, and boxes are bars along their longest side. Actuators with affine forces become control by rest lengths, and tendons
       without actuator are controlled, too. Limits, friction of joints and activation dynamics are
       left out.
 
-    Nodes, bars and strings keep the numbers in the names of `export_mjcf`. Others are numbered in
-    the order of the file.
+    Nodes, bars and strings keep the numbers in the names of `export_mjcf`. Others, and strings of
+    files with cables, are numbered in the order of the file.
 
     Examples
     --------
@@ -113,7 +114,8 @@ def import_mjcf(path: str | os.PathLike[str], *, strict: bool = True) -> Scene:
     bodies = Bodies(root, defaults, units, compiler.flag("inertiafromgeom"))
     ties = _read_ties(root, defaults, bodies, option)
     strings = read_strings(root, defaults, bodies)
-    control, strings = read_control(root, defaults, strings)
+    control, tendons = read_control(root, defaults, strings)
+    strings = [part for tendon in tendons for part in tendon.divide()]
     try:
         builder = _SceneBuilder(bodies, strings, ties)
         scene = builder.build(root, defaults, option, control)
@@ -189,12 +191,12 @@ class _SceneBuilder:
         ties: list[tuple[Element, Side, Side]],
     ) -> None:
         self.bodies, self.strings = bodies, strings
-        attached = [site for string in strings for site in string.ends]
+        attached = [site for string in strings for site in string.sites]
         attached += [Site(*side) for _, *sides in ties for side in sides]
         self.ends = ends = PieceEnds(bodies, attached)
         for tie, one, other in ties:
             ends.join(ends.place(*one, tie), ends.place(*other, tie))
-        places = [[ends.place(*site) for site in string.ends] for string in strings]
+        places = [[ends.place(*site) for site in string.sites] for string in strings]
         for end in (end for both in places for end in both if end.piece == 0):
             ends.pinned.add(ends.node(end))
         pieces = dict(bodies.moving())
@@ -286,10 +288,20 @@ class _SceneBuilder:
             pinned=pinned,
             rollers=rollers,
             bodies=rigid,
+            cables=self._find_cables(),
             stiffness=[string.stiffness for string in self.strings],
             damping=[string.damping for string in self.strings],
             rest_length=rest_length if given else None,
         )
+
+    def _find_cables(self) -> list[list[int]]:
+        """Find the strings of each tendon through several sites."""
+        parts: dict[int, list[int]] = {}
+        for k, string in enumerate(self.strings):
+            parts.setdefault(id(string.element), []).append(k)
+        cables = [cable for cable in parts.values() if len(cable) > 1]
+        order = order_by_number([[self.strings[cable[0]].name] for cable in cables], "cable")
+        return cables if order is None else [cables[k] for k in order]
 
     def _find_supports(self) -> tuple[dict[int, str], dict[int, Array]]:
         """Find pinned nodes, and the normals of rollers."""
@@ -314,10 +326,11 @@ class _SceneBuilder:
         if option.text("flag gravity", "enable") != "enable":
             gravity = np.zeros(3)
         laws: dict[int, Any] = {i: Linear() for i, s in enumerate(self.strings) if s.pushes}
+        commanded = control is not None and control.commands_forces
         parts: dict[str, Any] = {
             "control": control,
             "gravity": Gravity(tuple(gravity.tolist())) if gravity.any() else None,
-            "slack": Clip() if not laws or isinstance(control, ForceDensity) else laws,
+            "slack": laws if laws and not commanded else Clip(),
         }
         bare = Scene(structure, **parts)
         if "disable" in (option.text("flag contact"), option.text("flag constraint")):

@@ -197,6 +197,8 @@ class PieceEnds:
             return
         rods = [geom.rod for geom in piece.geoms if geom.rod and geom.rod.kind != "sphere"]
         longest = max(rods, key=lambda rod: rod.length, default=None)
+        if longest is None and len(places) == 2:  # of a rod without geoms
+            ends.extend(places[len(ends) :])
         if len(ends) > 2:
             where = ", ".join(str(end.round(4).tolist()) for end in ends[:4])
             piece.element.leave_out(

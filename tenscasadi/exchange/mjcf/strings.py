@@ -12,21 +12,21 @@ from tenscasadi.exchange.mjcf.elements import Element
 from tenscasadi.exchange.mjcf.members import order_by_number
 from tenscasadi.exchange.mjcf.words import Defaults, children
 from tenscasadi.scene.control import Control
-from tenscasadi.scene.strings import ForceDensity, RestLength
-from tenscasadi.util.validate import Array
+from tenscasadi.scene.strings import ForceDensity, RestLength, Tension
+from tenscasadi.scene.winches import RestLengthRate
 
 _UNLIMITED = 1e9  # N: larger force limits count as none
 
 
 class TendonString(NamedTuple):
-    """String of a spatial tendon.
+    """String or cable of a spatial tendon.
 
     Attributes
     ----------
     element : Element
         XML element.
-    ends : (Site, Site)
-        Sites of its ends.
+    sites : tuple of Site
+        Sites that it runs through: two of a string, more of a cable.
     stiffness : float
         Stiffness [N/m].
     damping : float
@@ -38,7 +38,7 @@ class TendonString(NamedTuple):
     """
 
     element: Element
-    ends: tuple[Site, Site]
+    sites: tuple[Site, ...]
     stiffness: float
     damping: float
     rest: float | None
@@ -49,24 +49,47 @@ class TendonString(NamedTuple):
         """Name of the tendon."""
         return self.element.text("name")
 
+    @property
+    def length(self) -> float:
+        """Length in the file [m]."""
+        return sum(float(np.linalg.norm(b.place - a.place)) for a, b in pairwise(self.sites))
+
+    def divide(self) -> list[TendonString]:
+        """Divide a cable into its strings, in series, of equal tension."""
+        if len(self.sites) == 2:
+            return [self]
+        found = []
+        for ends in pairwise(self.sites):
+            share = float(np.linalg.norm(ends[1].place - ends[0].place)) / self.length
+            if share > 0:
+                found.append(
+                    self._replace(
+                        sites=ends,
+                        stiffness=self.stiffness / share,
+                        damping=self.damping / share,
+                        rest=None if self.rest is None else self.rest * share,
+                    )
+                )
+        return found
+
 
 def read_strings(root: Element, defaults: Defaults, bodies: Bodies) -> list[TendonString]:
     """Read all tendons, in the order of the numbers in their names.
 
     Raises SceneFileError.
     """
-    found = [
-        string
+    read = [
+        _read_tendon(defaults.apply(child), bodies)
         for section in root.find("tendon")
         for child in children(section)
-        for string in _read_tendon(defaults.apply(child), bodies)
     ]
+    found = [string for string in read if string is not None]
     order = order_by_number([[string.name] for string in found], "string")
     return found if order is None else [found[k] for k in order]
 
 
-def _read_tendon(tendon: Element, bodies: Bodies) -> list[TendonString]:
-    """Read a spatial tendon as strings in a row.
+def _read_tendon(tendon: Element, bodies: Bodies) -> TendonString | None:
+    """Read a spatial tendon; None if it is left out.
 
     Raises SceneFileError.
     """
@@ -74,36 +97,23 @@ def _read_tendon(tendon: Element, bodies: Bodies) -> list[TendonString]:
     if limited or (limited is None and "range" in tendon.attributes):
         message = "limits the length of a tendon, which has no counterpart in a scene: leave it out"
         tendon.leave_out(message, "range")
-    sites = [bodies.find_site(child) for child in children(tendon)]
-    if len(sites) != 2:
-        tendon.leave_out(
-            f"runs through {len(sites)} sites: strings join two nodes, write one for each part"
-        )
+    sites = tuple(bodies.find_site(child) for child in children(tendon))
+    if len(sites) < 2:
+        tendon.leave_out(f"runs through {len(sites)} sites: give two or more")
+        return None
     low, high = tendon.numbers("springlength", (1, 2), (-1, -1))[[0, -1]]
     if low != high and low != 0:
         tendon.leave_out(
             f"is {tendon.text('springlength')!r}: give one length, for a spring, or 0 and one, for a string that goes slack",
             "springlength",
         )
-    parts = list(pairwise(sites))
-    lengths = [float(np.linalg.norm(b.place - a.place)) for a, b in parts]
-    whole = sum(lengths)
+    stiffness, damping = (_read_linear(tendon, name) for name in ("stiffness", "damping"))
+    rest = None if high < 0 else float(high)
+    found = TendonString(tendon, sites, stiffness, damping, rest, bool(low == high))
     if high == 0:
         message = "is 0: a string has a length greater than 0, give a small one"
         tendon.leave_out(message, "springlength")
-        high = 1e-3 * whole
-    stiffness, damping = (_read_linear(tendon, name) for name in ("stiffness", "damping"))
-    pushes = bool(low == high)
-    if len(parts) == 1:
-        rest = None if high < 0 else float(high)
-        return [TendonString(tendon, parts[0], stiffness, damping, rest, pushes)]
-    found = []
-    for ends, length in zip(parts, lengths, strict=True):  # in series, of equal tension
-        if length > 0:
-            share = length / whole
-            rest = None if high < 0 else float(high) * share
-            k, c = stiffness / share, damping / share
-            found.append(TendonString(tendon, ends, k, c, rest, pushes))
+        found = found._replace(rest=1e-3 * found.length)
     return found
 
 
@@ -132,6 +142,8 @@ class Servo(NamedTuple):
         Rest length of its stiffness at the initial control [m]; None for the length in the file.
     pushes : bool
         Whether it carries compression.
+    start : float
+        Initial control of a commanded force [N/m] or [N].
     """
 
     element: Element
@@ -140,6 +152,15 @@ class Servo(NamedTuple):
     damping: float = 0.0
     rest: float | None = None
     pushes: bool = False
+    start: float = 0.0
+
+    def force_density(self, length: float) -> float:
+        """Compute the initial force density [N/m] of a commanded force."""
+        return self.start / length if self.control is Tension and length > 0 else self.start
+
+
+# kinds of control, the preferred one of a file with several first
+_KINDS = (RestLength, RestLengthRate, Tension, ForceDensity)
 
 
 def read_control(
@@ -149,11 +170,11 @@ def read_control(
 
     Raises SceneFileError.
     """
-    names = {string.name for string in strings}
+    names = {string.name: string for string in strings}
     actuators = [
         defaults.apply(child) for section in root.find("actuator") for child in children(section)
     ]
-    start = _read_start(root, len(actuators))
+    start = _read_start(root, actuators)
     servos: dict[str, Servo] = {}
     for k, actuator in enumerate(actuators):
         name = actuator.text("tendon")
@@ -161,13 +182,18 @@ def read_control(
             message = "give each tendon one actuator, and actuators to tendons alone"
             actuator.leave_out(f"is {name!r}: {message}", "tendon")
             continue
-        servo = _read_servo(actuator, None if start is None else float(start[k]))
+        servo = _read_servo(actuator, start[k])
+        if servo is not None and servo.control is ForceDensity and len(names[name].sites) > 2:
+            actuator.leave_out(
+                f"drives a cable by force density: {_TENSION} for its tension", "gainprm"
+            )
+            servo = servo._replace(control=Tension)
         if servo is not None:
             servos[name] = servo
     if not servos:
         return None, strings
     kinds = {servo.control for servo in servos.values()}
-    kind = RestLength if RestLength in kinds else ForceDensity
+    kind = next(kind for kind in _KINDS if kind in kinds)
     found = []
     for string in strings:
         servo = servos.get(string.name)
@@ -185,26 +211,41 @@ def read_control(
 def _drive(string: TendonString, servo: Servo | None, kind: type[Control]) -> TendonString:
     """Combine the springs of a string and its actuator."""
     own = servo if servo is not None and servo.control is kind else None
+    commands = kind in (ForceDensity, Tension)
+    if own is not None and commands and (string.stiffness or string.damping):
+        string.element.leave_out(
+            "has stiffness or damping beside an actuator that sets its force: leave them out",
+            "stiffness",
+        )
     if own is not None and (string.stiffness or string.damping) and own.stiffness:
         string.element.leave_out(
             "has stiffness or damping beside an actuator: give them to the actuator, as kp and kv",
             "stiffness",
         )
-        length = float(np.linalg.norm(string.ends[1].place - string.ends[0].place))
-        rests = [length if part.rest is None else part.rest for part in (string, own)]
+        rests = [string.length if part.rest is None else part.rest for part in (string, own)]
         total = string.stiffness + own.stiffness
         rest = (string.stiffness * rests[0] + own.stiffness * rests[1]) / total
         return string._replace(
             stiffness=total, damping=string.damping + own.damping, rest=rest, pushes=own.pushes
         )
-    if own is not None and kind is RestLength and own.stiffness:
+    if own is not None and own.stiffness:
         return string._replace(**{name: getattr(own, name) for name in _SPRING})
-    if kind is ForceDensity:  # the default of `Structure`, which force densities ignore
-        return string._replace(stiffness=100.0, rest=None)
+    if commands:
+        return _hold(string, 0.0 if own is None else own.force_density(string.length))
     return string
 
 
+def _hold(string: TendonString, density: float) -> TendonString:
+    """Choose a spring that has the initial force density [N/m] of a commanded force."""
+    k = max(100.0, 2 * density)  # the default of `Structure`, which commanded forces ignore
+    return string._replace(
+        stiffness=k, rest=string.length * (1 - density / k) if density > 0 else None
+    )
+
+
 _SPRING = ("stiffness", "damping", "rest", "pushes")
+_DENSITY = 'give gaintype="affine" gainprm="0 -1 0"'
+_TENSION = 'give gainprm="-1 0 0"'
 
 
 def _read_servo(actuator: Element, control: float | None) -> Servo | None:
@@ -221,17 +262,24 @@ def _read_servo(actuator: Element, control: float | None) -> Servo | None:
         k = actuator.number("kp", 1.0)
         gain, bias = np.array([k]), np.array([0.0, -k, -actuator.number("kv", 0.0)])
         kinds = ["fixed", "affine", "none"]
-    if kinds[2] != "none":
+    elif actuator.tag == "intvelocity":
+        k = actuator.number("kp", 1.0)
+        gain, bias = np.array([k]), np.array([0.0, -k, -actuator.number("kv", 0.0)])
+        kinds = ["fixed", "affine", "integrator"]
+    if kinds[2] not in ("none", "integrator"):
         actuator.leave_out(f"is {kinds[2]!r}: strings follow their control at once", "dyntype")
+        kinds[2] = "none"
     gear = float(actuator.text("gear", "1").split()[0])
-    if kinds[:2] == ["affine", "none"] and gain[1] == -1 and np.count_nonzero(gain) == 1:
-        return Servo(actuator, ForceDensity)
+    single = kinds[1:] == ["none", "none"] and np.count_nonzero(gain) == 1
+    if single and kinds[0] == "affine" and gain[1] * gear**2 == -1:
+        return Servo(actuator, ForceDensity, start=control or 0.0)
+    if single and kinds[0] == "fixed" and gain[0] * gear == -1:
+        return Servo(actuator, Tension, start=control or 0.0)
     is_spring = kinds[:2] == ["fixed", "affine"] and bias[1] < 0
     exact = gear == 1 and (not is_spring or (not bias[0] and bias[1] == -gain[0]))
     if not is_spring or not exact or np.any(gain[1:]) or np.any(bias[3:]):
-        cure = 'give gaintype="affine" gainprm="0 -1 0"'
         actuator.leave_out(
-            f"pulls by another law than force = −length × control: {cure}", "gainprm"
+            f"pulls by another law than force = −length × control: {_DENSITY}", "gainprm"
         )
     if not is_spring:  # a force beside that of the string's own spring
         return Servo(actuator, RestLength)
@@ -239,7 +287,7 @@ def _read_servo(actuator: Element, control: float | None) -> Servo | None:
     given = control is not None or bias[0]
     return Servo(
         actuator,
-        RestLength,
+        RestLengthRate if kinds[2] == "integrator" else RestLength,
         float(-bias[1]),
         float(0.0 - bias[2]),
         float(rest) if given and rest > 0 else None,
@@ -250,10 +298,22 @@ def _read_servo(actuator: Element, control: float | None) -> Servo | None:
 _TYPES = ("gain", "bias", "dyn")
 
 
-def _read_start(root: Element, count: int) -> Array | None:
-    """Read the controls of the first key that has them."""
+def _read_start(root: Element, actuators: list[Element]) -> list[float | None]:
+    """Read the controls, or states of integrators, of the first key that has them."""
     keys = [key for section in root.find("keyframe") for key in section.find("key")]
-    return next((key.numbers("ctrl", count) for key in keys if "ctrl" in key.attributes), None)
+    found: list[float | None] = [None] * len(actuators)
+    integrates = [own.tag == "intvelocity" or "dyntype" in own.attributes for own in actuators]
+    own = {
+        "ctrl": list(range(len(actuators))),
+        "act": [k for k, yes in enumerate(integrates) if yes],
+    }
+    for name, which in own.items():
+        for key in [key for key in keys if name in key.attributes][:1]:
+            for k, value in zip(which, key.numbers(name, len(which)).tolist(), strict=True):
+                found[k] = value
+    if "act" not in {name for key in keys for name in key.attributes}:
+        found = [None if own else value for own, value in zip(integrates, found, strict=True)]
+    return found
 
 
 def _is_tension_only(actuator: Element) -> bool:

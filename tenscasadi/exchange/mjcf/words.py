@@ -34,7 +34,9 @@ _READ = {
         "exclude": "name body1 body2",
         "position": f"{_DRAWN} {_ACTUATOR} kp kv inheritrange",
         "motor": f"{_DRAWN} {_ACTUATOR} gear",
-        "general": f"{_DRAWN} {_ACTUATOR} gear gaintype gainprm biastype biasprm dyntype",
+        "intvelocity": f"{_DRAWN} {_ACTUATOR} kp kv actrange inheritrange",
+        "general": f"{_DRAWN} {_ACTUATOR} gear gaintype gainprm biastype biasprm dyntype "
+        "actlimited actrange",
     }.items()
 }
 
@@ -52,6 +54,7 @@ _NEUTRAL: dict[str, dict[str, str]] = {
     "spatial": {"frictionloss": "0", "armature": "0"},
     "weld": {"relpose": "0 0 0 0 0 0 0"},
     "position": {"gear": "1", "timeconst": "0", "dampratio": "0"},
+    "intvelocity": {"gear": "1", "dampratio": "0"},
     "general": {"input": "pos", "dynprm": "1"},
 }
 _CHILDREN = {
@@ -65,7 +68,7 @@ _CHILDREN = {
         "spatial": "site",
         "equality": "connect weld",
         "contact": "pair exclude",
-        "actuator": "position general motor",
+        "actuator": "position intvelocity general motor",
     }.items()
 }
 # Elements for drawing, sensors and saved states: ignored.
@@ -119,7 +122,7 @@ class Defaults:
         known = self._classes.get(name, {})
         # MuJoCo treats all actuators as general ones, and all equalities alike
         parent = {"spatial": "tendon", "connect": "equality", "weld": "equality"}
-        parent |= dict.fromkeys(("position", "motor"), "general")
+        parent |= dict.fromkeys(("position", "intvelocity", "motor"), "general")
         tags = [parent[element.tag]] if element.tag in parent else []
         defaults: dict[str, str] = {}
         for tag in (*tags, element.tag):

@@ -27,6 +27,7 @@ from tenscasadi.scene.control import Control
 from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity, RestLength, Tension
+from tenscasadi.scene.winches import RestLengthRate, Winch
 from tenscasadi.structure.cables import find_directions
 from tenscasadi.util.linear_algebra import fit_velocities
 from tenscasadi.util.validate import Array
@@ -50,6 +51,8 @@ class SpatialTendon(NamedTuple):
         """Compute the control that keeps the rest length."""
         if isinstance(kind, RestLength):
             return self.rest_length
+        if isinstance(kind, RestLengthRate):
+            return 0.0
         if isinstance(kind, ForceDensity):
             return self.stiffness * max(0.0, 1 - self.rest_length / self.length)  # Eq. 99 at rest
         return self.stiffness * max(0.0, self.length - self.rest_length)
@@ -62,10 +65,10 @@ def list_tendons(scene: Scene) -> list[SpatialTendon]:
             f"scene.strength is {scene.strength}, which MJCF files cannot hold: "
             "give strict=False to leave it out, or a scene with strength=None"
         )
-    if scene.internal_states:
+    if isinstance(scene.control, Winch):
         raise ValueError(
             f"scene.control is {scene.control}, which MJCF files cannot hold: "
-            "export a scene with control=RestLength()"
+            "export a scene with control=RestLengthRate() or RestLength()"
         )
     s, pushing = scene.modelled, scene.compression_strings.tolist()
     paths = {
@@ -410,7 +413,13 @@ class MjcfWriter:
                     pulls = (
                         {} if own.pushes else {"forcelimited": "true", "forcerange": [-1e12, 0.0]}
                     )
-                    _add(actuator, "position", **of, kp=own.stiffness, kv=own.damping, **pulls)
+                    k, c = own.stiffness, own.damping
+                    if isinstance(scene.control, RestLengthRate):  # the rest length is a state
+                        law = {"dyntype": "integrator", "gainprm": k, "biasprm": [0, -k, -c]}
+                        _add(actuator, "general", **of, biastype="affine", **law, **pulls)
+                        start.setdefault("act", []).append(own.rest_length)
+                    else:
+                        _add(actuator, "position", **of, kp=k, kv=c, **pulls)
             start["ctrl"] = [own.control(scene.control) for own in self.tendons]
         if start:
             _add(ET.SubElement(self.root, "keyframe"), "key", name="start", **start)

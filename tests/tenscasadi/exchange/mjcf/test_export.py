@@ -282,6 +282,29 @@ def test_cables_are_tendons_through_their_nodes(tmp_path, control):
     np.testing.assert_allclose(ends, run.nodes[-1], atol=2e-4)
 
 
+def test_rest_length_rates_are_integrators(tmp_path):
+    mujoco = pytest.importorskip("mujoco")
+    prism = tc.shapes.prism(pinned=[0, 1, 2], stiffness=500.0, prestress=20.0, damping=2.0)
+    scene = tc.Scene(prism, control=tc.RestLengthRate(), gravity=tc.Gravity())
+    world = mujoco.MjModel.from_xml_path(str(tc.export_mjcf(scene, tmp_path / "rates.xml")))
+    world.opt.timestep, world.opt.integrator = 1e-3, mujoco.mjtIntegrator.mjINT_RK4
+    data = mujoco.MjData(world)
+    mujoco.mj_resetDataKeyframe(world, data, 0)
+    data.ctrl[:] = rates = np.linspace(-0.05, 0.05, 9)
+    mujoco.mj_step(world, data, 100)
+    mujoco.mj_forward(world, data)
+    run = tc.simulate(tc.Model(scene), 0.1, 1e-3, control=rates)
+    np.testing.assert_allclose(data.act, run.internal_states["rest length"][-1], atol=1e-12)
+    ends = [data.site(f"n{node}").xpos for node in range(6)]
+    np.testing.assert_allclose(ends, run.nodes[-1], rtol=0, atol=1e-9)
+
+
+def test_motors_of_winches_are_rejected(tmp_path):
+    scene = tc.Scene(tc.shapes.prism(), control=tc.Winch(0.02, 1e-3))
+    with pytest.raises(ValueError, match=r"export a scene with control=RestLengthRate\(\)"):
+        tc.export_mjcf(scene, tmp_path / "motors.xml")
+
+
 def test_friction_of_cables_is_rejected(tmp_path):
     s = tc.shapes.prism().replace(cables=[[0, 1, 2]], cable_friction=0.1)
     with pytest.raises(ValueError, match="cable_friction has no counterpart in MJCF"):

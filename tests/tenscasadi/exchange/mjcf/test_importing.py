@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mjcf_files import file
 
 import tenscasadi as tc
 from tenscasadi.exchange.mjcf.bodies import Bodies
@@ -80,8 +81,47 @@ def test_laws_controls_and_segments_read_back(tmp_path: Path) -> None:
         assert_same(scene.modelled, found.structure)
         assert found.control == scene.control
         assert found.compression_strings.tolist() == scene.compression_strings.tolist()
-    found = tc.import_mjcf(tc.export_mjcf(tc.Scene(prism, control=tc.ForceDensity()), path))
-    assert found.control == tc.ForceDensity()
+    for control in (tc.ForceDensity(), tc.Tension()):
+        scene = tc.Scene(prism, control=control)
+        found = tc.import_mjcf(tc.export_mjcf(scene, path))
+        assert found.control == control
+        starts = [tc.Model(own).initial_control for own in (scene, found)]
+        np.testing.assert_allclose(*starts, rtol=1e-12)
+
+
+@pytest.mark.parametrize("control", [None, tc.RestLength(), tc.RestLengthRate(), tc.Tension()])
+def test_cables_read_back(control: Any, tmp_path: Path) -> None:
+    prism = tc.shapes.prism(pinned=FEET, damping=1.0, **LAW).replace(cables=[[3, 4, 5], [0, 1]])
+    scene = tc.Scene(prism, control=control, gravity=tc.Gravity())
+    found = tc.import_mjcf(tc.export_mjcf(scene, tmp_path / "s.xml"))
+    assert found.structure.cables == prism.cables
+    assert found.structure.strings.tolist() == prism.strings.tolist()
+    assert found.control == control
+    ends = [tc.simulate(tc.Model(own), 0.1, 1e-3).nodes[-1] for own in (scene, found)]
+    np.testing.assert_allclose(*ends, rtol=0, atol=1e-9)
+
+
+def test_thin_rods_read_back_as_bars(tmp_path: Path) -> None:
+    rod = tc.RigidBody((0, 1), 2.0, inertia=(0, 2 / 12, 2 / 12))
+    scene = tc.Scene(tc.Structure([(0, 0, 0), (1, 0, 0)], pinned=[0], bodies=[rod]))
+    found = tc.import_mjcf(tc.export_mjcf(scene, tmp_path / "s.xml")).structure
+    assert found.bars.tolist() == [[0, 1]]
+    assert found.bar_mass == pytest.approx([2.0])
+
+
+@pytest.mark.parametrize(
+    ("actuator", "control"),
+    [
+        ('<intvelocity kp="50" kv="2" actrange="0 3"', tc.RestLengthRate()),
+        ('<motor gear="-1"', tc.Tension()),
+        ('<general gear="2" gaintype="affine" gainprm="0 -0.25 0"', tc.ForceDensity()),
+    ],
+)
+def test_actuators_of_other_files_are_controls(actuator: str, control: Any, tmp_path: Path) -> None:
+    bare = '<spatial name="s"><site site="a"/><site site="w"/></spatial>'
+    actuators = f'<actuator>{actuator} tendon="s"/></actuator>'
+    (tmp_path / "s.xml").write_text(file(tendon=bare, more=actuators))
+    assert tc.import_mjcf(tmp_path / "s.xml").control == control
 
 
 def test_rollers_hold_along_the_same_directions(tmp_path: Path) -> None:

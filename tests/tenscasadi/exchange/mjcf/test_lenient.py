@@ -60,11 +60,12 @@ def test_strings_beside_the_axis_move_to_the_ends(tmp_path: Path) -> None:
     assert scene.structure.strings.tolist() == [[0, 2], [1, 2]]
 
 
-def test_a_tendon_through_three_sites_becomes_strings_in_series(tmp_path: Path) -> None:
+def test_a_tendon_through_three_sites_is_a_cable(tmp_path: Path) -> None:
     world = '<site name="v" pos="0 3 0"/>'
     through = STRING.replace("</sp", '<site site="v"/></sp').replace(">", ' springlength="0 2">', 1)
-    scene, _ = read(file(tendon=through, world=world), tmp_path)
-    structure = scene.structure
+    (tmp_path / "scene.xml").write_text(file(tendon=through, world=world))
+    structure = tc.import_mjcf(tmp_path / "scene.xml").structure
+    assert structure.cables == ((0, 1),)
     assert structure.string_lengths.tolist() == [1.0, 2.0]
     assert structure.rest_length == pytest.approx([2 / 3, 4 / 3])
     tension = structure.stiffness * (structure.string_lengths - structure.rest_length)
