@@ -44,6 +44,12 @@ class ForceDensities(NamedTuple):
         """Whether given force densities determine the scale of all."""
         return bool(self.given.any())
 
+    @property
+    def scale(self) -> float:
+        """Typical force density [N/m]: the mean of those given, or 1."""
+        given = np.abs(self.given[self.given != 0.0])
+        return float(given.mean()) if self.has_scale else 1.0
+
 
 def read_force_densities(structure: Structure, given: Any, groups: Groups | None) -> ForceDensities:
     """Read the force densities of strings (α,).

@@ -66,17 +66,17 @@ def estimate_force_densities(structure: Structure, densities: ForceDensities) ->
     the minimum is not unique, the estimate is near equal force densities.
     """
     strings, unknown = len(structure.strings), len(densities.lower)
-    scale = np.abs(densities.given[densities.given != 0.0]).mean() if densities.has_scale else 1.0
     A = equilibrium_matrix(structure) @ sp.diags_array(
         np.where(np.arange(len(densities.given)) < strings, 1.0, -1.0)
     )
     B = sp.csc_array(A @ densities.basis)
-    target = np.where(np.isfinite(densities.lower), scale, -scale)
+    target = densities.scale * np.where(np.isfinite(densities.lower), 1.0, -1.0)
     weight = _PULL * float(sp.linalg.norm(B)) ** 2 / max(unknown, 1)
     P = sp.csc_array(B.T @ B + weight * sp.eye_array(unknown))
     bounded = np.flatnonzero(np.isfinite(densities.lower))
     below = LinearRows(
-        -sp.eye_array(unknown, format="csr")[bounded], np.full(len(bounded), -_SMALLEST * scale)
+        -sp.eye_array(unknown, format="csr")[bounded],
+        np.full(len(bounded), -_SMALLEST * densities.scale),
     )
     none = LinearRows(sp.csc_array((0, unknown)), np.zeros(0))
     cost = B.T @ (A @ densities.given) - weight * target

@@ -31,6 +31,7 @@ from tenscasadi.structure.structure import Structure
 from tenscasadi.util.immutable import ReadOnlyArrays
 from tenscasadi.util.linear_algebra import fit_rotation
 from tenscasadi.util.validate import (
+    ROUNDING,
     TOLERANCE,
     Array,
     IndexOrName,
@@ -152,8 +153,9 @@ def form_find(
         raise ValueError("structure has no strings: add some, or keep its nodes")
     densities = read_force_densities(structure, force_density, groups)
     goals = _read_goals(structure, lengths, positions, equal_tension, loads)
+    scale = 0.0 if goals.loads.any() else densities.scale
     forms = (
-        _assess(structure, nodes, q, goals.loads, misses)
+        _assess(structure, nodes, q, scale, goals.loads, misses)
         for nodes, q, misses in _find_forms(structure, densities, goals)
     )
     first = next(forms)
@@ -230,9 +232,18 @@ def _read_goals(
 
 
 def _assess(
-    structure: Structure, nodes: Array, q: Array, loads: Array, misses: Mapping[str, float]
+    structure: Structure,
+    nodes: Array,
+    q: Array,
+    scale: float,
+    loads: Array,
+    misses: Mapping[str, float],
 ) -> Form:
-    """Assess a form by unbalanced forces, tensions and goals."""
+    """Assess a form by unbalanced forces, tensions and goals.
+
+    Force densities within rounding of their typical size, `scale` [N/m], count as zero.
+    """
+    q = np.where(np.abs(q).max(initial=0.0) > ROUNDING * scale, q, 0.0)
     strings = len(structure.strings)
     pairs = member_pairs(structure)
     vectors = nodes[pairs[:, 1]] - nodes[pairs[:, 0]]

@@ -87,8 +87,7 @@ class FormProgram:
         members = len(pairs) - len(inside)
         lengths = np.linalg.norm(np.diff(structure.nodes[pairs], axis=1)[:, 0], axis=1)
         self.length = float(lengths[:members].mean())
-        given = np.abs(densities.given[densities.given != 0.0])
-        self.density = float(given.mean()) if densities.has_scale else 1.0
+        self.density = densities.scale
         self._free = free
         self._held = structure.nodes.ravel() / self.length
         y, p = ca.SX.sym("y", self._free.shape[1]), ca.SX.sym("p", len(densities.lower))

@@ -125,11 +125,7 @@ def size(
     if not stable:
         if given is not None and given.any():
             return _superpose(structure, program, cases, given)
-        message = (
-            f"within {_gap(design.best.mass, design.bound):.1e} of the least mass"
-            if len(cases)
-            else "no loads"
-        )
+        message = _describe(design) if len(cases) else "no loads"
         chosen = _choose_forces(program, design.best, given)
         return report_sections(structure, program, cases, chosen, message)
     return _stabilize(structure, program, cases, given, design)
@@ -166,6 +162,13 @@ def _stabilize(
         search.factor, start, lightest = search.factor / least, found.area, sized.mass
     reason = f"a load case buckles at {least:.6g} times its load: give a minimum area"
     return replace(sized, success=False, message=reason)
+
+
+def _describe(design: Design) -> str:
+    """Describe the distance of a design from the lightest one."""
+    gap = f"within {_gap(design.best.mass, design.bound):.1e} of the least mass"
+    bound = f"the lightest design that was found, the lower bound is {design.bound:.6g} kg"
+    return gap if design.is_global else bound
 
 
 def _gap(mass: float, bound: float) -> float:

@@ -223,6 +223,9 @@ def test_forms_without_equilibrium_fail_with_a_reason() -> None:
     form = tc.form_find(tc.shapes.prism(), [1.0] * 6 + [3.0] * 3)
     assert not form.success
     assert "these force densities have 2 dimensions" in form.message
+    prism = tc.form_find(tc.shapes.prism(), force_density=0.0)
+    assert not prism.success
+    assert "no member carries a force" in prism.message
     zero = tc.form_find(tc.shapes.hyperbolic_paraboloid(4), force_density=0.0)
     assert not zero.success
     assert "no member carries a force" in zero.message
