@@ -16,6 +16,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.breaks import split_at_breaks
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.stabilization import build_projection
+from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strength import count_states
 from tenscasadi.simulation.string_breaks import describe_failures
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
@@ -163,10 +164,8 @@ def run(
         )
     ends = _find_decision_times(t_end, period)
     x = _find_start(plant, state)
-    for part in plant.over_time:
-        first = float(plant.split(x).clock[0])
-        part.check_run(first, first + float(ends[-1]))
-    periods = _run_periods(controller, plant, x, ends, n, disturbance)
+    traced = _trace_functions(plant, x, float(ends[-1]))
+    periods = _run_periods(controller, traced, x, ends, n, disturbance)
     states, controls, seconds, interrupted = [x[None]], [], [], False
     try:
         for part, u, waited in tqdm(
@@ -178,8 +177,19 @@ def run(
                 controls.append(np.repeat(u[None], n, axis=0))
     except KeyboardInterrupt:
         interrupted = True
-    trajectory = _record(plant, states, controls, ends, n, sum(seconds), interrupted)
+    trajectory = _record(traced, plant.scene, states, controls, ends, n, sum(seconds), interrupted)
     return ClosedLoop(trajectory, np.array(seconds))
+
+
+def _trace_functions(plant: Model, x: Array, duration: float) -> Model:
+    """Check the functions of time of the plant, and interpolate those that CasADi cannot trace."""
+    if not plant.has_clock:
+        return plant
+    first = float(plant.split(x).clock[0])
+    traced = plant.interpolate_functions(first, first + duration)
+    for part in traced.over_time:
+        part.check_run(first, first + duration)
+    return traced
 
 
 def _check_controller(controller: Any) -> float:
@@ -208,6 +218,7 @@ def _find_decision_times(t_end: float, period: float) -> Array:
 
 def _record(
     plant: Model,
+    scene: Scene,
     states: list[Array],
     controls: list[Array],
     ends: Array,
@@ -236,6 +247,7 @@ def _record(
         step=float(ends[1] - ends[0]) / n,
         message=message,
         success=done,
+        scene=scene,
         seconds=seconds,
         interrupted=interrupted,
     )

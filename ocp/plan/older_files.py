@@ -15,13 +15,13 @@ import numpy as np
 from ocp.io.plan_section import read_solution
 from tenscasadi.scene.control import Control
 from tenscasadi.scene.ground import Ground, Surface
+from tenscasadi.scene.interpolants import Samples
 from tenscasadi.scene.loads import Gravity, NodalForce, Pressure
 from tenscasadi.scene.parameters import Parameters
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Clip, Linear, Smooth, StringLaw
 from tenscasadi.scene.supports import SupportMotion
 from tenscasadi.scene.terrain import Terrain
-from tenscasadi.scene.time_functions import Samples
 from tenscasadi.schema.reading import Document
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.structure import PARAMETERS, Structure

@@ -28,6 +28,7 @@ from ocp.problem.start import FreeStart, read_start
 from tenscasadi.dynamics.base_model import check_model
 from tenscasadi.scene.breaking import Strength
 from tenscasadi.scene.failed_strings import require_intact
+from tenscasadi.scene.samples import reject_python_functions
 from tenscasadi.scene.strength import count_states, drop_states, limit_tensions
 from tenscasadi.schema.definitions import resolve_names
 from tenscasadi.structure.structure import Structure
@@ -82,6 +83,7 @@ def resolve(
     """
     check_model(model, "Problem.model")
     model = model.with_parameters(parameters)
+    reject_python_functions(model.scene, "Problem.model")
     names = model.scene.structure.names
     if strength is not None:
         instance("Problem.strength", strength, Strength, "Breaking(), Yielding() or None")

@@ -18,12 +18,13 @@ from tenscasadi.dynamics.mechanism import BarLength, Coordinates, Multipliers
 from tenscasadi.dynamics.observations import Observations
 from tenscasadi.scene.binding import fix
 from tenscasadi.scene.control_function import ControlSchedule
+from tenscasadi.scene.samples import interpolate_functions, reject_python_functions
 from tenscasadi.scene.scene import Scene
 from tenscasadi.schema.value import Value
 from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.compile import compile_function
 from tenscasadi.util.renamed import RenamedAttribute
-from tenscasadi.util.validate import choice, instance
+from tenscasadi.util.validate import choice, instance, number
 
 
 class Model(Value, Observations, kind="Model"):
@@ -106,6 +107,7 @@ class Model(Value, Observations, kind="Model"):
         choice("Model.coordinates", coordinates, "reduced", "full")
         super().__init__(scene, coordinates, scene_mechanism(scene, coordinates, bar_length))
         self.driven: tuple[Any, Model] | None = None  # by the control function of the last run
+        self.interpolated: tuple[Any, Model] | None = None  # over the last run
         if self.np and self.nq:
             _check_parameters(self)
 
@@ -178,6 +180,45 @@ class Model(Value, Observations, kind="Model"):
         """
         return self._copy(self.scene, schedule)
 
+    def interpolate_functions(self, first: float, last: float) -> Model:
+        """Interpolate the functions of time that CasADi cannot trace.
+
+        The Functions of this model call Python for them, which machine code cannot. Runs use the
+        interpolants.
+
+        Parameters
+        ----------
+        first, last : float
+            Start and end of a run [s].
+
+        Returns
+        -------
+        Model
+            Model with interpolants over the run; this model if all functions can be traced.
+
+        Raises
+        ------
+        ValueError
+            If a function raises, is not deterministic, or changes too fast. The message names the
+            time.
+
+        Examples
+        --------
+        >>> import tenscasadi as tc
+        >>> pull = tc.NodalForce(lambda t: [[0, 0, 0], [1.0 if t > 0.2 else 0.0, 0, 0]])
+        >>> model = tc.Model(tc.Scene(tc.shapes.pendulum(), forces=pull))
+        >>> code = model.interpolate_functions(0.0, 1.0).compile()
+        """
+        number("first", first)
+        if number("last", last) <= first:
+            raise ValueError(f"last is {last:g}: give a time after first = {first:g} s")
+        if self.interpolated is None or self.interpolated[0] != (first, last):
+            scene = interpolate_functions(self.scene, first, last)
+            if scene is self.scene:
+                return self
+            self.interpolated = (first, last), self._copy(scene, self.schedule)
+        return self.interpolated[1]
+
     def _copy(self, scene: Scene, schedule: ControlSchedule | None) -> Model:
         constant = self.mechanism.constant_length
         bar_length: BarLength = "constant" if constant else "current"
@@ -227,7 +268,10 @@ class Model(Value, Observations, kind="Model"):
         ------
         CompileError
             If there is no C compiler, or it fails.
+        ValueError
+            If CasADi cannot trace a function of time, see `interpolate_functions`.
         """
+        reject_python_functions(self.scene, "Model.compile")
         return compile_function(self.ode)
 
     @cached_property

@@ -31,8 +31,8 @@ from tenscasadi.util.validate import (
 class Gravity(OverTime, kind="Gravity", short="acceleration"):
     """Uniform gravity, constant or time-varying.
 
-    A function is called with a CasADi symbol: write it with NumPy's or CasADi's mathematics,
-    without ``if`` on the time. A table is linear between its times and constant outside.
+    A table is linear between its times and constant outside. A function that CasADi cannot trace, as
+    with Python's ``if``, is interpolated over each run.
 
     Parameters
     ----------
@@ -204,8 +204,8 @@ class Pressure(OverTime, kind="Pressure"):
 class NodalForce(OverTime, ReadOnlyArrays, kind="NodalForce"):
     """Forces on nodes, constant or time-varying.
 
-    A function is called with a CasADi symbol: write it with NumPy's or CasADi's mathematics,
-    without ``if`` on the time. A table is linear between its times and constant outside.
+    A table is linear between its times and constant outside. A function that CasADi cannot trace, as
+    with Python's ``if``, is interpolated over each run.
 
     Parameters
     ----------

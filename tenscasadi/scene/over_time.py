@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar
+from dataclasses import replace
+from typing import Annotated, Any, ClassVar, TypeVar
 
 import casadi as ca
 import numpy as np
 
 from tenscasadi.scene.breakpoints import add_guard_times, find_breakpoints
+from tenscasadi.scene.interpolants import (
+    VectorFunction,
+    call_python,
+    interpolate_function,
+    is_traceable,
+    read_function,
+    sample_twice,
+)
 from tenscasadi.scene.time_functions import (
     as_numbers,
     check_over_run,
@@ -18,15 +27,17 @@ from tenscasadi.scene.time_functions import (
 from tenscasadi.schema.field_types import TIMES
 from tenscasadi.schema.value import Value
 from tenscasadi.util.casadi_tools import is_expression
+from tenscasadi.util.immutable import keep
 from tenscasadi.util.validate import Array, finite_array
+
+Load = TypeVar("Load", bound="OverTime")
 
 
 class OverTime(Value):
     """Base of loads with a quantity that can vary over time.
 
     The quantity is constant, a table or a function of time. A table is linear between its times and
-    constant outside. A function is called with a CasADi symbol: write it with NumPy's or CasADi's
-    mathematics, without ``if`` on the time.
+    constant outside. A function becomes a CasADi expression, or else an interpolant over a run.
     """
 
     _quantity: ClassVar[str]  # name of the field that can vary over time
@@ -43,6 +54,13 @@ class OverTime(Value):
     def is_function(self) -> bool:
         """Whether the quantity is a function of time."""
         return callable(self.quantity)
+
+    @property
+    def is_interpolated(self) -> bool:
+        """Whether the quantity is a function of time that CasADi cannot trace."""
+        if not self.is_function:
+            return False
+        return not keep(self, "traceable", lambda: is_traceable(self.field, self.quantity))
 
     @property
     def quantity(self) -> Any:
@@ -98,6 +116,8 @@ class OverTime(Value):
                 f"{self.field} raised {error!r} at t = 0: give a function of time that returns {wanted}"
             ) from error
         read_sample(f"{self.field}(0.0)", sample, shape)
+        if self.is_interpolated:
+            return
         found = express(self.field, function, ca.MX.sym("t")).shape
         row = (1, *shape) if shape else (1, 1)
         if found not in ((shape,) if len(shape) == 2 else (row, row[::-1])):
@@ -122,12 +142,61 @@ class OverTime(Value):
             rows = 3 if table.ndim > 1 else 1
             value = interpolate(time, np.asarray(self.times), table.reshape(len(table), -1), rows)
         else:
-            if self.is_function:
+            if self.is_interpolated:
+                value = express(self.field, *self._call_python(time))
+            elif self.is_function:
                 value = express(self.field, value, time)
             elif not is_expression(value):
                 value = ca.DM(np.asarray(value))
             value = value if value.shape[1] == 1 else value.T
         return value if self.factor is None else self.factor * value
+
+    def _call_python(self, time: Any) -> tuple[Any, Any]:
+        """Prepare the call of a function that CasADi cannot trace.
+
+        Returns the function, or a CasADi Function of it for a symbol, and the time.
+        """
+        if not isinstance(time, (ca.SX, ca.MX)):
+            return self.quantity, float(time)
+        call = keep(self, "call", lambda: call_python(self.field, self.quantity, self._shape))
+        return call, time
+
+    @property
+    def _shape(self) -> tuple[int, ...]:
+        """Shape of a function's results."""
+        return np.shape(as_numbers(self.quantity(0.0)))
+
+    def interpolate(self: Load, first: float, last: float) -> Load:
+        """Interpolate a function of time that CasADi cannot trace.
+
+        Parameters
+        ----------
+        first, last : float
+            Start and end of the run [s].
+
+        Returns
+        -------
+        OverTime
+            Load with an interpolant over the run; this one if there is none.
+
+        Raises
+        ------
+        ValueError
+            If the function raises, is not deterministic, or changes too fast. The message names the
+            time.
+        """
+        if not self.is_interpolated:
+            return self
+        shape = self._shape
+        sample = read_function(self.field, self.quantity, shape)
+        sample_twice(self.field, sample, first, last)
+        given = np.asarray(self.breakpoints)
+        at, steep = interpolate_function(self.field, sample, first, last, given)
+        own: Any = {
+            self._quantity: VectorFunction(at, shape, (first, last)),
+            "breakpoints": np.union1d(given, steep),
+        }
+        return replace(self, **own)  # type: ignore[type-var]
 
     def check_run(self, first: float, last: float) -> None:
         """Check a function of time over a run, see `check_over_run`.
@@ -137,6 +206,8 @@ class OverTime(Value):
         first, last : float
             Start and end of the run [s].
         """
+        if isinstance(self.quantity, VectorFunction):
+            self.quantity.check_run(self.field, first, last)
         if self.is_function:
             check_over_run(self.field, self.quantity, trace(self.at), first, last)
 

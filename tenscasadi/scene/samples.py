@@ -1,4 +1,4 @@
-"""Sampled functions of time, which files can store."""
+"""Functions of time of a scene: samples for files, interpolants for runs."""
 
 from __future__ import annotations
 
@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from tenscasadi.scene.interpolants import Samples
 from tenscasadi.scene.over_time import read_sample
 from tenscasadi.scene.scene import Scene
-from tenscasadi.scene.time_functions import Samples
+from tenscasadi.scene.time_functions import CURE
 from tenscasadi.schema.time_formula import TimeFormula
+from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import Array
 
 
@@ -43,3 +45,45 @@ def sample_functions(scene: Scene, times: Array) -> tuple[Scene, tuple[str, ...]
         if any(positions[node] is not function for node, function in functions.items()):
             changes["supports"] = replace(scene.supports, positions=positions)
     return (replace(scene, **changes) if changes else scene), tuple(sorted(changes))
+
+
+def interpolate_functions(scene: Scene, first: float, last: float) -> Scene:
+    """Interpolate the functions of time of a scene that CasADi cannot trace.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    first, last : float
+        Start and end of the run [s].
+
+    Returns
+    -------
+    Scene
+        Scene with interpolants; the given one if all functions can be traced.
+
+    Raises
+    ------
+    ValueError
+        If a function raises, is not deterministic, or changes too fast.
+    """
+    parts = {name: getattr(scene, name) for name in ("gravity", "pressure", "forces", "supports")}
+    varying = {name: part for name, part in parts.items() if part in scene.over_time}
+    found = {name: part.interpolate(first, last) for name, part in varying.items()}
+    changes = {name: part for name, part in found.items() if part is not parts[name]}
+    return replace(scene, **changes) if changes else scene
+
+
+def reject_python_functions(scene: Scene, user: str) -> None:
+    """Raise ValueError if CasADi cannot trace a function of time.
+
+    The message names the `user`, which needs expressions or machine code.
+    """
+    for part in scene.over_time:
+        if part.is_interpolated:
+            raise add_address(
+                ValueError(
+                    f"{user} cannot use {part.field}, which CasADi cannot trace: give "
+                    f"model.interpolate_functions(first, last), or {CURE}"
+                )
+            )

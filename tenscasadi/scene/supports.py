@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Annotated, Any
 
@@ -11,13 +11,24 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.scene.breakpoints import find_breakpoints, probe_times
-from tenscasadi.scene.time_functions import CURE, Samples, check_over_run, express
+from tenscasadi.scene.interpolants import (
+    PATH,
+    Samples,
+    VectorFunction,
+    call_python,
+    interpolate_function,
+    is_traceable,
+    read_function,
+    sample_twice,
+)
+from tenscasadi.scene.time_functions import CURE, check_over_run, express
 from tenscasadi.schema.containers import Either, MapOf
 from tenscasadi.schema.definitions import OneOf
 from tenscasadi.schema.field_types import MOVING_POINT, TIMES
 from tenscasadi.schema.time_formula import TimeFormula
 from tenscasadi.schema.value import Value
 from tenscasadi.structure.structure import Structure
+from tenscasadi.util.immutable import keep
 from tenscasadi.util.renamed import rename_fields
 from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import (
@@ -43,9 +54,9 @@ _JUMPS = {
 class SupportMotion(Value, kind="SupportMotion"):
     """Prescribed motion of pinned nodes, such as a shaking base.
 
-    Each function is called with a CasADi symbol: write it with NumPy's or CasADi's mathematics,
-    without ``if`` on the time. Velocity and acceleration are its exact derivatives. They must be
-    finite over a run, and position and velocity must be continuous.
+    Velocity and acceleration are derivatives of the position. They must be finite over a run, and
+    position and velocity must be continuous. A function that CasADi cannot trace, as with Python's
+    ``if``, is interpolated over each run, by polynomials of degree 7.
 
     Parameters
     ----------
@@ -132,6 +143,67 @@ class SupportMotion(Value, kind="SupportMotion"):
                     f"the position of node {node} in the structure"
                 )
 
+    @property
+    def is_interpolated(self) -> bool:
+        """Whether CasADi cannot trace one of the functions."""
+        return bool(self._python_functions)
+
+    @property
+    def _python_functions(self) -> dict[int, Any]:
+        """Calls of the functions that CasADi cannot trace, by node."""
+
+        def build() -> dict[int, Any]:
+            names = {node: f"SupportMotion.positions[{node}]" for node in self.positions}
+            return {
+                node: call_python(names[node], function, (3,))
+                for node, function in self.positions.items()
+                if not is_traceable(names[node], function)
+            }
+
+        return keep(self, "python_functions", build)
+
+    def interpolate(self, first: float, last: float) -> SupportMotion:
+        """Interpolate the functions of time that CasADi cannot trace.
+
+        Parameters
+        ----------
+        first, last : float
+            Start and end of the run [s].
+
+        Returns
+        -------
+        SupportMotion
+            Motion with twice differentiable interpolants; this one if there are none.
+
+        Raises
+        ------
+        ValueError
+            If a function raises, is not deterministic, or has jumps or corners that are not
+            declared. The message names the time.
+        """
+        if not self.is_interpolated:
+            return self
+        positions = dict(self.positions)
+        for node in self._python_functions:
+            name = f"SupportMotion.positions[{node}]"
+            sample = read_function(name, positions[node], (3,))
+            sample_twice(name, sample, first, last)
+            shortest = NEGLIGIBLE**0.5 * (
+                last - first
+            )  # rounding errors of accelerations grow below
+            at, steep = interpolate_function(
+                name, sample, first, last, self.breakpoints, PATH, shortest
+            )
+            if len(steep):
+                raise add_address(
+                    ValueError(
+                        f"{name} is not smooth near t = {steep[0]:.4g} s: give a motion without jumps "
+                        f"and corners, declare breakpoints=(…) where its acceleration jumps, or {CURE}"
+                    )
+                )
+            positions[node] = VectorFunction(at, (3,), (first, last))
+        return replace(self, positions=positions)
+
     def check_run(self, first: float, last: float) -> None:
         """Check the motion over a run.
 
@@ -152,10 +224,13 @@ class SupportMotion(Value, kind="SupportMotion"):
                 f"SupportMotion.positions[{node}]",
                 SupportMotion({node: function}).rates(),
             )
+            if isinstance(function, VectorFunction):
+                function.check_run(name, first, last)
             check_over_run(name, function, rates, first, last)
             probes = rates.call([probe_times(first, last)[None]])
             sizes = [abs(values.full()).max() for values in probes]
-            for time in find_breakpoints(rates, first, last):
+            inside = self.breakpoints[(self.breakpoints > first) & (self.breakpoints < last)]
+            for time in np.union1d(find_breakpoints(rates, first, last), inside):
                 before, after = rates(max(first, time - offset)), rates(min(last, time + offset))
                 for k, (quantity, cure) in enumerate(_JUMPS.items()):
                     jump = abs((after[k] - before[k]).full()).max()
@@ -243,7 +318,8 @@ class SupportMotion(Value, kind="SupportMotion"):
         t = ca.SX.sym("t")
         columns = []
         for node, function in self.positions.items():
-            column = express(f"SupportMotion.positions[{node}]", function, t)
+            own = self._python_functions.get(node, function)
+            column = express(f"SupportMotion.positions[{node}]", own, t)
             if column.shape not in ((3, 1), (1, 3)):
                 raise ValueError(
                     f"SupportMotion.positions[{node}] returns shape {column.shape}: give (x, y, z)"

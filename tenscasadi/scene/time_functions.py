@@ -5,18 +5,15 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from itertools import pairwise
-from typing import Annotated, Any
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from tenscasadi.scene.breakpoints import find_breakpoints, probe_times
-from tenscasadi.schema.field_types import POINTS, TIMES
-from tenscasadi.schema.value import Value
 from tenscasadi.util.troubleshooting import add_address
-from tenscasadi.util.validate import Array, call_user_function, finite_array, format_value
+from tenscasadi.util.validate import Array, call_user_function, format_value
 
 _CASADI = (ca.SX, ca.MX, ca.DM)
 _HINT = "give a function of time [s] that returns finite values over the whole run"
@@ -174,35 +171,3 @@ def interpolate(time: Any, times: Array, table: Array, rows: int) -> Any:
     ]
     columns = [ca.vertcat(*entries[k : k + rows]) for k in range(0, len(entries), rows)]
     return ca.Function("table", [t], [ca.densify(ca.SX(ca.horzcat(*columns)))])(time)
-
-
-@dataclass(frozen=True, eq=False)
-class Samples(Value, kind="Samples"):
-    """Function of time that interpolates samples.
-
-    It is linear between its times and constant outside. Saved results hold such functions in
-    place of those of Python. Nodes cannot follow the jumps of its velocity in a simulation.
-
-    Parameters
-    ----------
-    times : ndarray, shape (K,)
-        Times [s].
-    values : ndarray, shape (K, 3)
-        Values at these times.
-    """
-
-    times: Annotated[Array, TIMES]
-    values: Annotated[Array, POINTS]
-
-    def __post_init__(self) -> None:
-        times = finite_array("Samples.times", self.times, (None,))
-        object.__setattr__(self, "times", times)
-        values = finite_array("Samples.values", self.values, (len(times), 3))
-        object.__setattr__(self, "values", values)
-
-    def __call__(self, time: Any) -> Any:
-        """Interpolate at a time, a number or a CasADi symbol."""
-        if isinstance(time, (ca.SX, ca.MX, ca.DM)) and len(self.times) > 1:
-            return interpolate(time, self.times, self.values, 3)
-        number = 0.0 if isinstance(time, (ca.SX, ca.MX)) else float(time)
-        return [float(np.interp(number, self.times, column)) for column in self.values.T]

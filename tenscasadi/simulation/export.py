@@ -18,6 +18,7 @@ from tenscasadi.integrators.breaks import split_at_breaks
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme, check_scheme
 from tenscasadi.integrators.stabilization import Projection, correct
+from tenscasadi.scene.samples import reject_python_functions
 from tenscasadi.simulation.engine.build import check_single
 from tenscasadi.util.casadi_tools import generate_code
 from tenscasadi.util.compile import Single
@@ -59,7 +60,8 @@ def export_c(
     Raises
     ------
     TypeError, ValueError
-        An argument is wrong, or the scheme has a variable step size; the message names it.
+        An argument is wrong, the scheme has a variable step size, or CasADi cannot trace a function
+        of time, see `Model.interpolate_functions`; the message names it.
     OSError
         The files cannot be written.
 
@@ -96,6 +98,7 @@ def export_c(
         )
     if precision is not None:
         check_single(scheme)
+    reject_python_functions(model.scene, "export_c")
     p = model.parameters.values(parameters)
     target = file_path("folder", folder)
     real = "double" if precision is None else "float"

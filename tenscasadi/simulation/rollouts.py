@@ -158,7 +158,7 @@ def _record(model: Model, runs: Runs, verify: bool) -> Rollouts:
             strict=True,
         )
     )
-    place, given = _find_places(model, request.inputs.first + times)
+    place, given = _find_places(request.inputs.base, request.inputs.first + times)
     energy = runs.measured[:, :, 2:5].sum(axis=2)
     return Rollouts(
         time=times,

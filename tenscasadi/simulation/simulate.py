@@ -205,6 +205,7 @@ def record_run(model: Model, runs: Runs, verdict: Verdict) -> Trajectory:
     """Convert a run to a trajectory with its verdict."""
     request, rolled, steps = runs.request, runs.rolled, runs.saved_steps(0)
     inputs, scheme, count = request.inputs, request.scheme, len(steps)
+    given, model = model, inputs.base
     time_, states = runs.times(steps), runs.saved[0, :count, : model.nx]
     held = inputs.add_schedule(inputs.stack(0, steps), time_)
     measured = runs.measured[0, :count]
@@ -235,6 +236,7 @@ def record_run(model: Model, runs: Runs, verdict: Verdict) -> Trajectory:
         observed=observed,
         correction_shift=corrected[:, 0],
         correction_energy=corrected[:, 1],
+        scene=given.scene,
         compiled=runs.kernel.lanes > 0,
         attempts=taken.computed,
         interrupted=runs.stopped and not runs.late,

@@ -188,6 +188,7 @@ def dynamics_calls() -> dict[str, Call]:
         "SupportMotion": (lambda motion: tc.Model(tc.Scene(tc.shapes.pendulum(), supports=tc.SupportMotion(motion))), {"motion": {0: lambda t: [0.0, 0.0, t]}}),
         "Model": (tc.Model, {"scene": m.scene, "coordinates": "full", "bar_length": "current"}),
         "Model.with_scene": (m.with_scene, {"scene": m.scene, "coordinates": "full"}),
+        "Model.interpolate_functions": (timed().interpolate_functions, {"first": 0.0, "last": 1.0}),
         "Model.state": (m.state, {"nodes": m.structure.nodes, "velocities": np.zeros((n, 3))}),
         "Model.nodes": (m.nodes, {"x": np.array([x, x])}),
         "Model.velocities": (timed().velocities, {"x": timed().initial_state}),

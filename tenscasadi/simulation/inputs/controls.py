@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tenscasadi.dynamics.model import Model
-from tenscasadi.scene.control_function import ControlFunction, build_schedule, read_function
+from tenscasadi.scene.control_function import ControlFunction, build_schedule, read_controls_at
 from tenscasadi.scene.strings import RestLength
 from tenscasadi.simulation.inputs.feedback import Feedback
 from tenscasadi.simulation.inputs.grid import Grid
@@ -142,7 +142,7 @@ def drive_model(model: Model, control: Any, first: float, t_end: float) -> Model
         control = ControlFunction(control)
     positive = isinstance(model.scene.control, RestLength)
     if not model.nu:
-        read_function(control.function, 0, positive)(0.0)  # it must return an empty array
+        read_controls_at(control.function, 0, positive)(0.0)  # it must return an empty array
         return model
     key = (control.function, *control.breakpoints.tolist(), control.resolution, first, t_end)
     if model.driven is None or model.driven[0] != key:

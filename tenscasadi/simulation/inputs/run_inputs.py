@@ -37,6 +37,9 @@ class RunInputs(NamedTuple):
     ----------
     model : Model
         Model of the runs. It includes the control if that is a function of time.
+    base : Model
+        The same model without the control. Interpolants replace functions of time that CasADi
+        cannot trace.
     starts : ndarray, shape (n or 1, nx)
         Initial states.
     controls : ndarray, shape (n or 1, K, nu)
@@ -52,6 +55,7 @@ class RunInputs(NamedTuple):
     """
 
     model: Model
+    base: Model
     starts: Array
     controls: Array
     parameters: Array
@@ -145,6 +149,9 @@ def read_inputs(
     clocks = model.split(starts).clock
     clocks = clocks[np.isfinite(clocks)]
     first = float(clocks[0]) if clocks.size else 0.0
+    given, model = model, model.interpolate_functions(first, first + end)
+    if model is not given:
+        starts = _read_starts(model, states, p, many)
     largest = (
         choose_step(model, scheme, starts[0], p[0], end)
         if step is None
@@ -165,7 +172,7 @@ def read_inputs(
     if model.scene.supports is not None and model.scene.structure.bodies:
         model.scene.supports.check_bodies(model.scene.structure, first, first + end)
     grid, values = found.hold(grid)
-    inputs = RunInputs(driven, starts, values, p, grid, first, found.feedback)
+    inputs = RunInputs(driven, model, starts, values, p, grid, first, found.feedback)
     inputs.runs  # noqa: B018  raises if the rows do not match
     return inputs
 

@@ -92,10 +92,6 @@ def test_forces_may_be_a_table_over_time() -> None:
         ),
         (lambda: NodalForce(lambda t: [[0, 0, 0]]).check(2), r"NodalForce\.values"),
         (lambda: NodalForce(lambda t: 1 / 0).check(2), r"NodalForce\.values raised"),
-        (
-            lambda: NodalForce(lambda t: [[1 if t > 0 else 0, 0, 0]]).at(ca.SX.sym("t")),
-            r"NodalForce\.values raised",
-        ),
     ],
 )
 def test_bad_loads_are_refused_by_name(make: object, field: str) -> None:

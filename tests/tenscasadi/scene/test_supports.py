@@ -104,8 +104,8 @@ def test_states_take_the_velocity_of_the_support_and_symbols_see_it_move() -> No
             r"positions\[0\] returns",
         ),
         (
-            lambda: Scene(CHAIN, supports=SupportMotion({0: lambda t: [0 if t < 1 else 1, 0, 0]})),
-            r"positions\[0\] raised",
+            lambda: Scene(CHAIN, supports=SupportMotion({0: lambda t: [0 if t > 1 else 1, 0, 0]})),
+            r"positions\[0\]\(0\.0\) is \[1\. 0\. 0\.\]: start at",
         ),
     ],
 )

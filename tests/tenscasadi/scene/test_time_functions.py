@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import casadi as ca
@@ -42,8 +41,6 @@ def run(t_end: float = 1.0, **loads: Any) -> Any:
         ),
         (np.sqrt, r": its velocity is not finite at t = 0 s"),
         (lambda t: 1 / (1 - t) - 1, r" is not finite at t = 1 s"),
-        (math.sin, r"is \[nan.*NumPy's or CasADi's mathematics, without math"),
-        (lambda t: 0.1 * (float(t) > 0.5), r"is \[.* for the number t = 0\.75"),
     ],
 )
 def test_supports_that_jump_or_are_not_finite_are_refused_by_name(place: Any, told: str) -> None:
@@ -81,7 +78,6 @@ def fail_later(t: Any) -> Any:
 @pytest.mark.parametrize(
     ("push", "told"),
     [
-        (math.sin, r" raised .* on a CasADi time"),
         (lambda t: np.sqrt(0.5 - t), r" is not finite at t = 0\.5 s"),
         (lambda t: 1 / (t - 0.5), r" is not finite at t = 0\.5 s"),
         (lambda t: np.log(ca.fabs(t - 0.4321234)), r" is not finite at t = 0\.432123 s"),
@@ -147,10 +143,9 @@ def test_tables_are_exact_at_their_times_and_beside_steep_pieces():
 
 
 @pytest.mark.parametrize("place", [None, "x", (0, None, 0)])
-def test_what_is_no_expression_is_told_in_one_line(place: Any) -> None:
+def test_what_is_no_position_is_told_in_one_line(place: Any) -> None:
     with pytest.raises(
-        ValueError,
-        match=r"SupportMotion\.positions\[0\] returns .* on a CasADi time: give numbers and expressions of it; ",
+        (TypeError, ValueError), match=r"SupportMotion\.positions\[0\]\(0\) .*: give an array of"
     ) as caught:
         run(supports=SupportMotion({0: lambda t: place}))
     assert "\n" not in str(caught.value)

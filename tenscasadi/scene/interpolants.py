@@ -1,0 +1,316 @@
+"""Functions of time as interpolants, and as calls of Python."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from math import comb
+from typing import Annotated, Any
+
+import casadi as ca
+import numpy as np
+
+from tenscasadi.scene.breakpoints import probe_times, sample_times
+from tenscasadi.scene.time_functions import CURE, as_numbers, express, format_row, interpolate
+from tenscasadi.schema.field_types import POINTS, TIMES
+from tenscasadi.schema.value import Value
+from tenscasadi.util.troubleshooting import add_address
+from tenscasadi.util.validate import (
+    MAX_COUNT,
+    NEGLIGIBLE,
+    TOLERANCE,
+    Array,
+    call_user_function,
+    finite_array,
+)
+
+Sample = Callable[[float], Array]
+
+# degree of pieces: of a value, and of a path whose acceleration counts, too
+VALUE, PATH = 3, 7
+
+
+@dataclass(frozen=True, eq=False)
+class VectorFunction:
+    """Function of time that calls a CasADi Function.
+
+    Parameters
+    ----------
+    at : casadi.Function
+        t (s) → entries (m,).
+    shape : tuple of int
+        Shape of the result, whose rows the entries fill one after the other.
+    span : tuple of float
+        First and last time [s]. An interpolant is constant outside.
+    """
+
+    at: ca.Function
+    shape: tuple[int, ...]
+    span: tuple[float, float] = (-np.inf, np.inf)
+
+    def __call__(self, time: Any) -> Any:
+        """Evaluate at a time, a number or a CasADi symbol."""
+        values = self.at(time)
+        if isinstance(values, ca.DM):
+            return values.full().reshape(self.shape)
+        return ca.reshape(values, *self.shape[::-1]).T if len(self.shape) == 2 else values
+
+    def check_run(self, field: str, first: float, last: float) -> None:
+        """Check that a run [s] is within the span.
+
+        Raises ValueError.
+        """
+        low, high = self.span
+        rounding = NEGLIGIBLE * (high - low)
+        if first < low - rounding or last > high + rounding:
+            raise ValueError(
+                f"{field} is interpolated from {low:g} to {high:g} s, and the run is from {first:g} "
+                f"to {last:g} s: give Model.interpolate_functions(first, last) of a longer time"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Samples(Value, kind="Samples"):
+    """Function of time that interpolates samples.
+
+    It is linear between its times and constant outside. Saved results hold such functions in
+    place of those of Python. Nodes cannot follow the jumps of its velocity in a simulation.
+
+    Parameters
+    ----------
+    times : ndarray, shape (K,)
+        Times [s].
+    values : ndarray, shape (K, 3)
+        Values at these times.
+    """
+
+    times: Annotated[Array, TIMES]
+    values: Annotated[Array, POINTS]
+
+    def __post_init__(self) -> None:
+        times = finite_array("Samples.times", self.times, (None,))
+        object.__setattr__(self, "times", times)
+        values = finite_array("Samples.values", self.values, (len(times), 3))
+        object.__setattr__(self, "values", values)
+
+    def __call__(self, time: Any) -> Any:
+        """Interpolate at a time, a number or a CasADi symbol."""
+        if isinstance(time, (ca.SX, ca.MX, ca.DM)) and len(self.times) > 1:
+            return interpolate(time, self.times, self.values, 3)
+        number = 0.0 if isinstance(time, (ca.SX, ca.MX)) else float(time)
+        return [float(np.interp(number, self.times, column)) for column in self.values.T]
+
+
+class PythonFunction(ca.Callback):
+    """Python function of time in CasADi's virtual machine.
+
+    Its derivatives are finite differences.
+    """
+
+    def __init__(self, sample: Sample, size: int) -> None:
+        ca.Callback.__init__(self)
+        self._sample, self._size = sample, size
+        self.construct("python_function", {"enable_fd": True, "never_inline": True})
+
+    def get_n_in(self) -> int:
+        """Return the number of inputs."""
+        return 1
+
+    def get_n_out(self) -> int:
+        """Return the number of outputs."""
+        return 1
+
+    def get_sparsity_out(self, _: int) -> ca.Sparsity:
+        """Return the shape of the output."""
+        return ca.Sparsity.dense(self._size)
+
+    def eval(self, arguments: Any) -> list[ca.DM]:
+        """Evaluate the function at a time."""
+        return [ca.DM(self._sample(float(arguments[0])))]
+
+
+def is_traceable(field: str, function: Callable[[Any], Any]) -> bool:
+    """Return whether CasADi can evaluate a function at a symbol."""
+    try:
+        express(field, function, ca.MX.sym("t"))
+    except ValueError:
+        return False
+    return True
+
+
+def call_python(field: str, function: Callable[[Any], Any], shape: tuple[int, ...]) -> Any:
+    """Wrap a function that cannot be traced, for evaluations outside runs."""
+    sample = read_function(field, function, shape)
+    return VectorFunction(PythonFunction(sample, sample(0.0).size), shape)
+
+
+def read_function(
+    field: str, function: Callable[[Any], Any], shape: tuple[int, ...]
+) -> Callable[[float], Array]:
+    """Wrap a function in checks of its results, which become vectors."""
+    wanted = f"({', '.join(map(str, shape))}{',' * (len(shape) == 1)})" if shape else "one number"
+    hint = f"give a function of time [s] that returns {wanted}"
+
+    def sample(time: float) -> Array:
+        given = call_user_function(f"{field}({time:g})", function, time, hint)
+        return np.asarray(finite_array(f"{field}({time:g})", as_numbers(given), shape)).ravel()
+
+    return sample
+
+
+def sample_twice(field: str, sample: Sample, first: float, last: float) -> dict[float, Array]:
+    """Sample a function at five times of a run.
+
+    Raises ValueError if it returns other values at a second call.
+    """
+    known = {time: sample(time) for time in probe_times(first, last)[::1000].tolist()}
+    for time, values in known.items():
+        if not np.array_equal(again := sample(time), values):
+            raise ValueError(
+                f"{field}({time:g}) is {format_row(values)} and then {format_row(again)}: "
+                "give the same values at each call"
+            )
+    return known
+
+
+def interpolate_function(
+    field: str,
+    sample: Sample,
+    first: float,
+    last: float,
+    breakpoints: Array,
+    degree: int = VALUE,
+    shortest: float | None = None,
+) -> tuple[ca.Function, Array]:
+    """Interpolate a function by pieces of polynomials.
+
+    A piece is halved until it agrees with the function to a billionth: of the largest value, or of
+    the change of a path.
+
+    Parameters
+    ----------
+    field : str
+        Name of the function in messages.
+    sample : callable
+        Function of time that returns entries (m,).
+    first, last : float
+        Start and end of the run [s].
+    breakpoints : ndarray, shape (B,)
+        Times [s] at which pieces end.
+    degree : int
+        Degree of the pieces.
+    shortest : float, optional
+        Shortest piece [s]. Default: a billionth of the run.
+
+    Returns
+    -------
+    tuple
+        Function t (s) → entries (m,), and ends of the pieces that do not agree.
+
+    Raises
+    ------
+    ValueError
+        The function raises, or needs too many pieces; the message names it.
+    """
+    known: dict[float, Array] = {}
+
+    def at(times: Array) -> Array:
+        for time in times.tolist():
+            if time not in known:
+                known[time] = sample(time)
+        return np.array([known[time] for time in times.tolist()]).reshape(len(times), -1)
+
+    around = 4 * np.spacing(max(abs(first), abs(last)))
+    shortest = max(NEGLIGIBLE * (last - first) if shortest is None else shortest, 4 * around)
+    nodes, between, to_bezier, at_between = _piece(degree)
+    inside = breakpoints[(breakpoints > first) & (breakpoints < last)]
+    jumps = [inside - around, inside + around] if degree == VALUE else [inside]
+    edges = np.union1d(sample_times(first, last), np.concatenate(jumps))
+    waiting = list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))[::-1]
+    pieces: list[tuple[float, float, Array]] = []
+    steep: list[float] = []
+    largest = 0.0
+    while waiting:
+        low, high = waiting.pop()
+        values = at(np.append(low + (high - low) * nodes[:-1], high))
+        bezier, found = to_bezier @ values, at(low + (high - low) * between)
+        largest = max(largest, abs(values).max(initial=0.0), abs(found).max(initial=0.0))
+        scale = largest if degree == VALUE else np.ptp(values, axis=0).max(initial=0.0)
+        least = max(NEGLIGIBLE * scale, 16 * np.spacing(largest))
+        wrong = abs(at_between @ bezier - found).max(initial=0.0) > least
+        if wrong and high - low > shortest:
+            middle = (low + high) / 2
+            waiting += [(middle, high), (low, middle)]
+        else:
+            pieces.append((low, high, bezier))
+            steep += [low, high] if wrong else []
+        if len(pieces) + len(waiting) > MAX_COUNT:
+            raise add_address(
+                ValueError(
+                    f"{field} changes too fast near t = {low:g} s to be sampled: declare "
+                    f"breakpoints=(…), or {CURE}"
+                )
+            )
+    if degree == PATH:
+        steep += _find_corners(pieces, largest)
+    return _spline(pieces, degree), np.array(sorted({t for t in steep if first < t < last}))
+
+
+def _find_corners(pieces: list[tuple[float, float, Array]], largest: float) -> list[float]:
+    """Find the ends of pieces at which the velocity jumps."""
+    lengths = np.array([high - low for low, high, _ in pieces])[:, None]
+    begin, end = (
+        PATH * np.array([bezier[k + 1] - bezier[k] for *_, bezier in pieces]) / lengths
+        for k in (0, PATH - 1)
+    )
+    jumps = abs(begin[1:] - end[:-1])
+    rounding = 100 * PATH**2 * np.spacing(largest) / np.minimum(lengths[1:], lengths[:-1])
+    corner = jumps > TOLERANCE * abs(begin).max(initial=0.0) + rounding
+    return [pieces[k + 1][0] for k in np.flatnonzero(corner.any(axis=1))]
+
+
+@cache
+def _piece(degree: int) -> tuple[Array, Array, Array, Array]:
+    """Compute nodes of a piece, times between them, and matrices.
+
+    These convert values at nodes to Bernstein form, and that to values between the nodes.
+    """
+    nodes: Array = (1 - np.cos(np.pi * np.arange(degree + 1) / degree)) / 2
+    between = (nodes[1:] + nodes[:-1]) / 2
+    to_bezier: Array = np.linalg.inv(_bernstein(degree, nodes)).astype(float)
+    return nodes, between, to_bezier, _bernstein(degree, between)
+
+
+def _bernstein(degree: int, s: Array) -> Array:
+    return np.array([comb(degree, k) * s**k * (1 - s) ** (degree - k) for k in range(degree + 1)]).T
+
+
+def _spline(pieces: list[tuple[float, float, Array]], degree: int) -> ca.Function:
+    """Join polynomials in Bernstein form to a Function of time.
+
+    The first and the last piece extend by a hundredth of their length, because rounding may take a
+    clock past the end.
+    """
+    pieces = list(pieces)
+    for k, side in ((0, "low"), (-1, "high")):
+        low, high, bezier = pieces[k]
+        room = (high - low) / 100
+        s = np.linspace(
+            -0.01 if side == "low" else 0.0, 1.01 if side == "high" else 1.0, degree + 1
+        )
+        values = _bernstein(degree, s) @ bezier
+        own = np.linalg.solve(_bernstein(degree, np.linspace(0, 1, degree + 1)), values)
+        bezier = own.astype(float)
+        pieces[k] = low - room * (side == "low"), high + room * (side == "high"), bezier
+    ends = np.array([pieces[0][0], *(high for _, high, _ in pieces)])
+    knots = np.concatenate([ends[:1], np.repeat(ends, degree), ends[-1:]])
+    rows = np.concatenate([pieces[0][2][:1], *(bezier[1:] for _, _, bezier in pieces)])
+    lookup = {"lookup_mode": ["binary"]}
+    spline = ca.Function.bspline(
+        "spline", [knots.tolist()], rows.ravel().tolist(), [degree], rows.shape[1], lookup
+    )
+    t = ca.MX.sym("t")
+    inside = ca.fmin(ca.fmax(t, ends[0]), ends[-1])
+    # scalar code cannot inline a spline
+    return ca.Function("sampled", [t], [spline(inside)], {"never_inline": True})
