@@ -9,7 +9,7 @@ from ocp.solvers.monitor import Monitor
 from ocp.solvers.multipliers import Duals
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.schema.value import Value
-from tenscasadi.util.validate import Array, format_value, positive_number, whole_number
+from tenscasadi.util.validate import Array, flag, format_value, positive_number, whole_number
 
 
 class Solution(NamedTuple):
@@ -113,8 +113,7 @@ def check_options(
     """Check the options of all solvers. Raises TypeError, ValueError."""
     whole_number(f"{name}.max_iterations", max_iterations, 1)
     positive_number(f"{name}.tolerance", tolerance)
-    if not isinstance(verbose, bool):
-        raise TypeError(f"{name}.verbose is {format_value(verbose)}: give True or False")
+    flag(f"{name}.verbose", verbose)
     if not isinstance(options, Mapping) or not all(isinstance(option, str) for option in options):
         raise TypeError(
             f"{name}.options is {format_value(options)}: give a mapping of {name}'s option names, such as {example}"

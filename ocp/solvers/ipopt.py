@@ -17,7 +17,7 @@ from ocp.transcription.sparse_nlp import Program
 from tenscasadi.schema.containers import TableOf
 from tenscasadi.schema.field_types import InPython, Option
 from tenscasadi.util.renamed import RenamedAttribute, rename_fields
-from tenscasadi.util.validate import TOLERANCE, Array, format_value, positive_number
+from tenscasadi.util.validate import TOLERANCE, Array, flag, format_value, positive_number
 
 HSL = ("ma27", "ma57", "ma77", "ma86", "ma97")  # linear solvers that CasADi does not bring along
 PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
@@ -130,10 +130,7 @@ class Ipopt(NamedSolver, kind="Ipopt", earlier="Fatrop"):
                 f"Ipopt.callback is {format_value(self.callback)}: give a function of an ocp.Progress, or None"
             )
         for name in ("warm_start", "restart_at_saddle"):
-            if not isinstance(getattr(self, name), bool):
-                raise TypeError(
-                    f"Ipopt.{name} is {format_value(getattr(self, name))}: give True or False"
-                )
+            flag(f"Ipopt.{name}", getattr(self, name))
         _check_library(self.options)
 
     def solve(self, program: Program, monitor: Monitor | None = None) -> Solution:

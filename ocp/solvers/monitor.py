@@ -191,7 +191,7 @@ def build_monitor(time_limit: Any, progress: Any) -> Monitor:
         flag("progress", progress)
     if time_limit is not None:
         positive_number("time_limit", time_limit)
-    shown = sys.stderr.isatty() if progress is None else progress is True
+    shown = sys.stderr.isatty() if progress is None else bool(progress)
     return Monitor(time_limit, write_line if shown else None, watch)
 
 

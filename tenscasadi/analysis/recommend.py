@@ -39,7 +39,7 @@ from tenscasadi.integrators.sundials import Cvodes, Idas
 from tenscasadi.scene.scene import Scene
 from tenscasadi.simulation.inputs.controls import ControlInput
 from tenscasadi.simulation.verdict.endings import INTERRUPTED
-from tenscasadi.util.compile import Compiled, CompileError, Single
+from tenscasadi.util.compile import Compiled, CompileError, Single, read_compiled
 from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import (
     finite_array,
@@ -191,6 +191,7 @@ def recommend(
     t_end, tolerance = positive_number("t_end", t_end), positive_number("tolerance", tolerance)
     check_ways(schemes, corrections)
     time_limit = positive_number("time_limit", time_limit)
+    compiled = read_compiled("compiled", compiled)
     double = None if isinstance(compiled, Single) else compiled
     start = None if state is None else finite_array("state", state, (model.nx,))
     p = model.parameters.values(parameters)

@@ -27,6 +27,7 @@ from tenscasadi.simulation.inputs.resolution import UNRESOLVED
 from tenscasadi.simulation.inputs.run_inputs import read_inputs
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.util.compile import read_compiled
 from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import Array, finite_array, flag, positive_number
@@ -158,6 +159,7 @@ def reference_solution(
     True
     """
     check_model(model)
+    way = read_compiled("compiled", compiled)
     t_end = positive_number("t_end", t_end)
     state = None if state is None else finite_array("state", state, (model.nx,))
     size = extent(model)
@@ -172,7 +174,7 @@ def reference_solution(
     )
     # Compiled code is about ten times as fast.
     max_instructions = positive_number("max_instructions", max_instructions) / (
-        1 if compiled is not False else 10.0
+        1 if way is not False else 10.0
     )
     parameters = model.parameters.values(parameters)
     deadline = (
@@ -184,7 +186,7 @@ def reference_solution(
         model,
         t_end,
         deadline,
-        {"state": state, "control": control, "compiled": compiled, "parameters": parameters},
+        {"state": state, "control": control, "compiled": way, "parameters": parameters},
     )
     target_difference = max(target_difference, 2 * pairs.rounding)
     floor = _ROUNDING * size

@@ -32,7 +32,7 @@ from tenscasadi.scene.control_function import ControlFunction
 from tenscasadi.simulation.inputs.controls import ControlInput
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
-from tenscasadi.util.compile import Compiled, CompileError, Single, find_compiler
+from tenscasadi.util.compile import Compiled, CompileError, Single, find_compiler, read_compiled
 from tenscasadi.util.validate import (
     MAX_REPETITIONS,
     Array,
@@ -128,9 +128,7 @@ def tradeoff(
         whole_number("repeats", repeats, 1, MAX_REPETITIONS),
     )
     flag("progress", progress)
-    ways = _check_sequence("compiled", compiled)
-    for way in ways:
-        instance("compiled", way, (bool, Single, type(None)), "True, False, None or Single()")
+    ways = [read_compiled("compiled", way) for way in _check_sequence("compiled", compiled)]
     lengths = _read_steps(steps)
     rows: list[TradeoffRow] = []
     known: ReferenceSolution | None = None

@@ -123,7 +123,7 @@ def rollouts(  # noqa: PLR0913  the options of a batch
     (True, (100, 6), True)
     """
     flags = {"progress": progress, "energy_balance": energy_balance, "verify": verify}
-    check_options(model, scheme, correction, compiled, **flags)
+    compiled = check_options(model, scheme, correction, compiled, **flags)
     limit = np.inf if time_limit is None else positive_number("time_limit", time_limit)
     inputs = read_inputs(model, t_end, step, scheme, states, controls, parameters, many=True)
     steps, n = inputs.grid.steps, inputs.runs

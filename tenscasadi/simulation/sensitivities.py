@@ -32,7 +32,7 @@ from tenscasadi.simulation.tangent_loop import (
 from tenscasadi.simulation.tangent_passes import PassSetup, run_adjoint, run_forward
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.casadi_tools import ArrayFunction
-from tenscasadi.util.compile import CompileError, compile_function
+from tenscasadi.util.compile import CompileError, Single, compile_function, read_compiled
 from tenscasadi.util.immutable import ReadOnlyArrays
 from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import (
@@ -43,7 +43,6 @@ from tenscasadi.util.validate import (
     choice,
     finite_array,
     format_value,
-    instance,
 )
 
 By = Literal["state", "control", "parameters"]
@@ -342,9 +341,9 @@ def _check(model: Model, scheme: Any, over: Any, by: Any, mode: Any, compiled: A
     choice("by", by, "state", "control", "parameters")
     if mode is not None:
         choice("mode", mode, "forward", "adjoint")
-    if compiled is not None:
-        instance(
-            "compiled", compiled, bool, "True, False or None: derivatives are of double precision"
+    if isinstance(read_compiled("compiled", compiled), Single):
+        raise TypeError(
+            f"compiled is {compiled}: give True, False or None, as derivatives are of double precision"
         )
     if getattr(scheme, "adaptive", False) or isinstance(scheme, Sundials):
         raise ValueError(
@@ -479,7 +478,7 @@ def _loop(
         return known[key], "External" in known[key].class_name(), ""
     function = tangent_function(steps, width, held) if forward else gradient_function(steps, width)
     note = ""
-    if compiled is not False:
+    if compiled is None or compiled:
         try:
             function = compile_function(function)
         except CompileError as error:

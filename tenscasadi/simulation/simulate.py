@@ -27,9 +27,9 @@ from tenscasadi.simulation.trajectory import (
 from tenscasadi.simulation.verdict.endings import describe_steps
 from tenscasadi.simulation.verdict.judge import Verdict, judge
 from tenscasadi.simulation.verdict.step_error import estimate_errors
-from tenscasadi.util.compile import Compiled, Single
+from tenscasadi.util.compile import Compiled, Single, read_compiled
 from tenscasadi.util.renamed import rename_keywords
-from tenscasadi.util.validate import instance, positive_number, whole_number
+from tenscasadi.util.validate import flag, positive_number, whole_number
 
 MAX_REFINEMENT = 8  # × default steps: limits the wall time, as errors of a chaotic motion remain
 
@@ -149,7 +149,7 @@ def simulate(  # noqa: PLR0913  the options of a run
     True
     """
     flags = {"progress": progress, "energy_balance": energy_balance, "verify": verify}
-    check_options(model, scheme, correction, compiled, **flags)
+    compiled = check_options(model, scheme, correction, compiled, **flags)
     state, control, parameters = split_point(model, state, control, parameters)
     limit = np.inf if time_limit is None else positive_number("time_limit", time_limit)
     inputs = read_inputs(model, t_end, step, scheme, state, control, parameters, many=False)
@@ -187,18 +187,19 @@ def _divide_steps(request: Request, parts: int) -> Request:
     return request._replace(inputs=request.inputs._replace(grid=grid), every=request.every * parts)
 
 
-def check_options(model: Any, scheme: Any, correction: Any, compiled: Any, **flags: Any) -> None:
-    """Check the options of runs.
+def check_options(
+    model: Any, scheme: Any, correction: Any, compiled: Any, **flags: Any
+) -> Compiled:
+    """Check the options of runs, and return `compiled`.
 
     Raises TypeError.
     """
     check_model(model)
     check_scheme(scheme)
     check_correction(correction)
-    if compiled is not None:
-        instance("compiled", compiled, (bool, Single), "True or False, None or Single()")
     for name, value in flags.items():
-        instance(name, value, bool, "True or False")
+        flag(name, value)
+    return read_compiled("compiled", compiled)
 
 
 def record_run(model: Model, runs: Runs, verdict: Verdict) -> Trajectory:

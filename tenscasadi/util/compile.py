@@ -17,7 +17,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -35,6 +35,7 @@ __all__ = [
     "compile_function",
     "compile_library",
     "find_compiler",
+    "read_compiled",
 ]
 
 T = TypeVar("T")
@@ -102,6 +103,17 @@ def find_compiler() -> tuple[str, ...] | None:
         if program:
             return (program, *command[1:])
     return None
+
+
+def read_compiled(field: str, value: Any) -> Compiled:
+    """Read whether to compile: True, False, None or `Single`.
+
+    NumPy's booleans become Python's. Raises TypeError.
+    """
+    if value is None or isinstance(value, Single):
+        return value
+    instance(field, value, (bool, np.bool_), "True or False, None or Single()")
+    return bool(value)
 
 
 def compile_function(

@@ -112,6 +112,11 @@ def test_a_plan_as_guess_takes_fewer_iterations():
     assert warm.objective == pytest.approx(cold.objective, rel=1e-5)
 
 
+def test_numpy_booleans_are_options():
+    yes = np.True_
+    assert ocp.Ipopt(verbose=yes, warm_start=yes, restart_at_saddle=yes).warm_start
+
+
 @pytest.mark.parametrize(
     ("make", "error", "words"),
     [

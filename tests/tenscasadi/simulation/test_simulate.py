@@ -279,3 +279,12 @@ def test_a_run_stops_when_its_seconds_are_over(scheme: Any, step: float) -> None
         simulate(model, 0.1, time_limit=0)
     with pytest.warns(DeprecationWarning, match="time_limit"):
         assert simulate(model, 0.1, compiled=False, seconds=100.0).success  # type: ignore[call-arg]
+
+
+def test_numpy_booleans_are_options() -> None:
+    no: Any = np.False_
+    options = {"compiled": no, "progress": no, "energy_balance": no, "verify": no}
+    found = simulate(prism(), 0.01, 1e-3, **options)
+    assert found.success
+    assert not found.compiled
+    assert np.isnan(found.error_estimate)

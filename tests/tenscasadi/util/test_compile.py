@@ -25,6 +25,7 @@ from tenscasadi.util.compile import (
     compile_function,
     compile_library,
     find_compiler,
+    read_compiled,
 )
 from tenscasadi.util.library_cache import cache_folder
 
@@ -757,3 +758,14 @@ def test_the_cache_is_trusted_on_windows_if_it_can_be_written(tmp_path, monkeypa
     assert library_cache._explain_distrust(tmp_path) == ""
     monkeypatch.setattr(os, "access", lambda *_: False)
     assert "cannot be written" in library_cache._explain_distrust(tmp_path)
+
+
+def test_numpy_booleans_choose_as_pythons_do():
+    assert [read_compiled("compiled", value) for value in (np.True_, np.False_, None)] == [
+        True,
+        False,
+        None,
+    ]
+    assert read_compiled("compiled", np.False_) is False
+    with pytest.raises(TypeError, match="compiled is 'yes': give True or False, None or Single"):
+        read_compiled("compiled", "yes")
