@@ -1,4 +1,4 @@
-"""Convex hulls of rigid bodies as triangles."""
+"""Faces of rigid bodies as triangles."""
 
 from __future__ import annotations
 
@@ -9,16 +9,20 @@ from tenscasadi.util.validate import NEGLIGIBLE, Array, Indices
 
 
 def find_hulls(structure: Structure | None) -> list[Indices]:
-    """Find the convex hull (f, 3) of each body.
+    """Find the faces (f, 3) of each body: the given ones, or those of the convex hull.
 
-    Its triangles are indices of nodes. Bodies whose nodes lie on a line have none.
+    They are triangles of node indices. Bodies whose nodes lie on a line have no hull.
     """
     bodies = () if structure is None else structure.bodies
     nodes = np.zeros((0, 3)) if structure is None else structure.nodes
     found = []
     for body in bodies:
         own = np.array(body.nodes, dtype=np.intp)
-        found.append(own[_find_triangles(nodes[own])])
+        found.append(
+            own[_find_triangles(nodes[own])]
+            if body.faces is None
+            else np.array(body.faces, dtype=np.intp).reshape(-1, 3)
+        )
     return found
 
 

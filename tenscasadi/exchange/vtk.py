@@ -12,12 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from tenscasadi.drawing.hulls import find_hulls
 from tenscasadi.dynamics.model import Model
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import Array, file_path, instance, whole_number
 from tenscasadi.util.whole_file import whole_file
-
-_BAR, _STRING = 0, 1
 
 
 def export_vtk(
@@ -30,8 +29,8 @@ def export_vtk(
     """Write a trajectory for ParaView.
 
     Open the .pvd file in ParaView. It lists the frames, one .vtu file for each saved time, in a
-    folder of the same name beside it. A frame contains bars and strings as lines with the fields
-    ``kind`` (0 for bars, 1 for strings), ``number``, ``length`` [m], ``force_density`` [N/m] and
+    folder of the same name beside it. A frame contains bars and strings as lines, and faces of rigid
+    bodies as triangles, with the fields ``kind`` (0 for bars, 1 for strings, 2 for bodies), ``number``, ``length`` [m], ``force_density`` [N/m] and
     ``tension`` [N], negative in compression. Nodes have the fields ``number``, ``velocity`` [m/s]
     and ``pinned``. It requires ``pip install 'tenscasadi[exchange]'``.
 
@@ -134,21 +133,28 @@ def _frame(meshio: Any, run: Trajectory, row: int, bar_force_density: Array) -> 
         np.linalg.norm(nodes[pairs[:, 1]] - nodes[pairs[:, 0]], axis=1)
         for pairs in (run.bars, run.strings)
     ]
+    hulls = find_hulls(None if run.scene is None else run.scene.structure)
+    body = np.repeat(np.arange(float(len(hulls))), [len(hull) for hull in hulls])
+    faces = np.concatenate([np.zeros((0, 3), dtype=np.intp), *hulls])
+    none = np.full(len(faces), np.nan)
+    cells = ("line", run.bars), ("line", run.strings), ("triangle", faces)
     values = {
-        "kind": [np.full(len(run.bars), float(_BAR)), np.full(len(run.strings), float(_STRING))],
-        "number": [np.arange(float(len(run.bars))), np.arange(float(len(run.strings)))],
-        "length": lengths,
-        "force_density": [bar_force_density, run.force_density[row]],
-        "tension": [bar_force_density * lengths[0], run.tension[row]],
+        "kind": [np.full(len(rows), float(kind)) for kind, (_, rows) in enumerate(cells)],
+        "number": [np.arange(float(len(run.bars))), np.arange(float(len(run.strings))), body],
+        "length": [*lengths, none],
+        "force_density": [bar_force_density, run.force_density[row], none],
+        "tension": [bar_force_density * lengths[0], run.tension[row], none],
     }
-    present = [k for k, pairs in enumerate((run.bars, run.strings)) if len(pairs)]
+    present = [k for k, (_, rows) in enumerate(cells) if len(rows)]
     return meshio.Mesh(
         np.array(nodes),
-        [("line", np.array((run.bars, run.strings)[k])) for k in present],
+        [(cells[k][0], np.array(cells[k][1])) for k in present],
         point_data={
             "number": np.arange(float(len(nodes))),
             "velocity": np.array(run.velocities[row]),
             "pinned": pinned,
         },
-        cell_data={name: [np.array(parts[k]) for k in present] for name, parts in values.items()},
+        cell_data={
+            name: [np.array(parts[k]) for k in present] for name, parts in values.items() if present
+        },
     )

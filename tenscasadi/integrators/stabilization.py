@@ -154,8 +154,10 @@ class BarLengthCorrection(Correction, kind="BarLengthCorrection"):
 
     def _build(self, model: Model) -> ca.Function:
         if model.mechanism.system_size and not model.mechanism.joints:
+            other = "" if model.scene.structure.bodies else 'Model(coordinates="full") or '
             raise ValueError(
-                'BarLengthCorrection moves bars one by one, these meet or are pinned: use Model(coordinates="full") or Projection'
+                "BarLengthCorrection moves bars one by one, these meet or are pinned: "
+                f"use {other}Projection"
             )
         return _appendix_c(model, self.weight)
 

@@ -56,6 +56,8 @@ class RigidBody(Value, kind="RigidBody"):
     inertia : array_like, shape (3, 3) or (3,), optional
         Inertia matrix about the center, along the axes of the structure's nodes, or its diagonal
         [kg m²]. Default: that of equal point masses on the nodes.
+    faces : sequence of triples of int or str, optional
+        Triangles between nodes of the body, which pictures show. Default: the convex hull.
 
     Raises
     ------
@@ -79,6 +81,7 @@ class RigidBody(Value, kind="RigidBody"):
     mass: float
     center: Annotated[Any, VECTOR] = None
     inertia: Annotated[Any, Numbers(((3,), (3, 3)))] = None
+    faces: Annotated[Any, Numbers(((None, 3),), whole=True)] = None
 
     def __post_init__(self) -> None:
         given = as_tuple("RigidBody.nodes", self.nodes, "[0, 1, 2, 3]")
@@ -102,6 +105,8 @@ class RigidBody(Value, kind="RigidBody"):
             diagonal = np.array_equal(matrix, np.diag(matrix.diagonal()))
             entries = matrix.diagonal() if diagonal else matrix
             own["inertia"] = _as_tuple(entries.tolist())
+        if self.faces is not None:
+            own["faces"] = _read_faces(self.faces)
         for name, value in own.items():
             object.__setattr__(self, name, value)
 
@@ -149,12 +154,8 @@ class RigidBody(Value, kind="RigidBody"):
         moments = R @ own.moments @ R.T
         inertia = np.trace(moments) * np.eye(3) - moments
         center = None if self.center is None else end + R @ (own.center - start)
-        return RigidBody(
-            self.nodes,
-            self.mass,
-            center,
-            None if self.inertia is None else (inertia + inertia.T) / 2,
-        )
+        turned = None if self.inertia is None else (inertia + inertia.T) / 2
+        return replace(self, center=center, inertia=turned)
 
 
 def read_bodies(given: Any, names: Names) -> tuple[RigidBody, ...]:
@@ -171,7 +172,12 @@ def read_bodies(given: Any, names: Names) -> tuple[RigidBody, ...]:
         nodes = names.resolve_all(f"bodies[{k}].nodes", "node", body.nodes)
         for node in nodes:
             names.index(f"bodies[{k}].nodes", "node", node)
-        bodies[k] = body if nodes is body.nodes else replace(body, nodes=nodes)
+        faces = body.faces and names.resolve_lists(f"bodies[{k}].faces", "node", body.faces)
+        for j, face in enumerate(faces or ()):
+            for node in set(face) - set(nodes):
+                raise ValueError(f"bodies[{k}].faces[{j}] has node {node}: give nodes of the body")
+        same = nodes is body.nodes and faces is body.faces
+        bodies[k] = body if same else replace(body, nodes=nodes, faces=faces)
     return tuple(bodies)
 
 
@@ -222,6 +228,23 @@ def _read_inertia(given: Any) -> Array:
             "none may exceed the sum of the others"
         )
     return matrix
+
+
+def _read_faces(given: Any) -> tuple[tuple[IndexOrName, ...], ...]:
+    """Read triangles between nodes.
+
+    Raises TypeError or ValueError.
+    """
+    found = []
+    for k, face in enumerate(as_tuple("RigidBody.faces", given, "[(0, 1, 2)]")):
+        field = f"RigidBody.faces[{k}]"
+        corners = tuple(
+            index_or_name(field, corner) for corner in as_tuple(field, face, "(0, 1, 2)")
+        )
+        if len(corners) != 3 or len(set(corners)) < 3:
+            raise ValueError(f"{field} is {format_value(corners)}: give three different nodes")
+        found.append(corners)
+    return tuple(found)
 
 
 def _as_tuple(value: Any) -> Any:

@@ -155,7 +155,7 @@ def dynamics_calls() -> dict[str, Call]:
     found: dict[str, Call] = {
         "Structure": (tc.Structure, MEMBERS | STRING_VALUES | {"bar_mass": 1.0, "bar_radius": np.array([0.0, 0.01]), "node_mass": np.zeros(4), "pinned": {0: "xyz"}}),
         "Structure, cables": (tc.Structure, {"nodes": NODES, "strings": [(0, 1), (1, 2), (2, 3)], "node_mass": 1.0, "cables": [[0, 1]], "cable_friction": np.array([0.1])}),
-        "RigidBody": (tc.RigidBody, {"nodes": (0, 1, 2, 3), "mass": 2.0, "center": (0.1, 0.2, 0.3), "inertia": np.diag([1.0, 1.2, 1.1])}),
+        "RigidBody": (tc.RigidBody, {"nodes": (0, 1, 2, 3), "mass": 2.0, "center": (0.1, 0.2, 0.3), "inertia": np.diag([1.0, 1.2, 1.1]), "faces": ((0, 1, 2), (1, 2, 3))}),
         "Structure.from_matrices": (tc.Structure.from_matrices, MATRICES | {"P": np.array([[0.0], [1], [0], [0]]), "D": np.array([[1.0], [0], [0]]), "node_mass": np.zeros(4)}),
         "Structure.class_one": (SEGMENTED.class_one, {"sparse": True}),
         "Structure.replace": (SEGMENTED.replace, {"nodes": NODES, "bar_mass": 2.0, "pinned": (0,)}),

@@ -165,8 +165,10 @@ def _build_cables(structure: Structure) -> dict[str, Any]:
 def _build_body(body: RigidBody) -> dict[str, Any]:
     """Build the struct of a body; center and inertia only where they are given."""
     given = {"mass": body.mass, "center": body.center, "inertia": body.inertia}
+    faces = {} if body.faces is None else {"faces": np.array(body.faces).reshape(-1, 3) + 1.0}
     return {
         "nodes": np.array(body.nodes) + 1.0,
+        **faces,
         **{key: value for key, value in given.items() if value is not None},
     }
 

@@ -321,6 +321,9 @@ def _read_bodies(variables: Variables, count: int) -> list[RigidBody]:
         nodes = read_indices(f"rigid_bodies.{name}.nodes", body["nodes"], count).tolist()
         mass = finite_array(f"rigid_bodies.{name}.mass", body["mass"], (1, 1)).item()
         own = {key: np.squeeze(body[key]) for key in ("center", "inertia") if key in body}
+        if "faces" in body:
+            faces = finite_array(f"rigid_bodies.{name}.faces", body["faces"], (None, 3)).ravel()
+            own["faces"] = read_indices(f"rigid_bodies.{name}.faces", faces, count).reshape(-1, 3)
         bodies.append(RigidBody(nodes, mass, **own))
     return bodies
 

@@ -45,6 +45,15 @@ def test_hull_has_the_area_of_the_body(nodes, expected):
     assert area(s.nodes, faces) == pytest.approx(expected)
 
 
+def test_given_faces_replace_the_hull():
+    faces = [(2, 3, 4), (2, 4, 7)]
+    s = body(CUBE, extra=2)
+    own = s.replace(bodies=[tc.RigidBody(s.bodies[0].nodes, 1.0, faces=faces)])
+    assert find_hulls(own)[0].tolist() == [list(face) for face in faces]
+    moved = own.replace(nodes=own.nodes + 1.0)
+    assert find_hulls(moved)[0].tolist() == find_hulls(own)[0].tolist()
+
+
 def test_rods_and_structures_without_bodies_have_no_faces():
     assert [len(hull) for hull in find_hulls(body(CUBE[:2]))] == [0]
     assert find_hulls(tc.shapes.prism()) == find_hulls(None) == []

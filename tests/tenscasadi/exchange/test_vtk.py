@@ -88,6 +88,16 @@ def test_each_so_many_rows_and_structures_of_one_kind_of_member(run, tmp_path):
     assert mesh.cell_data["kind"][0].tolist() == [0] * len(swing.bars)
 
 
+def test_frames_hold_faces_of_bodies(tmp_path):
+    corners = 0.1 * np.vstack([np.zeros(3), np.eye(3)])
+    plate = tc.RigidBody(range(4), 1.0, faces=[(0, 1, 2), (0, 1, 3)])
+    free = tc.simulate(tc.Model(tc.Scene(tc.Structure(corners, bodies=[plate]))), 0.01, 0.01)
+    folder = tc.export_vtk(free, tmp_path / "body.pvd").with_suffix("")
+    mesh = pytest.importorskip("meshio").read(min(folder.iterdir()))
+    assert mesh.cells_dict["triangle"].tolist() == [[0, 1, 2], [0, 1, 3]]
+    assert mesh.cell_data_dict["kind"]["triangle"].tolist() == [2.0, 2.0]
+
+
 def test_controls_and_parameters_are_those_of_the_run(tmp_path):
     pytest.importorskip("meshio", reason="tenscasadi[exchange] is not installed")
     structure = tc.shapes.prism(stiffness=1000.0, prestress=50.0)

@@ -50,6 +50,8 @@ def test_copies_and_pickles_are_equal():
         ({"inertia": (0.0, 0.0, 0.0)}, "two of them greater"),
         ({"inertia": (1.0, 1.0, 2.1)}, "none may exceed the sum of the others"),
         ({"inertia": np.eye(3) + np.eye(3, k=1)}, "symmetric"),
+        ({"faces": [(0, 1)]}, r"RigidBody.faces\[0\] is \(0, 1\): give three different nodes"),
+        ({"faces": [(0, 1, 2), (3, 1, 3)]}, r"RigidBody.faces\[1\] .* three different nodes"),
     ],
 )
 def test_wrong_fields_are_rejected(fields, message):
