@@ -31,6 +31,7 @@ from ocp.problem.start import FreeStart
 from tenscasadi.scene.breaking import Strength
 from tenscasadi.scene.winches import Winch
 from tenscasadi.schema.value import Value
+from tenscasadi.structure.names import name_errors
 from tenscasadi.util.renamed import RenamedAttribute
 from tenscasadi.util.validate import NEGLIGIBLE, Array
 
@@ -119,6 +120,7 @@ class Problem(Value, kind="Problem"):
     final_goals = RenamedAttribute("terminal_goals")
     repeating = RenamedAttribute("periodic_goals")
 
+    @name_errors
     def __post_init__(self) -> None:
         given = {field.name: getattr(self, field.name) for field in fields(self) if field.init}
         resolved = {**resolve(**given)._asdict(), "parameters": None, "given": given}

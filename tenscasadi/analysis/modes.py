@@ -19,6 +19,7 @@ from tenscasadi.statics.solver.constrained_eigenproblem import (
     fastest_rate,
     lowest_eigenpairs,
 )
+from tenscasadi.structure.names import add_names
 from tenscasadi.util.immutable import ReadOnlyArrays
 from tenscasadi.util.linear_algebra import DENSE
 from tenscasadi.util.validate import NEGLIGIBLE, Array, finite_array, instance, whole_number
@@ -275,9 +276,8 @@ def _reject_degenerate(model: Model, state: Array, *values: Any) -> None:
         if len(short):
             reason = f"{kind} {short[0]} has no length, its nodes {pairs[short[0]][0]} and {pairs[short[0]][1]} coincide"
             break
-    raise ValueError(
-        f"x is a state at which the equations of motion have no derivative: {reason}; give a state without it"
-    )
+    text = f"x is a state at which the equations of motion have no derivative: {reason}; give a state without it"
+    raise ValueError(add_names(text, structure))
 
 
 def _all_modes(model: Model, state: Array, inputs: Array) -> tuple[Array, Array, int, float]:

@@ -24,6 +24,8 @@ from tenscasadi.design.tangent_stiffness import TangentStiffness, tangent_stiffn
 from tenscasadi.statics.self_stress import self_stress
 from tenscasadi.structure.body_assembly import is_separate
 from tenscasadi.structure.cables import reject_cable_friction
+from tenscasadi.structure.names import name_errors
+from tenscasadi.structure.properties import NodalLoads, read_loads
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.immutable import ReadOnlyArrays
 from tenscasadi.util.validate import (
@@ -32,7 +34,6 @@ from tenscasadi.util.validate import (
     TOLERANCE,
     Array,
     as_tuple,
-    finite_array,
     instance,
     nonnegative,
     per_item,
@@ -97,10 +98,11 @@ class PrestressDesign(ReadOnlyArrays):
         return set_prestress(self.original, self.force_density, -bars)
 
 
+@name_errors
 def find_prestress(
     structure: Structure,
     goal: Stiffest | Even | Least = Stiffest(),
-    load_cases: Sequence[ArrayLike] = (),
+    load_cases: Sequence[NodalLoads] = (),
     minimum: ArrayLike = 0.0,
     maximum: ArrayLike | None = None,
     groups: Groups | None = None,
@@ -113,8 +115,8 @@ def find_prestress(
         The structure in its nodes.
     goal : Stiffest, Even or Least
         Largest stiffness of the softest motion, most uniform tensions, or least tensions.
-    load_cases : sequence of array_like, shape (n, 3)
-        Forces on the nodes [N]. The limits of tensions also apply under each load case.
+    load_cases : sequence of array_like, shape (n, 3), or mapping
+        Forces on the nodes, or on some by name or index [N]. The limits of tensions also apply under each load case.
     minimum : array_like, shape (α,)
         Least tension of strings [N], or one number for all. `Even` and `Least` need one above 0, or
         load cases, to determine the level of prestress.
@@ -343,10 +345,7 @@ class _PrestressSearch:
 def read_load_cases(load_cases: Any, structure: Structure) -> Array:
     """Read load cases (cases, n, 3) [N]. Raises TypeError, ValueError."""
     entries = as_tuple("load_cases", load_cases, "[loads], with loads of shape (n, 3)")
-    cases = [
-        finite_array(f"load_cases[{k}]", case, structure.nodes.shape)
-        for k, case in enumerate(entries)
-    ]
+    cases = [read_loads(f"load_cases[{k}]", case, structure) for k, case in enumerate(entries)]
     return np.array(cases).reshape(len(cases), *structure.nodes.shape)
 
 

@@ -26,7 +26,8 @@ from tenscasadi.design.force_density_method import (
 from tenscasadi.design.form_program import FEASIBLE, FormProgram, Goals
 from tenscasadi.structure.cables import reject_cable_friction
 from tenscasadi.structure.equilibrium_matrix import balance_columns, free_directions, member_pairs
-from tenscasadi.structure.names import add_names
+from tenscasadi.structure.names import add_names, name_errors
+from tenscasadi.structure.properties import NodalLoads, read_loads
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.immutable import ReadOnlyArrays
 from tenscasadi.util.linear_algebra import fit_rotation
@@ -37,7 +38,6 @@ from tenscasadi.util.validate import (
     IndexOrName,
     as_tuple,
     coordinates,
-    finite_array,
     format_value,
     instance,
     number,
@@ -78,6 +78,7 @@ class Form(ReadOnlyArrays):
     message: str
 
 
+@name_errors
 def form_find(
     structure: Structure,
     force_density: ArrayLike | None = None,
@@ -85,7 +86,7 @@ def form_find(
     positions: Mapping[IndexOrName, Sequence[float | None]] | None = None,
     groups: Groups | None = None,
     equal_tension: Iterable[Sequence[int | str]] | None = None,
-    loads: ArrayLike | None = None,
+    loads: NodalLoads | None = None,
 ) -> Form:
     """Find nodes and force densities in equilibrium.
 
@@ -110,7 +111,7 @@ def form_find(
         Groups of members that share their force density: strings first, then bars.
     equal_tension : sequence of sequence of int or str, optional
         Groups of strings whose tensions are equal. Each cable is one.
-    loads : array_like, shape (n, 3), optional
+    loads : array_like, shape (n, 3), or mapping of int or str to array_like, optional
         Forces on the nodes [N]; by default none.
 
     Returns
@@ -225,7 +226,7 @@ def _read_goals(
         np.flatnonzero(names.mask(f"equal_tension[{k}]", "string", group)).tolist()
         for k, group in enumerate(tensions)
     ]
-    forces = np.zeros((count, 3)) if loads is None else finite_array("loads", loads, (count, 3))
+    forces = np.zeros((count, 3)) if loads is None else read_loads("loads", loads, structure)
     return Goals(
         found_lengths, found_positions, tuple(tuple(group) for group in groups if group), forces
     )

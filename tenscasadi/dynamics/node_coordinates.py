@@ -12,6 +12,7 @@ import numpy as np
 from tenscasadi.dynamics.base_model import BaseModel
 from tenscasadi.scene.control_function import ControlSchedule
 from tenscasadi.scene.internal_states import join_initial
+from tenscasadi.structure.names import name_errors
 from tenscasadi.util.immutable import read_only
 from tenscasadi.util.validate import FILE_ROUNDING, Array, Indices, finite_array, rows_of_size
 
@@ -82,6 +83,7 @@ class NodeCoordinates(BaseModel):
         """Entries of the state except the clock."""
         return slice(0, 2 * self.nq + self.na)
 
+    @name_errors
     def state(self, nodes: Any, velocities: Any = None, internal: Any = None) -> Array:
         """Build the state of given nodes and velocities.
 

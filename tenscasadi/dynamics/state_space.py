@@ -22,6 +22,7 @@ from tenscasadi.dynamics.node_coordinates import NodeCoordinates, check_column
 from tenscasadi.scene.binding import declare_internal_states, initial_control
 from tenscasadi.scene.internal_states import join_initial
 from tenscasadi.structure.mass_checks import check_mass_ratio
+from tenscasadi.structure.names import add_names
 from tenscasadi.util.casadi_tools import symbol_kind
 from tenscasadi.util.immutable import read_only
 from tenscasadi.util.renamed import RenamedAttribute
@@ -87,7 +88,7 @@ class StateSpace(NodeCoordinates):
         self.functions: dict[Any, Any] = {}  # see `keep`
         self.redundancy = find_redundancy(self.mechanism)
         if self.redundancy:
-            message = append_address(self.redundancy)
+            message = append_address(add_names(self.redundancy, s))
             warnings.warn(message, RedundantConstraints, stacklevel=3)
 
     # --- numbers ---

@@ -19,6 +19,7 @@ from tenscasadi.util.validate import (
     IndexOrName,
     Indices,
     as_tuple,
+    finite_array,
     format_value,
     index_or_name,
     node_index,
@@ -209,8 +210,10 @@ class NodalForce(OverTime, ReadOnlyArrays, kind="NodalForce"):
 
     Parameters
     ----------
-    values : array_like, shape (n, 3) or (K, n, 3), or callable
-        Forces [N], a table of them at `times`, or a function of the time [s].
+    values : array_like, shape (n, 3) or (K, n, 3), mapping, or callable
+        Forces [N], a table of them at `times`, or a function of the time [s]. A mapping has the
+        force (3,) or its table (K, 3) by the name or index of a node, until the force is part of a
+        scene.
     times : array_like, shape (K,), optional
         Increasing times of a table [s]. Steps of a simulation end there.
     breakpoints : array_like, shape (B,), optional
@@ -228,6 +231,9 @@ class NodalForce(OverTime, ReadOnlyArrays, kind="NodalForce"):
     >>> wind = tc.NodalForce(lambda t: [[0, 0, 0], [np.sin(t), 0, 0]])
     >>> tc.Scene(tc.shapes.pendulum(), forces=wind).has_clock
     True
+    >>> push = tc.NodalForce({"top[0]": (0, 0, -5)})
+    >>> tc.Scene(tc.shapes.prism(), forces=push).forces.values[3].tolist()
+    [0.0, 0.0, -5.0]
     """
 
     _quantity: ClassVar[str] = "values"
@@ -245,6 +251,41 @@ class NodalForce(OverTime, ReadOnlyArrays, kind="NodalForce"):
                     "give a mapping from nodes to bars, such as {1: 0}"
                 )
             object.__setattr__(self, "bars", dict(self.bars))
+
+    def _read_values(self, value: Any, shape: tuple[int | None, ...]) -> Any:
+        if not isinstance(value, Mapping):
+            return super()._read_values(value, shape)
+        own = (*shape[:-2], 3)
+        return {
+            index_or_name(self.field, word): finite_array(
+                f"{self.field}[{format_value(word)}]", force, own
+            )
+            for word, force in value.items()
+        }
+
+    def at(self, time: Any) -> Any:
+        """Compute the forces at a time.
+
+        Parameters
+        ----------
+        time : casadi expression
+            Time [s], which constant forces do not need.
+
+        Returns
+        -------
+        casadi matrix, shape (3, n)
+            Forces [N].
+
+        Raises
+        ------
+        ValueError
+            If the forces are given by node, and are not part of a scene.
+        """
+        if isinstance(self.values, Mapping):
+            raise ValueError(
+                f"{self.field} has forces by node: read Scene.forces of a scene with it"
+            )
+        return super().at(time)
 
     def check(self, nodes: int, pairs: Indices | None = None) -> None:
         """Check the forces and bars against a structure.
@@ -271,7 +312,10 @@ class NodalForce(OverTime, ReadOnlyArrays, kind="NodalForce"):
                     f"NodalForce.bars[{node}] is {format_value(bar)}, which is no bar of node {node}: "
                     f"give one of {ends}, or remove the node"
                 )
-        if callable(self.values):
+        if isinstance(self.values, Mapping):
+            for node in self.values:
+                node_index(self.field, node, nodes)
+        elif callable(self.values):
             self._check_function((nodes, 3))
         elif self.values.shape[-2] != nodes:
             raise ValueError(

@@ -95,12 +95,16 @@ class OverTime(Value):
                 raise ValueError(f"{name}.times is {times}: give two or more increasing times")
             checked |= {
                 "times": times,
-                self._quantity: finite_array(self.field, value, (len(times), *shape)),
+                self._quantity: self._read_values(value, (len(times), *shape)),
             }
         elif not callable(value):
-            checked[self._quantity] = finite_array(self.field, value, shape)
+            checked[self._quantity] = self._read_values(value, shape)
         for field, array in checked.items():
             object.__setattr__(self, field, array)
+
+    def _read_values(self, value: Any, shape: tuple[int | None, ...]) -> Any:
+        """Read a constant or a table of the quantity. Raises TypeError, ValueError."""
+        return finite_array(self.field, value, shape)
 
     def _check_function(self, shape: tuple[int, ...]) -> None:
         """Check the results of a function of time.

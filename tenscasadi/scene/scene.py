@@ -27,6 +27,7 @@ from tenscasadi.schema.definitions import OneOf, definition, resolve_fields
 from tenscasadi.schema.field_types import ElsewhereInFile
 from tenscasadi.schema.value import Value
 from tenscasadi.structure.cables import select_first
+from tenscasadi.structure.names import name_errors
 from tenscasadi.structure.structure import Structure
 from tenscasadi.structure.subdivision import segment_counts, segment_shares
 from tenscasadi.util.immutable import read_only
@@ -108,6 +109,7 @@ class Scene(Value, Viewable, kind="Scene"):
     bar_contact: BarContact | None = None
     strength: Strength | None = None
 
+    @name_errors
     def __post_init__(self) -> None:
         instance("Scene.structure", self.structure, Structure, "a tenscasadi.Structure")
         for name, value in resolve_fields(

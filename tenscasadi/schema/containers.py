@@ -240,6 +240,11 @@ class NodeForceTable(FieldType):
         some = [k for k, row in enumerate(array) if row.any() or np.signbit(row).any()]
         return {str(node): array[node].tolist() for node in some}
 
+    def resolve(self, field: str, value: Any, names: Names) -> Any:
+        """Convert forces by node to rows."""
+        over_time = isinstance(value, Mapping) and any(np.ndim(row) > 1 for row in value.values())
+        return names.place_rows(field, value, (None, 3) if over_time else (3,))
+
     def schema(self, kinds: Schemas) -> Schema:
         """Build the schema of rows or a table."""
         return for_items("node", varying(3), varying(None, 3)).schema(kinds)

@@ -19,6 +19,7 @@ from tenscasadi.util.validate import (
     MAX_COUNT,
     Indices,
     as_tuple,
+    finite_array,
     format_value,
     node_index,
     node_pairs,
@@ -191,6 +192,25 @@ class Names:
                     raise ValueError(f"{field} gives {which} {index} twice: leave one out")
                 found[index] = value
         return found
+
+    def place_rows(self, field: str, table: Any, shape: tuple[int | None, ...] = (3,)) -> Any:
+        """Convert a table of vectors by node to rows (..., n, 3); other nodes have zeros.
+
+        Other values are returned unchanged. Raises TypeError, ValueError.
+        """
+        if not isinstance(table, Mapping):
+            return table
+        given = {
+            node_index(field, node, self.counts["node"]): finite_array(
+                f"{field}[{format_value(node)}]", value, shape
+            )
+            for node, value in self.resolve_keys(field, "node", table).items()
+        }
+        first = next(iter(given.values()), np.zeros(3))
+        rows = np.zeros((*first.shape[:-1], self.counts["node"], 3))
+        for node, value in given.items():
+            rows[..., node, :] = value
+        return rows
 
     def expand(self, field: str, which: ItemKind, word: Any) -> list[Any]:
         """List the indices of the name of an item or group.

@@ -20,11 +20,13 @@ from tenscasadi.simulation.motions import Rollouts
 from tenscasadi.simulation.simulate import check_options
 from tenscasadi.simulation.verdict.judge import judge
 from tenscasadi.simulation.verdict.step_error import estimate_errors
+from tenscasadi.structure.names import add_names, name_errors
 from tenscasadi.util.compile import Compiled
 from tenscasadi.util.processes import count_processors
 from tenscasadi.util.validate import Array, positive_number, whole_number
 
 
+@name_errors
 def rollouts(  # noqa: PLR0913  the options of a batch
     model: Model,
     t_end: float,
@@ -160,11 +162,12 @@ def _record(model: Model, runs: Runs, verify: bool) -> Rollouts:
     )
     place, given = _find_places(request.inputs.base, request.inputs.first + times)
     energy = runs.measured[:, :, 2:5].sum(axis=2)
+    named = [add_names(text, model.structure) for text in verdict.message]
     return Rollouts(
         time=times,
         states=runs.saved[:, :, : model.nx],
         success=verdict.success,
-        message=np.array(verdict.message, dtype=np.str_).reshape(len(energy)),
+        message=np.array(named, dtype=np.str_).reshape(len(energy)),
         bar_length_error=worst["bar_length_error"],
         joint_error=worst["joint_error"],
         energy=energy,

@@ -31,6 +31,7 @@ from tenscasadi.simulation.tangent_loop import (
 )
 from tenscasadi.simulation.tangent_passes import PassSetup, run_adjoint, run_forward
 from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.structure.names import name_errors
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.compile import CompileError, Single, compile_function, read_compiled
 from tenscasadi.util.immutable import ReadOnlyArrays
@@ -103,6 +104,7 @@ class Sensitivities(ReadOnlyArrays):
 
 
 @rename_keywords(of="output")
+@name_errors
 def sensitivities(  # noqa: PLR0913  options of the run and of the derivatives
     model: Model,
     start: Any = None,

@@ -27,6 +27,7 @@ from tenscasadi.simulation.trajectory import (
 from tenscasadi.simulation.verdict.endings import describe_steps
 from tenscasadi.simulation.verdict.judge import Verdict, judge
 from tenscasadi.simulation.verdict.step_error import estimate_errors
+from tenscasadi.structure.names import add_names, name_errors
 from tenscasadi.util.compile import Compiled, Single, read_compiled
 from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import flag, positive_number, whole_number
@@ -35,6 +36,7 @@ MAX_REFINEMENT = 8  # × default steps: limits the wall time, as errors of a cha
 
 
 @rename_keywords(seconds="time_limit")
+@name_errors
 def simulate(  # noqa: PLR0913  the options of a run
     model: Model,
     t_end: float,
@@ -230,7 +232,7 @@ def record_run(model: Model, runs: Runs, verdict: Verdict) -> Trajectory:
         states,
         held,
         step=taken.step,
-        message=verdict.message[0] + (single or note),
+        message=add_names(verdict.message[0], model.structure) + (single or note),
         success=bool(verdict.success[0]),
         energy_error=energy - energy[0] - (measured[:, -1] if request.balanced else np.nan),
         seconds=runs.seconds,

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import ArrayLike
 from scipy.sparse.linalg import ArpackError, LinearOperator, eigsh
 
 from tenscasadi.dynamics.model import Model
@@ -20,6 +19,8 @@ from tenscasadi.statics.equilibrium import Equilibrium, find_equilibrium, read_l
 from tenscasadi.statics.solver.motions import motion_basis
 from tenscasadi.statics.solver.prestressed_state import PrestressedState
 from tenscasadi.statics.stability import describe_state, find_overload, read_state
+from tenscasadi.structure.names import name_errors
+from tenscasadi.structure.properties import NodalLoads
 from tenscasadi.util.linear_algebra import DENSE
 from tenscasadi.util.validate import NEGLIGIBLE, ROUNDING, Array, instance
 
@@ -53,9 +54,10 @@ class BucklingFactor(NamedTuple):
     message: str
 
 
+@name_errors
 def buckling_factor(
     scene: Scene | Model | Equilibrium,
-    load: ArrayLike | NodalForce,
+    load: NodalLoads | NodalForce,
     control: Any = None,
     parameters: Any = None,
 ) -> BucklingFactor:
@@ -68,7 +70,7 @@ def buckling_factor(
     ----------
     scene : Scene, Model or Equilibrium
         The scene, or its equilibrium.
-    load : array_like, shape (n, 3), or NodalForce
+    load : array_like, shape (n, 3), mapping of int or str to array_like, or NodalForce
         Forces on the nodes [N].
     control : array_like, shape (nu,), optional
         Control; by default the initial control of the scene.

@@ -16,6 +16,7 @@ from tenscasadi.scene.failed_strings import describe_overload, require_intact
 from tenscasadi.scene.loads import NodalForce
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import RestLength
+from tenscasadi.schema.definitions import resolve_names
 from tenscasadi.statics.self_stress import rigid_body_motions
 from tenscasadi.statics.solver.newton_system import NewtonSystem
 from tenscasadi.statics.solver.relaxation import relax
@@ -28,6 +29,8 @@ from tenscasadi.statics.stuck_cables import (
     read_sliding,
     replace_cables,
 )
+from tenscasadi.structure.names import name_errors
+from tenscasadi.structure.properties import read_loads
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.immutable import ReadOnlyArrays, keep
 from tenscasadi.util.validate import NEGLIGIBLE, Array, finite_array, instance, nesting
@@ -129,6 +132,7 @@ class Equilibrium(OperatingPoint, ReadOnlyArrays):
         return f"Equilibrium({self.message})"
 
 
+@name_errors
 def find_equilibrium(
     scene: Scene | Model,
     start: Any = None,
@@ -282,9 +286,11 @@ def read_load(system: NewtonSystem, load: Any) -> Array:
 
     Nodes are those of the model. Raises TypeError, ValueError.
     """
-    n = len(system.equations.structure.nodes)
+    structure = system.equations.structure
+    n = len(structure.nodes)
     if not isinstance(load, NodalForce):
-        return finite_array("load", load, (n, 3))
+        return read_loads("load", load, structure)
+    load = resolve_names(load, structure.names)
     load.check(len(system.equations.scene.structure.nodes))
     if load.varies:
         raise ValueError("load changes over time: give its values at one time")

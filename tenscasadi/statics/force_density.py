@@ -15,13 +15,13 @@ from tenscasadi.statics.least_force_density import least_force_density
 from tenscasadi.structure.cables import density_basis
 from tenscasadi.structure.equilibrium_matrix import equilibrium_matrix, free_directions
 from tenscasadi.structure.names import add_names
+from tenscasadi.structure.properties import NodalLoads, read_loads
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import (
     NEGLIGIBLE,
     Array,
-    finite_array,
     instance,
     nonnegative,
     per_item,
@@ -45,7 +45,7 @@ class EquilibriumError(ValueError):
 @rename_keywords(pushing="compression_strings")
 def equilibrium_force_density(
     structure: Structure,
-    loads: ArrayLike | None = None,
+    loads: NodalLoads | None = None,
     minimum: ArrayLike = 1.0,
     compression_strings: Iterable[int | str] = (),
 ) -> Array:
@@ -59,8 +59,8 @@ def equilibrium_force_density(
     ----------
     structure : Structure
         The structure in its nodes.
-    loads : array_like, shape (n, 3), optional
-        Forces on the nodes [N]. Default: none.
+    loads : array_like, shape (n, 3), or mapping, optional
+        Forces on the nodes, or on some by name or index [N]. Default: none.
     minimum : array_like, shape (α,)
         Smallest force density of each string [N/m], at least 0, or one number for all.
     compression_strings : sequence of int or str
@@ -100,7 +100,7 @@ def equilibrium_force_density(
     least = nonnegative("minimum", per_item("minimum", minimum, alpha), "string")
     least = np.where(either, 0.0, least)
     shape = structure.nodes.shape
-    load = np.zeros(shape) if loads is None else finite_array("loads", loads, shape)
+    load = np.zeros(shape) if loads is None else read_loads("loads", loads, structure)
     directions = free_directions(structure)
     w = directions.T @ load.ravel()
     balance = equilibrium_matrix(structure)

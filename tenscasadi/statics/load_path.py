@@ -26,6 +26,8 @@ from tenscasadi.statics.solver.continuation import LoadChange, PathRow, Tracer
 from tenscasadi.statics.solver.newton_system import NewtonSystem
 from tenscasadi.statics.solver.settling import prepare_friction, settle
 from tenscasadi.statics.solver.static_equations import Conditions
+from tenscasadi.structure.names import name_errors
+from tenscasadi.structure.properties import NodalLoads
 from tenscasadi.util.immutable import ReadOnlyArrays
 from tenscasadi.util.validate import (
     MAX_REPETITIONS,
@@ -108,9 +110,10 @@ class LoadPath(ReadOnlyArrays):
         return f"LoadPath({len(self.factor)} rows: {self.message})"
 
 
+@name_errors
 def load_path(
     scene: Scene | Model,
-    load: ArrayLike | NodalForce | None = None,
+    load: NodalLoads | NodalForce | None = None,
     control: ArrayLike | None = None,
     parameters: Any = None,
     factors: tuple[float, float] = (0.0, 2.0),
@@ -127,7 +130,7 @@ def load_path(
     ----------
     scene : Scene or Model
         The scene.
-    load : array_like, shape (n, 3), or NodalForce, optional
+    load : array_like, shape (n, 3), mapping of int or str to array_like, or NodalForce, optional
         Forces on the nodes [N].
     control : array_like, shape (nu,), optional
         Change of the control, such as that of rest lengths [m].

@@ -35,7 +35,7 @@ class _SlidingPath:
     ----------
     scene : Scene
         Scene of cables with friction, without parameters and control.
-    load : array_like, shape (n, 3), or NodalForce
+    load : array_like, shape (n, 3), mapping of int or str to array_like, or NodalForce
         Change of the nodal forces per unit of the factor [N].
     start : object
         Start of the path, from which grounds measure their slip.
@@ -76,7 +76,7 @@ def follow_sliding(
     ----------
     scene : Scene
         Scene of cables with friction.
-    load : array_like, shape (n, 3), or NodalForce
+    load : array_like, shape (n, 3), mapping of int or str to array_like, or NodalForce
         Change of the nodal forces per unit of the factor [N].
     factors : tuple of float
         Least and largest factor.

@@ -32,7 +32,9 @@ from tenscasadi.statics.solver.trust_region import allowed_residual
 from tenscasadi.statics.super_stability import is_super_stable
 from tenscasadi.structure.cables import add_compliances
 from tenscasadi.structure.equilibrium_matrix import balance_bars, force_density_matrix
+from tenscasadi.structure.names import name_errors
 from tenscasadi.structure.prestress import check_cable_tensions, read_force_densities
+from tenscasadi.structure.properties import NodalLoads
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.immutable import ReadOnlyArrays, keep
 from tenscasadi.util.validate import NEGLIGIBLE, ROUNDING, TOLERANCE, Array, instance, whole_number
@@ -156,13 +158,13 @@ class Stability(ReadOnlyArrays):
         members = sp.kron(self.force_density_matrix, sp.eye_array(3))
         return sp.csr_array(members + self._state.system.nodal_loads(self._state.point))
 
-    def displacement(self, load: ArrayLike | NodalForce) -> Array:
+    def displacement(self, load: NodalLoads | NodalForce) -> Array:
         """Compute the linear displacements under a load.
 
         Parameters
         ----------
-        load : array_like, shape (n, 3), or NodalForce
-            Forces on the nodes [N].
+        load : array_like, shape (n, 3), mapping, or NodalForce
+            Forces on the nodes, or on some by name or index [N].
 
         Returns
         -------
@@ -179,13 +181,13 @@ class Stability(ReadOnlyArrays):
         y, _ = state.displace(read_load(state.system, load))
         return np.asarray((state.system.equations.free @ y).reshape(-1, 3))
 
-    def stiffness(self, load: ArrayLike | NodalForce) -> float:
+    def stiffness(self, load: NodalLoads | NodalForce) -> float:
         """Compute the stiffness against a load: |load|²/(load · displacement).
 
         Parameters
         ----------
-        load : array_like, shape (n, 3), or NodalForce
-            Forces on the nodes [N].
+        load : array_like, shape (n, 3), mapping, or NodalForce
+            Forces on the nodes, or on some by name or index [N].
 
         Returns
         -------
@@ -211,6 +213,7 @@ class Stability(ReadOnlyArrays):
         return np.inf if abs(compliance) <= NEGLIGIBLE / state.scale else 1.0 / compliance
 
 
+@name_errors
 def stability(
     source: Structure | Scene | Model | Equilibrium,
     force_density: ArrayLike | None = None,

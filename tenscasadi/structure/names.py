@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import functools
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 from tenscasadi.schema.reading import Names
 from tenscasadi.util.validate import as_tuple, format_value, text
 
-_INDEXED = re.compile(r"\b(node|bar|string) (\d+)\b(?! \()")  # of a member in a message
+P = ParamSpec("P")
+R = TypeVar("R")
+# members in a message, such as "bar 3" and "nodes 0, 2 and 5", without those named beside them
+_INDEXED = re.compile(r"\b(node|bar|string)s? (\d+(?:(?:, | and )\d+)*)(?!\.?\w| \()")
 _MEMBER = re.compile(r"(.*)\[\d+\]")  # name of a member of a group, such as "guys[2]"
 
 
@@ -33,12 +37,15 @@ def read_names(field: str, value: Any, count: int) -> tuple[str, ...]:
 
 
 def names_of(structure: Any, **counts: int) -> Names:
-    """Collect the names of a structure; without one, none of given numbers of items."""
+    """Collect the names of a structure, also in construction.
+
+    Without one, there are none of given numbers of items.
+    """
     if structure is None:
         return Names(counts)  # type: ignore[arg-type]
     parts = ("node", "string", "bar")
-    own = {which: len(getattr(structure, f"{which}s")) for which in parts}
-    return find_names(own, {which: getattr(structure, f"{which}_names") for which in parts})
+    own = {which: len(getattr(structure, f"{which}s", ())) for which in parts}
+    return find_names(own, {which: getattr(structure, f"{which}_names", ()) for which in parts})
 
 
 def name_members(groups: Iterable[tuple[str, int]]) -> list[str]:
@@ -84,26 +91,54 @@ def find_named(text: str, structure: Any) -> dict[str, str]:
 
     An example is {"string 3": "guy"}.
     """
-    names = {
-        "node": structure.node_names,
-        "bar": structure.bar_names,
-        "string": structure.string_names,
-    }
     found = {}
     for match in _INDEXED.finditer(text):
-        own, index = names[match[1]], int(match[2])
-        if index < len(own) and own[index]:
-            found[match[0]] = own[index]
+        names = getattr(structure, f"{match[1]}_names", ())  # of a structure in construction, too
+        for index in map(int, re.findall(r"\d+", match[2])):
+            if index < len(names) and names[index]:
+                found[f"{match[1]} {index}"] = names[index]
     return found
 
 
 def add_names(text: str, structure: Any) -> str:
-    """Append the names of the members in a message.
+    """Append the names of the members in a message, unless it has them already.
 
     "string 3 is slack" becomes "string 3 is slack (string 3: guy)" if that string is called "guy".
     """
-    named = ", ".join(f"{member}: {name}" for member, name in find_named(text, structure).items())
-    return f"{text} ({named})" if named else text
+    named = [f"{member}: {name}" for member, name in find_named(text, structure).items()]
+    missing = ", ".join(part for part in named if part not in text)
+    return f"{text} ({missing})" if missing else text
+
+
+def name_errors(function: Callable[P, R]) -> Callable[P, R]:
+    """Add the names of members to the errors of a function.
+
+    They are those of the first argument that is a structure, or has one, such as a scene or model.
+    Strings have their indices before they are divided into segments.
+    """
+
+    @functools.wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            return function(*args, **kwargs)
+        except (TypeError, ValueError) as error:
+            found = (_find_structure(value) for value in (*args, *kwargs.values()))
+            structure = next((one for one in found if one is not None), None)
+            if error.args and isinstance(error.args[0], str):
+                error.args = (add_names(error.args[0], structure), *error.args[1:])
+            raise
+
+    return call
+
+
+def _find_structure(owner: Any, depth: int = 3) -> Any:
+    """Find the structure of an object; None without one."""
+    own = getattr(owner, "__dict__", {})
+    if "node_names" in own or not depth:
+        return owner if "node_names" in own else None
+    parts = (own[name] for name in ("scene", "structure", "model", "source") if name in own)
+    found = (_find_structure(part, depth - 1) for part in parts)
+    return next((one for one in found if one is not None), None)
 
 
 def find_names(counts: Mapping[Any, int], names: Mapping[Any, Sequence[str]]) -> Names:

@@ -9,6 +9,7 @@ import numpy as np
 
 from tenscasadi.structure.cables import wrap_angles
 from tenscasadi.structure.equilibrium_matrix import balance_bars
+from tenscasadi.structure.names import name_errors
 from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import (
     TOLERANCE,
@@ -21,6 +22,7 @@ from tenscasadi.util.validate import (
 )
 
 
+@name_errors
 def find_rest_lengths(
     structure: Any, force_density: Any, compression_strings: Iterable[int | str]
 ) -> dict[str, Array]:

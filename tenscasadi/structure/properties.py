@@ -6,11 +6,13 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tenscasadi.util.validate import (
     SMALLEST,
     TOLERANCE,
     Array,
+    IndexOrName,
     finite_array,
     format_value,
     nesting,
@@ -18,6 +20,8 @@ from tenscasadi.util.validate import (
     per_item,
     real_array,
 )
+
+NodalLoads = ArrayLike | Mapping[IndexOrName, ArrayLike]  # of all nodes, or of some
 
 MAX_THICKNESS = TOLERANCE**-0.5  # radius / length of a bar; above, M loses more than six digits
 
@@ -112,3 +116,28 @@ def _read_entries(field: str, given: Any, count: int, absent: float) -> Array:
             f"{field} is {format_value(given)}: give numbers, inf or None for rigid bars"
         )
     return values
+
+
+def read_loads(field: str, loads: NodalLoads, structure: Any) -> Array:
+    """Read forces on the nodes of a structure.
+
+    Parameters
+    ----------
+    field : str
+        Name in messages.
+    loads : array_like, shape (n, 3), or mapping of int or str to array_like, shape (3,)
+        Forces of all nodes, or of some by name or index [N].
+    structure : Structure
+        The structure.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        Forces [N].
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a force or a node is wrong.
+    """
+    return finite_array(field, structure.names.place_rows(field, loads), structure.nodes.shape)

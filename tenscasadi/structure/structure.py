@@ -27,7 +27,7 @@ from tenscasadi.structure.class_one import (
 )
 from tenscasadi.structure.derived import read_derived, write_derived
 from tenscasadi.structure.mass_checks import check_node_masses
-from tenscasadi.structure.names import find_names, names_of, read_names, reset_item_fields
+from tenscasadi.structure.names import name_errors, names_of, read_names, reset_item_fields
 from tenscasadi.structure.pins import Normals, read_axes, read_pins, read_rollers
 from tenscasadi.structure.prestress import find_rest_lengths
 from tenscasadi.structure.properties import read_properties
@@ -167,6 +167,7 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
     _layout: Layout
     _assembly: BodyAssembly | None
 
+    @name_errors
     def __init__(  # noqa: PLR0913  one keyword for each property
         self,
         nodes: ArrayLike,
@@ -192,11 +193,10 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
     ) -> None:
         own = self.__dict__
         own["nodes"] = finite_array("nodes", nodes, (None, 3))
-        n = len(self.nodes)
-        if n == 0:
+        if not (n := len(self.nodes)):
             raise ValueError("nodes is empty: give at least one node")
         own["node_names"] = read_names("node_names", node_names, n)
-        names = find_names({"node": n}, {"node": self.node_names})
+        names = names_of(self)
         own["bars"] = names.pairs("bars", bars, "bar")
         own["strings"] = names.pairs("strings", strings, "string", parallel=True)
         own["string_names"] = read_names("string_names", string_names, len(self.strings))

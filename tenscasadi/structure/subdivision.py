@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.sparse import csr_array
 
 from tenscasadi.structure.class_one import extend_layout
-from tenscasadi.structure.names import extend_names, name_segments
+from tenscasadi.structure.names import extend_names, name_errors, name_segments
 from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import (
     MAX_COUNT,
@@ -33,6 +33,7 @@ class Division(NamedTuple):
     derived: dict[str, Any]
 
 
+@name_errors
 def divide_strings(structure: Any, segments: Any, ends: Any, fractions: Any) -> Division | None:
     """Divide strings into segments, see `Structure.subdivide`.
 

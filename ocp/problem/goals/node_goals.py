@@ -79,7 +79,9 @@ class NodePositions(Goal, kind="NodePositions"):
         for node, axis, value in _entries("NodePositions.positions", self.positions, structure):
             held = structure.nodes[node, axis]
             if structure.fixed[node, axis] and abs(value - held) > tolerance:
-                place_text = f"{'xyz'[axis]} = {value:g} m of a node that is pinned at {held:g} m"
+                place_text = (
+                    f"{'xyz'[axis]} = {value:g} m of node {node}, which is pinned at {held:g} m"
+                )
                 raise ValueError(
                     f"NodePositions.positions[{node}] wants {place_text}: leave that axis None"
                 )
@@ -197,7 +199,7 @@ class NodeVelocities(Goal, kind="NodeVelocities"):
         """
         for node, axis, value in _entries("NodeVelocities.velocities", self.velocities, structure):
             if structure.fixed[node, axis] and value:
-                wanted = f"{'xyz'[axis]} = {value:g} m/s of a node that is pinned along it"
+                wanted = f"{'xyz'[axis]} = {value:g} m/s of node {node}, which is pinned along it"
                 raise ValueError(
                     f"NodeVelocities.velocities[{node}] wants {wanted}: leave that axis None"
                 )

@@ -24,6 +24,8 @@ from tenscasadi.design.sizing.stable import StableSizing
 from tenscasadi.design.tangent_stiffness import TangentStiffness
 from tenscasadi.scene.loads import Gravity
 from tenscasadi.structure.cables import reject_cable_friction
+from tenscasadi.structure.names import add_names, name_errors
+from tenscasadi.structure.properties import NodalLoads
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import (
     MAX_ITERATIONS,
@@ -39,9 +41,10 @@ from tenscasadi.util.validate import (
 )
 
 
+@name_errors
 def size(
     structure: Structure,
-    load_cases: Sequence[ArrayLike] = (),
+    load_cases: Sequence[NodalLoads] = (),
     string: Material | None = None,
     bar: Material | None = None,
     tube: float = 0.0,
@@ -59,8 +62,8 @@ def size(
     ----------
     structure : Structure
         The structure in its nodes.
-    load_cases : sequence of array_like, shape (n, 3)
-        Forces on the nodes [N]. Each case acts alone.
+    load_cases : sequence of array_like, shape (n, 3), or mapping
+        Forces on the nodes, or on some by name or index [N]. Each case acts alone.
     string, bar : Material
         Materials of strings and of bars.
     tube : float
@@ -150,7 +153,7 @@ def _stabilize(
     for _ in range(MAX_ITERATIONS):
         found = search.search(start)
         if found.message:
-            return report_failure(structure, cases, found.message)
+            return report_failure(structure, cases, add_names(found.message, structure))
         more = _gap(float(found.area @ sections.mass_per_area), design.bound)
         message = f"stable, {more:.1e} above the least mass without that"
         sized = report_sections(structure, program, cases, found[:3], message)

@@ -14,6 +14,7 @@ from tenscasadi.schema.stored import array_fields
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.cables import find_units, reject_cables
 from tenscasadi.structure.class_one import connectivity
+from tenscasadi.structure.names import name_errors
 from tenscasadi.structure.rigid_body import RigidBody, reject_bodies
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.renamed import rename_keywords
@@ -26,6 +27,7 @@ LETTERS = {name: str(letters) for name, (letters, _) in array_fields(Trajectory)
 
 
 @rename_keywords(what="data")
+@name_errors
 def save_mat(
     data: Structure | Trajectory, path: str | os.PathLike[str], *, class_one: bool = False
 ) -> Path:

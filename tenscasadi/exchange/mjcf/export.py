@@ -20,6 +20,7 @@ from tenscasadi.exchange.mjcf.writer import AXIAL, MjcfWriter
 from tenscasadi.scene.ground import Ground
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import Smooth
+from tenscasadi.structure.names import name_errors
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import (
@@ -145,6 +146,7 @@ def export_mjcf(
     return target
 
 
+@name_errors
 def _check_scene(scene: Scene) -> None:
     """Reject features that MJCF lacks. Raises ValueError."""
     others = {
@@ -168,12 +170,12 @@ def _check_scene(scene: Scene) -> None:
         )
     for ground in scene.grounds:
         instance("Scene.ground", ground, Ground, "planes alone, tenscasadi.Ground: MJCF has them")
+    s = scene.modelled
     for law, strings in scene.string_laws:
         if isinstance(law, Smooth):
             raise ValueError(
-                f"Scene.slack of string {strings[0]} is {law}: MuJoCo's tendons are slack or not, give Clip() or Linear()"
+                f"Scene.slack of string {s.string_parent[strings[0]]} is {law}: MuJoCo's tendons are slack or not, give Clip() or Linear()"
             )
-    s = scene.modelled
     for corner in (corner for body in s.bodies for corner in body.nodes):
         if corner in s.rollers or s.pinned.get(corner, "xyz") != "xyz":
             raise ValueError(
@@ -204,6 +206,7 @@ def _check_scene(scene: Scene) -> None:
         )
 
 
+@name_errors
 def _check_velocities(s: Structure, given: ArrayLike) -> Array:
     """Check that velocities satisfy bars and pins. Raises TypeError, ValueError."""
     V = finite_array("velocities", given, (len(s.nodes), 3))

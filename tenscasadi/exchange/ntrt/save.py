@@ -13,6 +13,7 @@ import numpy as np
 
 from tenscasadi.exchange.ntrt.body_rods import Rod, find_body_rods
 from tenscasadi.exchange.ntrt.yaml_tree import LARGEST_ENTRY
+from tenscasadi.structure.names import name_errors
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import NEGLIGIBLE, file_path, instance, positive_number
 from tenscasadi.util.whole_file import whole_file
@@ -185,6 +186,7 @@ class _NtrtWriter:
     def _width(self) -> float:
         return float(np.linalg.norm(np.ptp(self.structure.nodes, axis=0))) / 100 or 1.0
 
+    @name_errors
     def _check_nodes(self) -> None:
         """Reject strings without rods, and list joints and nodes left out."""
         s = self.structure

@@ -172,7 +172,7 @@ BAD = {
             goals=[ocp.NodePositions({0: (None, 1.0, None)})],
         ),
         ValueError,
-        r"NodePositions.positions\[0\] wants y = 1 m of a node that is pinned at 0 m",
+        r"NodePositions.positions\[0\] wants y = 1 m of node 0, which is pinned at 0 m",
     ),
     "limits of nothing": (
         lambda: ocp.TensionLimits(),

@@ -147,7 +147,7 @@ BAD = {
     "velocity of a pin": (
         lambda: planned(driven(prism(1.0, pinned=[2])), ocp.NodeVelocities({2: (1.0, 0, 0)})),
         ValueError,
-        "wants x = 1 m/s of a node that is pinned along it: leave that axis None",
+        "wants x = 1 m/s of node 2, which is pinned along it: leave that axis None",
     ),
     "few masses": (
         lambda: planned(driven(prism(1.0)), ocp.CenterOfMass((1.0, None, None), np.ones(5))),
