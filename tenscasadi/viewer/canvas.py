@@ -6,7 +6,6 @@ from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from tenscasadi.drawing.color_scale import ColorScale
 from tenscasadi.drawing.meshes import (
@@ -30,11 +29,13 @@ from tenscasadi.drawing.shapes import PARTS, DrawnShape, MotionShapes, choose_ti
 from tenscasadi.drawing.style import STYLE, Bytes, Rgb, linearize_colors
 from tenscasadi.drawing.view_content import Frame, ViewContent
 from tenscasadi.util.linear_algebra import fit_rotation
+from tenscasadi.util.renamed import lazy_module
 from tenscasadi.util.validate import Array
 
 if TYPE_CHECKING:
     import viser
 
+spatial = lazy_module("scipy.spatial")
 _FIELD_OF_VIEW = np.radians(40.0)
 
 
@@ -134,7 +135,7 @@ class Layer:
                     receive_shadow=False,
                 )
             turn = fit_rotation(start[own] - mean, nodes[own] - center)
-            x, y, z, w = Rotation.from_matrix(turn).as_quat()
+            x, y, z, w = spatial.transform.Rotation.from_matrix(turn).as_quat()
             self.batches[name].position, self.batches[name].wxyz = tuple(center), (w, x, y, z)
 
     def _draw_arrows(self, kind: str, shape: DrawnShape) -> None:

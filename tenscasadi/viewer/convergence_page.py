@@ -10,7 +10,7 @@ from tenscasadi.util.renamed import lazy_module
 from tenscasadi.viewer.web.server import LOOPBACK, address, start_server
 from tenscasadi.viewer.web.serving import Served, check_serving, open_and_wait
 
-diagrams = lazy_module("tenscasadi.plots.diagrams")
+plots = lazy_module("tenscasadi.plots")  # a lazy submodule would import the package
 mpl = lazy_module("matplotlib")
 
 
@@ -61,7 +61,7 @@ class ConvergencePage(Served):
     ) -> None:
         check_serving(browser, None)
         self._server, self._stopped = start_server(host, port), False
-        self._convergence, self._next = diagrams.Convergence(), 0.0
+        self._convergence, self._next = plots.diagrams.Convergence(), 0.0
         self.url = address(self._server)
         gui = self._server.gui
         gui.set_panel_label("plan")

@@ -6,13 +6,15 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-import scipy.optimize
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from tenscasadi.exchange.ntrt.rigid_groups import RigidPart
 from tenscasadi.structure.rigid_body import MassProperties
+from tenscasadi.util.renamed import lazy_module
 from tenscasadi.util.validate import NEGLIGIBLE, Array
+
+optimize = lazy_module("scipy.optimize")
 
 
 class Rod(NamedTuple):
@@ -48,7 +50,7 @@ def find_body_rods(nodes: Array, wanted: MassProperties) -> tuple[Array, list[Ro
             for ratio in (thin, stout)
         ]
         A = np.stack([_moments(part.mass_properties(), wanted, size) for part in parts], axis=1)
-        shares, missed = scipy.optimize.nnls(A / A[0], b)
+        shares, missed = optimize.nnls(A / A[0], b)
         if missed <= NEGLIGIBLE:
             break
     rods = []

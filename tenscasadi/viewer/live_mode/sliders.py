@@ -7,15 +7,17 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy.constants
 
 from tenscasadi.drawing.view_content import list_names
 from tenscasadi.scene.strings import RestLength
 from tenscasadi.schema.reading import Names
 from tenscasadi.structure.cables import name_inputs, select_first
+from tenscasadi.util.renamed import lazy_module
 from tenscasadi.util.tables import MOST_LISTED
 from tenscasadi.util.validate import Array, as_tuple, format_value, text
 from tenscasadi.viewer.live_mode.simulation import LiveSimulation
+
+constants = lazy_module("scipy.constants")
 
 # Ranges relative to initial rest lengths, to the largest initial force density, and to nominal
 # values: twice the stiffness and half the mass halve the stable step; the step is at most half of it.
@@ -93,7 +95,7 @@ def choose_parameter_sliders(simulation: LiveSimulation) -> list[ParameterSlider
         size = float(np.linalg.norm(nominal))
         if quantity == "gravity":
             direction = nominal / size if size else np.array([0.0, 0.0, -1.0])
-            most = _round(2 * (size or scipy.constants.g), np.ceil)
+            most = _round(2 * (size or constants.g), np.ceil)
             unit = tuple(direction.tolist())
             found.append(ParameterSlider("gravity (m/s²)", quantity, unit, 0.0, most))
         elif quantity != "forces" and size:
