@@ -379,7 +379,8 @@ def _add_axes(scene: viser.SceneApi, root: str, content: ViewContent) -> None:
 def _place_camera(server: viser.ViserServer, content: ViewContent, more: float) -> None:
     """Place the camera in front, slightly above and aside.
 
-    Flat content is seen from its broad side. `more` is the width of further motions [m].
+    Flat content is seen from its broad side. `more` is the width of further motions [m]. Pages that
+    are too narrow for this get a camera of their own.
     """
     low, high = content.corners
     for center, radius in content.obstacles:
@@ -387,19 +388,60 @@ def _place_camera(server: viser.ViserServer, content: ViewContent, more: float) 
         high = np.maximum(high, np.asarray(center) + radius)
     extent = high - low
     high = high + [more, 0.0, 0.0]
-    size = float(np.linalg.norm(high - low))
+    size, middle = float(np.linalg.norm(high - low)), (low + high) / 2
     broadside = [(1.0, -0.3, 0.2), (0.3, -1.0, 0.2), (0.2, -0.5, 1.0)]
     flat = extent.min() < 0.05 * extent.max()
-    direction = broadside[int(np.argmin(extent))] if flat else (0.45, -1.0, 0.35)
-    distance = 0.7 * size / np.tan(_FIELD_OF_VIEW / 2)  # fits the upright page of a phone, too
-    aside = np.cross(direction, (0.0, 0.0, 1.0))  # the panel is at the right
-    middle = (low + high) / 2 - 0.08 * size * aside / np.linalg.norm(aside)
+    direction = np.array(broadside[int(np.argmin(extent))] if flat else (0.45, -1.0, 0.35))
+    direction /= np.linalg.norm(direction)
+    aside = np.cross((0.0, 0.0, 1.0), direction)
+    shift = 0.08 * size * aside / np.linalg.norm(aside)  # the panel is at the right
     camera = server.initial_camera
     camera.fov = float(_FIELD_OF_VIEW)
-    camera.look_at = middle
-    camera.position = middle + distance * np.array(direction) / np.linalg.norm(direction)
+    camera.look_at = middle + shift
+    camera.position = middle + shift + 0.7 * size / np.tan(_FIELD_OF_VIEW / 2) * direction
     camera.near = float(0.01 * size)
     camera.far = float(100 * size)
+
+    def fit(client: viser.ClientHandle) -> None:
+        width, height = client.camera.image_width, client.camera.image_height
+        if 0 < width < 1.4 * height:
+            look_at, position = fit_camera(middle, direction, size, width, height)
+            with client.atomic():
+                client.camera.position = position  # moves the point that it looks at, too
+                client.camera.look_at = look_at
+
+    server.on_client_connect(fit)
+
+
+def fit_camera(
+    middle: Array, direction: Array, size: float, width: float, height: float
+) -> tuple[Array, Array]:
+    """Find the camera that shows a ball beside the panel of a page.
+
+    Parameters
+    ----------
+    middle : ndarray, shape (3,)
+        Center of the ball [m].
+    direction : ndarray, shape (3,)
+        Unit vector towards the camera.
+    size : float
+        Diameter of the ball [m].
+    width, height : float
+        Size of the page, in pixels.
+
+    Returns
+    -------
+    tuple of ndarray, shape (3,)
+        Point that the camera looks at, and position of the camera [m].
+    """
+    # a panel of 335 pixels is at the right, on phones in the lower part of the page
+    free = np.array([width, 0.4 * height] if width < 600 else [width - 335, height])
+    scale = size / (0.8 * free.min())  # m per pixel
+    right = np.cross((0.0, 0.0, 1.0), direction)
+    right /= np.linalg.norm(right)
+    x, y = scale * (np.array([width, height]) - free) / 2
+    look_at = middle + x * right - y * np.cross(direction, right)
+    return look_at, look_at + scale * height / 2 / np.tan(_FIELD_OF_VIEW / 2) * direction
 
 
 def _add_lights(scene: viser.SceneApi) -> Any:

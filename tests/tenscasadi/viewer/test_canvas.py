@@ -11,7 +11,7 @@ from moving import thrown
 import tenscasadi as tc
 from tenscasadi.drawing.style import STYLE
 from tenscasadi.viewer import view
-from tenscasadi.viewer.canvas import linearize_colors
+from tenscasadi.viewer.canvas import fit_camera, linearize_colors
 
 pytest.importorskip("viser", reason="the extra [view] is not installed")
 
@@ -218,3 +218,19 @@ def test_hulls_of_bodies_follow_their_nodes():
         np.testing.assert_allclose(hull.position, (0.5, 0.5, 0.5), atol=1e-6)
         np.testing.assert_allclose(hull.wxyz, (np.cos(0.5), 0, 0, np.sin(0.5)), atol=1e-5)
         assert "rigid bodies" in found.player.controls._legend.content
+
+
+@pytest.mark.parametrize(("width", "height"), [(390, 800), (900, 900)])
+def test_narrow_pages_show_the_middle_beside_the_panel(width, height):
+    middle, towards = np.array([1.0, 2.0, 3.0]), np.array([0.48, -0.8, 0.36])
+    towards = towards / np.linalg.norm(towards)
+    _, position = fit_camera(middle, towards, 2.0, width, height)
+    right = np.cross(-towards, (0, 0, 1))
+    right = right / np.linalg.norm(right)
+    away = middle - position
+    pixels = height / 2 / np.tan(np.radians(20)) / (away @ -towards)
+    x = width / 2 + pixels * (away @ right)
+    y = height / 2 - pixels * (away @ np.cross(right, -towards))
+    free = (width, 0.4 * height) if width < 600 else (width - 335, height)
+    assert (x, y) == pytest.approx((free[0] / 2, free[1] / 2))
+    assert 0.7 * min(free) < 2.0 * pixels < 0.9 * min(free)
