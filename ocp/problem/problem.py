@@ -127,6 +127,10 @@ class Problem(Value, kind="Problem"):
         for name, value in resolved.items():
             object.__setattr__(self, name, value)
 
+    def __repr__(self) -> str:
+        parts = [type(part).__name__ for part in (*self.goals, *self.bounds, *self.costs)]
+        return f"Problem({', '.join([f'duration={self.duration}', *parts])})"
+
     def to_fields(self) -> dict[str, Any]:
         """Return the keyword arguments.
 

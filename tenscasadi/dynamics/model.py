@@ -111,6 +111,10 @@ class Model(Value, Observations, kind="Model"):
         if self.np and self.nq:
             _check_parameters(self)
 
+    def __repr__(self) -> str:
+        sizes = f"{self.nx} states, {self.nu} inputs, {self.np} parameters"
+        return f"Model({sizes}, {self.coordinates} coordinates)"
+
     def to_fields(self) -> dict[str, Any]:
         """Return the keywords."""
         bar_length = "constant" if self.mechanism.constant_length else "current"

@@ -407,3 +407,8 @@ def test_motions_begin_with_a_typical_duration(limits, typical):
     assert ocp.Problem(MODEL, limits, goals=[ocp.AtRest()]).typical_duration == pytest.approx(
         typical
     )
+
+
+def test_repr_names_goals_limits_and_costs():
+    found = ocp.Problem(MODEL, (0.5, 1.0), goals=[ocp.AtRest()], costs=[ocp.Effort()])
+    assert repr(found) == "Problem(duration=(0.5, 1.0), AtRest, Effort)"

@@ -363,3 +363,10 @@ def test_model_of_another_scene_keeps_its_form():
     assert heavy.to_fields() == {**model.to_fields(), "scene": heavy.scene}
     assert heavy.scene.gravity is not None
     assert Model(model.scene, "full").with_scene(model.scene, "reduced").nq < model.nq
+
+
+def test_repr_names_sizes_and_coordinates():
+    parameters = Parameters("bar_mass")
+    scene = Scene(double_pendulum(), control=None, parameters=parameters)
+    model = Model(scene, coordinates="full")
+    assert repr(model) == "Model(24 states, 0 inputs, 2 parameters, full coordinates)"
