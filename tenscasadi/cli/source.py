@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from tenscasadi.exchange.readers import READERS
 from tenscasadi.io.document import ENDINGS, Change, read_document
 from tenscasadi.io.scene_files import read_scene
 from tenscasadi.scene.scene import Scene
@@ -95,6 +96,9 @@ def find_source(name: str, changes: Sequence[Change] = ()) -> SceneSource:
     """
     if name in TEMPLATES:
         return SceneSource(name, TEMPLATES[name], changes)
+    if Path(name).suffix.lower() in READERS:
+        cure = f"convert it by tenscasadi import {name} scene.toml"
+        raise ValueError(f"{name} is a file of another program: {cure}")
     if not name.endswith(ENDINGS):
         known = ", ".join(TEMPLATES)
         cure = f"give one of {known}, or a scene file, whose name ends in .toml or .json"

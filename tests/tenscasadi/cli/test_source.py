@@ -179,3 +179,9 @@ def test_mpc_template_reaches_its_target_with_another_mass(here, capsys):
     motion = tc.Trajectory.load("mpc-control.npz")
     assert motion.scene.structure.bar_mass.tolist() == [1.2]
     assert motion.nodes[-1, 1, :2] == pytest.approx([0.4, 0.2], abs=0.03)
+
+
+@pytest.mark.parametrize("name", ["mast.xml", "mast.YAML", "mast.mat"])
+def test_files_of_other_programs_name_the_import(name):
+    with pytest.raises(ValueError, match=f"convert it by tenscasadi import {name} scene.toml"):
+        find_source(name)
