@@ -1,9 +1,9 @@
-"""Optimal control of tensegrity structures by force densities.
+"""Optimal control of tensegrity structures.
 
-A problem is transcribed, solved, and replayed by tenscasadi: problem → transcription → solver →
-plan. Goals, bounds, costs, guesses and options are immutable values. A wrong value raises TypeError
-or ValueError when it is created, or when a `Problem` combines it with a structure. The message
-names the field, the value and the cure.
+Data flows one way: problem → transcription → solver → plan → replay by `tenscasadi.simulate`.
+Goals, bounds, costs, guesses and options are immutable values. A wrong value raises TypeError or
+ValueError when it is created, or when a `Problem` combines it with a structure. The message names
+the field, the value and the cure.
 """
 
 from __future__ import annotations

@@ -134,7 +134,7 @@ def find_rest(
     quantity, unit = ("forces", "N") if control is None else (control.quantity, control.unit)
     if not found.exact:
         told = f"{found.coordinate} accelerates by {found.left:.2g} m/s² at best"
-        message = f"the end is not held, as no {quantity} within their limits do: {told}"
+        message = f"the end is not held, as no {quantity} within the limits balance it: {told}"
         return Rest(None, np.zeros(0), message)
     state, held = _follow_forces(model, at_rest(model, end), found.force_density)
     largest = found.force_density.max(initial=0.0)

@@ -363,7 +363,7 @@ def _planned(plan: PlanResult, model: Model, time: Array) -> Array:
     states[-1] = plan.trajectory.states[-1]
     if not np.all(np.abs(states) <= LARGEST):
         raise ValueError(
-            "plan has states that are not finite, or lead to such: give a plan that was found, with more intervals"
+            "plan has states that are not finite, or at which the linearization is not: give a plan that succeeded, or more intervals"
         )
     return states
 

@@ -1,4 +1,4 @@
-"""Quantities that controllers keep small."""
+"""Scaled output of regulators, and its Jacobian."""
 
 from __future__ import annotations
 

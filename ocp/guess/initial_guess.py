@@ -318,7 +318,7 @@ def resample_guess(
     if lost.any():
         share = shares[int(np.argmax(lost))]
         raise ValueError(
-            f"guess has states at {share:.3g} of the duration that are no motion, such as bars without a length: give others"
+            f"guess has states at {share:.3g} of the duration with infinite accelerations, as where a bar has no length: give others"
         )
     lower, upper = problem.control_limits
     held = np.clip(profile_at(gamma, gamma_shares, (shares[:-1] + shares[1:]) / 2), lower, upper)

@@ -162,9 +162,9 @@ class Robustness(ReadOnlyArrays):
             + ("; interrupted from the keyboard" if self.interrupted else ""),
             f"tolerance     {self.success_rate:.1%} end within {self.tolerance:.3g} m",
             f"error         below {', '.join(told)}",
-            f"what matters  {', '.join(parts)}"
+            f"importance    {', '.join(parts)}"
             if self.dominant_factor
-            else "what matters  too few replays to tell: give more samples",
+            else "importance    unknown, too few replays: give more samples",
         ]
         return "\n".join(lines)
 

@@ -75,7 +75,7 @@ def read_start(model: Model, start: ArrayLike | FreeStart | None) -> Array | Fre
         return _read_state(model, "Problem.start", start)
     if model.mechanism.joints or model.scene.supports is not None:
         raise ValueError(
-            'Problem.start is free, where bars alone are kept: give Model(scene, coordinates="reduced") without moved supports'
+            'Problem.start is free, which needs reduced coordinates without moved supports: give Model(scene, coordinates="reduced")'
         )
     return replace(start, near=_read_state(model, "FreeStart.near", start.near))
 

@@ -177,7 +177,7 @@ def assess_plan(
     if plan.tracked:
         reason = growth or "tracked=True"
         ends += f"; it counts as {reason}: {open_loop.describe('open-loop replay', True)}"
-        ends += ": keep to the plan by ocp.track(plan) or ocp.Mpc(problem, plan=plan)"
+        ends += ": track the plan by ocp.track(plan) or ocp.Mpc(problem, plan=plan)"
     elif growth:
         ends = f"{growth}: {ends}"
     beyond = _describe_violation(plan, counts.motion) if success else ""

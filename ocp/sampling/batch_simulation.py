@@ -262,7 +262,7 @@ class BatchSimulation:
                 (self.place / self.problem.longest, "m/s") if speeds[k] else (self.place, "m")
             )
             return f"{names[k]} misses its goal by {missed[k] * size:.2g} {unit}"
-        return f"a limit along the way is overstepped by {over.max(initial=0.0):.2g} of its scale"
+        return f"a path constraint is violated by {over.max(initial=0.0):.2g} of its scale"
 
     def objective(self, states: Array, controls: Array, duration: float) -> float:
         """Compute the objective of one motion.

@@ -80,7 +80,7 @@ class Descent:
             if point.worst < SETTLED or stalls >= 4 or not np.isfinite(point.merit):
                 return point, k
             if over(
-                f"Gauss-Newton, iteration {k + 1}: misses its goals by {point.worst * self._motions.place:.2g} m"
+                f"Gauss-Newton, iteration {k + 1}: residual of the goals {point.worst * self._motions.place:.2g} m"
             ):
                 return point, k
             best = self._step(point)

@@ -115,7 +115,7 @@ def _misses(problem: Problem, now: Instant, sizes: dict[str, float]) -> Any:
     asked += ["Waypoint"] * any(share < 1 for share, _ in cost_terms(problem.costs).instants)
     if asked:
         raise ValueError(
-            f"problem has {asked[0]}, which asks for a motion of a given duration: solve it, and keep to the plan by ocp.Tracking"
+            f"problem has {asked[0]}, which prescribes a motion of a given duration: find a plan, then give ocp.Tracking of its nodes"
         )
     model = problem.model
     x = ca.SX.sym("x", model.nx)

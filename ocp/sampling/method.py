@@ -45,12 +45,12 @@ def check_sampling(problem: Problem, transcription: Transcription, solver: Sampl
     require_force_densities(problem.model, "Sampling")
     if problem.free_start:
         raise ValueError(
-            "Problem.start is free, and sampled motions begin somewhere: give Problem(start=...), or another solver than Sampling"
+            "Problem.start is free, which Sampling does not support: give Problem(start=...), or another solver"
         )
     if transcription.control.linear:
         name = type(transcription).__name__
         raise ValueError(
-            f"{name}.control is PiecewiseLinear, and Sampling holds force densities in intervals: give PiecewiseConstant()"
+            f"{name}.control is PiecewiseLinear, and Sampling needs piecewise-constant force densities: give PiecewiseConstant()"
         )
     for k, group in enumerate(solver.groups or ()):
         check_indices(f"Sampling.groups[{k}]", group, problem.model.nu, "string")

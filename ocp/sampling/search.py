@@ -122,7 +122,7 @@ class Search:
             )
             costs.append(found[0].cost)
             if over(
-                f"sampling, round {k + 1}: misses its goals by {found[0].miss * self._motions.place:.2g} m"
+                f"sampling, round {k + 1}: residual of the goals {found[0].miss * self._motions.place:.2g} m"
             ):
                 break
             if k >= 6 and costs[-1] > 0.99 * costs[k - 6]:

@@ -75,7 +75,7 @@ class SplineNoise(Value, kind="SplineNoise"):
         object.__setattr__(self, "knots", whole_number("SplineNoise.knots", self.knots, 1))
         if positive_number("SplineNoise.min_scale", self.min_scale) > 1:
             raise ValueError(
-                f"SplineNoise.min_scale is {self.min_scale:g}: give a share of the deviation, at most 1"
+                f"SplineNoise.min_scale is {self.min_scale:g}: give a fraction of the deviation, at most 1"
             )
         if self.groups is not None:
             example = "[[0, 1, 2], [3, 4, 5]]"

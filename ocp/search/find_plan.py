@@ -149,7 +149,7 @@ def _walk(
         if plan.success or plan.status == TOO_SLOW or search.task.monitor.status():
             break
     if not tried:
-        raise ValueError("no method takes the problem: give a transcription and a solver")
+        raise ValueError("no method supports the problem: give a transcription and a solver")
     chosen, best = max(tried, key=lambda pair: _worth(pair[1]))
     if not best.success:
         best = replace(best, message=_explain(search.task, best))

@@ -58,7 +58,7 @@ def run_attempt(task: PlanningTask, attempt: Attempt) -> tuple[Outcome, Target |
             return stop_early(problem, transcription, monitor.status()), None
         if isinstance(solver, Sampling):
             raise ValueError(
-                "solver is Sampling, and Problem.phases say when nodes stand: leave one of them out"
+                "solver is Sampling, which does not support Problem.phases: leave one of them out"
             )
         return solve_phased(problem, transcription, solver, guess, monitor, task.tolerance)
     first = None

@@ -1,4 +1,4 @@
-"""Runge-Kutta methods whose stages are unknowns of the program."""
+"""Runge-Kutta methods whose stages are decision variables."""
 
 from __future__ import annotations
 

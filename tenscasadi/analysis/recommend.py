@@ -241,7 +241,7 @@ def _report_choice(
     ]
     if best.step > limit and not scheme.adaptive:
         notes.append(
-            f"the step is above the stability limit {limit:.2g} s: positions serve, fast vibrations of strings are not resolved"
+            f"the step is above the stability limit {limit:.2g} s: positions are accurate, but fast vibrations of strings are not resolved"
         )
     if advice := compare_coordinates(model.structure, model.coordinates):
         notes.append(advice)

@@ -219,7 +219,7 @@ class Tradeoff:
                 return row
         if tolerance <= self.reference_error < np.inf:
             raise ValueError(
-                f"tolerance is {tolerance:g} m: the reference itself may be off by {self.reference_error:.2g} m, give more than that"
+                f"tolerance is {tolerance:g} m: the reference has an error of up to {self.reference_error:.2g} m, give more than that"
             )
         if not self._successful():
             raise ValueError(
@@ -227,7 +227,7 @@ class Tradeoff:
             )
         least = min(row.position for row in self._successful())
         raise ValueError(
-            f"tolerance is {tolerance:g} m: the most accurate of {len(self.rows)} runs is off by {least:.2g} m, add smaller steps"
+            f"tolerance is {tolerance:g} m: the most accurate of {len(self.rows)} runs has an error of {least:.2g} m, add smaller steps"
         )
 
     def summary(self) -> str:

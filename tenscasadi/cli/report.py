@@ -1,4 +1,4 @@
-"""Text, JSON object and files that a command gives back."""
+"""Output of a command: text, a JSON object, and files."""
 
 from __future__ import annotations
 

@@ -227,9 +227,9 @@ class NodeCoordinates(BaseModel):
     # --- expressions ---
 
     def split(self, x: Any) -> StateParts:
-        """Split states into their parts.
+        """Split states into positions, velocities, internal states and clock.
 
-        They are views of arrays (…, nx), or rows of CasADi matrices (nx, …).
+        The parts are views of arrays (…, nx), or rows of CasADi matrices (nx, …).
         """
         ends = [0, self.nq, 2 * self.nq, 2 * self.nq + self.na, self.nx]
         parts = [slice(*pair) for pair in pairwise(ends)]

@@ -89,7 +89,7 @@ class Episodes:
         nodes, velocities = self._places(self.states[which])
         if self._find_broken(nodes).any():
             raise ValueError(
-                f"Task.start is {task.start}: bars cannot be put right from so far off, give a smaller spread"
+                f"Task.start is {task.start}: the projection of such starts onto bars and joints fails, give a smaller spread"
             )
         self.nodes, self.velocities = (
             self.nodes.copy(),

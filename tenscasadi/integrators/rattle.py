@@ -116,7 +116,7 @@ class Rattle(NamedScheme, kind="Rattle"):
             Always: use `advance`, or another scheme.
         """
         raise TypeError(
-            f"Rattle steps a tenscasadi.Model, {ode} does not tell bars from forces: use advance(model), or another scheme such as RungeKutta4()"
+            f"Rattle steps a tenscasadi.Model, {ode} does not separate bars from forces: use advance(model), or another scheme such as RungeKutta4()"
         )
 
     def _build_advance(self, model: Model, power: ca.Function | None) -> ca.Function:

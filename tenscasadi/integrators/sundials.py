@@ -145,7 +145,7 @@ class Sundials(NamedScheme):
             if "rank-deficient" not in str(error):
                 raise
             raise ValueError(
-                f"{type(self).__name__} cannot tell redundant constraints apart: use another scheme, such as Cvodes()"
+                f"{type(self).__name__} does not support redundant constraints: use another scheme, such as Cvodes()"
             ) from None
 
     def absolute(self, model: Model) -> float:
@@ -310,7 +310,7 @@ class Idas(Sundials, kind="Idas"):
             return super().equations(model, power, held)
         if model.redundancy:
             raise ValueError(
-                f"{type(self).__name__} cannot tell redundant constraints apart, use another scheme, such as Cvodes(): {model.redundancy}"
+                f"{type(self).__name__} does not support redundant constraints: use another scheme, such as Cvodes(): {model.redundancy}"
             )
         kind: Any = ca.MX if mech.large else ca.SX
         state, w = (

@@ -120,7 +120,7 @@ class StructureSection(FieldType):
             return _read_nodes(item, table)
         name = table.pop("shape")
         if "nodes" in table:
-            raise table["nodes"].error("stands beside shape: give one of them")
+            raise table["nodes"].error("is given beside shape: give one of them")
         known = find_shapes()
         if name.text("the name of a shape") not in known:
             raise name.error(f"is {name.value!r}: {nearest(name.value, known)}")
@@ -186,7 +186,7 @@ def _read_shape(own: Definition, item: Item, table: dict[str, Item]) -> Structur
     for name in ("force_density", "rest_length"):
         if name in table and "prestress" in first:
             cure = "leave one of them out"
-            raise table[name].error(f"stands beside prestress, which says the same: {cure}")
+            raise table[name].error(f"is given beside prestress, which defines it, too: {cure}")
     plain = {name: entry for name, entry in first.items() if name != "prestress"}
     names = own.read(item._replace(value={name: table[name].value for name in plain})).names
     given = own.read_fields(first) | _read_options(own, table, names)
@@ -216,7 +216,7 @@ def _read_nodes(item: Item, table: dict[str, Item]) -> Structure:
     for name, parts in groups.items():
         if isinstance(given.get(name), list):
             cure = "give one number for the members of groups that do not"
-            raise table[name].error(f"is a list, and groups say it, too: {cure}")
+            raise table[name].error(f"is a list, and groups define it, too: {cure}")
         count = len(given["bars" if name in BARS else "strings"])
         given[name] = np.full(count, given.get(name, _OTHERS[name]))
         for indices, _, value in parts:
@@ -270,7 +270,7 @@ def _build(
         values[:] = np.nan if value is None else value
     both = ~np.isnan(lengths) & ~np.isnan(forces)
     if both.any():
-        text = "rest_length and force_density, which say the same: leave one of them out"
+        text = "rest_length and force_density, which define the same: leave one of them out"
         raise item.error(f"gives string {int(np.argmax(both))} {text}")
     if not np.isnan(forces).all():
         stressed = make(structure.prestressed, force_density=np.nan_to_num(forces))

@@ -138,7 +138,7 @@ class Simulation:
                 own[name] = self._rows(name)
                 if self.state is not None:
                     raise ValueError(
-                        f"Simulation.{name} is given beside Simulation.state, which says the same: leave one of them out"
+                        f"Simulation.{name} is given beside Simulation.state, which defines it, too: leave one of them out"
                     )
         if self.parameters is not None:
             instance(

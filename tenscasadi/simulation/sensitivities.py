@@ -312,7 +312,7 @@ def _read(
     }.items():
         if value is not None:
             raise ValueError(
-                f"{name} is {format_value(value)}, and start is a trajectory, which tells it: leave one out"
+                f"{name} is {format_value(value)}, and start is a trajectory, which provides it: leave one out"
             )
     if (
         not len(start.time) > 1

@@ -60,7 +60,7 @@ class StartSection:
         for name in ("nodes", "velocities", "velocity", "spin"):
             if self.state is not None and getattr(self, name) is not None:
                 cure = "leave one of them out"
-                raise ValueError(f"{name} stands beside state, which says it all: {cure}")
+                raise ValueError(f"{name} is given beside state, which defines it, too: {cure}")
 
     def options(self, scene: Scene) -> dict[str, Any]:
         """Convert to the fields of `Simulation`."""

@@ -259,9 +259,7 @@ class Trajectory(
                 f"and adds {format_largest(self.correction_energy, 'J')} at most"
             )
         elif np.any(np.isnan(self.correction_shift)):
-            lines.append(
-                "correction    what it does is not measured for schemes that take their own steps"
-            )
+            lines.append("correction    effect not measured for schemes with error control")
         if self.tension.size:
             lines.append(f"tension       {self.tension.min():.4g} … {self.tension.max():.4g} N")
         lines += [f"break         {one}" for one in self.breaks[:MOST_LISTED]]

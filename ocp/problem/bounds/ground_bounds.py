@@ -79,7 +79,7 @@ class AboveSurface(PathBound, kind="AboveSurface"):
         """
         check_indices("AboveSurface.nodes", self.nodes or (), len(structure.nodes))
         if not self._chosen(structure):
-            raise ValueError("AboveSurface.nodes names nodes that are pinned alone: leave it out")
+            raise ValueError("AboveSurface.nodes has pinned nodes only: leave the bound out")
 
     def limit(self, now: Instant) -> Limit:
         """Build the constrained quantities.

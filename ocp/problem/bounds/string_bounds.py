@@ -60,8 +60,8 @@ class StringLimits(Bound):
     def check(self, structure: Structure) -> None:
         """Check that the limits can apply to a structure.
 
-        Raises TypeError or ValueError if their number differs from that of strings, or if a lower
-        limit is above the upper one.
+        Raises TypeError or ValueError if the number of limits differs from that of strings, or if a
+        lower limit is above the upper one.
         """
         lower, upper = self.limits(structure)
         crossed = np.flatnonzero(lower > upper)

@@ -63,9 +63,10 @@ class Goal(Value):
         """
 
     def bind(self, model: Model, start: Array | None) -> Goal:
-        """Bind the goal to a model and its initial state.
+        """Complete the goal by the model and its initial state.
 
-        The initial state (nx,) is None if it is free.
+        For example, `CenterOfMass` takes masses from the model. The initial state (nx,) is None if
+        it is free.
         """
         return self
 
@@ -172,7 +173,7 @@ class SoftGoal(Goal, TerminalCost, kind="SoftGoal"):
         self.goal.check(structure)
 
     def bind(self, model: Model, start: Array | None) -> Goal:
-        """Bind the goal to a model and its initial state.
+        """Complete the goal by the model and its initial state.
 
         Parameters
         ----------

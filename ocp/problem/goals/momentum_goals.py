@@ -108,7 +108,7 @@ class AngularMomentum(Goal, kind="AngularMomentum"):
         object.__setattr__(self, "momentum", momentum)
 
     def bind(self, model: Model, start: Array | None) -> Goal:
-        """Bind the goal to a model and its initial state.
+        """Complete the goal by the model and its initial state.
 
         Parameters
         ----------

@@ -345,7 +345,7 @@ class CenterOfMass(Goal, kind="CenterOfMass", earlier="CentreOfMass"):
             )
 
     def bind(self, model: Model, start: Array | None) -> Goal:
-        """Bind the goal to a model and its initial state.
+        """Complete the goal by the model and its initial state.
 
         Parameters
         ----------

@@ -95,7 +95,7 @@ class Periodic(Goal, kind="Periodic"):
                 )
 
     def bind(self, model: Model, start: Array | None) -> Goal:
-        """Bind the goal to a model and its initial state.
+        """Complete the goal by the model and its initial state.
 
         Parameters
         ----------

@@ -100,7 +100,7 @@ class Waypoint(Goal, kind="Waypoint"):
             goal.check(structure)
 
     def bind(self, model: Model, start: Array | None) -> Goal:
-        """Bind the goals to a model and its initial state.
+        """Complete the goals by the model and its initial state.
 
         Parameters
         ----------

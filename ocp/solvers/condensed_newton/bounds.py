@@ -1,4 +1,4 @@
-"""Limits of unknowns, logarithmic barriers, and the working set."""
+"""Variable bounds, logarithmic barriers, and the working set."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Program in its decided unknowns, expanded to second order."""
+"""Condensed program in the controls, with derivatives of first and second order."""
 
 from __future__ import annotations
 

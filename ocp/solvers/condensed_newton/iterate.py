@@ -1,4 +1,4 @@
-"""Iterates of the condensed Newton method, and how they move."""
+"""Iterates of the condensed Newton method, and their updates."""
 
 from __future__ import annotations
 

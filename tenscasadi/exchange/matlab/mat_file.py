@@ -188,7 +188,7 @@ def _read_sparse(parts: list[tuple[int, memoryview]], order: str, shape: tuple[i
         or len(starts) != shape[1] + 1
         or not 0 <= count <= min(len(rows), len(values))
     ):
-        raise ValueError(f"a sparse matrix of shape {shape} does not hold what it says")
+        raise ValueError(f"a sparse matrix of shape {shape} is inconsistent")
     data = values[:count].astype(float), rows[:count].astype(np.int64), starts.astype(np.int64)
     found = csc_array(data, shape=shape)
     found.check_format(full_check=True)  # wrong indices would make its methods read out of bounds

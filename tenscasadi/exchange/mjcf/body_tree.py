@@ -161,9 +161,9 @@ class _TreeBuilder:
             else:
                 if node in self.held and not joint:
                     raise ValueError(
-                        f"pinned or rollers of node {node}: it is held along {len(self.held[node])} of three directions, and bar {link.bar} "
-                        f"hangs from {'the world' if link.node is None else f'node {link.node}'}: MuJoCo lets one such node of bars that hang "
-                        "together slide, and none where one of their nodes is pinned: pin the node, or let it go"
+                        f"pinned or rollers of node {node}: it is fixed along {len(self.held[node])} of three directions, and bar {link.bar} "
+                        f"is joined to {'the world' if link.node is None else f'node {link.node}'}: MuJoCo supports one such node in a group of "
+                        "joined bars, and none if one of their nodes is pinned: pin the node, or free it"
                     )
                 self.found.owner[node] = link.bar
                 if self.balls and self.depth[link.bar] < DEEPEST:

@@ -198,11 +198,11 @@ def read_control(
     for string in strings:
         servo = servos.get(string.name)
         if servo is None:
-            message = "has no actuator, while others have: a scene drives all strings, or none"
+            message = "has no actuator, while others have: a scene controls all strings, or none"
             string.element.leave_out(message)
         elif servo.control is not kind:
             servo.element.leave_out(
-                "drives its string in another way than others: a scene drives all in one way"
+                "controls its string in another way than others: a scene has one kind of control"
             )
         found.append(_drive(string, servo, kind))
     return kind(), found

@@ -254,5 +254,5 @@ def _check_clock(field: str, latest: float, step: float) -> None:
     """
     if np.spacing(latest) > 1e-6 * step:
         raise ValueError(
-            f"{field}: the clock runs to {latest:g} s, where steps of {step:g} s drown in rounding: start it nearer to 0"
+            f"{field}: the clock runs to {latest:g} s, where steps of {step:g} s are lost in rounding: start it nearer to 0"
         )

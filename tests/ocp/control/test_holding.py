@@ -46,7 +46,7 @@ def test_what_no_limits_allow_is_said():
     model = leaning_bar()
     rest = find_rest(model, model.initial_state, np.zeros(2), np.full(2, 1.0), 1e-3)
     assert rest.state is None
-    assert "no force densities within their limits do" in rest.message
+    assert "no force densities within the limits balance it" in rest.message
     assert "accelerates by" in rest.message
     moving = model.state(
         model.structure.nodes,

@@ -251,7 +251,7 @@ def test_starts_far_off_never_meet_the_tolerance(cross):
 def test_few_replays_do_not_tell_what_matters(plan):
     found = plan.robustness({"bar_mass": 0.05}, start=0.01, samples=20)
     assert found.dominant_factor == ""
-    assert "too few replays to tell" in found.summary()
+    assert "too few replays" in found.summary()
 
 
 def test_the_same_seed_draws_the_same_within_the_spread(plan):

@@ -310,7 +310,7 @@ BAD = {
             guess=ocp.TrajectoryGuess(np.zeros((9, MODEL.nx)), np.ones((8, MODEL.nu))),
         ),
         ValueError,
-        "guess has states at 0.125 of the duration that are no motion, such as bars without a length",
+        "guess has states at 0.125 of the duration with infinite accelerations, as where a bar has no length",
     ),
     "iterations zero": (lambda: ocp.Ipopt(max_iterations=0), ValueError, "Ipopt.max_iterations"),
     "tolerance negative": (lambda: ocp.Ipopt(tolerance=-1.0), ValueError, "Ipopt.tolerance"),

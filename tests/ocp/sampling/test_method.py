@@ -121,7 +121,7 @@ def test_who_watches_stops_it(interrupted):
     )
     assert not plan.success
     assert ("keyboard" if interrupted else "on request") in plan.message
-    assert "round 1: misses its goals by" in seen[0]
+    assert "round 1: residual of the goals" in seen[0]
 
 
 def test_what_cannot_be_met_is_said():

@@ -42,4 +42,4 @@ def test_verbose_tells_each_round(capsys):
     ocp.solve(
         problem, solver=ocp.Sampling(samples=16, rounds=2, iterations=1, attempts=1, verbose=True)
     )
-    assert capsys.readouterr().out.startswith("sampling, round 1: misses its goals by")
+    assert capsys.readouterr().out.startswith("sampling, round 1: residual of the goals")

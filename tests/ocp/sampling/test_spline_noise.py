@@ -53,7 +53,7 @@ BAD = {
     "finer than all": (
         lambda: ocp.SplineNoise(1.0, min_scale=2.0),
         ValueError,
-        "SplineNoise.min_scale is 2: give a share",
+        "SplineNoise.min_scale is 2: give a fraction",
     ),
     "groups of a number": (
         lambda: ocp.SplineNoise(1.0, groups=3),

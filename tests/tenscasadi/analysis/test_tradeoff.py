@@ -161,7 +161,7 @@ def test_cheapest_counts_the_references_own_error(table):
     with pytest.raises(ValueError, match="add smaller steps"):
         doubtful.cheapest(1e-6)
     assert row.success
-    with pytest.raises(ValueError, match=r"reference itself may be off by 1e-06 m"):
+    with pytest.raises(ValueError, match=r"reference has an error of up to 1e-06 m"):
         doubtful.cheapest(1e-7)
 
 

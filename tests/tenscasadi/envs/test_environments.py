@@ -360,7 +360,7 @@ BAD = {
     "starts that break bars": (
         lambda: TensegrityVectorEnv(Task(PINNED, forward, 0.0, 9.0, start=1e6), 3).reset(seed=0),
         ValueError,
-        "Task.start is .*: bars cannot be put right",
+        "Task.start is .*: the projection of such starts",
     ),
     "no environments": (lambda: TensegrityVectorEnv(driven(), 0), ValueError, "num_envs"),
     "actions of other strings": (

@@ -395,7 +395,7 @@ def test_runs_by_other_steps_are_refused():
     ):
         tc.sensitivities(model, run, compiled=False)
     with pytest.raises(
-        ValueError, match=r"step is 0.01, and start is a trajectory, which tells it"
+        ValueError, match=r"step is 0.01, and start is a trajectory, which provides it"
     ):
         tc.sensitivities(model, run, step=0.01)
     with pytest.raises(ValueError, match=r"give a run of this model, with states of 36"):

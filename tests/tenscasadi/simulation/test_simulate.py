@@ -202,7 +202,7 @@ def test_a_clock_too_late_for_its_steps_is_refused() -> None:
     late = np.append(np.zeros(6), 1e12)
     with pytest.raises(
         ValueError,
-        match=r"clock runs to 1e\+12 s, where steps of 0.001 s drown in rounding: start it nearer to 0",
+        match=r"clock runs to 1e\+12 s, where steps of 0.001 s are lost in rounding: start it nearer to 0",
     ):
         simulate(model, 1.0, 1e-3, state=late, compiled=False)
     assert simulate(model, 1.0, 1e-3, state=late * 1e-6, compiled=False).success

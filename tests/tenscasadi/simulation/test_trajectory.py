@@ -97,7 +97,7 @@ def test_summary_and_repr() -> None:
         in example(correction_shift=np.array([0, 2e-8, 0, 0])).summary()
     )
     assert (
-        "correction    what it does is not measured"
+        "correction    effect not measured"
         in example(correction_shift=np.full(4, np.nan)).summary()
     )
     assert repr(example()) == "Trajectory(4 rows, 3 nodes, t = 0 … 1 s, success=True)"

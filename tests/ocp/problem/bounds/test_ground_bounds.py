@@ -80,7 +80,7 @@ def test_a_plan_stays_above_hills_that_are_in_its_way(transcription):
         ),
         (
             lambda: ocp.AboveSurface(SLOPE, nodes=[1]).check(PRISM.replace(pinned=[1])),
-            "AboveSurface.nodes names nodes that are pinned alone",
+            "AboveSurface.nodes has pinned nodes only",
         ),
     ],
 )

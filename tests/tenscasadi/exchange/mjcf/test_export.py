@@ -240,7 +240,7 @@ def test_wrong_arguments_are_refused_by_name(tmp_path: Any) -> None:
         lambda: tc.export_mjcf(every_term(moved=False), path): "Scene",
         lambda: tc.export_mjcf(
             tc.Scene(chain()), path
-        ): "node 2: it is held along 1 of three directions",
+        ): "node 2: it is fixed along 1 of three directions",
         lambda: tc.export_mjcf(
             tc.Scene(s, segments=2, control=tc.RestLength()), path
         ): "Scene.segments",
