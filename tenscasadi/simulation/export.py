@@ -22,7 +22,7 @@ from tenscasadi.scene.samples import reject_python_functions
 from tenscasadi.simulation.engine.build import check_single
 from tenscasadi.util.casadi_tools import generate_code
 from tenscasadi.util.compile import Single
-from tenscasadi.util.validate import Array, file_path, instance
+from tenscasadi.util.validate import Array, file_path, instance, positive_number
 from tenscasadi.util.whole_file import write_files
 
 
@@ -32,6 +32,8 @@ def export_c(
     scheme: Scheme = RungeKutta4(),
     precision: Single | None = None,
     parameters: Any = None,
+    *,
+    t_end: float | None = None,
 ) -> list[Path]:
     """Export a model as C without dependencies.
 
@@ -50,6 +52,9 @@ def export_c(
     parameters : array_like, shape (np,), or mapping, optional
         Values of the model's parameters in `start.h`, see `ParameterLayout.values`; nominal if
         None. The functions accept any values.
+    t_end : float, optional
+        End of the longest run [s], up to which functions of time are checked and, if CasADi cannot
+        trace them, interpolated. Default: only traced functions are exported, unchecked.
 
     Returns
     -------
@@ -60,8 +65,8 @@ def export_c(
     Raises
     ------
     TypeError, ValueError
-        An argument is wrong, the scheme has a variable step size, or CasADi cannot trace a function
-        of time, see `Model.interpolate_functions`; the message names it.
+        An argument is wrong, the scheme has a variable step size, or a function of time is not
+        finite, raises an error or cannot be traced; the message names it.
     OSError
         The files cannot be written.
 
@@ -98,6 +103,8 @@ def export_c(
         )
     if precision is not None:
         check_single(scheme)
+    if t_end is not None:
+        model = _check_functions(model, positive_number("t_end", t_end))
     reject_python_functions(model.scene, "export_c")
     p = model.parameters.values(parameters)
     target = file_path("folder", folder)
@@ -107,8 +114,20 @@ def export_c(
         generator.add(function)
     return write_files(
         target,
-        {**generate_code(generator, "tensegrity"), "start.h": _start(model, p), "main.c": _MAIN},
+        {
+            **generate_code(generator, "tensegrity"),
+            "start.h": _start(model, p, t_end),
+            "main.c": _MAIN,
+        },
     )
+
+
+def _check_functions(model: Model, t_end: float) -> Model:
+    """Check functions of time up to `t_end`, and interpolate those that CasADi cannot trace."""
+    found = model.interpolate_functions(0.0, t_end)
+    for part in found.over_time:
+        part.check_run(0.0, t_end)
+    return found
 
 
 def _jacobian(model: Model) -> ca.Function:
@@ -168,7 +187,7 @@ def _step(model: Model, scheme: Scheme) -> ca.Function:
     )
 
 
-def _start(model: Model, p: Array) -> str:
+def _start(model: Model, p: Array, t_end: float | None) -> str:
     lines = [
         "/* Sizes, initial state and initial control. Positions first, then velocities, node by node. */",
         f"#define NX {model.nx}",
@@ -177,6 +196,8 @@ def _start(model: Model, p: Array) -> str:
         f"static const casadi_real x_start[{max(model.nx, 1)}] = {_literal(model.start_at(p))};",
         f"static const casadi_real u_start[{max(model.nu, 1)}] = {_literal(model.control_at(p))};",
     ]
+    if t_end is not None:
+        lines.append(f"#define T_END {float(t_end)!r} /* functions of time are known until then */")
     if model.np:
         names = "; ".join(
             f"{name}, {unit}"
@@ -218,6 +239,12 @@ int main(int argc, char **argv) {
     fprintf(stderr, "usage: %s t_end step rows, all positive\\n", argv[0]);
     return 2;
   }
+#ifdef T_END
+  if (t_end > T_END * (1 + 1e-9)) {
+    fprintf(stderr, "t_end is %g s: functions of time are known until %g s\\n", t_end, T_END);
+    return 2;
+  }
+#endif
   steps = (long)(t_end / h + 0.999999);
   steps = steps < 1 ? 1 : steps;
   h = t_end / (double)steps;

@@ -133,7 +133,13 @@ def measuring_calls() -> dict[str, Call]:
         "to_jax": (tc.to_jax, {"model": cross()}),
         "export_c": (
             tc.export_c,
-            {"model": cross(), "folder": "c", "scheme": tc.RungeKutta4(), "precision": None},
+            {
+                "model": cross(),
+                "folder": "c",
+                "scheme": tc.RungeKutta4(),
+                "precision": None,
+                "t_end": 1.0,
+            },
         ),
         "export_fmu": (
             tc.export_fmu,

@@ -150,3 +150,4 @@ def test_machine_code_needs_an_interpolant(tmp_path: Any) -> None:
         with pytest.raises(ValueError, match=user + cure):
             call()
     assert tc.export_c(model.interpolate_functions(0.0, 1.0), tmp_path / "c")
+    assert tc.export_c(model, tmp_path / "c", t_end=1.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import subprocess
 from pathlib import Path
@@ -20,7 +21,7 @@ from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.integrators.stabilization import Projection
 from tenscasadi.integrators.sundials import Cvodes, Idas
 from tenscasadi.scene.ground import Ground
-from tenscasadi.scene.loads import Gravity
+from tenscasadi.scene.loads import Gravity, NodalForce
 from tenscasadi.scene.parameters import Parameters
 from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity
@@ -124,6 +125,29 @@ def test_the_program_starts_with_the_parameters_that_are_given(tmp_path: Path) -
         rtol=1e-12,
         atol=1e-12,
     )
+
+
+@needs_compiler
+def test_the_program_takes_functions_that_casadi_cannot_trace(tmp_path: Path) -> None:
+    push = NodalForce(lambda t: [(0, 0, 0), (math.sin(9 * t), 0, 0)])
+    model = Model(Scene(shapes.pendulum(), forces=push))
+    export_c(model, tmp_path, t_end=0.5)
+    rows = run(tmp_path, "0.5", "1e-3", "1")
+    nodes = simulate(model, 0.5, 1e-3, compiled=False).nodes[-1]
+    assert rows[-1, 1:7] == pytest.approx(nodes.ravel(), abs=1e-9)
+    late = subprocess.run([tmp_path / "run", "0.6"], capture_output=True, text=True, check=False)
+    assert late.returncode == 2
+    assert "known until 0.5 s" in late.stderr
+
+
+def test_functions_of_time_are_checked_until_the_end(tmp_path: Path) -> None:
+    for function, told in {
+        lambda t: np.sqrt(0.5 - t): r"Gravity\.acceleration is not finite at t = 0\.5",
+        lambda t: 1 / 0 if t > 0.5 else 0.0: r"Gravity\.acceleration\(0\.75\) fails with ZeroDiv",
+    }.items():
+        gravity = Gravity(lambda t, function=function: (0, 0, function(t)))
+        with pytest.raises(ValueError, match=told):
+            export_c(Model(Scene(shapes.pendulum(), gravity=gravity)), tmp_path, t_end=1.0)
 
 
 @needs_compiler
