@@ -5,30 +5,63 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
+from ocp.transcription.mesh import project_states
 from tenscasadi.dynamics.equation_of_motion import compute_forces, forward_dynamics
+from tenscasadi.dynamics.linearization import EquationDerivatives, displacements
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.casadi_tools import sparse, symbol_kind
-from tenscasadi.util.validate import Array
+from tenscasadi.util.linear_algebra import null_space
+from tenscasadi.util.validate import Array, Indices
 
 
 def constraint_names(model: Model) -> tuple[str, ...]:
-    """Name the constraints of bars and joints."""
+    """Name the independent constraints of bars and joints."""
     joints = len(model.constraints(model.initial_state).joints)
-    bars = [f"{name} length" for name in model.mechanism.bar_names]
-    return (*bars, *(f"joint constraint {k}" for k in range(joints)))
+    names = [f"{name} length" for name in model.mechanism.bar_names]
+    names += [f"joint constraint {k}" for k in range(joints)]
+    return tuple(names[k] for k in find_independent(model))
+
+
+def find_independent(model: Model) -> Indices:
+    """Find constraints of bars and joints that imply all others.
+
+    Multipliers of dependent constraints would not be unique. A shape near the initial one decides,
+    because single shapes, such as that of a folded linkage, make further constraints dependent.
+    """
+    return model.keep("independent constraints", lambda: _find_independent(model))
+
+
+def _find_independent(model: Model) -> Indices:
+    near, negligible = 1e-2, 1e-6  # × the size of the structure; of rows of unit length
+    start, inputs = model.initial_state, np.append(np.zeros(model.nu), model.parameters.nominal)
+    moved, ways = start.copy(), displacements(model, start)
+    size = near * np.ptp(model.structure.nodes, axis=0).max(initial=0.0)
+    moved[: model.nq] += size * ways @ np.random.default_rng(0).uniform(-1.0, 1.0, ways.shape[1])
+    moved = project_states(model, moved[None], 5)[0]
+    J = EquationDerivatives.of(model).system_at(moved, inputs)[1].toarray()
+    lengths = np.linalg.norm(J, axis=1)
+    redundant = null_space((J / np.where(lengths > 0, lengths, 1.0)[:, None]).T, negligible)
+    kept = np.arange(len(J))
+    while redundant.shape[1]:
+        weight = np.linalg.norm(redundant, axis=1)
+        # the last of the large weights: rounding does not decide between equal ones
+        left_out = np.flatnonzero(weight > 0.1 * weight.max())[-1]
+        kept = kept[kept != left_out]
+        redundant = redundant @ null_space(redundant[left_out, None], 0.0)
+    return kept
 
 
 def build_constraints(model: Model) -> ca.Function:
-    """Build the constraints, their rates and their forces.
+    """Build the independent constraints, their rates and their forces.
 
     Constraints are those of bars and joints. The Function is (x, μ) → constraints [m], rates [m/s],
     Jᵀμ [N], where Jᵀμ (nq) acts on the free coordinates.
     """
-    kind = symbol_kind(model.ode)
+    kind, chosen = symbol_kind(model.ode), find_independent(model).tolist()
     x = kind.sym("x", model.nx)
     kept = model.constraints(x)
-    values = ca.densify(ca.vertcat(kind(0, 1), kept.bars, kept.joints))
-    rates = ca.densify(ca.vertcat(kind(0, 1), kept.bar_rates, kept.joint_rates))
+    values = ca.densify(ca.vertcat(kind(0, 1), kept.bars, kept.joints))[chosen]
+    rates = ca.densify(ca.vertcat(kind(0, 1), kept.bar_rates, kept.joint_rates))[chosen]
     mu = kind.sym("mu", rates.shape[0])
     forces = model.split(ca.jtimes(rates, x, mu, True)).velocities
     return ca.Function("constraints", [x, mu], [values, rates, forces])
@@ -72,5 +105,6 @@ def evaluate_multipliers(model: Model, states: Array, controls: Array) -> Array:
     if mech.frames is not None:
         joints = ca.mtimes(mech.constrained_directions.T, joints)
     mu = ca.densify(ca.vertcat(lam.T * ca.DM(mech.lengths), joints[held]))
+    mu = mu[find_independent(model).tolist()]
     found = ca.Function("multipliers", [x, u], [mu]).map(len(states))(states.T, controls.T)
     return np.asarray(np.nan_to_num(found.full().T, posinf=0.0, neginf=0.0))

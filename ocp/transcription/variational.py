@@ -36,8 +36,7 @@ class Variational(Transcription, kind="Variational"):
     Raises
     ------
     TypeError, ValueError
-        If a value has another type or is out of bounds, or a model in full coordinates has
-        redundant constraints.
+        If a value has another type or is out of bounds.
 
     Notes
     -----
