@@ -47,7 +47,7 @@ class Elimination:
     def __init__(
         self, rows: Indices, columns: Indices, size: int, constant: Flags, sample: Array
     ) -> None:
-        blocks = _join_small(rows, columns, *_find_blocks(rows, columns, size))
+        blocks = _order_blocks(rows, columns, *_find_blocks(rows, columns, size))
         nothing = np.zeros(0, dtype=np.intp)
         self.size = size
         self.by_row = np.concatenate([nothing, *(block.rows for block in blocks)])
@@ -104,11 +104,14 @@ def _find_blocks(rows: Indices, columns: Indices, size: int) -> tuple[Indices, I
     return of_row, of_column
 
 
-def _join_small(
+def _order_blocks(
     rows: Indices, columns: Indices, of_row: Indices, of_column: Indices
 ) -> list[_DefectBlock]:
-    """Order the blocks by levels, and join small ones."""
-    least = 16  # rows; for smaller matrices, the overhead of calls exceeds the arithmetic
+    """Order the blocks by levels, and by patterns within them.
+
+    Blocks of one level do not depend on each other. Those of one pattern become neighbors, which
+    one product of batches solves.
+    """
     widths = np.bincount(of_row)
     count, ends = len(widths), np.append(0, np.cumsum(widths))
     orders = [np.argsort(own, kind="stable") for own in (of_row, of_column)]
@@ -116,23 +119,21 @@ def _join_small(
     level = np.zeros(count, dtype=np.intp)
     while ((higher := np.where(needs != given, level[given] + 1, 0)) > level[needs]).any():
         np.maximum.at(level, needs, higher)
-    found: list[tuple[int, Indices]] = []
-    for own in range(int(level.max(initial=-1)) + 1):
-        members = np.flatnonzero(level == own)
-        found += [(own, members[k : k + 1]) for k in np.flatnonzero(widths[members] >= least)]
-        small = members[widths[members] < least]
-        cuts = np.flatnonzero(np.diff(np.cumsum(widths[small]) // (2 * least))) + 1
-        found += [(own, part) for part in np.split(small, cuts) if len(part)]
-    return [
-        _DefectBlock(
-            own,
-            *(
-                np.sort(np.concatenate([which[ends[k] : ends[k + 1]] for k in part]))
-                for which in orders
-            ),
-        )
-        for own, part in found
+    inside = np.flatnonzero(of_row[rows] == of_column[columns])
+    row, column = (
+        np.argsort(order)[index[inside]] - ends[of[index[inside]]]
+        for order, index, of in zip(orders, (rows, columns), (of_row, of_column), strict=True)
+    )
+    own = of_row[rows[inside]]
+    sorting = np.lexsort((column, row, own))
+    cuts = np.searchsorted(own[sorting], np.arange(1, count))
+    places = np.split((row * count + column)[sorting], cuts)
+    found = [
+        _DefectBlock(int(level[k]), *(order[ends[k] : ends[k + 1]] for order in orders))
+        for k in range(count)
     ]
+    keys = [(int(level[k]), int(widths[k]), places[k].tobytes()) for k in range(count)]
+    return [found[k] for k in sorted(range(count), key=keys.__getitem__)]
 
 
 def _group_alike(

@@ -192,6 +192,8 @@ class Expansion:
 
     def of_paths(self, weights: Array) -> Array:
         """Compute the derivatives (r, n) of combined path rows."""
+        if not len(weights):
+            return np.zeros((weights.shape[1], len(self._u)))
         by_s, by_u = (np.ascontiguousarray(one.T @ weights) for one in self._paths)
         return np.ascontiguousarray(self._reduce(by_s, by_u).T)
 
