@@ -77,9 +77,11 @@ class Source:
     def leave_out(self, error: ValueError) -> None:
         """Leave out a feature without a counterpart.
 
-        Raises the error if the import is strict.
+        Raises the error if the import is strict, with the other cure.
         """
         if self.strict:
+            cure = "give strict=False (--lenient) to import the file without it"
+            error.args = (f"{error}, or {cure}", *error.args[1:])
             raise error
         self.note(str(error).removeprefix(f"{self.path.name}, "))
 

@@ -144,6 +144,8 @@ class Servo(NamedTuple):
         Whether it carries compression.
     start : float
         Initial control of a commanded force [N/m] or [N].
+    force : float
+        Initial force beside the string's own spring, along its extension [N].
     """
 
     element: Element
@@ -153,6 +155,7 @@ class Servo(NamedTuple):
     rest: float | None = None
     pushes: bool = False
     start: float = 0.0
+    force: float = 0.0
 
     def force_density(self, length: float) -> float:
         """Compute the initial force density [N/m] of a commanded force."""
@@ -182,7 +185,7 @@ def read_control(
             message = "give each tendon one actuator, and actuators to tendons alone"
             actuator.leave_out(f"is {name!r}: {message}", "tendon")
             continue
-        servo = _read_servo(actuator, start[k])
+        servo = _read_servo(actuator, names[name], start[k])
         if servo is not None and servo.control is ForceDensity and len(names[name].sites) > 2:
             actuator.leave_out(
                 f"drives a cable by force density: {_TENSION} for its tension", "gainprm"
@@ -218,10 +221,11 @@ def _drive(string: TendonString, servo: Servo | None, kind: type[Control]) -> Te
             "stiffness",
         )
     if own is not None and (string.stiffness or string.damping) and own.stiffness:
-        string.element.leave_out(
-            "has stiffness or damping beside an actuator: give them to the actuator, as kp and kv",
-            "stiffness",
-        )
+        if not (string.pushes and own.pushes):
+            string.element.leave_out(
+                "has stiffness or damping beside an actuator: give them to the actuator, as kp and kv",
+                "stiffness",
+            )
         rests = [string.length if part.rest is None else part.rest for part in (string, own)]
         total = string.stiffness + own.stiffness
         rest = (string.stiffness * rests[0] + own.stiffness * rests[1]) / total
@@ -230,6 +234,9 @@ def _drive(string: TendonString, servo: Servo | None, kind: type[Control]) -> Te
         )
     if own is not None and own.stiffness:
         return string._replace(**{name: getattr(own, name) for name in _SPRING})
+    if own is not None and own.force:  # has the effect of another rest length
+        rest = string.length if string.rest is None else string.rest
+        return string._replace(rest=rest + own.force / string.stiffness)
     if commands:
         return _hold(string, 0.0 if own is None else own.force_density(string.length))
     return string
@@ -248,8 +255,8 @@ _DENSITY = 'give gaintype="affine" gainprm="0 -1 0"'
 _TENSION = 'give gainprm="-1 0 0"'
 
 
-def _read_servo(actuator: Element, control: float | None) -> Servo | None:
-    """Read an actuator with its initial control; None if it is left out.
+def _read_servo(actuator: Element, string: TendonString, control: float | None) -> Servo | None:
+    """Read the actuator of a string with its initial control; None if it is left out.
 
     The force is affine in control, length and velocity, or the product of control and length.
     """
@@ -273,15 +280,16 @@ def _read_servo(actuator: Element, control: float | None) -> Servo | None:
     single = kinds[1:] == ["none", "none"] and np.count_nonzero(gain) == 1
     if single and kinds[0] == "affine" and gain[1] * gear**2 == -1:
         return Servo(actuator, ForceDensity, start=control or 0.0)
-    if single and kinds[0] == "fixed" and gain[0] * gear == -1:
-        return Servo(actuator, Tension, start=control or 0.0)
+    affine = kinds[1] == "affine"
+    if kinds[0] == "fixed" and kinds[2] == "none" and not (affine and np.any(bias[1:])):
+        return _read_motor(actuator, string, gear * (gain[0] * (control or 0.0) + affine * bias[0]))
     is_spring = kinds[:2] == ["fixed", "affine"] and bias[1] < 0
     exact = gear == 1 and (not is_spring or (not bias[0] and bias[1] == -gain[0]))
     if not is_spring or not exact or np.any(gain[1:]) or np.any(bias[3:]):
         actuator.leave_out(
             f"pulls by another law than force = −length × control: {_DENSITY}", "gainprm"
         )
-    if not is_spring:  # a force beside that of the string's own spring
+    if not is_spring:
         return Servo(actuator, RestLength)
     rest = (bias[0] + gear * gain[0] * (control or 0.0)) / -bias[1]
     given = control is not None or bias[0]
@@ -293,6 +301,22 @@ def _read_servo(actuator: Element, control: float | None) -> Servo | None:
         float(rest) if given and rest > 0 else None,
         not _is_tension_only(actuator),
     )
+
+
+def _read_motor(actuator: Element, string: TendonString, force: float) -> Servo:
+    """Read an actuator whose force does not depend on the motion.
+
+    It commands the tension of a tendon without a spring.
+    """
+    if not string.stiffness and not string.damping:
+        return Servo(actuator, Tension, start=-force)
+    if not (string.pushes and string.stiffness):
+        actuator.leave_out(
+            "adds a force to a string that goes slack: rest lengths, which have the same effect on "
+            "a spring that pushes, replace it"
+        )
+        return Servo(actuator, RestLength)
+    return Servo(actuator, RestLength, force=force)
 
 
 _TYPES = ("gain", "bias", "dyn")

@@ -490,3 +490,54 @@ def test_a_servo_told_as_a_general_actuator_is_a_control_by_rest_lengths(tmp_pat
     assert scene.structure.stiffness.tolist() == [50.0, 50.0]
     assert scene.structure.damping.tolist() == [2.0, 2.0]
     assert scene.compression_strings.tolist() == [0, 1]
+
+
+DRIVEN = """<mujoco>
+  <option gravity="0 0 0" integrator="RK4" timestep="5e-4"/>
+  <worldbody>
+    <site name="w" pos="0 1 0"/><site name="v" pos="-0.5 0.2 0.7"/>
+    <body name="bar">
+      <joint type="free"/>
+      <geom type="cylinder" fromto="0 0 0 1 0 0" size="0.02" mass="1"/>
+      <site name="a"/><site name="b" pos="1 0 0"/>
+    </body>
+  </worldbody>
+  <default><tendon {spring}/></default>
+  <tendon>
+    <spatial name="s"><site site="a"/><site site="w"/></spatial>
+    <spatial name="t"><site site="b"/><site site="v"/></spatial>
+  </tendon>
+  <actuator>{actuators}</actuator>
+  <keyframe><key ctrl="{control}"/></keyframe>
+</mujoco>"""
+LINEAR = 'springlength="0.6" stiffness="40" damping="0.5"'
+
+
+@pytest.mark.parametrize(
+    ("spring", "actuators", "control"),
+    [
+        (LINEAR, '<motor tendon="s" gear="2"/><motor tendon="t" gear="3"/>', "-2 -1.5"),
+        (
+            LINEAR,
+            '<position tendon="s" kp="30"/><position tendon="t" kp="20" kv="0.3"/>',
+            "0.5 0.7",
+        ),
+        ("", '<motor tendon="s" gear="2"/><general tendon="t" gainprm="1.5"/>', "-2 -1.5"),
+    ],
+    ids=["motors beside springs", "two springs", "motors alone"],
+)
+def test_driven_strings_move_as_in_mujoco(spring, actuators, control, tmp_path):
+    mujoco = pytest.importorskip("mujoco")
+    path = tmp_path / "scene.xml"
+    path.write_text(DRIVEN.format(spring=spring, actuators=actuators, control=control))
+    run = tc.simulate(tc.Model(tc.import_mjcf(path)), 0.1, 5e-4, compiled=False)
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    data.qpos[:] = model.qpos0
+    for _ in range(200):
+        mujoco.mj_step(model, data)
+    mujoco.mj_forward(model, data)
+    ends = [data.site(name).xpos for name in "ab"]
+    assert np.linalg.norm(ends[1] - [1.0, 0.0, 0.0]) > 0.03
+    assert np.abs(run.nodes[-1][:2] - ends).max() < 1e-8

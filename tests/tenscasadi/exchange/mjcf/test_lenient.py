@@ -119,9 +119,60 @@ def test_boxes_have_mass(tmp_path: Path) -> None:
 
 
 def test_a_motor_gives_way_to_control_by_rest_lengths(tmp_path: Path) -> None:
-    tendon = STRING.replace("<spatial", '<spatial name="t"')
+    tendon = STRING.replace("<spatial", '<spatial name="t" springlength="0 0.5"')
     scene, changes = read(
         file(tendon=tendon, more='<actuator><motor tendon="t"/></actuator>'), tmp_path
     )
     assert isinstance(scene.control, tc.RestLength)
-    assert "pulls by another law" in changes[0]
+    assert "adds a force to a string that goes slack" in changes[0]
+
+
+@pytest.mark.parametrize(
+    "actuator",
+    [
+        '<motor tendon="t" gear="2"/>',
+        '<general tendon="t" gainprm="2"/>',
+        '<general tendon="t" gear="2" biastype="affine" biasprm="0"/>',
+    ],
+)
+def test_a_motor_beside_a_linear_spring_is_read_exactly(actuator: str, tmp_path: Path) -> None:
+    tendon = STRING.replace('stiffness="1"', 'name="t" springlength="0.5" stiffness="100"')
+    key = '<keyframe><key ctrl="-3"/></keyframe>'
+    path = tmp_path / "scene.xml"
+    path.write_text(file(tendon=tendon, more=f"<actuator>{actuator}</actuator>{key}"))
+    scene = tc.import_mjcf(path)  # strict
+    length = scene.structure.string_lengths[0]
+    model = tc.Model(scene)
+    force = length * model.force_density(model.initial_state, model.initial_control)
+    assert force.tolist() == pytest.approx([100 * (length - 0.5) + 6.0])
+
+
+def test_linear_springs_of_tendon_and_actuator_add_up(tmp_path: Path) -> None:
+    tendon = STRING.replace('stiffness="1"', 'name="t" springlength="0.5" stiffness="100"')
+    more = (
+        '<actuator><position tendon="t" kp="50"/></actuator><keyframe><key ctrl="0.8"/></keyframe>'
+    )
+    path = tmp_path / "scene.xml"
+    path.write_text(file(tendon=tendon, more=more))
+    scene = tc.import_mjcf(path)  # strict
+    length = scene.structure.string_lengths[0]
+    assert scene.structure.stiffness.tolist() == [150.0]
+    tension = 150.0 * (length - scene.structure.rest_length[0])
+    assert tension == pytest.approx(100 * (length - 0.5) + 50 * (length - 0.8))
+
+
+def test_a_motor_without_a_spring_commands_the_tension(tmp_path: Path) -> None:
+    tendon = STRING.replace('<spatial stiffness="1"', '<spatial name="t"')
+    more = '<actuator><motor tendon="t"/></actuator><keyframe><key ctrl="-3"/></keyframe>'
+    path = tmp_path / "scene.xml"
+    path.write_text(file(tendon=tendon, more=more))
+    scene = tc.import_mjcf(path)  # strict
+    assert isinstance(scene.control, tc.Tension)
+    assert tc.Model(scene).initial_control.tolist() == pytest.approx([3.0])
+
+
+def test_errors_name_the_lenient_import(tmp_path: Path) -> None:
+    path = tmp_path / "scene.xml"
+    path.write_text(file(tendon=STRING.replace("<spatial", '<spatial frictionloss="1"')))
+    with pytest.raises(tc.SceneFileError, match="or give strict=False"):
+        tc.import_mjcf(path)
