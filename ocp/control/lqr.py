@@ -22,7 +22,7 @@ from tenscasadi.dynamics.linear_steps import riccati_gains, transitions
 from tenscasadi.dynamics.linearization import tangents
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
-from tenscasadi.integrators.stability import fastest_rate
+from tenscasadi.integrators.stability import contact_step, fastest_rate
 from tenscasadi.scene.winches import Winch
 from tenscasadi.simulation.inputs.feedback import Feedback
 from tenscasadi.simulation.trajectory import Trajectory
@@ -189,7 +189,8 @@ def track(
     plan : Plan
         The plan to track.
     decisions : int, optional
-        Number of decisions, at equal times. Default: one per interval of the plan.
+        Number of decisions, at equal times. Default: one per interval of the plan, as long as the
+        shortest.
     position_scale : float, optional
         Deviation of a coordinate [m] that costs as much as a control deviation of `control_scale`.
         The scale of velocities is 10 · position_scale/duration. Default: 1 % of the structure's
@@ -241,9 +242,9 @@ def track(
     """
     instance("plan", plan, PlanResult, "an ocp.Plan")
     model, T = plan.require_model("track"), float(plan.time[-1])
-    count = (
-        len(plan.time) - 1 if decisions is None else whole_number("decisions", decisions, 1, 10_000)
-    )
+    shortest = float(np.diff(plan.time).min())
+    default = int(np.ceil(T / shortest - 1e-6))
+    count = whole_number("decisions", default if decisions is None else decisions, 1, 10_000)
     size = (
         0.01 * float(np.linalg.norm(np.ptp(model.structure.nodes, axis=0)))
         if position_scale is None
@@ -334,9 +335,11 @@ def replay_tracked(plan: PlanResult) -> Trajectory:
 
     Raises ValueError if no gains are found or the model is unknown.
     """
-    return run(
-        track(plan), float(plan.time[-1]), steps=10, state=plan.trajectory.states[0]
-    ).trajectory
+    tracker, steps = track(plan), STEPS
+    if tracker.model.scene.grounds:
+        steps = max(steps, int(np.ceil(tracker.period / contact_step(tracker.model))))
+    start = plan.trajectory.states[0]
+    return run(tracker, float(plan.time[-1]), steps=steps, state=start).trajectory
 
 
 def _planned(plan: PlanResult, model: Model, time: Array) -> Array:

@@ -16,11 +16,7 @@ from ocp.solvers.ipopt import Ipopt
 from ocp.solvers.monitor import Monitor
 from ocp.targets.target import Target
 from ocp.transcription.sparse_nlp import Program
-from tenscasadi.dynamics.model import Model
-from tenscasadi.integrators.runge_kutta import RungeKutta4
-from tenscasadi.integrators.stability import contact_step
-from tenscasadi.simulation.inputs.controls import ControlProfile
-from tenscasadi.simulation.simulate import simulate
+from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import Array
 
 MOST_ROUNDS = 8
@@ -30,12 +26,13 @@ ENOUGH = 0.5  # sufficient error, in units of the tolerance
 Read = Callable[
     [Array], tuple[Array, Array, Array]
 ]  # w → time (K + 1,), states (K + 1, nx), force densities (K, α)
+Replay = Callable[[Array, Array, Array], Trajectory]  # of these
 
 
 def correct(
     program: Program,
     harder: float,
-    model: Model,
+    replay: Replay,
     solver: Ipopt,
     solution: Solution,
     read: Read,
@@ -52,7 +49,7 @@ def correct(
     built once. Returns the solution with the smallest error.
     """
     again, best = None, solution
-    least, residuals = _replayed(model, *read(solution.w), targets)
+    least, residuals = _measure_replay(replay, *read(solution.w), targets)
     pressing = np.array([name.startswith("reaction") for name in program.names])
     shift, missed, pressed, iterations = np.zeros_like(residuals), least, 0.0, solution.iterations
     for _ in range(MOST_ROUNDS):
@@ -79,7 +76,7 @@ def correct(
         if not solution.success:
             break
         before = missed
-        missed, residuals = _replayed(model, *read(solution.w), targets)
+        missed, residuals = _measure_replay(replay, *read(solution.w), targets)
         if missed < least:
             best, least = solution, missed
         if missed > MOST_LEFT * before:
@@ -87,8 +84,8 @@ def correct(
     return best._replace(iterations=iterations)
 
 
-def _replayed(
-    model: Model, time: Array, states: Array, gamma: Array, targets: Sequence[Target]
+def _measure_replay(
+    replay: Replay, time: Array, states: Array, gamma: Array, targets: Sequence[Target]
 ) -> tuple[float, Array]:
     """Compute the goal residuals of a replay.
 
@@ -96,16 +93,10 @@ def _replayed(
     Velocities count as velocity × duration. The largest residual is inf if the replay diverges.
     """
     count = len(gamma) // len(targets)
-    step = min(np.diff(time).max() / 10, contact_step(model))
-    motion = simulate(
-        model,
-        float(time[-1]),
-        step,
-        RungeKutta4(),
-        states[0],
-        ControlProfile(time, gamma, 1),
-        compiled=False,
-    )
+    try:
+        motion = replay(time, states, gamma)
+    except ValueError:  # no gains are found
+        return np.inf, np.zeros(0)
     if not motion.success:
         return np.inf, np.zeros(0)
     ends = [

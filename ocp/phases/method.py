@@ -10,7 +10,7 @@ import numpy as np
 
 from ocp.guess.initial_guess import InitialGuess
 from ocp.phases.contact import PRESSED, cone_blocks, height_blocks
-from ocp.phases.correction import correct
+from ocp.phases.correction import Replay, correct
 from ocp.phases.first_guess import guess_phases, split_plan
 from ocp.phases.targets import find_targets, join_targets, phase_problems
 from ocp.problem.problem import Problem
@@ -139,11 +139,12 @@ def solve_phased(
     guess: InitialGuess | None,
     monitor: Monitor,
     tolerance: float,
+    replay: Replay,
 ) -> tuple[Outcome, Target | None]:
     """Solve a problem with phases.
 
     The transcription must be a `Variational`, whose intervals are those of each phase. `tolerance`
-    is the permitted distance of the replay from the goals [m]. Returns the result, and the target
+    is the permitted distance of the `replay` from the goals [m]. Returns the result, and the target
     of its acceptance test; None if it stopped before. Raises TypeError, ValueError or
     InfeasibleGoalError.
     """
@@ -160,7 +161,7 @@ def solve_phased(
         corrected = correct(
             task.program,
             task.harder,
-            problem.model,
+            replay,
             solver,
             solution,
             task.joined,

@@ -165,8 +165,8 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
             requires it; half an interval
             for `Collocation`.
         tracked : bool
-            Whether to replay under `track`. Its steps are those of `RungeKutta4`, a tenth of an
-            interval long.
+            Whether to replay under `track`. Its steps are those of `RungeKutta4`, a tenth of the
+            shortest interval long, or less if contact with a ground requires it.
         parameters : array_like, shape (np,), or mapping of str to array_like, optional
             Parameter values of the simulated model, see `Problem.with_parameters`. They show the
             effect of model errors on the plan. Default: the planned values.

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ocp.problem.problem import Problem
+from ocp.problem.scaling import Scales
 from ocp.results.diagnosis import find_long_steps, interpolate_plan
 from ocp.results.error_growth import UNSTABLE
 from ocp.results.report import report_of, violated_limits
@@ -139,8 +140,8 @@ def assess_plan(
     The replay must meet goals, waypoints and terminal limits within the tolerance, and the plan all
     limits. Convergence of the solver is not required. By default the open-loop replay counts. The
     replay under `track` counts instead if `tracked` is True, or if errors grow so fast that no
-    open-loop motion follows the plan. `scene` is that of the user's problem, whose strings can break
-    or yield. Returns the plan with its errors, success and message.
+    open-loop motion follows the plan, see `describe_growth`. `scene` is that of the user's problem,
+    whose strings can break or yield. Returns the plan with its errors, success and message.
     """
     target = target.begin_at(found.states[0])
     duration = float(plan.time[-1])
@@ -149,8 +150,9 @@ def assess_plan(
         _verify(plan, target, replay, False) if whole else _Verified(None, np.nan, np.nan)
     )
     missed = find_missed_goal(plan, target, tolerance) if whole else ""
-    inexact = bool(whole) and not missed and open_loop.worst(duration) > tolerance
-    growth = _describe_growth(plan) if inexact else ""
+    growth = ""
+    if whole and open_loop.worst(duration) > tolerance:
+        growth = describe_growth(plan, tolerance)
     if tracked or growth:
         counts = _verify(plan, target, replay, True)
     plan = replace(
@@ -229,17 +231,37 @@ def _violated(plan: PlanResult) -> bool:
     )
 
 
-def _describe_growth(plan: PlanResult) -> str:
+def describe_growth(plan: PlanResult, tolerance: float) -> str:
     """Describe the growth of errors in open loop.
 
-    Returns "" if the growth is small or unknown.
+    Returns "" if the growth is small or unknown. In phases, the contact nodes of the plan do not
+    sink into the ground. The depth to which they sink at rest is an error that no finer mesh
+    reduces, so that growth to the tolerance is large.
     """
-    # A small error shifts the times of contact, which the state transition does not describe.
-    model = plan.require_model("solve")
-    if model.scene.grounds or np.isnan(plan.trajectory.states).any():
+    # A small error shifts the times of contact, which the state transition does not describe. In
+    # phases they are given.
+    model, problem = plan.require_model("solve"), plan.problem
+    phased = problem is not None and bool(problem.phases)
+    if (model.scene.grounds and not phased) or np.isnan(plan.trajectory.states).any():
         return ""
     growth = plan.error_growth
-    return f"errors grow {growth:.2g}-fold in open loop" if growth > UNSTABLE else ""
+    text = f"errors grow {growth:.2g}-fold in open loop"
+    if growth > UNSTABLE:
+        return text
+    depth = _measure_depth(problem) if problem is not None and phased else 0.0
+    if growth * depth > tolerance:
+        return f"{text} and contact nodes sink {depth:.2g} m into the ground"
+    return ""
+
+
+def _measure_depth(problem: Problem) -> float:
+    """Compute the depth of contact nodes at rest [m]."""
+    scene = problem.model.scene
+    counts = [len(phase.contact_nodes) for phase in problem.phases if phase.contact_nodes]
+    if not counts or scene.gravity is None:
+        return 0.0
+    weight = Scales.of(problem).mass * float(np.linalg.norm(scene.gravity.acceleration))
+    return weight / (scene.grounds[0].stiffness * min(counts))
 
 
 def _accepted(found: Outcome) -> str:

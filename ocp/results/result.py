@@ -11,6 +11,7 @@ import numpy as np
 from ocp.guess.initial_guess import resample_guess
 from ocp.problem.problem import Problem
 from ocp.results.error_growth import measure_error_growth
+from ocp.results.motion_spans import split_motion
 from ocp.results.planned_forces import PlannedForces
 from ocp.sampling.solver import Sampling
 from ocp.solvers.base import Solver
@@ -85,14 +86,22 @@ class PlanResult(PlannedForces, Stored):
 
         It is the largest singular value of the state-transition matrix, with positions in m and
         velocities in m per duration. Values of a few are common; thousands indicate an unstable
-        motion. It is inf if it overflows, and NaN if it is unknown. Plans with phases have NaN, as
-        impacts have no derivative.
+        motion. It is inf if it overflows, and NaN if it is unknown. In plans with phases it is the
+        largest growth within a phase, in which contact nodes are pinned, as impacts have no
+        derivative.
         """
-        if self.problem is not None and self.problem.phases:
-            return np.nan
-        return measure_error_growth(
-            self.require_model("error_growth"), self.time, self.trajectory.states, self.control
-        )
+        model, states = self.require_model("error_growth"), self.trajectory.states
+        phases = () if self.problem is None else self.problem.phases
+        growths = [
+            measure_error_growth(
+                span.model,
+                self.time[span.first : span.last + 1] - self.time[span.first],
+                states[span.first : span.last + 1, span.entries],
+                self.control[span.first : span.last + int(self.linear)],
+            )
+            for span in split_motion(model, states, phases)
+        ]
+        return float(np.max(growths))
 
     def require_model(self, user: str) -> Model:
         """Return the model.

@@ -14,7 +14,6 @@ import numpy as np
 
 from ocp.control.lqr import replay_tracked
 from ocp.guess.initial_guess import InitialGuess
-from ocp.problem.instant import forces_of
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.results.acceptance import RELIABLE, assess_plan
@@ -24,6 +23,7 @@ from ocp.results.result import PlanResult
 from ocp.search.coordinates import ReducedCoordinates, reduce_coordinates
 from ocp.search.methods import plan_guess, run_attempt
 from ocp.search.narrow_limits import explain_limits
+from ocp.search.plan_record import record_plan
 from ocp.search.policy import INEXACT, Attempt, attempts, complete, is_inexact
 from ocp.search.task import Method, PlanningTask, prepare
 from ocp.solvers.base import Outcome
@@ -35,11 +35,10 @@ from ocp.targets.target import StateAt, Target
 from ocp.transcription.base import Transcription
 from ocp.transcription.mesh import Profile
 from ocp.transcription.multiple_shooting import MultipleShooting
-from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
+from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.names import add_names
 from tenscasadi.util.processes import one_blas_thread
 from tenscasadi.util.troubleshooting import add_address
-from tenscasadi.util.validate import Array
 
 
 class _PlanSearch(NamedTuple):
@@ -191,8 +190,8 @@ def _try(search: _PlanSearch, attempt: Attempt) -> tuple[PlanResult, Target | No
     next attempt starts.
     """
     task = search.task
-    outcome, target = run_attempt(task, attempt)
-    plan = _record(task, attempt, outcome)
+    outcome, target = run_attempt(task, attempt, search.tracked)
+    plan = record_plan(task, attempt, outcome)
     if target is None:
         return replace(plan, message=f"no plan: {outcome.why}"), task.target
     other = _find_other_target(task, plan, outcome)
@@ -203,7 +202,7 @@ def _try(search: _PlanSearch, attempt: Attempt) -> tuple[PlanResult, Target | No
         if found.success and reached is not None:
             task, outcome, target = again, found, reached
         outcome = outcome._replace(iterations=count)
-        plan = _record(task, attempt, outcome)
+        plan = record_plan(task, attempt, outcome)
 
     def replay(plan: PlanResult, tracked: bool) -> Trajectory | None:
         given = plan if search.reduced is None else search.reduced.restore(plan)
@@ -239,58 +238,3 @@ def _find_other_target(task: PlanningTask, plan: PlanResult, found: Outcome) -> 
         warnings.simplefilter("ignore", TargetNotFoundWarning)
         other = task.monitor.run(lambda: find_target(problem, task.scales, state_at), lambda: None)
     return other if other is not None and other.met else None
-
-
-def _record(task: PlanningTask, attempt: Attempt, found: Outcome) -> PlanResult:
-    """Convert the result of an attempt to a plan.
-
-    The plan has no replay errors yet.
-    """
-    problem, transcription = task.problem, attempt.transcription
-    mesh = (
-        found.duration * np.append(0.0, np.cumsum(transcription.fractions))
-        if found.time is None
-        else found.time.copy()
-    )
-    mesh[-1] = found.duration
-    motion = _record_motion(problem, mesh, found)
-    control, model = found.force_density, problem.model
-    forces = forces_of(model, motion.states[: len(control)], control)
-    attribute = "force_density" if model.scene.control is None else model.scene.control.attribute
-    return PlanResult(
-        success=False,
-        status=found.status,
-        message="",
-        objective=found.objective,
-        iterations=found.iterations,
-        seconds=task.monitor.elapsed,
-        time=mesh,
-        force_density=forces,
-        trajectory=motion,
-        replay_error=np.nan,
-        replay_speed_error=np.nan,
-        structure=problem.model.scene.structure,
-        model=problem.model,
-        duals=found.duals,
-        problem=problem,
-        transcription=transcription,
-        solver=attempt.solver,
-        not_restored="",
-        inputs=None if attribute == "force_density" else control,
-        input_attribute=attribute,
-    )
-
-
-def _record_motion(problem: Problem, mesh: Array, found: Outcome) -> Trajectory:
-    """Record the planned motion at mesh points."""
-    controls = np.concatenate([found.force_density, found.force_density[-1:]])[: len(mesh)]
-    with np.errstate(all="ignore"):
-        return record_trajectory(
-            problem.model,
-            mesh,
-            found.states,
-            controls,
-            step=float(mesh[1]),
-            message="planned motion at mesh points",
-            success=found.success or found.coarse,
-        )

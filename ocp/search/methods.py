@@ -7,15 +7,19 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
+from ocp.control.lqr import replay_tracked
 from ocp.guess.initial_guess import InitialGuess, TrajectoryGuess, evaluate_guess
 from ocp.phases.method import solve_phased
 from ocp.problem.control import build_smooth_model
 from ocp.problem.phase import reject_phases
 from ocp.problem.problem import Problem
+from ocp.results.acceptance import describe_growth
 from ocp.results.diagnosis import build_interpolant, explain_failure
+from ocp.results.replay import replay_open
 from ocp.results.result import PlanResult
 from ocp.sampling.method import solve_sampled
 from ocp.sampling.solver import Sampling
+from ocp.search.plan_record import record_plan
 from ocp.search.policy import Attempt, PlannedGuess
 from ocp.search.rest_lengths import convert_outcome
 from ocp.search.task import PlanningTask, prepare
@@ -37,12 +41,16 @@ from ocp.transcription.base import Transcription
 from ocp.transcription.mesh import Guess, held_values
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.schema.definitions import resolve_names
-from tenscasadi.util.validate import instance
+from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.util.validate import Array, instance
 
 
-def run_attempt(task: PlanningTask, attempt: Attempt) -> tuple[Outcome, Target | None]:
+def run_attempt(
+    task: PlanningTask, attempt: Attempt, tracked: bool = False
+) -> tuple[Outcome, Target | None]:
     """Run one attempt at a planning task.
 
+    With `tracked`, phases are corrected by their replay under `track`.
     Returns its result, and the target of its acceptance test; None if the attempt stopped before it
     was found.
     """
@@ -60,7 +68,15 @@ def run_attempt(task: PlanningTask, attempt: Attempt) -> tuple[Outcome, Target |
             raise ValueError(
                 "solver is Sampling, which does not support Problem.phases: leave one of them out"
             )
-        return solve_phased(problem, transcription, solver, guess, monitor, task.tolerance)
+
+        def replay(time: Array, states: Array, gamma: Array) -> Trajectory:
+            found = Outcome(states, gamma, float(time[-1]), np.nan, True, "", 0, time=time)
+            plan = record_plan(task, attempt, found)
+            if tracked or describe_growth(plan, task.tolerance):
+                return replay_tracked(plan)
+            return replay_open(plan, problem.model, None, None)
+
+        return solve_phased(problem, transcription, solver, guess, monitor, task.tolerance, replay)
     first = None
     if guess is not None or not isinstance(solver, Sampling):
         first = monitor.run(

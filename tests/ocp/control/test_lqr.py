@@ -33,6 +33,14 @@ def test_the_regulator_keeps_to_the_limits_of_the_problem(plan):
     assert ocp.track(replace(plan, problem=None)).lower == pytest.approx(np.zeros(9))
 
 
+def test_decisions_are_as_long_as_the_shortest_interval(plan):
+    time = plan.time.copy()
+    time[1:-1] += 0.2 * (time[1] - time[0])
+    uneven = replace(plan, time=time)
+    assert len(ocp.track(uneven).gains) == 25
+    assert len(ocp.track(uneven, decisions=12).gains) == 12
+
+
 def test_without_disturbance_the_regulator_is_the_plan(plan):
     kept = ocp.run(ocp.track(plan), 1.0)
     assert misfit(kept.trajectory) < 1e-3

@@ -194,6 +194,9 @@ def test_what_is_found_is_a_guess_and_is_kept_in_files(tmp_path):
     assert len(loaded.problem.phases) == 2
     assert loaded.problem.phases[0].contact_nodes == FEET
     assert np.allclose(loaded.replay().nodes[-1], plan.replay().nodes[-1])
+    assert not plan.tracked
+    assert 1.0 < plan.error_growth < 20.0
+    assert loaded.error_growth == pytest.approx(plan.error_growth)
 
 
 def test_a_plan_in_phases_refines():
@@ -281,6 +284,21 @@ def test_a_prism_jumps_and_lands_at_rest():
 
 
 @pytest.mark.slow
+def test_tracked_replay_counts_where_a_flight_is_unstable():
+    """Depths of the contact nodes grow more than a hundredfold until the landing."""
+    stance = ocp.Phase((0.2, 0.8), FEET, goals=[ocp.AtRest()])
+    phases = push(duration=(0.1, 0.6)), ocp.Phase((0.1, 0.5)), stance
+    plan = ocp.solve(jumping(*phases, costs=[ocp.Prestress(50.0)]))
+    assert plan.success, plan.message
+    assert plan.tracked
+    assert plan.error_growth > 100
+    assert plan.replay_error < 0.0125 < plan.open_loop_error
+    assert "fold in open loop" in plan.message
+    kept = plan.replay(tracked=True)
+    assert np.abs(kept.velocities[-1]).max() * plan.time[-1] < 0.0125
+
+
+@pytest.mark.slow
 def test_a_prism_crawls_three_cycles():
     """Foot after foot steps 5 cm ahead while the others stand, three times."""
     ahead, phases = 0.05, [push(duration=(0.05, 0.5))]
@@ -304,4 +322,4 @@ def test_a_prism_crawls_three_cycles():
 def test_time_that_is_over_is_told():
     plan = ocp.solve(jumping(push(), flight(0.3)), PLAN, time_limit=1e-3)
     assert not plan.success
-    assert "stopped at the time limit" in plan.message
+    assert "increase time_limit" in plan.message

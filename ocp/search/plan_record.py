@@ -1,0 +1,69 @@
+"""Results of attempts as plans without replay errors."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ocp.problem.instant import forces_of
+from ocp.problem.problem import Problem
+from ocp.results.result import PlanResult
+from ocp.search.policy import Attempt
+from ocp.search.task import PlanningTask
+from ocp.solvers.base import Outcome
+from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
+from tenscasadi.util.validate import Array
+
+
+def record_plan(task: PlanningTask, attempt: Attempt, found: Outcome) -> PlanResult:
+    """Convert the result of an attempt to a plan.
+
+    The plan has no replay errors yet.
+    """
+    problem, transcription = task.problem, attempt.transcription
+    mesh = (
+        found.duration * np.append(0.0, np.cumsum(transcription.fractions))
+        if found.time is None
+        else found.time.copy()
+    )
+    mesh[-1] = found.duration
+    motion = _record_motion(problem, mesh, found)
+    control, model = found.force_density, problem.model
+    forces = forces_of(model, motion.states[: len(control)], control)
+    attribute = "force_density" if model.scene.control is None else model.scene.control.attribute
+    return PlanResult(
+        success=False,
+        status=found.status,
+        message="",
+        objective=found.objective,
+        iterations=found.iterations,
+        seconds=task.monitor.elapsed,
+        time=mesh,
+        force_density=forces,
+        trajectory=motion,
+        replay_error=np.nan,
+        replay_speed_error=np.nan,
+        structure=problem.model.scene.structure,
+        model=problem.model,
+        duals=found.duals,
+        problem=problem,
+        transcription=transcription,
+        solver=attempt.solver,
+        not_restored="",
+        inputs=None if attribute == "force_density" else control,
+        input_attribute=attribute,
+    )
+
+
+def _record_motion(problem: Problem, mesh: Array, found: Outcome) -> Trajectory:
+    """Record the planned motion at mesh points."""
+    controls = np.concatenate([found.force_density, found.force_density[-1:]])[: len(mesh)]
+    with np.errstate(all="ignore"):
+        return record_trajectory(
+            problem.model,
+            mesh,
+            found.states,
+            controls,
+            step=float(mesh[1]),
+            message="planned motion at mesh points",
+            success=found.success or found.coarse,
+        )
