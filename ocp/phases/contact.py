@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from ocp.transcription.contact_set import ContactSet, find_node_coordinates
+from ocp.problem.phase import find_node_coordinates
+from ocp.transcription.contact_set import ContactSet
 from ocp.transcription.sparse_nlp import Block, split_symbol
 from ocp.transcription.variables import Variables
 from tenscasadi.scene.ground import Surface

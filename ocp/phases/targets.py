@@ -8,6 +8,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
+from ocp.problem.phase import find_node_coordinates
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.problem.start import FreeStart
@@ -15,7 +16,6 @@ from ocp.targets.find_target import find_target
 from ocp.targets.infeasible_goal import InfeasibleGoalError
 from ocp.targets.row_reduction import reduce_rows
 from ocp.targets.target import Target, WaypointTarget
-from ocp.transcription.contact_set import find_node_coordinates
 from tenscasadi.util.validate import Array
 
 

@@ -18,7 +18,14 @@ from ocp.problem.reading import limits_of, read_duration, read_items
 from tenscasadi.schema.field_types import SPAN, Members
 from tenscasadi.schema.value import Value
 from tenscasadi.util.renamed import rename_fields
-from tenscasadi.util.validate import Array, IndexOrName, as_tuple, check_indices, index_or_name
+from tenscasadi.util.validate import (
+    Array,
+    IndexOrName,
+    Indices,
+    as_tuple,
+    check_indices,
+    index_or_name,
+)
 
 if TYPE_CHECKING:
     from ocp.problem.goals.waypoints import Waypoint
@@ -132,6 +139,16 @@ def phases_between(
         goals = waypoints[k].goals if k < len(waypoints) else ()
         phases.append(Phase(span, goals=goals, end_time=(earliest, latest)))
     return tuple(phases)
+
+
+def find_node_coordinates(model: Model) -> Indices:
+    """Find the indices (n, 3) of the nodes' free coordinates.
+
+    Pinned coordinates have −1.
+    """
+    found = np.full(3 * len(model.mechanism.physical), -1, dtype=np.intp)
+    found[model.mechanism.free_index] = np.arange(model.nq)
+    return found.reshape(-1, 3)
 
 
 def reject_phases(phases: Sequence[Phase], user: str) -> None:

@@ -8,8 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ocp.problem.phase import Phase
-from ocp.transcription.contact_set import find_node_coordinates
+from ocp.problem.phase import Phase, find_node_coordinates
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array, Indices
 

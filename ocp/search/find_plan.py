@@ -191,7 +191,7 @@ def _try(search: _PlanSearch, attempt: Attempt) -> tuple[PlanResult, Target | No
     """
     task = search.task
     outcome, target = run_attempt(task, attempt, search.tracked)
-    plan = record_plan(task, attempt, outcome)
+    plan = record_plan(task, attempt.transcription, attempt.solver, outcome)
     if target is None:
         return replace(plan, message=f"no plan: {outcome.why}"), task.target
     other = _find_other_target(task, plan, outcome)
@@ -202,7 +202,7 @@ def _try(search: _PlanSearch, attempt: Attempt) -> tuple[PlanResult, Target | No
         if found.success and reached is not None:
             task, outcome, target = again, found, reached
         outcome = outcome._replace(iterations=count)
-        plan = record_plan(task, attempt, outcome)
+        plan = record_plan(task, attempt.transcription, attempt.solver, outcome)
 
     def replay(plan: PlanResult, tracked: bool) -> Trajectory | None:
         given = plan if search.reduced is None else search.reduced.restore(plan)

@@ -71,7 +71,7 @@ def run_attempt(
 
         def replay(time: Array, states: Array, gamma: Array) -> Trajectory:
             found = Outcome(states, gamma, float(time[-1]), np.nan, True, "", 0, time=time)
-            plan = record_plan(task, attempt, found)
+            plan = record_plan(task, transcription, solver, found)
             if tracked or describe_growth(plan, task.tolerance):
                 return replay_tracked(plan)
             return replay_open(plan, problem.model, None, None)

@@ -7,19 +7,21 @@ import numpy as np
 from ocp.problem.instant import forces_of
 from ocp.problem.problem import Problem
 from ocp.results.result import PlanResult
-from ocp.search.policy import Attempt
-from ocp.search.task import PlanningTask
+from ocp.search.task import Method, PlanningTask
 from ocp.solvers.base import Outcome
+from ocp.transcription.base import Transcription
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
 from tenscasadi.util.validate import Array
 
 
-def record_plan(task: PlanningTask, attempt: Attempt, found: Outcome) -> PlanResult:
+def record_plan(
+    task: PlanningTask, transcription: Transcription, solver: Method, found: Outcome
+) -> PlanResult:
     """Convert the result of an attempt to a plan.
 
     The plan has no replay errors yet.
     """
-    problem, transcription = task.problem, attempt.transcription
+    problem = task.problem
     mesh = (
         found.duration * np.append(0.0, np.cumsum(transcription.fractions))
         if found.time is None
@@ -47,7 +49,7 @@ def record_plan(task: PlanningTask, attempt: Attempt, found: Outcome) -> PlanRes
         duals=found.duals,
         problem=problem,
         transcription=transcription,
-        solver=attempt.solver,
+        solver=solver,
         not_restored="",
         inputs=None if attribute == "force_density" else control,
         input_attribute=attribute,

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ocp.problem.phase import find_node_coordinates
 from ocp.transcription.variables import Variables, name_states
-from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array, Indices
 
 
@@ -81,13 +81,3 @@ def build_empty_set(v: Variables) -> ContactSet:
 def reaction_names(what: str, stands: Sequence[int]) -> list[str]:
     """Name the components of reactions or impulses on nodes."""
     return [f"{what} on node {node} along {axis}" for node in stands for axis in "xyz"]
-
-
-def find_node_coordinates(model: Model) -> Indices:
-    """Find the indices (n, 3) of the nodes' free coordinates.
-
-    Pinned coordinates have −1.
-    """
-    found = np.full(3 * len(model.mechanism.physical), -1, dtype=np.intp)
-    found[model.mechanism.free_index] = np.arange(model.nq)
-    return found.reshape(-1, 3)
