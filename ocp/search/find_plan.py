@@ -48,7 +48,6 @@ class _PlanSearch(NamedTuple):
     """
 
     task: PlanningTask
-    tracked: bool
     reduced: ReducedCoordinates | None
 
 
@@ -80,7 +79,7 @@ def find_plan(
             given = given._replace(guess=guess)
         task = _prepare(problem, given.transcription.control, guess, tolerance, monitor)
         rows = attempts(task, guess) if automatic else iter([given])
-        result = _walk(_PlanSearch(task, tracked, reduced), rows, given, automatic)
+        result = _walk(_PlanSearch(task._replace(tracked=tracked), reduced), rows, given, automatic)
     if reduced is None:
         return result
     note = "; found in reduced coordinates" if result.success else ""
@@ -190,7 +189,7 @@ def _try(search: _PlanSearch, attempt: Attempt) -> tuple[PlanResult, Target | No
     next attempt starts.
     """
     task = search.task
-    outcome, target = run_attempt(task, attempt, search.tracked)
+    outcome, target = run_attempt(task, attempt)
     plan = record_plan(task, attempt.transcription, attempt.solver, outcome)
     if target is None:
         return replace(plan, message=f"no plan: {outcome.why}"), task.target
@@ -216,7 +215,7 @@ def _try(search: _PlanSearch, attempt: Attempt) -> tuple[PlanResult, Target | No
         return motion if motion is None or search.reduced is None else search.reduced.lower(motion)
 
     given = task.problem if search.reduced is None else search.reduced.given
-    plan = assess_plan(plan, target, outcome, task.tolerance, replay, search.tracked, given.scene)
+    plan = assess_plan(plan, target, outcome, task.tolerance, replay, task.tracked, given.scene)
     return plan, task.target
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from ocp.control.lqr import replay_tracked
 from ocp.guess.initial_guess import InitialGuess, TrajectoryGuess, evaluate_guess
+from ocp.phases.correction import Replay
 from ocp.phases.method import solve_phased
 from ocp.problem.control import build_smooth_model
 from ocp.problem.phase import reject_phases
@@ -45,12 +46,9 @@ from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import Array, instance
 
 
-def run_attempt(
-    task: PlanningTask, attempt: Attempt, tracked: bool = False
-) -> tuple[Outcome, Target | None]:
+def run_attempt(task: PlanningTask, attempt: Attempt) -> tuple[Outcome, Target | None]:
     """Run one attempt at a planning task.
 
-    With `tracked`, phases are corrected by their replay under `track`.
     Returns its result, and the target of its acceptance test; None if the attempt stopped before it
     was found.
     """
@@ -68,14 +66,7 @@ def run_attempt(
             raise ValueError(
                 "solver is Sampling, which does not support Problem.phases: leave one of them out"
             )
-
-        def replay(time: Array, states: Array, gamma: Array) -> Trajectory:
-            found = Outcome(states, gamma, float(time[-1]), np.nan, True, "", 0, time=time)
-            plan = record_plan(task, transcription, solver, found)
-            if tracked or describe_growth(plan, task.tolerance):
-                return replay_tracked(plan)
-            return replay_open(plan, problem.model, None, None)
-
+        replay = _build_replay(task, attempt)
         return solve_phased(problem, transcription, solver, guess, monitor, task.tolerance, replay)
     first = None
     if guess is not None or not isinstance(solver, Sampling):
@@ -92,6 +83,20 @@ def run_attempt(
     if first is None:
         raise TypeError("a program has an initial guess")
     return _solve_program(task, attempt, target, first), target
+
+
+def _build_replay(task: PlanningTask, attempt: Attempt) -> Replay:
+    """Build the replay that decides about a motion in phases."""
+    model = task.problem.model
+
+    def replay(time: Array, states: Array, gamma: Array) -> Trajectory:
+        found = Outcome(states, gamma, float(time[-1]), np.nan, True, "", 0, time=time)
+        plan = record_plan(task, attempt.transcription, attempt.solver, found)
+        if task.tracked or describe_growth(plan, task.tolerance):
+            return replay_tracked(plan)
+        return replay_open(plan, model, None, None)
+
+    return replay
 
 
 def _plan_force_densities(

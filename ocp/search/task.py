@@ -39,6 +39,8 @@ class PlanningTask(NamedTuple):
         Tolerance of the replay [m].
     monitor : Monitor
         Time limit, stop request and progress.
+    tracked : bool
+        Whether the replay under `track` decides.
     """
 
     problem: Problem
@@ -46,6 +48,7 @@ class PlanningTask(NamedTuple):
     scales: Scales
     tolerance: float
     monitor: Monitor
+    tracked: bool = False
 
 
 def prepare(
