@@ -78,6 +78,9 @@ class PrestressDesign(ReadOnlyArrays):
     message: str
     _density: Array = field(repr=False)  # (μ,), of all members, also the bars of bodies
 
+    def __repr__(self) -> str:
+        return f"PrestressDesign({self.message})"
+
     @cached_property
     def least_stiffness(self) -> float:
         """Least eigenvalue of the tangent stiffness [N/m]; 0 without prestress."""

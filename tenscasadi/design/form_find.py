@@ -77,6 +77,9 @@ class Form(ReadOnlyArrays):
     success: bool
     message: str
 
+    def __repr__(self) -> str:
+        return f"Form({self.message})"
+
 
 @name_errors
 def form_find(

@@ -125,7 +125,7 @@ def buckling_factor(
     if overload or not (eq.success and st.stable):
         fault = eq.message
         if eq.success:
-            fault = overload or "is a saddle or has motions without stiffness"
+            fault = overload or "a motion has no positive stiffness, prestress the structure"
         return BucklingFactor(0.0, none, False, f"no stable equilibrium without the load: {fault}")
     if size == 0.0:
         return BucklingFactor(0.0, none, False, "the load moves the structure freely: support it")

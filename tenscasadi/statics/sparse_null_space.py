@@ -59,9 +59,9 @@ def sparse_null_space(A: Any, tolerance: float) -> Array:
         R = np.zeros((last - start, width + len(new)))
         R[:height, :width] = passed_on
         R[:, width:] = A[start:last, new].toarray()
-        free = _split(R[: stop - start], tolerance * scale)[1]
+        free = split_spaces(R[: stop - start], tolerance * scale)[1]
         rest = R[stop - start :] @ free
-        kept, null = _split(rest, _ROUNDING * scale)
+        kept, null = split_spaces(rest, _ROUNDING * scale)
         blocks.append((new, free @ kept, free @ null))
         passed_on = rest @ kept
     alone = np.flatnonzero(first == rows)
@@ -85,10 +85,10 @@ def _reduce_bandwidth(A: Any) -> tuple[Any, Indices, Indices]:
     return A, first, end
 
 
-def _split(R: Array, zero: float) -> tuple[Array, Array]:
-    """Compute orthonormal bases of row space and null space.
+def split_spaces(R: Array, zero: float) -> tuple[Array, Array]:
+    """Compute orthonormal bases of row space and null space, as columns.
 
-    Their vectors are columns.
+    The decomposition is a pivoted QR factorization. Pivots up to `zero` count as zero.
     """
     if not R.size:
         return np.zeros((R.shape[1], 0)), np.eye(R.shape[1])

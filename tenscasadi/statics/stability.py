@@ -85,6 +85,9 @@ class Stability(ReadOnlyArrays):
     success: bool
     _state: PrestressedState = field(repr=False)
 
+    def __repr__(self) -> str:
+        return f"Stability({self.message})"
+
     @cached_property
     def self_stress(self) -> Array:
         """Orthonormal self-stresses (s, α + β) [N/m], see `tenscasadi.self_stress`."""
@@ -387,8 +390,6 @@ def describe_state(
         np.linalg.norm((equations.free @ unbalanced).reshape(-1, 3), axis=1).max(initial=0.0)
     )
     balanced = residual <= allowed_residual(system, point, state.tension, TOLERANCE)
-    softest = (
-        f"softest motion {values[0]:.4g} N/m" if len(values) else "no motion changes the shape"
-    )
+    softest = state.describe_softest(values)
     message = softest if balanced else f"not in equilibrium, {residual:.3g} N stay unbalanced"
     return Stability(structure, density, residual, message, values, modes, balanced, state)

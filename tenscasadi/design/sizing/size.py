@@ -63,7 +63,8 @@ def size(
     structure : Structure
         The structure in its nodes.
     load_cases : sequence of array_like, shape (n, 3), or mapping
-        Forces on the nodes, or on some by name or index [N]. Each case acts alone.
+        Forces on the nodes, or on some by name or index [N]. Each case acts alone. Without one,
+        the self-weight acts alone.
     string, bar : Material
         Materials of strings and of bars.
     tube : float
@@ -120,6 +121,8 @@ def size(
     if self_weight is not None:
         instance("self_weight", self_weight, Gravity, "a tenscasadi.Gravity, or None")
     gravity = None if self_weight is None else np.array(self_weight.at(0.0)).ravel()
+    if gravity is not None and not len(cases):  # the self-weight alone
+        cases = np.zeros((1, *structure.nodes.shape))
     program = SizingProgram(structure, sections, cases, gravity)
     given = _read_prestress(structure, program, prestress)
     design = find_least_mass(program)
@@ -294,5 +297,11 @@ def unbalanced_load(program: SizingProgram, load: Array) -> float:
     eye = sp.eye_array(unknown, format="csr")
     below = LinearRows(sp.csc_array(-eye[: program.strings]), np.zeros(program.strings))
     weights = np.repeat([1e-9, 1.0], [members, count])
-    found = solve_conic(np.zeros(unknown), equal, below, sp.diags_array(weights, format="csc"))
-    return float(np.abs(found.x[members:]).max(initial=0.0)) * scale
+    left = np.zeros(count)
+    for _ in range(2):  # the second solution removes the effect of the weights, as a multiplier
+        shifted = equal._replace(b=equal.b + left)
+        found = solve_conic(
+            np.zeros(unknown), shifted, below, sp.diags_array(weights, format="csc")
+        )
+        before, left = left, found.x[members:]
+    return float(np.abs(left - before).max(initial=0.0)) * scale

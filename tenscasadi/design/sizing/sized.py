@@ -76,6 +76,9 @@ class Sized(ReadOnlyArrays):
     loads: Array = field(repr=False)
     weight: Array = field(repr=False)
 
+    def __repr__(self) -> str:
+        return f"Sized({self.mass:.6g} kg, {self.message})"
+
     @cached_property
     def buckling(self) -> Array:
         """Global buckling factors (cases,) of the load cases.

@@ -17,7 +17,8 @@ from tenscasadi.statics.self_stress import idle_combinations, rigid_body_motions
 from tenscasadi.statics.solver.constrained_eigenproblem import lowest_eigenpairs
 from tenscasadi.statics.solver.newton_system import NewtonFactors, NewtonSystem
 from tenscasadi.statics.solver.static_equations import StaticPoint
-from tenscasadi.util.linear_algebra import DENSE, null_space
+from tenscasadi.statics.sparse_null_space import split_spaces
+from tenscasadi.util.linear_algebra import DENSE
 from tenscasadi.util.validate import NEGLIGIBLE, ROUNDING, Array
 
 
@@ -75,7 +76,7 @@ def motion_basis(J: Any, left_out: Array) -> Array:
         The basis, dense.
     """
     rows = np.concatenate([J.toarray(), left_out.T])
-    return null_space(rows, NEGLIGIBLE * float(np.linalg.norm(rows)))
+    return split_spaces(rows, NEGLIGIBLE * float(np.linalg.norm(rows)))[1]
 
 
 def neutral_motions(system: NewtonSystem, point: StaticPoint, tension: Array) -> Array:

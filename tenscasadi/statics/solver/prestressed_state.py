@@ -63,6 +63,17 @@ class PrestressedState:
         """Whether all motions but neutral ones have a positive stiffness."""
         return find_stable_factors(self.system, self.point, self.tension) is not None
 
+    def describe_softest(self, values: Array) -> str:
+        """Describe the softest motion by its eigenvalue, the first of `values` [N/m]."""
+        zero = ROUNDING * self.scale
+        if not len(values):
+            return "no motion changes the shape"
+        flat = int(np.sum(np.abs(values) <= zero))
+        if flat and values[0] >= -zero:
+            motions = "1 motion has" if flat == 1 else f"{flat} motions have"
+            return f"{motions} no stiffness: prestress the structure, or add members or supports"
+        return f"softest motion {values[0]:.4g} N/m"
+
     @cached_property
     def lowest(self) -> tuple[Array, Array]:
         """Lowest eigenvalues of K [N/m], and their motions (free, ·).

@@ -113,8 +113,25 @@ def join_blocks(parts: Sequence[tuple[int, int, Any]], size: int) -> sp.csc_arra
     csc_array
         The matrix.
     """
-    entries = [(row, column, sp.coo_array(block)) for row, column, block in parts]
-    rows = np.concatenate([row + block.coords[0] for row, _, block in entries])
-    columns = np.concatenate([column + block.coords[1] for _, column, block in entries])
-    values = np.concatenate([block.data for _, _, block in entries])
+    entries = [(row, column, *_find_entries(block)) for row, column, block in parts]
+    rows = np.concatenate([row + inside for row, _, inside, _, _ in entries])
+    columns = np.concatenate([column + inside for _, column, _, inside, _ in entries])
+    values = np.concatenate([entry[-1] for entry in entries])
     return sp.csc_array((values, (rows, columns)), shape=(size, size))
+
+
+def _find_entries(block: Any) -> tuple[Indices, Indices, Array]:
+    """Find rows, columns and values of the entries of a matrix.
+
+    Compressed formats are read directly, as their conversion by SciPy takes longer.
+    """
+    if isinstance(block, np.ndarray):
+        rows, columns = np.nonzero(block)
+        return rows, columns, block[rows, columns]
+    if block.format in ("csc", "csr"):
+        outer = np.repeat(np.arange(len(block.indptr) - 1), np.diff(block.indptr))
+        inner = block.indices
+        rows, columns = (inner, outer) if block.format == "csc" else (outer, inner)
+        return rows, columns, block.data
+    entries = block.tocoo()
+    return entries.coords[0], entries.coords[1], entries.data

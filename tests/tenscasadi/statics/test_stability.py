@@ -458,3 +458,10 @@ def test_overloaded_strings_are_rejected(strength):
     strong = replace(strength, force=6.0)
     found = tc.stability(tc.Scene(line, strength=strong))
     np.testing.assert_allclose(found.eigenvalues, tc.stability(line).eigenvalues)
+
+
+def test_message_counts_motions_without_stiffness() -> None:
+    flat = tc.stability(tc.shapes.prism())
+    assert flat.message.startswith("1 motion has no stiffness: prestress")
+    stiff = tc.stability(tc.shapes.prism(prestress=10.0))
+    assert repr(stiff) == "Stability(softest motion 55.9 N/m)"

@@ -147,6 +147,26 @@ def test_least_volume_is_that_of_a_linear_program(count: int) -> None:
     check(s, sized, cases, UNIT, UNIT)
 
 
+def test_self_weight_alone_is_a_load_case() -> None:
+    beam = tc.Structure(
+        [(0, 0, 0), (1, 0, 0), (0, 0, 1)], [(0, 1)], [(1, 2)], pinned={0: "xyz", 1: "y", 2: "xyz"}
+    )
+    heavy = tc.Material(modulus=2e11, density=7850.0, strength=1e6)
+    sized = tc.size(beam, [], heavy, heavy, self_weight=tc.Gravity(), minimum_area=1e-3)
+    assert sized.success, sized.message
+    assert sized.force.shape == (1, 2)
+    assert sized.force[0, 0] > 0.0
+
+
+def test_too_heavy_sections_are_named() -> None:
+    dome = tc.shapes.geiger_dome()
+    weak = tc.Material(modulus=200e9, density=7850.0, strength=2350.0)
+    load = np.tile([0.0, 0.0, -1e3], (len(dome.nodes), 1))
+    sized = tc.size(dome, [load], weak, weak, self_weight=tc.Gravity())
+    assert not sized.success
+    assert "their own weight" in sized.message
+
+
 def test_perturbed_designs_reduce_the_mass_of_a_grid() -> None:
     s = grid(4, 4)
     alloy = tc.Material(modulus=70e9, density=2700.0, strength=200e6)
