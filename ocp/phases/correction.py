@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ocp.results.refinement import CAUTION
 from ocp.solvers.base import Solution
 from ocp.solvers.ipopt import Ipopt
 from ocp.solvers.monitor import Monitor
@@ -21,7 +22,6 @@ from tenscasadi.util.validate import Array
 
 MOST_ROUNDS = 8
 MOST_LEFT = 0.7  # ratio of successive errors above which a round counts as ineffective
-ENOUGH = 0.5  # sufficient error, in units of the tolerance
 
 Read = Callable[
     [Array], tuple[Array, Array, Array]
@@ -44,8 +44,8 @@ def correct(
 
     Each round shifts the goals by the residuals of the replay, and solves again. If the error
     hardly decreases, contact nodes slip in the replay. The minimum normal reaction is then
-    increased by `harder`, relative to a typical reaction. Rounds end at half the tolerance [m],
-    where velocities count as velocity × duration. Only limits of rows change, so that the solver is
+    increased by `harder`, relative to a typical reaction. Rounds end at a fraction of the tolerance
+    [m], where velocities count as velocity × duration. Only limits of rows change, so that the solver is
     built once. Returns the solution with the smallest error.
     """
     again, best = None, solution
@@ -53,7 +53,7 @@ def correct(
     pressing = np.array([name.startswith("reaction") for name in program.names])
     shift, missed, pressed, iterations = np.zeros_like(residuals), least, 0.0, solution.iterations
     for _ in range(MOST_ROUNDS):
-        if not ENOUGH * tolerance < missed < np.inf or not program.rows("end"):
+        if not CAUTION * tolerance < missed < np.inf or not program.rows("end"):
             break
         shift = shift + residuals
         lower, upper = program.lower.copy(), program.upper.copy()

@@ -58,16 +58,7 @@ def measure_robustness(
     names = tuple(spreads)
     planned, problem = plan.require_model("robustness"), plan.problem
     reject_phases(() if problem is None else problem.phases, "robustness")
-    elastic = _needs_rest_lengths(planned, names)
-    model = vary_model(planned, names, RestLength() if elastic else planned.scene.control)
-    tracker = (
-        None
-        if track is None
-        else track(plan, decisions=(STEPS if elastic else 1) * (len(plan.time) - 1))
-    )
-    feedback, step = (
-        _convert_to_rest_lengths(plan, tracker) if elastic else _control_as_planned(plan, tracker)
-    )
+    model, feedback, step = _build_replay(plan, names, track)
     draws = rng.uniform(-1, 1, (samples, len(names)))
     factors = 1 + draws * np.array(list(spreads.values()))
     starts, changes = draw_starts(model, plan.trajectory.states[0], place, factors, rng)
@@ -107,6 +98,20 @@ def measure_robustness(
         seconds=seconds,
         interrupted=rolled.interrupted,
     )
+
+
+def _build_replay(
+    plan: Any, names: tuple[str, ...], track: Callable[..., Any] | None
+) -> tuple[Model, Feedback | ControlProfile, float]:
+    """Build the model, the control and the longest step [s] of replays."""
+    planned = plan.require_model("robustness")
+    elastic = _needs_rest_lengths(planned, names)
+    model = vary_model(planned, names, RestLength() if elastic else planned.scene.control)
+    decisions = (STEPS if elastic else 1) * (len(plan.time) - 1)
+    tracker = None if track is None else track(plan, decisions=decisions)
+    convert = _convert_to_rest_lengths if elastic else _control_as_planned
+    control, step = convert(plan, tracker)
+    return model, control, step
 
 
 def _measure_misses(plan: Any, time: Array, states: Array) -> Any:

@@ -95,14 +95,8 @@ def resolve(
     start = _drop_strength_states(model, start)
     if model.scene.strength is not None:
         model = model.with_scene(replace(model.scene, strength=None))
-    check_control(model)
-    if model.nq == 0:
-        raise ValueError("Problem.model has all nodes pinned: there is nothing to move")
+    _check_plannable(model)
     structure = model.scene.structure
-    for bar in np.flatnonzero(model.structure.elastic):
-        raise ValueError(
-            f"Problem.model has an elastic bar, {bar}: plan with rigid bars, of structure.replace(bar_stiffness=None)"
-        )
     own_phases = read_items("Problem.phases", phases, Phase, "[Phase(0.5)]", names)
     time = read_duration("Problem.duration", _add_durations(duration, own_phases))
     own_goals = read_items("Problem.goals", goals, Goal, "[AtRest()]", names)
@@ -161,6 +155,17 @@ def string_limits(
     lower = np.max([np.full(count, -np.inf), *(low for low, _ in given)], axis=0)
     upper = np.min([np.full(count, np.inf), *(up for _, up in given)], axis=0)
     return lower, upper
+
+
+def _check_plannable(model: Model) -> None:
+    """Check that plans can move a model: its control, its pins and its bars."""
+    check_control(model)
+    if model.nq == 0:
+        raise ValueError("Problem.model has all nodes pinned: there is nothing to move")
+    for bar in np.flatnonzero(model.structure.elastic):
+        raise ValueError(
+            f"Problem.model has an elastic bar, {bar}: plan with rigid bars, of structure.replace(bar_stiffness=None)"
+        )
 
 
 def _add_durations(given: Any, phases: tuple[Phase, ...]) -> Any:

@@ -31,6 +31,7 @@ from ocp.problem.problem import Problem
 from ocp.problem.rows import RESOLUTION
 from ocp.results.diagnosis import build_interpolant
 from ocp.results.report import violated_limits
+from ocp.results.result import STEPS
 from ocp.solvers.base import Outcome
 from ocp.transcription.mesh import Guess, profile_at
 from tenscasadi.dynamics.model import Model
@@ -42,7 +43,6 @@ _DIFFERENT = Smoothness, Constraint, Integral, AtEnd
 # × RMS force density: error of the force densities between the nodes of the rest lengths, which
 # falls with the square of their number
 FORCE_ERROR = 0.1
-MAX_PARTS = 10  # of an interval: enough for prisms with strings of 1e6 N/m
 
 
 def build_force_density_problem(problem: Problem) -> Problem | None:
@@ -235,4 +235,4 @@ class _Converter:
         states, planned, _ = self.evaluate((nodes[1:] + nodes[:-1]) / 2)
         error = np.abs(forces_of(self.model, states, (rest[1:] + rest[:-1]) / 2) - planned).max()
         typical = float(np.sqrt(np.mean(planned**2)))
-        return int(np.clip(np.ceil(np.sqrt(error / (FORCE_ERROR * typical))), 1, MAX_PARTS))
+        return int(np.clip(np.ceil(np.sqrt(error / (FORCE_ERROR * typical))), 1, STEPS))

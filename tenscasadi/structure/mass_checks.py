@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from tenscasadi.util.troubleshooting import add_address
-from tenscasadi.util.validate import NEGLIGIBLE, ROUNDING, SMALLEST, Array, Indices
+from tenscasadi.util.validate import NEGLIGIBLE, ROUNDING, SMALLEST, Array
 
 MAX_MASS_RATIO = 1 / ROUNDING  # between bars; above, rounding exceeds the lighter bar's forces
 
@@ -19,14 +19,16 @@ def total_mass(structure: Any) -> float:
     return float(s.bar_mass.sum() + s.node_mass.sum() + s.string_mass.sum() + bodies)
 
 
-def check_node_masses(node_mass: Array, fixed: Any, held: Any, heavy_strings: Indices) -> None:
-    """Check that each moving node has a bar or mass.
+def check_node_masses(structure: Any) -> None:
+    """Check that each moving node has a bar, a body or mass.
 
-    `held` are the nodes of bars and bodies. Otherwise M would be singular. Raises ValueError.
+    Otherwise M would be singular. Raises ValueError.
     """
-    heavy = (node_mass > SMALLEST) | fixed
-    heavy[held] = True
-    heavy[heavy_strings] = True
+    node_mass, strings = structure.node_mass, structure.strings
+    heavy = (node_mass > SMALLEST) | structure.fixed.all(axis=1)
+    for held in (structure.bars, *(body.nodes for body in structure.bodies)):
+        heavy[np.asarray(held)] = True
+    heavy[strings[structure.string_mass > SMALLEST]] = True
     for node in np.flatnonzero(~heavy):
         cure = (
             "give it a mass, pin it in all axes, or give its strings a string_mass, "

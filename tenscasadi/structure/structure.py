@@ -37,7 +37,6 @@ from tenscasadi.util.immutable import ReadOnlyArrays, keep, read_only
 from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import (
-    SMALLEST,
     Array,
     IndexOrName,
     Indices,
@@ -215,12 +214,7 @@ class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
         cables = names.resolve_lists("cables", "string", cables)
         own |= read_cables(cables, cable_friction, self.strings, self.damping)
         own["_assembly"] = assemble_bodies(self)
-        check_node_masses(
-            self.node_mass,
-            self.fixed.all(axis=1),
-            np.concatenate([self.bars.ravel(), *(body.nodes for body in self.bodies)]),
-            self.strings[self.string_mass > SMALLEST],
-        )
+        check_node_masses(self)
         layout = default_layout(n, self.bars, self.strings, np.flatnonzero(self.fixed.all(axis=1)))
         self._finish(
             string_parent=np.arange(len(self.strings)),

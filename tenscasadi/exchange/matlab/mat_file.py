@@ -33,8 +33,8 @@ _MATRIX, _COMPRESSED = 14, 15  # element types
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4"}
 _NUMBERS |= {9: "f8", 12: "i8", 13: "u8"}
 _CODECS = {1: "latin-1", 2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}
-_STRUCT, _CHAR, _SPARSE, _NUMERIC = 2, 4, 5, range(6, 16)  # array classes
-_COMPLEX = 0x0800
+# array classes, and the flag of complex numbers
+_STRUCT, _CHAR, _SPARSE, _NUMERIC, _COMPLEX = 2, 4, 5, range(6, 16), 0x0800
 _DAMAGED = (
     *(ValueError, LookupError, TypeError, ArithmeticError, MemoryError),
     *(zlib.error, struct.error),
