@@ -16,6 +16,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.internal_states import join_initial
 from tenscasadi.scene.winches import Winch
 from tenscasadi.structure.cables import add_compliances, name_inputs
+from tenscasadi.structure.class_one import distances
 from tenscasadi.util.validate import Array, per_item
 
 
@@ -188,9 +189,7 @@ def _follow_forces(model: Model, state: Array, forces: Array) -> tuple[Array, Ar
 
 def _string_lengths(model: Model, state: Array) -> Array:
     """Compute the lengths (α,) of parent strings [m]."""
-    structure = model.scene.structure
-    ends = model.nodes(state)[structure.strings]
-    return np.asarray(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1))
+    return distances(model.nodes(state), model.scene.structure.strings)
 
 
 def at_rest(model: Model, state: Array) -> Array:

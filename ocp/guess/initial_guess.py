@@ -20,10 +20,11 @@ from tenscasadi.schema.field_types import PATH, TABLE
 from tenscasadi.schema.value import Value
 from tenscasadi.util.validate import (
     Array,
+    NonNegative,
+    Positive,
     finite_array,
     format_value,
-    positive_number,
-    whole_number,
+    whole,
 )
 
 NOISE = 0.3  # relative to the largest force density
@@ -83,22 +84,15 @@ class InverseDynamics(NamedGuess, kind="InverseDynamics"):
     """
 
     path: Annotated[ArrayLike | None, PATH] = None
-    noise: float | None = None
-    seed: int = 0
+    noise: NonNegative | None = None
+    seed: Annotated[int, whole(0)] = 0
 
     def __post_init__(self) -> None:
-        if self.noise is not None:
-            object.__setattr__(
-                self, "noise", positive_number("InverseDynamics.noise", self.noise, zero=True)
+        super().__post_init__()
+        if self.path is not None and (count := len(np.asarray(self.path))) < 2:
+            raise ValueError(
+                f"InverseDynamics.path has {count} instants: give at least the start and the end"
             )
-        whole_number("InverseDynamics.seed", self.seed, 0)
-        if self.path is not None:
-            array = finite_array("InverseDynamics.path", self.path, (None, None, 3))
-            if len(array) < 2:
-                raise ValueError(
-                    f"InverseDynamics.path has {len(array)} instants: give at least the start and the end"
-                )
-            object.__setattr__(self, "path", array)
 
     def guess(self, problem: Problem, target: Target, intervals: int) -> Guess:
         """Compute the guess on equal intervals.
@@ -218,19 +212,7 @@ class TrajectoryGuess(NamedGuess, kind="TrajectoryGuess", earlier="Arrays"):
 
     states: Annotated[ArrayLike, TABLE]
     force_density: Annotated[ArrayLike, TABLE]
-    duration: float | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("states", "force_density"):
-            object.__setattr__(
-                self,
-                name,
-                finite_array(f"TrajectoryGuess.{name}", getattr(self, name), (None, None)),
-            )
-        if self.duration is not None:
-            object.__setattr__(
-                self, "duration", positive_number("TrajectoryGuess.duration", self.duration)
-            )
+    duration: Positive | None = None
 
     def guess(self, problem: Problem, target: Target, intervals: int) -> Guess:
         """Compute the guess on equal intervals.

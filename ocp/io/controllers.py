@@ -14,7 +14,7 @@ from ocp.problem.problem import Problem
 from ocp.results.result import PlanResult
 from tenscasadi.schema.field_types import PER_ITEM
 from tenscasadi.schema.value import Value
-from tenscasadi.util.validate import flag
+from tenscasadi.util.validate import Boolean
 
 
 class ControllerOptions(Value, implied="Mpc"):
@@ -59,14 +59,11 @@ class MpcOptions(ControllerOptions, kind="Mpc"):
 
     period: float = 0.05
     intervals: int = 10
-    along_plan: bool = False
+    along_plan: Boolean = False
     iterations: int = 1
     substeps: int = 1
     position_scale: float | None = None
     control_scale: float | None = None
-
-    def __post_init__(self) -> None:
-        flag("along_plan", self.along_plan)
 
     @property
     def needs_plan(self) -> bool:

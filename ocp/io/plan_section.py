@@ -35,10 +35,15 @@ from tenscasadi.schema.containers import Either, TableOf
 from tenscasadi.schema.definitions import OneOf, definition
 from tenscasadi.schema.field_types import PER_ITEM, STATE, Word
 from tenscasadi.schema.reading import Item, NotWritten, SceneFileError, call
+from tenscasadi.schema.value import check_fields
 from tenscasadi.simulation.declared import Simulation
 from tenscasadi.simulation.simulation_files import SIMULATION, START
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import MAX_REPETITIONS, positive_number, whole_number
+from tenscasadi.util.validate import (
+    MAX_REPETITIONS,
+    Positive,
+    whole,
+)
 
 METHOD = "transcription", "solver"
 _START = OfStructure(
@@ -107,16 +112,13 @@ class PlanPart:
     transcription: Transcription | None = None
     solver: Annotated[Any, OneOf(NamedSolver)] = None
     guess: Annotated[Any, OneOf(NamedGuess)] = None
-    tolerance: float | None = None
-    time_limit: float | None = None
-    n_starts: int = 1
+    tolerance: Positive | None = None
+    time_limit: Positive | None = None
+    n_starts: Annotated[int, whole(1, MAX_REPETITIONS)] = 1
     tracked: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("tolerance", "time_limit"):
-            if getattr(self, name) is not None:
-                positive_number(name, getattr(self, name))
-        whole_number("n_starts", self.n_starts, 1, MAX_REPETITIONS)
+        check_fields(self)
 
 
 _PROBLEM_ARGUMENTS = ("duration", "start", "goals", "bounds", "costs", "phases", "parameters")

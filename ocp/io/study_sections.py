@@ -22,13 +22,8 @@ from tenscasadi.schema.containers import TableOf
 from tenscasadi.schema.definitions import OneOf, definition
 from tenscasadi.schema.field_types import NUMBER, PER_ITEM, SPAN
 from tenscasadi.schema.reading import Document
-from tenscasadi.util.validate import (
-    MAX_ENTRIES,
-    flag,
-    format_value,
-    positive_number,
-    whole_number,
-)
+from tenscasadi.schema.value import check_fields
+from tenscasadi.util.validate import MAX_ENTRIES, Boolean, Count, Positive, format_value, whole
 
 
 @dataclass(frozen=True)
@@ -44,12 +39,11 @@ class Refinement:
         Maximum number of attempts.
     """
 
-    tolerance: float
-    attempts: int = 5
+    tolerance: Positive
+    attempts: Count = 5
 
     def __post_init__(self) -> None:
-        positive_number("tolerance", self.tolerance)
-        whole_number("attempts", self.attempts, 1)
+        check_fields(self)
 
     def run(self, plan: Any) -> Any:
         """Refine a plan."""
@@ -78,20 +72,16 @@ class RobustnessStudy:
 
     parameters: Annotated[Mapping[str, float] | None, TableOf(NUMBER)] = None
     start: Annotated[Any, SPAN] = 0.0
-    samples: int = 1000
-    seed: int = 0
-    tracked: bool = False
-    tolerance: float | None = None
+    samples: Annotated[int, whole(1, MAX_ENTRIES)] = 1000
+    seed: Annotated[int, whole(0)] = 0
+    tracked: Boolean = False
+    tolerance: Positive | None = None
 
     def __post_init__(self) -> None:
         spreads, _ = check_variation(self.parameters, self.start)
         if spreads:
             Parameters(scale=tuple(spreads))  # rejects unknown quantities
-        whole_number("samples", self.samples, 1, MAX_ENTRIES)
-        whole_number("seed", self.seed, 0)
-        flag("tracked", self.tracked)
-        if self.tolerance is not None:
-            positive_number("tolerance", self.tolerance)
+        check_fields(self)
 
     def run(self, plan: Any, progress: bool = False) -> Any:
         """Replay a plan many times. With `progress` a bar is shown."""
@@ -115,14 +105,13 @@ class ClosedLoopRun:
         uses.
     """
 
-    t_end: float
+    t_end: Positive
     controller: Annotated[Any, OneOf(ControllerOptions)] = field(default_factory=MpcOptions)
-    steps: int = 10
+    steps: Annotated[int, whole(1, 1000)] = 10
     parameters: Annotated[Mapping[str, Any] | None, TableOf(PER_ITEM)] = None
 
     def __post_init__(self) -> None:
-        positive_number("t_end", self.t_end)
-        whole_number("steps", self.steps, 1, 1000)
+        check_fields(self)
 
     def run(
         self, problem: Problem, find_plan: Callable[[], PlanResult], progress: bool = False

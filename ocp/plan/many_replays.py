@@ -33,6 +33,7 @@ from tenscasadi.simulation.inputs.controls import ControlProfile
 from tenscasadi.simulation.inputs.feedback import Feedback
 from tenscasadi.simulation.rollouts import rollouts
 from tenscasadi.simulation.verdict.endings import INTERRUPTED
+from tenscasadi.structure.class_one import distances
 from tenscasadi.util.validate import MAX_ENTRIES, Array, positive_number, whole_number
 
 
@@ -168,8 +169,7 @@ def _convert_to_rest_lengths(plan: Any, tracker: Any) -> tuple[Feedback, float]:
     if tracker is None:
         return _open_loop(time, rest, size), float(np.diff(time).min()) / STEPS_PER_UPDATE
     model = plan.require_model("robustness")
-    ends = model.nodes(tracker.states)[:, plan.structure.strings]
-    s = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2)[:-1]
+    s = distances(model.nodes(tracker.states), plan.structure.strings)[:-1]
     lower, upper = (
         rest_length(np.minimum(tracker.upper, k), s, k).min(axis=0),
         rest_length(tracker.lower, s, k).max(axis=0),

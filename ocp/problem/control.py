@@ -119,15 +119,6 @@ def reject_coupled_rates(model: Model, user: str) -> None:
         )
 
 
-def reject_internal_states(model: Model, user: str) -> None:
-    """Raise ValueError if the model has internal states."""
-    if model.na:
-        raise ValueError(
-            f"{user} takes no model with control={model.scene.control}: "
-            "give a model of Scene(..., control=RestLength())"
-        )
-
-
 def require_force_densities(model: Model, user: str) -> None:
     """Raise ValueError if the control is not force densities."""
     if not controls_force_densities(model):

@@ -15,12 +15,11 @@ from tenscasadi.schema.field_types import PER_ITEM
 from tenscasadi.schema.value import Value
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import (
+    Positive,
     format_value,
-    instance,
-    nonnegative,
-    number_or_vector,
+    of_type,
     per_item,
-    positive_number,
+    positive_each,
 )
 
 if TYPE_CHECKING:
@@ -150,12 +149,12 @@ class CostAt(Cost):
     """
 
     additive: ClassVar[bool] = False
-    cost: TerminalCost
-    share: float
+    cost: Annotated[TerminalCost, of_type(TerminalCost, "a cost of the end")]
+    share: Positive
 
     def __post_init__(self) -> None:
-        instance("CostAt.cost", self.cost, TerminalCost, "a cost of the end")
-        if not positive_number("CostAt.share", self.share) < 1:
+        super().__post_init__()
+        if not self.share < 1:
             raise ValueError(
                 f"CostAt.share is {self.share:g}: give a fraction of the duration between 0 and 1"
             )
@@ -200,10 +199,7 @@ class Effort(ControlCost, kind="Effort"):
     Effort(weight=2.0)
     """
 
-    weight: float = 1.0
-
-    def __post_init__(self) -> None:
-        check_weight(self)
+    weight: Positive = 1.0
 
     def terms(self) -> CostTerms:
         """Return the cost of each interval.
@@ -262,10 +258,7 @@ class Smoothness(ControlCost, kind="Smoothness"):
     Smoothness(weight=1.0)
     """
 
-    weight: float = 1.0
-
-    def __post_init__(self) -> None:
-        check_weight(self)
+    weight: Positive = 1.0
 
     def terms(self) -> CostTerms:
         """Return the cost of neighboring intervals.
@@ -321,13 +314,8 @@ class Prestress(ControlCost, kind="Prestress"):
     20.0
     """
 
-    level: Annotated[ArrayLike, PER_ITEM]
-    weight: float = 1.0
-
-    def __post_init__(self) -> None:
-        check_weight(self)
-        array = number_or_vector("Prestress.level", self.level)
-        nonnegative("Prestress.level", array, "string")
+    level: Annotated[ArrayLike, PER_ITEM, positive_each("string", zero=True)]
+    weight: Positive = 1.0
 
     def check(self, structure: Structure) -> None:
         """Check that the cost can apply to a structure.
@@ -393,10 +381,7 @@ class Duration(TerminalCost, kind="Duration"):
     """
 
     additive: ClassVar[bool] = True
-    weight: float = 1.0
-
-    def __post_init__(self) -> None:
-        check_weight(self)
+    weight: Positive = 1.0
 
     def terminal(self, end: Instant) -> Any:
         """Build the terminal cost.
@@ -446,12 +431,8 @@ class Work(RunningCost, kind="Work"):
     Work(weight=1.0, smoothing=0.1)
     """
 
-    weight: float = 1.0
-    smoothing: float = 0.1
-
-    def __post_init__(self) -> None:
-        check_weight(self)
-        object.__setattr__(self, "smoothing", positive_number("Work.smoothing", self.smoothing))
+    weight: Positive = 1.0
+    smoothing: Positive = 0.1
 
     def rate(self, now: Instant) -> Any:
         """Build the integrand of the cost.
@@ -472,13 +453,3 @@ class Work(RunningCost, kind="Work"):
             * ca.sum1(power + ca.sqrt(power**2 + self.smoothing**2) - self.smoothing)
             / 2
         )
-
-
-def check_weight(cost: Any) -> None:
-    """Check that the weight of a cost is positive.
-
-    Raises TypeError, ValueError.
-    """
-    object.__setattr__(
-        cost, "weight", positive_number(f"{type(cost).__name__}.weight", cost.weight)
-    )

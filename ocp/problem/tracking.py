@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import casadi as ca
 
-from ocp.problem.costs import RunningCost, check_weight
+from ocp.problem.costs import RunningCost
 from tenscasadi.schema.containers import MapOf
 from tenscasadi.schema.field_types import MOVING_PLACE
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import (
     IndexOrName,
+    Positive,
     call_user_function,
     coordinates,
     format_value,
@@ -66,10 +67,10 @@ class Tracking(RunningCost, kind="Tracking"):
     positions: Annotated[
         Mapping[IndexOrName, Place | Callable[[Any], Any]], MapOf("node", MOVING_PLACE)
     ]
-    weight: float = 1.0
+    weight: Positive = 1.0
 
     def __post_init__(self) -> None:
-        check_weight(self)
+        super().__post_init__()
         if not isinstance(self.positions, Mapping) or not self.positions:
             raise ValueError(
                 f"Tracking.positions is {format_value(self.positions)}: give {{node: (x, y, z)}}"

@@ -13,6 +13,7 @@ from tenscasadi.scene.strings import RestLength, Tension, rest_length
 from tenscasadi.scene.winches import RestLengthRate, Winch
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.cables import name_inputs
+from tenscasadi.structure.class_one import distances
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.tables import Quantity, Tabular
 from tenscasadi.util.validate import Array, flag, nonnegative, per_item
@@ -118,8 +119,7 @@ class PlannedForces(Tabular):
         ndarray, shape (K + 1, α)
             Lengths at the mesh points [m].
         """
-        ends = self.trajectory.nodes[:, self.structure.strings]
-        return np.asarray(np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2))
+        return distances(self.trajectory.nodes, self.structure.strings)
 
     def tension(self, end: bool = False) -> Array:
         """Compute the string tensions, force density times length.
@@ -155,10 +155,8 @@ class PlannedForces(Tabular):
         lam = model.multiplier_function.map(count)(
             self.trajectory.states[:-1].T, self.control[:count].T
         )[0]
-        ends = self.trajectory.nodes[:-1, self.structure.bars]
-        return np.asarray(
-            np.asarray(lam.full()).T * np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2)
-        )
+        lengths = distances(self.trajectory.nodes[:-1], self.structure.bars)
+        return np.asarray(lam.full()).T * lengths
 
     def rest_lengths(self, stiffness: ArrayLike | None = None) -> Array:
         """Compute the rest lengths that produce the planned force densities.

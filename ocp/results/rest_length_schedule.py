@@ -7,6 +7,7 @@ import numpy as np
 from ocp.results.replay import replay_open
 from ocp.results.result import PlanResult
 from tenscasadi.scene.strings import rest_length
+from tenscasadi.structure.class_one import distances
 from tenscasadi.util.validate import Array
 
 
@@ -34,7 +35,5 @@ def compute_rest_lengths(plan: PlanResult, stiffness: Array, updates: int) -> tu
     steps = updates * round(float(plan.time[-1] / np.diff(plan.time).min()))
     model = plan.require_model("replay_rest_lengths")
     fine = replay_open(plan, model, None, float(plan.time[-1]) / steps)
-    ends = fine.nodes[:, plan.structure.strings]
-    lengths = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2)
-    rest = rest_length(fine.control, lengths, stiffness)
+    rest = rest_length(fine.control, distances(fine.nodes, plan.structure.strings), stiffness)
     return fine.time, (rest[1:] + rest[:-1])[: len(rest) - 1] / 2

@@ -12,6 +12,7 @@ from ocp.problem.problem import Problem
 from ocp.problem.rows import RESOLUTION
 from tenscasadi.integrators.stability import lightest_mass
 from tenscasadi.statics.force_density import EquilibriumError, equilibrium_force_density
+from tenscasadi.structure.class_one import distances
 from tenscasadi.util.validate import Array, per_item
 
 
@@ -106,7 +107,7 @@ def find_symmetry_groups(problem: Problem) -> tuple[tuple[int, ...], ...]:
     )
     height = -nodes @ down / (np.linalg.norm(down) or 1.0)
     ends = np.sort(height[structure.strings], axis=1)
-    length = np.linalg.norm(nodes[structure.strings[:, 1]] - nodes[structure.strings[:, 0]], axis=1)
+    length = distances(nodes, structure.strings)
     near = RESOLUTION * float(np.linalg.norm(np.ptp(nodes, axis=0)))
     found: list[tuple[Array, list[int]]] = []
     for string, values in enumerate(np.column_stack([length, ends])):

@@ -11,7 +11,7 @@ from ocp.solvers.base import NamedSolver
 from tenscasadi.schema.containers import ListOf
 from tenscasadi.schema.field_types import InPython, Members
 from tenscasadi.util.renamed import rename_fields
-from tenscasadi.util.validate import MAX_ENTRIES, IndexOrName, flag, format_value, whole_number
+from tenscasadi.util.validate import MAX_ENTRIES, Boolean, IndexOrName, of_type, whole
 
 
 @rename_fields(watch="callback")
@@ -81,41 +81,24 @@ class Sampling(NamedSolver, kind="Sampling"):
     """
 
     groups: Annotated[Iterable[Sequence[IndexOrName]] | None, ListOf(Members("input"))] = None
-    knots: int | None = None
-    samples: int = 256
-    seed: int = 0
-    rounds: int = 40
-    iterations: int = 40
-    attempts: int = 8
-    threads: int | None = None
-    verbose: bool = False
-    callback: Annotated[Callable[[str], Any] | None, InPython()] = None
+    knots: Annotated[int | None, whole(1, 1000)] = None
+    samples: Annotated[int, whole(8, MAX_ENTRIES)] = 256
+    seed: Annotated[int, whole(0, MAX_ENTRIES)] = 0
+    rounds: Annotated[int, whole(1, MAX_ENTRIES)] = 40
+    iterations: Annotated[int, whole(0, MAX_ENTRIES)] = 40
+    attempts: Annotated[int, whole(1, MAX_ENTRIES)] = 8
+    threads: Annotated[int | None, whole(1, 1024)] = None
+    verbose: Boolean = False
+    callback: Annotated[
+        Callable[[str], Any] | None,
+        InPython(),
+        of_type(Callable, "a function of a line of text, or None"),
+    ] = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.groups is not None:
             object.__setattr__(self, "groups", read_groups("Sampling.groups", self.groups))
-        for name, least in {
-            "samples": 8,
-            "seed": 0,
-            "rounds": 1,
-            "iterations": 0,
-            "attempts": 1,
-        }.items():
-            object.__setattr__(
-                self,
-                name,
-                whole_number(f"Sampling.{name}", getattr(self, name), least, MAX_ENTRIES),
-            )
-        for name, most in {"knots": 1000, "threads": 1024}.items():
-            if getattr(self, name) is not None:
-                object.__setattr__(
-                    self, name, whole_number(f"Sampling.{name}", getattr(self, name), 1, most)
-                )
-        flag("Sampling.verbose", self.verbose)
-        if self.callback is not None and not callable(self.callback):
-            raise TypeError(
-                f"Sampling.callback is {format_value(self.callback)}: give a function of a line of text, or None"
-            )
 
 
 def read_groups(field: str, groups: Any) -> tuple[tuple[int, ...], ...]:

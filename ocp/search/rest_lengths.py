@@ -36,6 +36,7 @@ from ocp.solvers.base import Outcome
 from ocp.transcription.mesh import Guess, profile_at
 from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.winches import RestLengthRate, Winch
+from tenscasadi.structure.class_one import distances
 from tenscasadi.util.validate import Array
 
 # Their values differ between the controls: of expressions, and of the change of the control.
@@ -159,8 +160,7 @@ def convert_outcome(problem: Problem, fractions: Array, found: Outcome) -> Outco
 
 def _find_tensions(model: Model, states: Array, rest: Array) -> Array:
     """Compute the tensions (K, α) [N] of rest lengths (K, α) [m]."""
-    ends = model.nodes(states)[:, model.structure.strings]
-    lengths = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2)
+    lengths = distances(model.nodes(states), model.structure.strings)
     return np.asarray(forces_of(build_smooth_model(model), states, rest) * lengths)
 
 

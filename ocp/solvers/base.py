@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 from ocp.solvers.monitor import Monitor
 from ocp.solvers.multipliers import Duals
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.schema.value import Value
-from tenscasadi.util.validate import Array, flag, format_value, positive_number, whole_number
+from tenscasadi.util.validate import Array
 
 
 class Solution(NamedTuple):
@@ -105,16 +104,3 @@ class Solver(Protocol):
 
     def solve(self, program: Program, monitor: Monitor | None = None) -> Solution:
         """Solve a program, until the monitor stops it."""
-
-
-def check_options(
-    name: str, max_iterations: Any, tolerance: Any, verbose: Any, options: Any, example: str
-) -> None:
-    """Check the options of all solvers. Raises TypeError, ValueError."""
-    whole_number(f"{name}.max_iterations", max_iterations, 1)
-    positive_number(f"{name}.tolerance", tolerance)
-    flag(f"{name}.verbose", verbose)
-    if not isinstance(options, Mapping) or not all(isinstance(option, str) for option in options):
-        raise TypeError(
-            f"{name}.options is {format_value(options)}: give a mapping of {name}'s option names, such as {example}"
-        )

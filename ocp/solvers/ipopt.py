@@ -11,13 +11,21 @@ from typing import Annotated, Any
 import casadi as ca
 import numpy as np
 
-from ocp.solvers.base import NamedSolver, Solution, check_options
+from ocp.solvers.base import NamedSolver, Solution
 from ocp.solvers.monitor import STOPPED, Monitor, Progress
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.schema.containers import TableOf
 from tenscasadi.schema.field_types import InPython, Option
 from tenscasadi.util.renamed import RenamedAttribute, rename_fields
-from tenscasadi.util.validate import TOLERANCE, Array, flag, format_value, positive_number
+from tenscasadi.util.validate import (
+    TOLERANCE,
+    Array,
+    Boolean,
+    Count,
+    Positive,
+    format_value,
+    of_type,
+)
 
 HSL = ("ma27", "ma57", "ma77", "ma86", "ma97")  # linear solvers that CasADi does not bring along
 PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
@@ -105,32 +113,23 @@ class Ipopt(NamedSolver, kind="Ipopt", earlier="Fatrop"):
     (True, True)
     """
 
-    max_iterations: int = 300
-    tolerance: float = 1e-8
-    verbose: bool = False
+    max_iterations: Count = 300
+    tolerance: Positive = 1e-8
+    verbose: Boolean = False
     options: Annotated[Mapping[str, Any], TableOf(Option())] = field(default_factory=dict)
-    time_limit: float | None = None
-    callback: Annotated[Watcher | None, InPython()] = None
-    warm_start: bool = False
-    restart_at_saddle: bool = True
+    time_limit: Positive | None = None
+    callback: Annotated[
+        Watcher | None, InPython(), of_type(Callable, "a function of an ocp.Progress, or None")
+    ] = None
+    warm_start: Boolean = False
+    restart_at_saddle: Boolean = True
 
     def __post_init__(self) -> None:
-        check_options(
-            "Ipopt",
-            self.max_iterations,
-            self.tolerance,
-            self.verbose,
-            self.options,
-            "{'mu_strategy': 'adaptive'}",
-        )
-        if self.time_limit is not None:
-            positive_number("Ipopt.time_limit", self.time_limit)
-        if self.callback is not None and not callable(self.callback):
-            raise TypeError(
-                f"Ipopt.callback is {format_value(self.callback)}: give a function of an ocp.Progress, or None"
-            )
-        for name in ("warm_start", "restart_at_saddle"):
-            flag(f"Ipopt.{name}", getattr(self, name))
+        super().__post_init__()
+        named = isinstance(self.options, Mapping) and all(isinstance(o, str) for o in self.options)
+        if not named:
+            example = "a mapping of Ipopt's option names, such as {'mu_strategy': 'adaptive'}"
+            raise TypeError(f"Ipopt.options is {format_value(self.options)}: give {example}")
         _check_library(self.options)
 
     def solve(self, program: Program, monitor: Monitor | None = None) -> Solution:

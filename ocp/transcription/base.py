@@ -26,7 +26,7 @@ from tenscasadi.schema.containers import Either
 from tenscasadi.schema.definitions import OneOf
 from tenscasadi.schema.field_types import TIMES, WHOLE
 from tenscasadi.schema.value import Value
-from tenscasadi.util.validate import Array, instance, positive_number
+from tenscasadi.util.validate import Array, Check, Positive, of_type
 
 
 class Defects(NamedTuple):
@@ -61,23 +61,17 @@ class Transcription(Value):
         Default: no correction.
     """
 
-    intervals: Annotated[Intervals, Either((list, tuple), TIMES, WHOLE)] = 40
-    control: Annotated[Profile, OneOf(NamedProfile)] = field(
-        default=PiecewiseConstant(), kw_only=True
+    intervals: Annotated[Intervals, Either((list, tuple), TIMES, WHOLE), Check(check_intervals)] = (
+        40
     )
-    accuracy: float | None = field(default=None, kw_only=True)
-
-    def __post_init__(self) -> None:
-        name = type(self).__name__
-        object.__setattr__(self, "intervals", check_intervals(f"{name}.intervals", self.intervals))
-        instance(
-            f"{name}.control",
-            self.control,
-            (PiecewiseConstant, PiecewiseLinear),
-            "ocp.PiecewiseConstant() or ocp.PiecewiseLinear()",
-        )
-        if self.accuracy is not None:
-            positive_number(f"{name}.accuracy", self.accuracy)
+    control: Annotated[
+        Profile,
+        OneOf(NamedProfile),
+        of_type(
+            (PiecewiseConstant, PiecewiseLinear), "ocp.PiecewiseConstant() or ocp.PiecewiseLinear()"
+        ),
+    ] = field(default=PiecewiseConstant(), kw_only=True)
+    accuracy: Positive | None = field(default=None, kw_only=True)
 
     @property
     def count(self) -> int:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from ocp.transcription.runge_kutta import RungeKuttaTranscription
 from tenscasadi.integrators.collocation import Collocation
-from tenscasadi.util.validate import Array, whole_number
+from tenscasadi.util.validate import Array, whole
 
 
 @dataclass(frozen=True)
@@ -58,14 +59,7 @@ class DirectCollocation(RungeKuttaTranscription, kind="DirectCollocation", earli
     (True, (4, 2))
     """
 
-    degree: int = 2
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if whole_number("DirectCollocation.degree", self.degree, 1) > 9:
-            raise ValueError(
-                f"DirectCollocation.degree is {self.degree}: give at most 9, and more intervals"
-            )
+    degree: Annotated[int, whole(1, 9)] = 2  # with more intervals, none above is needed
 
     @property
     def coefficients(self) -> tuple[Array, Array]:

@@ -27,6 +27,7 @@ from tenscasadi.util.validate import (
     format_value,
     index_or_name,
     positive_number,
+    whole,
     whole_number,
 )
 
@@ -77,6 +78,7 @@ class NamedProfile(Value):
     groups: Annotated[tuple[tuple[IndexOrName, ...], ...], ListOf(Members("input"))] = ()
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         field = f"{type(self).__name__}.groups"
         try:
             groups = tuple(tuple(group) for group in self.groups)
@@ -121,12 +123,7 @@ class PiecewiseConstant(NamedProfile, kind="PiecewiseConstant"):
     """
 
     linear: ClassVar[bool] = False
-    max_changes: int | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.max_changes is not None:
-            whole_number("PiecewiseConstant.max_changes", self.max_changes, 0)
+    max_changes: Annotated[int | None, whole(0)] = None
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from ocp.transcription.runge_kutta import RungeKuttaTranscription
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import NamedScheme, Scheme, check_scheme
 from tenscasadi.schema.definitions import OneOf
-from tenscasadi.util.validate import Array, format_value, whole_number
+from tenscasadi.util.validate import Array, format_value, whole
 
 
 @dataclass(frozen=True)
@@ -68,11 +68,10 @@ class MultipleShooting(RungeKuttaTranscription, kind="MultipleShooting"):
     """
 
     scheme: Annotated[Scheme, OneOf(NamedScheme)] = field(default_factory=RungeKutta4)
-    substeps: int = 1
+    substeps: Annotated[int, whole(1, 10_000)] = 1
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        whole_number("MultipleShooting.substeps", self.substeps, 1, 10_000)
         check_scheme(self.scheme, "MultipleShooting.scheme")
         if not hasattr(self.scheme, "coefficients"):
             raise ValueError(

@@ -19,6 +19,7 @@ from tenscasadi.statics.solver.constrained_eigenproblem import (
     fastest_rate,
     lowest_eigenpairs,
 )
+from tenscasadi.structure.class_one import distances
 from tenscasadi.structure.names import add_names
 from tenscasadi.util.immutable import ReadOnlyArrays
 from tenscasadi.util.linear_algebra import DENSE
@@ -270,9 +271,7 @@ def _reject_degenerate(model: Model, state: Array, *values: Any) -> None:
     structure, nodes = model.structure, model.nodes(state)
     reason = "the forces or the accelerations there are not finite"
     for kind, pairs in (("bar", structure.bars), ("string", structure.strings)):
-        short = np.flatnonzero(
-            np.linalg.norm(nodes[pairs[:, 1]] - nodes[pairs[:, 0]], axis=1) == 0.0
-        )
+        short = np.flatnonzero(distances(nodes, pairs) == 0.0)
         if len(short):
             reason = f"{kind} {short[0]} has no length, its nodes {pairs[short[0]][0]} and {pairs[short[0]][1]} coincide"
             break

@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
@@ -21,6 +21,8 @@ from tenscasadi.integrators.events import build_events
 from tenscasadi.integrators.runge_kutta import DormandPrince54, DormandPrince853
 from tenscasadi.integrators.scheme import Scheme, extent
 from tenscasadi.integrators.stability import find_limit
+from tenscasadi.schema.field_types import POINTS
+from tenscasadi.schema.value import check_fields
 from tenscasadi.simulation.engine.roll import COMPARED
 from tenscasadi.simulation.inputs.controls import ControlInput
 from tenscasadi.simulation.inputs.resolution import UNRESOLVED
@@ -30,7 +32,14 @@ from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.compile import read_compiled
 from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.troubleshooting import add_address
-from tenscasadi.util.validate import Array, finite_array, flag, positive_number
+from tenscasadi.util.validate import (
+    Array,
+    NonNegative,
+    Positive,
+    finite_array,
+    flag,
+    positive_number,
+)
 
 _FINER = 4  # refinement factor between pairs of solutions
 _TOLERANCES = (1e-10, 1e-12, 1e-14)
@@ -68,19 +77,13 @@ class ReferenceSolution:
     (2, 3)
     """
 
-    nodes: Array
-    error: float
-    t_end: float
+    nodes: Annotated[Array, POINTS]
+    error: NonNegative
+    t_end: Positive
     message: str = ""
 
     def __post_init__(self) -> None:
-        object.__setattr__(
-            self, "nodes", finite_array("ReferenceSolution.nodes", self.nodes, (None, 3))
-        )
-        object.__setattr__(
-            self, "error", positive_number("ReferenceSolution.error", self.error, zero=True)
-        )
-        object.__setattr__(self, "t_end", positive_number("ReferenceSolution.t_end", self.t_end))
+        check_fields(self)
 
 
 @rename_keywords(

@@ -25,6 +25,7 @@ from tenscasadi.design.force_density_method import (
 )
 from tenscasadi.design.form_program import FEASIBLE, FormProgram, Goals
 from tenscasadi.structure.cables import reject_cable_friction
+from tenscasadi.structure.class_one import member_vectors
 from tenscasadi.structure.equilibrium_matrix import balance_columns, free_directions, member_pairs
 from tenscasadi.structure.names import add_names, name_errors
 from tenscasadi.structure.properties import NodalLoads, read_loads
@@ -250,7 +251,7 @@ def _assess(
     q = np.where(np.abs(q).max(initial=0.0) > ROUNDING * scale, q, 0.0)
     strings = len(structure.strings)
     pairs = member_pairs(structure)
-    vectors = nodes[pairs[:, 1]] - nodes[pairs[:, 0]]
+    vectors = member_vectors(nodes, pairs)
     lengths = np.linalg.norm(vectors, axis=1)
     forces = q * lengths
     short = bool(np.any(lengths <= TOLERANCE * np.ptp(nodes)))

@@ -15,6 +15,7 @@ from tenscasadi.statics.solver.constrained_eigenproblem import SaddlePoint
 from tenscasadi.statics.solver.motions import softest_motions
 from tenscasadi.statics.solver.sparse_pattern import MatrixEntries, SparsePattern
 from tenscasadi.structure.cables import add_compliances, find_units
+from tenscasadi.structure.class_one import member_vectors
 from tenscasadi.structure.equilibrium_matrix import body_pairs, free_directions, member_pairs
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.immutable import keep
@@ -55,7 +56,7 @@ class TangentStiffness:
         self.structure = structure
         held = body_pairs(structure)
         self.pairs = np.concatenate([member_pairs(structure), held])
-        vectors = structure.nodes[self.pairs[:, 1]] - structure.nodes[self.pairs[:, 0]]
+        vectors = member_vectors(structure.nodes, self.pairs)
         self.lengths = np.linalg.norm(vectors, axis=1)
         self.directions = vectors / self.lengths[:, None]
         own = find_units(structure)
@@ -163,15 +164,6 @@ class TangentStiffness:
         """Free coordinates without the fewest that exclude rigid-body motions."""
         order = qr(self.rigid_body.T, mode="r", pivoting=True)[1]
         return np.sort(order[self.rigid_body.shape[1] :])
-
-    @cached_property
-    def freedom(self) -> int:
-        """Number of independent motions that preserve the lengths of rigid bars.
-
-        Rigid-body motions are left out.
-        """
-        held = np.concatenate([self.J.toarray(), self.rigid_body.T])
-        return int(self.J.shape[1] - np.linalg.matrix_rank(held, tol=1e-9))
 
     def tension_change(self, q: Array, loads: Array) -> Array:
         """Compute the change of tensions (μ, cases) [N].

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tenscasadi.drawing.style import STYLE
+from tenscasadi.structure.class_one import distances
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import Array, Indices
@@ -273,9 +274,7 @@ class ViewContent:
         """
         motion, whole = self.motions[0], self.size
         members = motion.bars if len(motion.bars) else motion.strings
-        ends = motion.nodes[0][members]
-        lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-        typical = float(np.median(lengths)) if len(members) else 0.0
+        typical = float(np.median(distances(motion.nodes[0], members))) if len(members) else 0.0
         length = typical if 0 < typical < np.inf else whole
         return max(self.least_radius, STYLE.bar_radius * length)
 

@@ -14,6 +14,7 @@ from tenscasadi.integrators.stabilization import build_projection
 from tenscasadi.scene.failed_strings import find_failed
 from tenscasadi.simulation.engine.build import build_kernel
 from tenscasadi.simulation.engine.kernel import BROKEN_BARS
+from tenscasadi.structure.class_one import distances
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.validate import Array, call_user_function, finite_array
 
@@ -178,13 +179,9 @@ class Episodes:
     def _find_broken(self, nodes: Array) -> Any:
         """Find episodes (n,) with an invalid bar length."""
         structure = self.task.model.scene.structure
-        ends, own = nodes[:, structure.bars], structure.nodes[structure.bars]
-        lengths = np.linalg.norm(own[:, 1] - own[:, 0], axis=1)
-        return np.any(
-            np.abs(np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2) - lengths)
-            > BROKEN_BARS * lengths,
-            axis=1,
-        )
+        lengths = structure.bar_lengths
+        error = np.abs(distances(nodes, structure.bars) - lengths)
+        return np.any(error > BROKEN_BARS * lengths, axis=1)
 
     def _inputs(self, action: Array) -> Array:
         """Build the inputs (n, intervals, nw) of one period.

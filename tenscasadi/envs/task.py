@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,12 +12,15 @@ from numpy.typing import ArrayLike
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import Correction, Projection, check_correction
 from tenscasadi.scene.strings import RestLength
+from tenscasadi.schema.value import check_fields
 from tenscasadi.simulation.verdict.starts import off_constraints
 from tenscasadi.util.renamed import rename_fields
 from tenscasadi.util.validate import (
+    MAX_ENTRIES,
     Array,
+    Boolean,
+    Positive,
     finite_array,
-    flag,
     format_value,
     instance,
     nesting,
@@ -25,7 +28,7 @@ from tenscasadi.util.validate import (
     per_item,
     positive_number,
     text,
-    whole_number,
+    whole,
 )
 
 
@@ -137,16 +140,16 @@ class Task:
     lower: ArrayLike
     upper: ArrayLike
     rest_length_rate: ArrayLike | None = None
-    period: float = 0.05
-    steps: int = 10
-    duration: float = 5.0
+    period: Positive = 0.05
+    steps: Annotated[int, whole(1, MAX_ENTRIES)] = 10
+    duration: Positive = 5.0
     state: ArrayLike | None = None
     start: float | tuple[float, float] = 0.0
     parameters: Mapping[str, float] = field(default_factory=dict)
     observation: Callable[[Array, Array, Array], ArrayLike] | None = None
     terminated: Callable[[Transition], ArrayLike] | None = None
     correction: Correction | None = Projection(10)  # noqa: RUF009  frozen
-    end_on_failure: bool = False
+    end_on_failure: Boolean = False
 
     def __post_init__(self) -> None:
         model = self.model
@@ -158,14 +161,11 @@ class Task:
             given = getattr(self, name)
             if not callable(given) and (name == "reward" or given is not None):
                 raise TypeError(f"Task.{name} is {format_value(given)}: give a function")
-        flag("Task.end_on_failure", self.end_on_failure)
-        whole_number("Task.steps", self.steps, 1, 10**6)  # about a second of computation
+        check_fields(self)
         state = model.initial_state if self.state is None else self.state
         own: dict[str, Any] = {
             "lower": self._per_string("lower", strict=self.controls_rest_lengths),
             "upper": self._per_string("upper", strict=self.controls_rest_lengths),
-            "period": positive_number("Task.period", self.period),
-            "duration": positive_number("Task.duration", self.duration),
             "state": finite_array("Task.state", state, (model.nx,)),
             "start": read_spread("Task.start", self.start),
             "parameters": _read_spreads(model, self.parameters),

@@ -15,6 +15,7 @@ import numpy as np
 from tenscasadi.drawing.hulls import find_hulls
 from tenscasadi.dynamics.model import Model
 from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.structure.class_one import distances
 from tenscasadi.util.validate import Array, file_path, instance, whole_number
 from tenscasadi.util.whole_file import whole_file
 
@@ -129,10 +130,7 @@ def _frame(meshio: Any, run: Trajectory, row: int, bar_force_density: Array) -> 
     """Build the mesh of one saved time."""
     nodes, pinned = run.nodes[row], np.zeros(run.nodes.shape[1])
     pinned[run.pinned] = 1
-    lengths = [
-        np.linalg.norm(nodes[pairs[:, 1]] - nodes[pairs[:, 0]], axis=1)
-        for pairs in (run.bars, run.strings)
-    ]
+    lengths = [distances(nodes, pairs) for pairs in (run.bars, run.strings)]
     hulls = find_hulls(None if run.scene is None else run.scene.structure)
     body = np.repeat(np.arange(float(len(hulls))), [len(hull) for hull in hulls])
     faces = np.concatenate([np.zeros((0, 3), dtype=np.intp), *hulls])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import casadi as ca
 import numpy as np
@@ -15,7 +15,7 @@ from tenscasadi.integrators.stage_iteration import (
     solve_stages,
     stage_states,
 )
-from tenscasadi.util.validate import Array, choice, positive_number, whole_number
+from tenscasadi.util.validate import Array, Count, Positive, one_of, whole
 
 if TYPE_CHECKING:
     from tenscasadi.dynamics.model import Model
@@ -69,21 +69,12 @@ class Collocation(NamedScheme, kind="Collocation"):
     True
     """
 
-    degree: int = 2
-    points: Literal["gauss", "radau"] = "gauss"
-    tolerance: float = 1e-10
-    iterations: int = 60
+    degree: Annotated[int, whole(1, 9)] = 2
+    points: Annotated[Literal["gauss", "radau"], one_of("gauss", "radau")] = "gauss"
+    tolerance: Positive = 1e-10
+    iterations: Count = 60
     adaptive: ClassVar[bool] = False
     implicit: ClassVar[bool] = True
-
-    def __post_init__(self) -> None:
-        if whole_number("Collocation.degree", self.degree, 1) > 9:
-            raise ValueError(f"Collocation.degree is {self.degree}: give 1 to 9")
-        choice("Collocation.points", self.points, "gauss", "radau")
-        object.__setattr__(
-            self, "tolerance", positive_number("Collocation.tolerance", self.tolerance)
-        )
-        whole_number("Collocation.iterations", self.iterations, 1)
 
     @property
     def order(self) -> int:

@@ -21,7 +21,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import Complex, NamedScheme
 from tenscasadi.integrators.tableaux import CLASSICAL, MIDPOINT, SUZUKI, Tableau
 from tenscasadi.scene.dissipation import has_friction, is_damped
-from tenscasadi.util.validate import Array, format_value, whole_number
+from tenscasadi.util.validate import Array, Count, format_value
 
 _FRACTIONS: dict[int, Array] = {2: np.ones(1), 4: SUZUKI}
 _KICKS = {2: MIDPOINT, 4: CLASSICAL}
@@ -82,7 +82,7 @@ class Rattle(NamedScheme, kind="Rattle"):
     """
 
     order: int = 2
-    iterations: int = 6
+    iterations: Count = 6
     adaptive: ClassVar[bool] = False
     implicit: ClassVar[bool] = False
 
@@ -93,7 +93,7 @@ class Rattle(NamedScheme, kind="Rattle"):
             or self.order not in _FRACTIONS
         ):
             raise ValueError(f"Rattle.order is {format_value(self.order)}: give 2 or 4")
-        whole_number("Rattle.iterations", self.iterations, 1)
+        super().__post_init__()
 
     def step(self, ode: ca.Function) -> ca.Function:
         """Reject an ordinary differential equation.

@@ -13,7 +13,7 @@ import numpy as np
 from tenscasadi.integrators.scheme import (
     Complex,
     NamedScheme,
-    check_relative_tolerance,
+    RelativeTolerance,
     equations,
     extent,
     stability_limit,
@@ -24,7 +24,12 @@ from tenscasadi.integrators.tableaux import (
     DORMAND_PRINCE_853,
     Tableau,
 )
-from tenscasadi.util.validate import Array, format_value, positive_number, whole_number
+from tenscasadi.util.validate import (
+    Array,
+    Count,
+    NonNegative,
+    format_value,
+)
 
 if TYPE_CHECKING:
     from tenscasadi.dynamics.model import Model
@@ -125,22 +130,17 @@ class EmbeddedRungeKutta(ExplicitRungeKutta):
     They take fixed steps, or choose their steps if `rtol` is given.
     """
 
-    rtol: float | None = None
-    atol: float | None = None
-    max_attempts: int = 100_000
+    rtol: RelativeTolerance | None = None
+    atol: NonNegative | None = None
+    max_attempts: Count = 100_000
     order: ClassVar[int]
 
     def __post_init__(self) -> None:
-        name = type(self).__name__
-        if self.rtol is not None:
-            object.__setattr__(self, "rtol", check_relative_tolerance(f"{name}.rtol", self.rtol))
-        if self.atol is not None:
-            if self.rtol is None:
-                raise ValueError(
-                    f"{name}.atol is {format_value(self.atol)}, but rtol is None: give both for control of the error, or neither"
-                )
-            object.__setattr__(self, "atol", positive_number(f"{name}.atol", self.atol, zero=True))
-        whole_number(f"{name}.max_attempts", self.max_attempts, 1)
+        super().__post_init__()
+        if self.atol is not None and self.rtol is None:
+            raise ValueError(
+                f"{type(self).__name__}.atol is {format_value(self.atol)}, but rtol is None: give both for control of the error, or neither"
+            )
 
     @property
     def adaptive(self) -> bool:

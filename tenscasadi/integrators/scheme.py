@@ -5,7 +5,7 @@ A scheme turns a model, or x' = ode(x, u), into one step x⁺ = step(x, u, h), a
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Annotated, Any, Protocol, runtime_checkable
 
 import casadi as ca
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tenscasadi.dynamics.base_model import check_model
 from tenscasadi.schema.value import Value
-from tenscasadi.util.validate import Array, format_value, instance, positive_number
+from tenscasadi.util.validate import Array, Check, format_value, instance, positive_number
 
 if TYPE_CHECKING:
     from tenscasadi.dynamics.model import Model
@@ -144,6 +144,9 @@ def check_relative_tolerance(field: str, value: Any) -> float:
             f"{field} is {rtol:g}: give 1e-15 or more, which is rounding, and less than 1"
         )
     return rtol
+
+
+RelativeTolerance = Annotated[float, Check(check_relative_tolerance)]
 
 
 def extent(model: Model) -> float:

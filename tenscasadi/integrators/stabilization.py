@@ -18,7 +18,7 @@ from tenscasadi.dynamics.constraint_forces import (
 )
 from tenscasadi.schema.value import Value
 from tenscasadi.util.casadi_tools import sparse, symbol_kind
-from tenscasadi.util.validate import instance, positive_number, whole_number
+from tenscasadi.util.validate import Count, Positive, instance
 
 if TYPE_CHECKING:
     from tenscasadi.dynamics.mechanism import Mechanism
@@ -97,12 +97,8 @@ class Projection(Correction, kind="Projection"):
     True
     """
 
-    every: int = 1
-    iterations: int = 3
-
-    def __post_init__(self) -> None:
-        whole_number("Projection.every", self.every, 1)
-        whole_number("Projection.iterations", self.iterations, 1)
+    every: Count = 1
+    iterations: Count = 3
 
     def _build(self, model: Model) -> ca.Function:
         return build_projection(model, self.iterations)
@@ -143,14 +139,8 @@ class BarLengthCorrection(Correction, kind="BarLengthCorrection"):
     True
     """
 
-    weight: float = 1.0
-    every: int = 1
-
-    def __post_init__(self) -> None:
-        object.__setattr__(
-            self, "weight", positive_number("BarLengthCorrection.weight", self.weight)
-        )
-        whole_number("BarLengthCorrection.every", self.every, 1)
+    weight: Positive = 1.0
+    every: Count = 1
 
     def _build(self, model: Model) -> ca.Function:
         if model.mechanism.system_size and not model.mechanism.joints:

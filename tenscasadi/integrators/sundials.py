@@ -18,12 +18,12 @@ from tenscasadi.integrators.events import build_mode_ode, count_switches, split_
 from tenscasadi.integrators.scheme import (
     Complex,
     NamedScheme,
-    check_relative_tolerance,
+    RelativeTolerance,
     equations,
     extent,
 )
 from tenscasadi.util.casadi_tools import sparse
-from tenscasadi.util.validate import flag, positive_number, whole_number
+from tenscasadi.util.validate import Boolean, Count, Positive
 
 if TYPE_CHECKING:
     from tenscasadi.dynamics.model import Model
@@ -39,22 +39,14 @@ class Sundials(NamedScheme):
     detects them. CasADi 3.8.2's own events are experimental there and miss crossings.
     """
 
-    rtol: float = 1e-8
-    atol: float | None = None
-    max_steps: int = 100_000
-    locate_events: bool = False
+    rtol: RelativeTolerance = 1e-8
+    atol: Positive | None = None
+    max_steps: Count = 100_000
+    locate_events: Boolean = False
     order: ClassVar[int] = 5
     adaptive: ClassVar[bool] = True
     implicit: ClassVar[bool] = True
     plugin: ClassVar[str]
-
-    def __post_init__(self) -> None:
-        name = type(self).__name__
-        object.__setattr__(self, "rtol", check_relative_tolerance(f"{name}.rtol", self.rtol))
-        if self.atol is not None:
-            object.__setattr__(self, "atol", positive_number(f"{name}.atol", self.atol))
-        whole_number(f"{name}.max_steps", self.max_steps, 1)
-        flag(f"{name}.locate_events", self.locate_events)
 
     def _build_step(self, ode: ca.Function) -> ca.Function:
         x, u = ca.MX.sym("x", ode.size1_in(0)), ca.MX.sym("u", ode.size1_in(1))

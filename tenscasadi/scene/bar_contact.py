@@ -15,11 +15,12 @@ from tenscasadi.schema.value import Value
 from tenscasadi.util.validate import (
     IndexOrName,
     Indices,
+    NonNegative,
+    Positive,
     as_tuple,
     format_value,
     index_or_name,
     node_index,
-    positive_number,
 )
 
 
@@ -72,29 +73,21 @@ class BarContact(Value, kind="BarContact"):
     """
 
     pairs: Annotated[Sequence[Sequence[IndexOrName]] | None, ListOf(Members("bar"))] = None
-    stiffness: float = 1e4
-    damping: float = 0.0
-    friction: float | None = None
-    slip_speed: float = 1e-3
+    stiffness: Positive = 1e4
+    damping: NonNegative = 0.0
+    friction: Positive | None = None
+    slip_speed: Positive = 1e-3
 
     def __post_init__(self) -> None:
-        own: dict[str, Any] = {
-            "stiffness": positive_number("BarContact.stiffness", self.stiffness),
-            "damping": positive_number("BarContact.damping", self.damping, zero=True),
-            "friction": None
-            if self.friction is None
-            else positive_number("BarContact.friction", self.friction),
-            "slip_speed": positive_number("BarContact.slip_speed", self.slip_speed),
-        }
+        super().__post_init__()
         if self.pairs is not None:
             given = as_tuple("BarContact.pairs", self.pairs, "[(0, 1)]")
-            own["pairs"] = tuple(_read_pair(k, pair) for k, pair in enumerate(given))
-            if not given or len({frozenset(pair) for pair in own["pairs"]}) < len(given):
+            pairs = tuple(_read_pair(k, pair) for k, pair in enumerate(given))
+            if not given or len({frozenset(pair) for pair in pairs}) < len(given):
                 raise ValueError(
                     f"BarContact.pairs is {format_value(given)}: give each pair once, or None for all"
                 )
-        for name, value in own.items():
-            object.__setattr__(self, name, value)
+            object.__setattr__(self, "pairs", pairs)
 
     @property
     def conservative(self) -> bool:

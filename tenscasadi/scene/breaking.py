@@ -15,6 +15,8 @@ from tenscasadi.schema.value import Value
 from tenscasadi.util.validate import (
     Array,
     IndexOrName,
+    NonNegative,
+    Positive,
     format_value,
     node_index,
     nonnegative,
@@ -40,11 +42,12 @@ class Strength(Value, implied="Breaking"):
     verb: ClassVar[str]
     breaks: ClassVar[bool]
     force: Any
-    margin: float
+    margin: NonNegative
 
     def __post_init__(self) -> None:
         name = type(self).__name__
-        if positive_number(f"{name}.margin", self.margin, zero=True) >= 1:
+        super().__post_init__()
+        if self.margin >= 1:
             raise ValueError(f"{name}.margin is {self.margin:g}: give less than 1")
         given, field = self.force, f"{name}.force"
         if isinstance(given, Mapping):
@@ -161,7 +164,7 @@ class Breaking(Strength, kind="Breaking"):
         for_items("string", NUMBER, LIMITS),
     ]
 
-    margin: float = 0.05
+    margin: NonNegative = 0.05
 
 
 @dataclass(frozen=True)
@@ -223,9 +226,5 @@ class Yielding(Strength, kind="Yielding"):
         ArrayLike | Mapping[IndexOrName, float],
         for_items("string", NUMBER, LIMITS),
     ]
-    viscosity: float
-    margin: float = 0.05
-
-    def __post_init__(self) -> None:
-        positive_number("Yielding.viscosity", self.viscosity)
-        super().__post_init__()
+    viscosity: Positive
+    margin: NonNegative = 0.05

@@ -19,13 +19,13 @@ from tenscasadi.util.validate import (
     Array,
     IndexOrName,
     Indices,
+    NonNegative,
+    Number,
+    Positive,
     as_tuple,
     check_indices,
-    finite_array,
     format_value,
     index_or_name,
-    number,
-    positive_number,
 )
 
 BARS = Either((str,), Word(("all",)), Members("bar"))
@@ -204,24 +204,12 @@ class Surface(Value, ABC, implied="Ground"):
         """
         return find_switching(self, self.contact(N), V)
 
-    def _check_fields(self, **others: Any) -> None:
-        """Check the common fields of surfaces, and set `others`."""
-        name = type(self).__name__
-        checked = {
-            "stiffness": positive_number(f"{name}.stiffness", self.stiffness),
-            "damping": positive_number(f"{name}.damping", self.damping, zero=True),
-            "friction": None
-            if self.friction is None
-            else positive_number(f"{name}.friction", self.friction),
-            "slip_speed": positive_number(f"{name}.slip_speed", self.slip_speed),
-            "nodes": None
-            if self.nodes is None
-            else _distinct(f"{name}.nodes", self.nodes, "node", "all", self.bars is not None),
-            "bars": _read_bars(f"{name}.bars", self.bars),
-            **others,
-        }
-        for field, value in checked.items():
-            object.__setattr__(self, field, value)
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        name, nodes = type(self).__name__, self.nodes
+        if nodes is not None:
+            nodes = _distinct(f"{name}.nodes", nodes, "node", "all", self.bars is not None)
+        self.__dict__.update(nodes=nodes, bars=_read_bars(f"{name}.bars", self.bars))
 
 
 def _distinct(field: str, given: Any, item: str, none: str, empty: bool) -> tuple[int, ...]:
@@ -292,17 +280,18 @@ class Ground(Surface, kind="Ground"):
     >>> scene = tc.Scene(tc.shapes.prism(), gravity=tc.Gravity(), ground=[slope, wall])
     """
 
-    stiffness: float = 1e4
-    damping: float = 0.0
-    friction: float | None = None
-    height: float = 0.0
+    stiffness: Positive = 1e4
+    damping: NonNegative = 0.0
+    friction: Positive | None = None
+    height: Number = 0.0
     normal: Annotated[Sequence[float], VECTOR] = (0.0, 0.0, 1.0)
-    slip_speed: float = 1e-3
+    slip_speed: Positive = 1e-3
     nodes: Annotated[Iterable[IndexOrName] | None, Members("node")] = None
     bars: Annotated[Iterable[IndexOrName] | str | None, BARS] = None
 
     def __post_init__(self) -> None:
-        normal = finite_array("Ground.normal", self.normal, (3,))
+        super().__post_init__()
+        normal = np.asarray(self.normal)
         if not normal.any():
             raise ValueError(
                 "Ground.normal is (0, 0, 0): give the direction away from the ground, such as (0, 0, 1)"
@@ -311,8 +300,7 @@ class Ground(Surface, kind="Ground"):
         if abs(size - 1) >= 1e-15:  # a unit normal stays equal to the last bit
             normal = normal / np.abs(normal).max()  # its square neither vanishes nor overflows
             normal = normal / np.linalg.norm(normal)
-        unit = tuple(float(v) for v in normal)
-        self._check_fields(height=number("Ground.height", self.height), normal=unit)
+        object.__setattr__(self, "normal", tuple(float(v) for v in normal))
 
     def contact(self, N: Any) -> Contact:
         """Compute the penetration depths of nodes.

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import casadi as ca
 import numpy as np
 
 from tenscasadi.scene.control import Control
 from tenscasadi.schema.value import Value
-from tenscasadi.util.validate import Array, choice, positive_number
+from tenscasadi.util.validate import Array, Positive, one_of
 
 
 @dataclass(frozen=True)
@@ -162,10 +162,7 @@ class Clip(StringLaw, kind="Clip"):
 
     switches: ClassVar[bool] = True
     pushes: ClassVar[bool] = False
-    damping: Literal["clamped", "unclamped"] = "clamped"
-
-    def __post_init__(self) -> None:
-        choice("Clip.damping", self.damping, "clamped", "unclamped")
+    damping: Annotated[Literal["clamped", "unclamped"], one_of("clamped", "unclamped")] = "clamped"
 
     @property
     def clamps(self) -> bool:
@@ -284,10 +281,7 @@ class Smooth(StringLaw, kind="Smooth"):
 
     switches: ClassVar[bool] = False
     pushes: ClassVar[bool] = False
-    width: float
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "width", positive_number("Smooth.width", self.width))
+    width: Positive
 
     def force_density(
         self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any, taut: Any = None

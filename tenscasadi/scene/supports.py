@@ -36,7 +36,6 @@ from tenscasadi.util.validate import (
     TOLERANCE,
     Array,
     IndexOrName,
-    finite_array,
     format_value,
     node_index,
 )
@@ -96,8 +95,7 @@ class SupportMotion(Value, kind="SupportMotion"):
                     "give a function of time that returns (x, y, z)"
                 )
         object.__setattr__(self, "positions", positions)
-        times = finite_array("SupportMotion.breakpoints", self.breakpoints, (None,))
-        object.__setattr__(self, "breakpoints", times)
+        super().__post_init__()
 
     @property
     def field(self) -> str:

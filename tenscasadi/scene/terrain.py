@@ -18,8 +18,9 @@ from tenscasadi.util.validate import (
     MAX_COUNT,
     Array,
     IndexOrName,
-    finite_array,
-    whole_number,
+    NonNegative,
+    Positive,
+    whole,
 )
 
 
@@ -88,37 +89,32 @@ class Terrain(ReadOnlyArrays, Surface, kind="Terrain"):
     heights: Annotated[Any, TABLE]
     lower: Annotated[Sequence[float], PAIR]
     upper: Annotated[Sequence[float], PAIR]
-    stiffness: float = 1e4
-    damping: float = 0.0
-    friction: float | None = None
-    slip_speed: float = 1e-3
+    stiffness: Positive = 1e4
+    damping: NonNegative = 0.0
+    friction: Positive | None = None
+    slip_speed: Positive = 1e-3
     nodes: Annotated[Iterable[IndexOrName] | None, Members("node")] = None
     bars: Annotated[Iterable[IndexOrName] | str | None, BARS] = None
-    bar_points: int | None = None
+    bar_points: Annotated[int | None, whole(2, MAX_COUNT)] = None
 
     def __post_init__(self) -> None:
-        heights = finite_array("Terrain.heights", self.heights, (None, None))
-        if min(heights.shape) < 2:
+        Surface.__post_init__(self)
+        if min(self.heights.shape) < 2:
             raise ValueError(
-                f"Terrain.heights has shape {heights.shape}: give at least two points along each axis"
+                f"Terrain.heights has shape {self.heights.shape}: give at least two points along each axis"
             )
-        corners = {
-            name: tuple(finite_array(f"Terrain.{name}", getattr(self, name), (2,)).tolist())
-            for name in ("lower", "upper")
-        }
+        corners = {name: tuple(map(float, getattr(self, name))) for name in ("lower", "upper")}
+        self.__dict__.update(corners)
         for axis, (low, high) in enumerate(zip(*corners.values(), strict=True)):
             if not high - low >= 1e-9 * max(abs(low), abs(high), 1e-90):
                 raise ValueError(
                     f"Terrain.lower is {low:g} and .upper {high:g} along {'xy'[axis]}: "
                     "give lower < upper"
                 )
-        if (points := self.bar_points) is not None:
-            points = whole_number("Terrain.bar_points", points, 2, MAX_COUNT)
-            if self.bars is None:
-                raise ValueError(
-                    f'Terrain.bar_points is {points}, but no bars touch: give bars="all", or leave it out'
-                )
-        self._check_fields(heights=heights, bar_points=points, **corners)
+        if self.bar_points is not None and self.bars is None:
+            raise ValueError(
+                f'Terrain.bar_points is {self.bar_points}, but no bars touch: give bars="all", or leave it out'
+            )
 
     def _count_points(self, length: float) -> int:
         """Count the equally spaced points on a bar of a length [m]."""

@@ -15,10 +15,8 @@ from tenscasadi.scene.strings import RestLength
 from tenscasadi.schema.field_types import LIMITS, PER_ITEM
 from tenscasadi.util.validate import (
     Array,
-    nonnegative,
-    number_or_vector,
     per_item,
-    replace_inf,
+    positive_each,
 )
 
 
@@ -203,22 +201,11 @@ class Winch(Control, kind="Winch"):
     unit: ClassVar[str] = "N m"
     attribute: ClassVar[str] = "motor_torque"
     sets_rest_lengths: ClassVar[bool] = True
-    radius: Annotated[ArrayLike, PER_ITEM]
-    inertia: Annotated[ArrayLike, PER_ITEM]
-    friction: Annotated[ArrayLike, PER_ITEM] = 0.0
-    torque: Annotated[ArrayLike | None, LIMITS] = None
-    speed: Annotated[ArrayLike | None, LIMITS] = None
-
-    def __post_init__(self) -> None:
-        for name in ("radius", "inertia", "friction"):
-            field = f"Winch.{name}"
-            array = number_or_vector(field, getattr(self, name))
-            nonnegative(field, array, "input", strict=name != "friction")
-        for name in ("torque", "speed"):
-            value, field = getattr(self, name), f"Winch.{name}"
-            if value is not None:
-                array = number_or_vector(field, replace_inf(value))
-                nonnegative(field, array, "input", strict=True)
+    radius: Annotated[ArrayLike, PER_ITEM, positive_each("input")]
+    inertia: Annotated[ArrayLike, PER_ITEM, positive_each("input")]
+    friction: Annotated[ArrayLike, PER_ITEM, positive_each("input", zero=True)] = 0.0
+    torque: Annotated[ArrayLike | None, LIMITS, positive_each("input", infinite=True)] = None
+    speed: Annotated[ArrayLike | None, LIMITS, positive_each("input", infinite=True)] = None
 
     @property
     def locked(self) -> Control:

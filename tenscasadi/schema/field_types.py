@@ -11,7 +11,7 @@ import numpy as np
 from tenscasadi.schema.formulas import FormulaError
 from tenscasadi.schema.reading import Item, ItemKind, Names, NotWritten, nearest
 from tenscasadi.schema.time_formula import TimeFormula
-from tenscasadi.util.validate import format_value
+from tenscasadi.util.validate import as_tuple, finite_array, format_value, index_or_name
 
 Schema = dict[str, Any]
 Schemas = dict[str, Schema]  # definitions that `$ref` refers to, by name
@@ -40,6 +40,13 @@ class FieldType(ABC):
     @abstractmethod
     def schema(self, kinds: Schemas) -> Schema:
         """Build the JSON Schema; definitions are added to `kinds`."""
+
+    def check(self, field: str, value: Any) -> Any:
+        """Check a Python value, see `check_fields`; most are checked by their class.
+
+        Raises TypeError, ValueError.
+        """
+        return value
 
     def resolve(self, field: str, value: Any, names: Names) -> Any:
         """Replace names of nodes, bars and strings in a Python value by indices.
@@ -87,6 +94,12 @@ class Numbers(FieldType):
         if not _has_text(found):
             return tuple(found) if self.free else found
         return TimeFormula(_as_tuples(found), tuple(item.document.numbers.items()))
+
+    def check(self, field: str, value: Any) -> Any:
+        """Convert a constant of one shape to an array."""
+        if len(self.shapes) > 1 or self.free or self.varying or self.whole or self.unbounded:
+            return value
+        return finite_array(field, value, self.shapes[0])
 
     def _read(self, item: Item, sizes: list[int], varying: bool) -> Any:
         if sizes:
@@ -272,6 +285,10 @@ class Index(FieldType):
         """Build the schema of an index or a name."""
         return {"type": ["integer", "string"], "minimum": 0}
 
+    def check(self, field: str, value: Any) -> Any:
+        """Check an index or a name."""
+        return index_or_name(field, value)
+
     def resolve(self, field: str, value: Any, names: Names) -> Any:
         """Replace a name."""
         return names.resolve(field, self.which, value)
@@ -298,6 +315,10 @@ class Members(FieldType):
     def schema(self, kinds: Schemas) -> Schema:
         """Build the schema of a list."""
         return {"type": "array", "items": Index(self.which).schema(kinds)}
+
+    def check(self, field: str, value: Any) -> Any:
+        """Convert a list to a tuple."""
+        return as_tuple(field, value, "[0, 1]")
 
     def resolve(self, field: str, value: Any, names: Names) -> Any:
         """Replace names."""

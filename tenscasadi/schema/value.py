@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import inspect
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import fields
-from typing import Any, ClassVar, TypeVar
+from functools import cache
+from types import NoneType, UnionType
+from typing import Annotated, Any, ClassVar, TypeVar, Union, get_args, get_origin
 
 T = TypeVar("T", bound=Callable[..., Any])
 
@@ -50,6 +54,10 @@ class Value:
         if earlier:
             cls.earlier_kinds[earlier] = kind
 
+    def __post_init__(self) -> None:
+        """Check the fields by their annotations."""
+        check_fields(self)
+
     @classmethod
     def maker(cls, function: T) -> T:
         """Register a function that builds values of this family.
@@ -80,3 +88,45 @@ def _add(family: type[Value], kind: str, member: Callable[..., Any]) -> None:
             f"kind {kind!r} is {other.__module__}.{other.__qualname__} already: give {member.__qualname__} another kind"
         )
     family.members[kind] = member
+
+
+def check_fields(value: Any) -> None:
+    """Check the fields of a dataclass by their annotations, and keep the clean values.
+
+    Entries of an annotation that have a method `check`, such as `Check` and `FieldType`, are applied
+    in their order. None is not checked where it is the default, or in the annotation.
+    """
+    for name, (optional, checks) in _find_checks(type(value)).items():  # type: ignore[arg-type]  # classes hash
+        given = getattr(value, name)
+        if given is not None or not optional:
+            for check in checks:
+                given = check(f"{type(value).__name__}.{name}", given)
+            object.__setattr__(value, name, given)
+
+
+@cache
+def _find_checks(kind: type) -> dict[str, tuple[bool, list[Callable[[str, Any], Any]]]]:
+    """Find whether a field may be None, and its checks, by its name."""
+    hints: dict[str, Any] = {}
+    for base in reversed(kind.__mro__):
+        with suppress(NameError):  # a user's class may name types of type checkers alone
+            hints |= inspect.get_annotations(base, eval_str=True)
+    found = {}
+    for field in fields(kind):
+        entries = list(_list_entries(hints.get(field.name)))
+        own = [e.check for e in entries if hasattr(e, "check") and not isinstance(e, type)]
+        if own:
+            found[field.name] = NoneType in entries or field.default is None, own
+    return found
+
+
+def _list_entries(hint: Any) -> Iterator[Any]:
+    """List the types of an annotation, and what annotates them."""
+    if get_origin(hint) is Annotated:
+        kind, *entries = get_args(hint)
+        yield from (*_list_entries(kind), *entries)
+    elif get_origin(hint) in (Union, UnionType):
+        for kind in get_args(hint):
+            yield from _list_entries(kind)
+    else:
+        yield hint

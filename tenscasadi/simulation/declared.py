@@ -22,6 +22,7 @@ from tenscasadi.scene.scene import Scene
 from tenscasadi.schema.containers import TableOf
 from tenscasadi.schema.definitions import OneOf
 from tenscasadi.schema.field_types import PER_ITEM, ElsewhereInFile, varying
+from tenscasadi.schema.value import check_fields
 from tenscasadi.simulation.inputs.run_inputs import read_inputs
 from tenscasadi.simulation.simulate import simulate
 from tenscasadi.simulation.trajectory import Trajectory
@@ -30,12 +31,12 @@ from tenscasadi.util.compile import Compiled
 from tenscasadi.util.validate import (
     MAX_BYTES,
     Array,
+    Boolean,
+    Count,
+    Positive,
     choice,
     finite_array,
-    flag,
     instance,
-    positive_number,
-    whole_number,
 )
 
 _MOST_KEPT = MAX_BYTES / 8  # numbers in the saved states of a run
@@ -100,37 +101,32 @@ class Simulation:
     """
 
     scene: Annotated[Scene, ElsewhereInFile()]
-    t_end: float
-    step: float | None = None
+    t_end: Positive
+    step: Positive | None = None
     scheme: Annotated[Scheme, OneOf(NamedScheme)] = field(default_factory=RungeKutta4)
     correction: Correction | None = None
-    save_every: int | None = None
+    save_every: Count | None = None
     coordinates: Literal["reduced", "full"] | None = None
     bar_length: Literal["current", "constant"] = "current"
     nodes: Annotated[Any, ElsewhereInFile()] = None
     velocities: Annotated[Any, ElsewhereInFile()] = None
-    project: Annotated[bool, ElsewhereInFile()] = False
+    project: Annotated[Boolean, ElsewhereInFile()] = False
     state: Annotated[Any, ElsewhereInFile()] = None
     control: Annotated[Any, varying(None)] = None
     parameters: Annotated[
         Mapping[str, Any] | None, TableOf(dict.fromkeys(QUANTITIES, PER_ITEM))
     ] = None
-    energy_balance: bool = True
+    energy_balance: Boolean = True
 
     def __post_init__(self) -> None:
         instance("Simulation.scene", self.scene, Scene, "a tenscasadi.Scene")
-        own: dict[str, Any] = {"t_end": positive_number("Simulation.t_end", self.t_end)}
-        if self.step is not None:
-            own["step"] = positive_number("Simulation.step", self.step)
-        check_scheme(self.scheme, "Simulation.scheme")
-        check_correction(self.correction, "Simulation.correction")
-        if self.save_every is not None:
-            own["save_every"] = whole_number("Simulation.save_every", self.save_every, 1)
+        check_fields(self)
+        own: dict[str, Any] = {}
         if self.coordinates is not None:
             choice("Simulation.coordinates", self.coordinates, "reduced", "full")
         choice("Simulation.bar_length", self.bar_length, "current", "constant")
-        for name in ("project", "energy_balance"):
-            flag(f"Simulation.{name}", getattr(self, name))
+        check_scheme(self.scheme, "Simulation.scheme")
+        check_correction(self.correction, "Simulation.correction")
         if self.state is not None:
             own["state"] = finite_array("Simulation.state", self.state, (None,))
         for name in ("nodes", "velocities"):

@@ -14,6 +14,7 @@ from scipy.sparse.linalg import splu
 
 from tenscasadi.statics.self_stress import idle_combinations, rigid_body_motions
 from tenscasadi.structure.cables import density_basis
+from tenscasadi.structure.class_one import member_vectors
 from tenscasadi.structure.equilibrium_matrix import (
     balance_columns,
     free_directions,
@@ -46,7 +47,7 @@ def is_super_stable(structure: Structure, density: Any) -> bool:
     K = sp.csc_array(free.T @ sp.kron(density, sp.eye_array(3)) @ free)
     affine = affine_motions(structure)
     pairs = member_pairs(structure)
-    vectors = structure.nodes[pairs[:, 1]] - structure.nodes[pairs[:, 0]]
+    vectors = member_vectors(structure.nodes, pairs)
     units = vectors / np.linalg.norm(vectors, axis=1)[:, None]
     lengthening = balance_columns(pairs, units, len(structure.nodes)).T @ affine
     lengthening = abs(density_basis(structure)).sign().T @ lengthening  # of cables as a whole

@@ -110,12 +110,22 @@ def connectivity(pairs: Indices, count: int) -> csr_array:
     return csr_array((np.tile([-1.0, 1.0], members), (rows, pairs.ravel())), shape=(members, count))
 
 
+def member_vectors(nodes: Array, pairs: Indices) -> Array:
+    """Compute the vectors (..., m, 3) between pairs (m, 2) of nodes (..., n, 3)."""
+    return np.asarray(nodes[..., pairs[:, 1], :] - nodes[..., pairs[:, 0], :])
+
+
+def distances(nodes: Array, pairs: Indices) -> Array:
+    """Compute the distances (..., m) of pairs (m, 2) of nodes (..., n, 3)."""
+    return np.asarray(np.linalg.norm(member_vectors(nodes, pairs), axis=-1))
+
+
 def member_lengths(field: str, nodes: Array, pairs: Indices, item: str) -> Array:
     """Compute member lengths [m].
 
     Raises ValueError if one is zero.
     """
-    lengths = np.linalg.norm(nodes[pairs[:, 1]] - nodes[pairs[:, 0]], axis=1)
+    lengths = distances(nodes, pairs)
     for i in np.flatnonzero(lengths < max(ROUNDING * np.abs(nodes).max(), SMALLEST)):
         a, b = pairs[i]
         raise add_address(

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from tenscasadi.structure.class_one import connectivity
+from tenscasadi.structure.class_one import connectivity, member_vectors
 from tenscasadi.util.validate import Array, Indices
 
 
@@ -45,7 +45,7 @@ def equilibrium_matrix(structure: Any) -> Any:
         N K for a unit force density of each member [m].
     """
     pairs = member_pairs(structure)
-    vectors = structure.nodes[pairs[:, 1]] - structure.nodes[pairs[:, 0]]
+    vectors = member_vectors(structure.nodes, pairs)
     vectors[len(structure.strings) :] *= -1  # λ > 0 is compression
     return sp.csc_array(
         free_directions(structure).T @ balance_columns(pairs, vectors, len(structure.nodes))

@@ -47,7 +47,7 @@ from tenscasadi.util.validate import (
 from tenscasadi.util.viewable import Viewable
 
 
-class Structure(Value, Viewable, ReadOnlyArrays, kind="Structure"):
+class Structure(ReadOnlyArrays, Value, Viewable, kind="Structure"):
     """Nodes, rigid bars and strings, with masses, stiffness and pins.
 
     A structure is immutable; `replace` returns a changed copy. A scalar given for an array applies

@@ -9,9 +9,11 @@ import os
 import re
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
 from numbers import Real
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
@@ -110,18 +112,20 @@ def as_tuple(field: str, value: Any, example: str) -> tuple[Any, ...]:
     raise TypeError(f"{field} is {format_value(value)}: give a list, such as {example}")
 
 
-def choice(field: str, value: Any, *options: str) -> None:
-    """Check that a value is one of these words."""
+def choice(field: str, value: Any, *options: str) -> Any:
+    """Check that a value is one of these words, and return it."""
     if not isinstance(value, str) or value not in options:
         raise ValueError(
             f"{field} is {format_value(value)}: give {' or '.join(repr(option) for option in options)}"
         )
+    return value
 
 
-def flag(field: str, value: Any) -> None:
-    """Check that a value is True or False."""
+def flag(field: str, value: Any) -> bool:
+    """Check that a value is True or False, and return it."""
     if not isinstance(value, (bool, np.bool_)):
         raise TypeError(f"{field} is {format_value(value)}: give True or False")
+    return bool(value)
 
 
 def text(field: str, value: Any) -> str:
@@ -303,13 +307,14 @@ def _are_node_pairs(value: Any, count: int, parallel: bool) -> bool:
     return not np.any(ends[:, 0] == ends[:, 1]) and (parallel or len(np.unique(keys)) == len(keys))
 
 
-def instance(field: str, value: Any, kinds: type | tuple[type, ...], example: str) -> None:
-    """Check the type of a value.
+def instance(field: str, value: Any, kinds: type | tuple[type, ...], example: str) -> Any:
+    """Check the type of a value, and return it.
 
     The message gives the example.
     """
     if not isinstance(value, kinds):
         raise TypeError(f"{field} is {format_value(value)}: give {example}")
+    return value
 
 
 def call_user_function(field: str, function: Callable[[Any], Any], argument: Any, hint: str) -> Any:
@@ -347,3 +352,53 @@ def _describe_shape(shape: tuple[int | None, ...]) -> str:
         return "one number"
     sizes = ", ".join("any" if size is None else str(size) for size in shape)
     return f"an array of shape ({sizes}{',' if len(shape) == 1 else ''})"
+
+
+@dataclass(frozen=True)
+class Check:
+    """Check of a field, as a part of its annotation.
+
+    `check` takes name and value of the field, and returns a clean value or raises.
+    """
+
+    check: Callable[[str, Any], Any]
+
+
+Positive = Annotated[float, Check(positive_number)]
+NonNegative = Annotated[float, Check(partial(positive_number, zero=True))]
+
+
+def whole(minimum: int, maximum: int = 2**31 - 1) -> Check:
+    """Build the check of a whole number in a range."""
+    return Check(partial(whole_number, minimum=minimum, maximum=maximum))
+
+
+def of_type(kinds: Any, example: str) -> Check:
+    """Build the check of a type; see `instance`."""
+    return Check(partial(instance, kinds=kinds, example=example))
+
+
+def one_of(*options: str) -> Check:
+    """Build the check of a word."""
+    return Check(lambda field, value: choice(field, value, *options))
+
+
+Count = Annotated[int, whole(1)]
+
+
+Number = Annotated[float, Check(number)]
+Boolean = Annotated[bool, Check(flag)]
+
+
+def positive_each(item: str, zero: bool = False, infinite: bool = False) -> Check:
+    """Build the check of positive numbers, one for all or one for each item.
+
+    They can be 0 if `zero`, and infinite if `infinite`. The value is kept as it is given.
+    """
+
+    def check(field: str, value: Any) -> Any:
+        finite = number_or_vector(field, replace_inf(value) if infinite else value)
+        nonnegative(field, finite, item, strict=not zero)
+        return value
+
+    return Check(check)

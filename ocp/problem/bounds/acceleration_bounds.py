@@ -13,7 +13,7 @@ from ocp.problem.bounds.bound import Limit, PathBound
 from ocp.problem.rows import RESOLUTION
 from tenscasadi.schema.field_types import Members
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import IndexOrName, as_tuple, check_indices, positive_number
+from tenscasadi.util.validate import IndexOrName, Positive, check_indices
 
 if TYPE_CHECKING:
     from ocp.problem.instant import Instant
@@ -45,15 +45,8 @@ class NodeAccelerationLimits(PathBound, kind="NodeAccelerationLimits"):
     (3, 4)
     """
 
-    magnitude: float
+    magnitude: Positive
     nodes: Annotated[Iterable[IndexOrName] | None, Members("node")] = None
-
-    def __post_init__(self) -> None:
-        name = type(self).__name__
-        magnitude = positive_number(f"{name}.magnitude", self.magnitude)
-        object.__setattr__(self, "magnitude", magnitude)
-        if self.nodes is not None:
-            object.__setattr__(self, "nodes", as_tuple(f"{name}.nodes", self.nodes, "[0, 1]"))
 
     def check(self, structure: Structure) -> None:
         """Check that the bound can apply to a structure.

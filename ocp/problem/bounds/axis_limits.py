@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
 from ocp.problem.bounds.bound import Limit, PathBound, drop_infinite
 from tenscasadi.schema.field_types import POINT
-from tenscasadi.util.validate import Array, coordinates
+from tenscasadi.util.validate import Array, Check, coordinates
 
-Corner = Sequence[float | None]
+Corner = Annotated[Sequence[float | None], POINT, Check(partial(coordinates, none="an open side"))]
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,17 +23,14 @@ class AxisLimits(PathBound):
     They limit functions of the state, at the end of every interval.
     """
 
-    lower: Annotated[Corner, POINT] = (None, None, None)
-    upper: Annotated[Corner, POINT] = (None, None, None)
+    lower: Corner = (None, None, None)
+    upper: Corner = (None, None, None)
 
     ends: ClassVar[tuple[str, ...]] = ("end",)
 
     def __post_init__(self) -> None:
         name = type(self).__name__
-        for field in ("lower", "upper"):
-            object.__setattr__(
-                self, field, coordinates(f"{name}.{field}", getattr(self, field), "an open side")
-            )
+        super().__post_init__()
         lower, upper = self.corners()
         if np.all(np.isinf(np.concatenate([lower, upper]))):
             raise ValueError(f"{name}.lower and .upper are open on all sides: give at least one")

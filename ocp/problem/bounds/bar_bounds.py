@@ -13,14 +13,21 @@ from ocp.problem.bounds.bound import (
     PathBound,
     broadcast_limits,
     drop_infinite,
-    replace_inf,
 )
 from tenscasadi.schema.field_types import LIMITS, PER_ITEM
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, nonnegative, number_or_vector, per_item, positive_number
+from tenscasadi.util.validate import (
+    Array,
+    Positive,
+    per_item,
+    positive_each,
+)
 
 if TYPE_CHECKING:
     from ocp.problem.instant import Instant
+
+
+_Limit = Annotated[ArrayLike, LIMITS, positive_each("bar", zero=True, infinite=True)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,19 +60,15 @@ class BarForceLimits(PathBound, kind="BarForceLimits"):
     30.0
     """
 
-    compression: Annotated[ArrayLike | None, LIMITS] = None
-    tension: Annotated[ArrayLike | None, LIMITS] = None
+    compression: _Limit | None = None
+    tension: _Limit | None = None
 
     def __post_init__(self) -> None:
         if self.compression is None and self.tension is None:
             raise ValueError(
                 "BarForceLimits.compression and .tension are both None: give at least one"
             )
-        for name in ("compression", "tension"):
-            value = getattr(self, name)
-            if value is not None:
-                array = number_or_vector(f"BarForceLimits.{name}", replace_inf(value))
-                nonnegative(f"BarForceLimits.{name}", array, "bar")
+        super().__post_init__()
 
     def check(self, structure: Structure) -> None:
         """Check that the bound can apply to a structure.
@@ -142,13 +145,8 @@ class Buckling(PathBound, kind="Buckling"):
     array([15503.])
     """
 
-    modulus: Annotated[ArrayLike, PER_ITEM]
-    safety: float = 1.0
-
-    def __post_init__(self) -> None:
-        array = number_or_vector("Buckling.modulus", self.modulus)
-        nonnegative("Buckling.modulus", array, "bar", strict=True)
-        object.__setattr__(self, "safety", positive_number("Buckling.safety", self.safety))
+    modulus: Annotated[ArrayLike, PER_ITEM, positive_each("bar")]
+    safety: Positive = 1.0
 
     def check(self, structure: Structure) -> None:
         """Check that the bound can apply to a structure.

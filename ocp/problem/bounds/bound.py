@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
@@ -12,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from tenscasadi.schema.value import Value
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, per_item
+from tenscasadi.util.validate import Array, per_item, replace_inf
 
 if TYPE_CHECKING:
     from ocp.problem.instant import Instant
@@ -125,18 +124,6 @@ def drop_infinite(limit: Limit) -> Limit:
     kept = np.flatnonzero(np.isfinite(lower) | np.isfinite(upper))
     chosen = tuple(names[k] for k in kept)
     return Limit(value[kept.tolist()], lower[kept], upper[kept], chosen, unit)
-
-
-def replace_inf(value: Any, instead: float = 0.0) -> Any:
-    """Replace inf by a finite number for the checks.
-
-    An infinite limit stands for no limit and is valid.
-    """
-    with suppress(Exception):  # values that are not arrays are rejected later, by field
-        array = np.asarray(value)
-        if array.dtype.kind in "iuf" and not np.ma.is_masked(value):
-            return np.where(np.isposinf(array), instead, array)
-    return value
 
 
 def broadcast_limits(field: str, value: ArrayLike | None, count: int, missing: float) -> Array:

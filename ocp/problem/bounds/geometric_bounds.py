@@ -22,13 +22,12 @@ from tenscasadi.util.casadi_tools import column_norms
 from tenscasadi.util.renamed import rename_fields
 from tenscasadi.util.validate import (
     IndexOrName,
+    Positive,
     as_tuple,
     check_indices,
-    finite_array,
     format_value,
     node_index,
     number,
-    positive_number,
 )
 
 if TYPE_CHECKING:
@@ -74,11 +73,6 @@ class InsideBox(AxisLimits, kind="InsideBox"):
     """
 
     nodes: Annotated[Iterable[IndexOrName] | None, Members("node")] = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        nodes = _listed(f"{type(self).__name__}.nodes", self.nodes, "[0, 1]")
-        object.__setattr__(self, "nodes", nodes)
 
     def check(self, structure: Structure) -> None:
         """Check that the bound can apply to a structure.
@@ -207,7 +201,7 @@ class BarClearance(PathBound, kind="BarClearance"):
     ((0, 1),)
     """
 
-    distance: float
+    distance: Positive
     pairs: Annotated[Iterable[tuple[IndexOrName, IndexOrName]] | None, ListOf(Members("bar"))] = (
         None
     )
@@ -215,14 +209,11 @@ class BarClearance(PathBound, kind="BarClearance"):
     ends: ClassVar[tuple[str, ...]] = ("end",)
 
     def __post_init__(self) -> None:
-        object.__setattr__(
-            self, "distance", positive_number("BarClearance.distance", self.distance)
-        )
-        pairs = _listed("BarClearance.pairs", self.pairs, "[(0, 1)]")
-        if pairs is not None:
+        super().__post_init__()
+        if self.pairs is not None:
             found = [
-                _listed(f"BarClearance.pairs[{k}]", pair, "(0, 1)") or ()
-                for k, pair in enumerate(pairs)
+                as_tuple(f"BarClearance.pairs[{k}]", pair, "(0, 1)")
+                for k, pair in enumerate(as_tuple("BarClearance.pairs", self.pairs, "[(0, 1)]"))
             ]
             for k, pair in enumerate(found):
                 if len(pair) != 2:
@@ -318,19 +309,11 @@ class Obstacle(PathBound, kind="Obstacle"):
     """
 
     center: Annotated[Sequence[float], VECTOR]
-    radius: float
+    radius: Positive
     bars: Annotated[Iterable[IndexOrName] | None, Members("bar")] = None
     nodes: Annotated[Iterable[IndexOrName] | None, Members("node")] = None
 
     ends: ClassVar[tuple[str, ...]] = ("end",)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "center", finite_array("Obstacle.center", self.center, (3,)))
-        object.__setattr__(self, "radius", positive_number("Obstacle.radius", self.radius))
-        for field in ("bars", "nodes"):
-            object.__setattr__(
-                self, field, _listed(f"Obstacle.{field}", getattr(self, field), "[0, 1]")
-            )
 
     def check(self, structure: Structure) -> None:
         """Check that the bound can apply to a structure.
@@ -428,11 +411,3 @@ def segment_distance(a: Any, b: Any, c: Any, d: Any) -> Any:
 def _within_segment(share: Any) -> Any:
     """Clip ``share`` to [0, 1] with rounded corners."""
     return (ca.sqrt(share**2 + ROUNDING**2) - ca.sqrt((share - 1) ** 2 + ROUNDING**2) + 1) / 2
-
-
-def _listed(field: str, value: Any, example: str) -> tuple[Any, ...] | None:
-    """Convert a list of members to a tuple.
-
-    None stays None.
-    """
-    return None if value is None else as_tuple(field, value, example)

@@ -12,7 +12,12 @@ from ocp.problem.bounds.bound import Limit, PathBound
 from tenscasadi.scene.ground import Surface
 from tenscasadi.schema.field_types import Members
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import IndexOrName, as_tuple, check_indices, instance, number
+from tenscasadi.util.validate import (
+    IndexOrName,
+    Number,
+    check_indices,
+    of_type,
+)
 
 if TYPE_CHECKING:
     from ocp.problem.instant import Instant
@@ -52,17 +57,11 @@ class AboveSurface(PathBound, kind="AboveSurface"):
     0.05
     """
 
-    ground: Surface
-    distance: float = 0.0
+    ground: Annotated[Surface, of_type(Surface, "a tenscasadi.Ground or Terrain")]
+    distance: Number = 0.0
     nodes: Annotated[Iterable[IndexOrName] | None, Members("node")] = None
 
     ends: ClassVar[tuple[str, ...]] = ("end",)
-
-    def __post_init__(self) -> None:
-        instance("AboveSurface.ground", self.ground, Surface, "a tenscasadi.Ground or Terrain")
-        object.__setattr__(self, "distance", number("AboveSurface.distance", self.distance))
-        if self.nodes is not None:
-            object.__setattr__(self, "nodes", as_tuple("AboveSurface.nodes", self.nodes, "[0, 1]"))
 
     def check(self, structure: Structure) -> None:
         """Check that the bound can apply to a structure.

@@ -19,16 +19,19 @@ from ocp.problem.bounds.bound import (
     RateBound,
     broadcast_limits,
     drop_infinite,
-    replace_inf,
 )
 from tenscasadi.schema.field_types import LIMITS, PER_ITEM
 from tenscasadi.structure.cables import name_inputs
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.renamed import rename_fields
-from tenscasadi.util.validate import Array, nonnegative, number_or_vector, per_item
+from tenscasadi.util.validate import Array, nonnegative, per_item, positive_each
 
 if TYPE_CHECKING:
     from ocp.problem.instant import Instant
+
+_Lower = Annotated[ArrayLike, LIMITS, positive_each("string", zero=True)]
+_Upper = Annotated[ArrayLike, LIMITS, positive_each("string", zero=True, infinite=True)]
+_Rate = Annotated[ArrayLike, LIMITS, positive_each("string", infinite=True)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,20 +45,15 @@ class StringLimits(Bound):
     """
 
     per_cable: ClassVar[bool] = False
-    lower: Annotated[ArrayLike | None, LIMITS] = None
-    upper: Annotated[ArrayLike | None, LIMITS] = None
+    lower: _Lower | None = None
+    upper: _Upper | None = None
 
     def __post_init__(self) -> None:
         if self.lower is None and self.upper is None:
             raise ValueError(
                 f"{type(self).__name__}.lower and .upper are both None: give at least one"
             )
-        for name in ("lower", "upper"):
-            value = getattr(self, name)
-            if value is not None:
-                field = f"{type(self).__name__}.{name}"
-                array = number_or_vector(field, replace_inf(value) if name == "upper" else value)
-                nonnegative(field, array, "string")
+        super().__post_init__()
 
     def check(self, structure: Structure) -> None:
         """Check that the limits can apply to a structure.
@@ -121,7 +119,7 @@ class ForceDensityLimits(StringLimits, kind="ForceDensityLimits"):
     100.0
     """
 
-    lower: Annotated[ArrayLike | None, LIMITS] = 0.0
+    lower: _Lower | None = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,11 +153,7 @@ class ForceDensityRateLimits(RateBound, kind="ForceDensityRateLimits"):
     50.0
     """
 
-    rate: Annotated[ArrayLike, LIMITS]
-
-    def __post_init__(self) -> None:
-        array = number_or_vector("ForceDensityRateLimits.rate", replace_inf(self.rate, 1.0))
-        nonnegative("ForceDensityRateLimits.rate", array, "string", strict=True)
+    rate: _Rate
 
     def check(self, structure: Structure) -> None:
         """Check that the bound can apply to a structure.
@@ -309,8 +303,8 @@ class RestLengthLimits(StringLimits, PathBound, kind="RestLengthLimits"):
     """
 
     per_cable: ClassVar[bool] = True
-    lower: Annotated[ArrayLike | None, LIMITS] = 0.0
-    upper: Annotated[ArrayLike | None, LIMITS] = None
+    lower: _Lower | None = 0.0
+    upper: _Upper | None = None
     stiffness: Annotated[ArrayLike | None, PER_ITEM] = None
 
     def check(self, structure: Structure) -> None:
@@ -381,12 +375,8 @@ class RestLengthRateLimits(RateBound, kind="RestLengthRateLimits"):
     0.4
     """
 
-    rate: Annotated[ArrayLike, LIMITS]
+    rate: _Rate
     stiffness: Annotated[ArrayLike | None, PER_ITEM] = None
-
-    def __post_init__(self) -> None:
-        array = number_or_vector("RestLengthRateLimits.rate", replace_inf(self.rate, 1.0))
-        nonnegative("RestLengthRateLimits.rate", array, "string", strict=True)
 
     def check(self, structure: Structure) -> None:
         """Check that the bound can apply to a structure.

@@ -7,16 +7,14 @@ from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike
 
 from ocp.problem.goals.goal import Goal
-from ocp.problem.goals.rotation import read_rotation, rotation_matrix
+from ocp.problem.goals.rotation import Rotation, rotation_matrix
 from ocp.problem.rows import Rows
 from tenscasadi.dynamics.body_motion import find_body
-from tenscasadi.schema.field_types import Numbers
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.linear_algebra import fit_rotation
-from tenscasadi.util.validate import Array, whole_number
+from tenscasadi.util.validate import Array, whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,13 +41,8 @@ class BodyOrientation(Goal, kind="BodyOrientation"):
     [[0.878, -0.479, 0.0], [0.479, 0.878, 0.0], [0.0, 0.0, 1.0]]
     """
 
-    body: int
-    rotation: Annotated[ArrayLike, Numbers(((3,), (3, 3)))]
-
-    def __post_init__(self) -> None:
-        whole_number("BodyOrientation.body", self.body, 0)
-        given = read_rotation("BodyOrientation.rotation", self.rotation)
-        object.__setattr__(self, "rotation", given)
+    body: Annotated[int, whole(0)]
+    rotation: Rotation
 
     @property
     def matrix(self) -> Array:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
@@ -11,17 +12,21 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ocp.problem.costs import Cost, CostAt, TerminalCost, check_weight
+from ocp.problem.costs import Cost, CostAt, TerminalCost
 from ocp.problem.rows import RESOLUTION, Rows, distance_rows
 from tenscasadi.io.structure_section import OfStructure
 from tenscasadi.schema.containers import Either, MapOf
-from tenscasadi.schema.field_types import NUMBER, PER_ITEM, POINTS
+from tenscasadi.schema.field_types import NUMBER, PER_ITEM, POINT, POINTS
 from tenscasadi.schema.value import Value
+from tenscasadi.structure.class_one import distances
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.linear_algebra import fit_rotation
 from tenscasadi.util.validate import (
     Array,
+    Check,
     IndexOrName,
+    Positive,
+    coordinates,
     finite_array,
     format_value,
     node_index,
@@ -33,6 +38,11 @@ from tenscasadi.util.validate import (
 if TYPE_CHECKING:
     from ocp.problem.instant import Instant
     from tenscasadi.dynamics.model import Model
+
+FREE_AXIS = "an axis that is free"
+FreePoint = Annotated[
+    Sequence[float | None], POINT, Check(partial(coordinates, none=FREE_AXIS, some=True))
+]
 
 
 class Goal(Value):
@@ -144,9 +154,10 @@ class SoftGoal(Goal, TerminalCost, kind="SoftGoal"):
 
     timing: ClassVar[str] = "soft"
     goal: Goal
-    weight: float = 1.0
+    weight: Positive = 1.0
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not isinstance(self.goal, Goal) or isinstance(self.goal, SoftGoal):
             raise TypeError(
                 f"SoftGoal.goal is {format_value(self.goal)}: give a goal that is met, such as AtRest()"
@@ -155,7 +166,6 @@ class SoftGoal(Goal, TerminalCost, kind="SoftGoal"):
             raise TypeError(
                 f"SoftGoal.goal is {format_value(self.goal)}: give its goals, or call its soft(weight)"
             )
-        check_weight(self)
 
     def check(self, structure: Structure) -> None:
         """Check that the goal can apply to a structure.
@@ -383,10 +393,7 @@ class Shape(Goal, kind="Shape"):
     (6, 3)
     """
 
-    nodes: Annotated[ArrayLike, OfStructure("nodes", POINTS)]
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "nodes", finite_array("Shape.nodes", self.nodes, (None, 3)))
+    nodes: Annotated[ArrayLike, OfStructure("nodes", POINTS), Check(POINTS.check)]
 
     def check(self, structure: Structure) -> None:
         """Check that the goal can apply to a structure.
@@ -440,7 +447,7 @@ class Shape(Goal, kind="Shape"):
         return distance_rows(
             nodes,
             pairs,
-            np.linalg.norm(own[pairs[:, 1]] - own[pairs[:, 0]], axis=1),
+            distances(own, pairs),
             tuple(f"Shape: distance of nodes {a} and {b}" for a, b in pairs),
         )
 
@@ -470,7 +477,7 @@ def check_bar_lengths(subject: str, nodes: Array, structure: Structure) -> None:
 
     Nodes are (n, 3) [m]; the tolerance is 0.1 %. Raises ValueError.
     """
-    lengths = np.linalg.norm(nodes[structure.bars[:, 1]] - nodes[structure.bars[:, 0]], axis=1)
+    lengths = distances(nodes, structure.bars)
     bad = np.flatnonzero(abs(lengths / structure.bar_lengths - 1) > RESOLUTION)
     if bad.size:
         k = int(bad[0])

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ocp.problem.goals.goal import Goal
+from ocp.problem.goals.goal import FreePoint, Goal
 from ocp.problem.rows import Rows
-from tenscasadi.schema.field_types import POINT
-from tenscasadi.util.validate import Array, coordinates
+from tenscasadi.util.validate import Array
 
 if TYPE_CHECKING:
     from ocp.problem.instant import Instant
@@ -46,12 +45,7 @@ class CenterOfMassVelocity(Goal, kind="CenterOfMassVelocity"):
     (0.0, None, 2.0)
     """
 
-    velocity: Annotated[Sequence[float | None], POINT]
-
-    def __post_init__(self) -> None:
-        field = "CenterOfMassVelocity.velocity"
-        velocity = coordinates(field, self.velocity, "an axis that is free", some=True)
-        object.__setattr__(self, "velocity", velocity)
+    velocity: FreePoint
 
     def residuals(self, now: Instant) -> Rows:
         """Build the velocity minus the desired one.
@@ -100,12 +94,7 @@ class AngularMomentum(Goal, kind="AngularMomentum"):
     (None, None, 0.05)
     """
 
-    momentum: Annotated[Sequence[float | None], POINT]
-
-    def __post_init__(self) -> None:
-        field = "AngularMomentum.momentum"
-        momentum = coordinates(field, self.momentum, "an axis that is free", some=True)
-        object.__setattr__(self, "momentum", momentum)
+    momentum: FreePoint
 
     def bind(self, model: Model, start: Array | None) -> Goal:
         """Complete the goal by the model and its initial state.

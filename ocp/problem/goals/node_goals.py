@@ -4,33 +4,53 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ocp.problem.goals.goal import Goal
+from ocp.problem.goals.goal import FREE_AXIS, FreePoint, Goal
 from ocp.problem.rows import Rows
 from tenscasadi.io.structure_section import OfStructure
 from tenscasadi.schema.containers import Either, MapOf
-from tenscasadi.schema.field_types import PER_ITEM, POINT, POINTS
+from tenscasadi.schema.field_types import PER_ITEM, POINT, POINTS, TIMES
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import (
     NEGLIGIBLE,
     Array,
+    Check,
     IndexOrName,
     coordinates,
     finite_array,
     format_value,
     node_index,
-    nonnegative,
+    positive_each,
 )
 
 if TYPE_CHECKING:
     from tenscasadi.dynamics.model import Model
 
+
+def _read(field: str, given: Any, example: str) -> Any:
+    """Read values of nodes from a mapping or array.
+
+    A mapping has three numbers or None for each of its nodes; an array is (n, 3).
+    """
+    if not isinstance(given, Mapping):
+        return finite_array(field, given, (None, 3))
+    if not given:
+        raise ValueError(f"{field} is empty: give {{node: {example}}}")
+    return {
+        node: coordinates(f"{field}[{format_value(node)}]", entry, FREE_AXIS, some=True)
+        for node, entry in given.items()
+    }
+
+
+_Given = Mapping[IndexOrName, Sequence[float | None]] | ArrayLike
 _EACH = OfStructure("nodes", Either((dict,), MapOf("node", POINT), POINTS))
+_Masses = Annotated[ArrayLike, PER_ITEM, Check(TIMES.check), positive_each("node", zero=True)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,12 +75,7 @@ class NodePositions(Goal, kind="NodePositions"):
     {3: (None, None, 1.0)}
     """
 
-    positions: Annotated[Mapping[IndexOrName, Sequence[float | None]] | ArrayLike, _EACH]
-
-    def __post_init__(self) -> None:
-        object.__setattr__(
-            self, "positions", _read("NodePositions.positions", self.positions, "(x, y, z)")
-        )
+    positions: Annotated[_Given, _EACH, Check(partial(_read, example="(x, y, z)"))]
 
     def check(self, structure: Structure) -> None:
         """Check that the goal can apply to a structure.
@@ -177,12 +192,7 @@ class NodeVelocities(Goal, kind="NodeVelocities"):
     {3: (None, None, 0.5)}
     """
 
-    velocities: Annotated[Mapping[IndexOrName, Sequence[float | None]] | ArrayLike, _EACH]
-
-    def __post_init__(self) -> None:
-        object.__setattr__(
-            self, "velocities", _read("NodeVelocities.velocities", self.velocities, "(vx, vy, vz)")
-        )
+    velocities: Annotated[_Given, _EACH, Check(partial(_read, example="(vx, vy, vz)"))]
 
     def check(self, structure: Structure) -> None:
         """Check that the goal can apply to a structure.
@@ -304,26 +314,15 @@ class CenterOfMass(Goal, kind="CenterOfMass", earlier="CentreOfMass"):
     (None, None, 1.2)
     """
 
-    position: Annotated[Sequence[float | None], POINT]
-    masses: Annotated[ArrayLike | None, PER_ITEM] = None
+    position: FreePoint
+    masses: _Masses | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(
-            self,
-            "position",
-            coordinates("CenterOfMass.position", self.position, "an axis that is free", some=True),
-        )
-        if self.masses is not None:
-            masses = nonnegative(
-                "CenterOfMass.masses",
-                finite_array("CenterOfMass.masses", self.masses, (None,)),
-                "node",
+        super().__post_init__()
+        if self.masses is not None and not np.any(self.masses):
+            raise ValueError(
+                "CenterOfMass.masses are all 0: give those of the nodes, or None for those of the model"
             )
-            if not masses.any():
-                raise ValueError(
-                    "CenterOfMass.masses are all 0: give those of the nodes, or None for those of the model"
-                )
-            object.__setattr__(self, "masses", masses)
 
     def check(self, structure: Structure) -> None:
         """Check that the goal can apply to a structure.
@@ -411,23 +410,6 @@ class CenterOfMass(Goal, kind="CenterOfMass", earlier="CentreOfMass"):
         return Rows(
             value, tuple(f"CenterOfMass: {'xyz'[axis]}" for axis in wanted), ("m",) * len(wanted)
         )
-
-
-def _read(field: str, given: Any, example: str) -> Any:
-    """Read values of nodes from a mapping or array.
-
-    A mapping has three numbers or None for each of its nodes; an array is (n, 3).
-    """
-    if not isinstance(given, Mapping):
-        return finite_array(field, given, (None, 3))
-    if not given:
-        raise ValueError(f"{field} is empty: give {{node: {example}}}")
-    return {
-        node: coordinates(
-            f"{field}[{format_value(node)}]", entry, "an axis that is free", some=True
-        )
-        for node, entry in given.items()
-    }
 
 
 def _entries(field: str, given: Any, structure: Structure) -> list[tuple[int, int, float]]:

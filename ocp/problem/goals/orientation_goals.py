@@ -11,17 +11,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ocp.problem.goals.goal import Goal
-from ocp.problem.goals.rotation import read_rotation, rotation_matrix
+from ocp.problem.goals.rotation import Rotation, rotation_matrix
 from ocp.problem.rows import Rows
-from tenscasadi.schema.field_types import VECTOR, Index, Members, Numbers
+from tenscasadi.schema.field_types import VECTOR, Index, Members
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import (
     NEGLIGIBLE,
     Array,
     IndexOrName,
-    as_tuple,
     check_indices,
-    finite_array,
     format_value,
     index_or_name,
     node_index,
@@ -56,8 +54,8 @@ class BarOrientation(Goal, kind="BarOrientation"):
     direction: Annotated[ArrayLike, VECTOR]
 
     def __post_init__(self) -> None:
-        index_or_name("BarOrientation.bar", self.bar)
-        given = finite_array("BarOrientation.direction", self.direction, (3,))
+        super().__post_init__()
+        given = np.asarray(self.direction)
         length = float(np.linalg.norm(given))
         if not length:
             raise ValueError(
@@ -156,19 +154,17 @@ class NodeTripleOrientation(Goal, kind="NodeTripleOrientation"):
     """
 
     nodes: Annotated[Sequence[IndexOrName], Members("node")]
-    rotation: Annotated[ArrayLike, Numbers(((3,), (3, 3)))]
+    rotation: Rotation
 
     def __post_init__(self) -> None:
-        nodes = as_tuple("NodeTripleOrientation.nodes", self.nodes, "(0, 1, 2)")
+        super().__post_init__()
+        nodes = self.nodes
         for node in nodes:
             index_or_name("NodeTripleOrientation.nodes", node)
         if len(set(nodes)) != 3 or len(nodes) != 3:
             raise ValueError(
                 f"NodeTripleOrientation.nodes is {format_value(nodes)}: give three different nodes"
             )
-        object.__setattr__(self, "nodes", nodes)
-        given = read_rotation("NodeTripleOrientation.rotation", self.rotation)
-        object.__setattr__(self, "rotation", given)
 
     def check(self, structure: Structure) -> None:
         """Check that the goal can apply to a structure.

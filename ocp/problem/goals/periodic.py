@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ocp.problem.goals.goal import Goal
+from ocp.problem.goals.goal import FREE_AXIS, Goal
 from ocp.problem.rows import Rows
 from tenscasadi.io.structure_section import OfStructure
 from tenscasadi.schema.containers import ListOf
 from tenscasadi.schema.field_types import POINT, POINTS
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, coordinates, finite_array
+from tenscasadi.util.validate import Array, Check, coordinates, finite_array
 
 if TYPE_CHECKING:
     from tenscasadi.dynamics.model import Model
@@ -51,7 +52,11 @@ class Periodic(Goal, kind="Periodic"):
     """
 
     timing: ClassVar[str] = "period"
-    shift: Annotated[Sequence[float | None], POINT] = (0.0, 0.0, 0.0)
+    shift: Annotated[Sequence[float | None], POINT, Check(partial(coordinates, none=FREE_AXIS))] = (
+        0.0,
+        0.0,
+        0.0,
+    )
     start: Annotated[
         tuple[ArrayLike, ArrayLike] | None, ListOf(OfStructure("nodes", POINTS), count=2)
     ] = None
@@ -62,9 +67,7 @@ class Periodic(Goal, kind="Periodic"):
         return self.start is None
 
     def __post_init__(self) -> None:
-        object.__setattr__(
-            self, "shift", coordinates("Periodic.shift", self.shift, "an axis that is free")
-        )
+        super().__post_init__()
         if self.start is not None and (
             not isinstance(self.start, (tuple, list)) or len(self.start) != 2
         ):

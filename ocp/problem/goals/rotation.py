@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.linalg import expm
 
-from tenscasadi.util.validate import TOLERANCE, Array, finite_array, format_value, nesting
+from tenscasadi.schema.field_types import Numbers
+from tenscasadi.util.validate import TOLERANCE, Array, Check, finite_array, format_value, nesting
 
 
 def read_rotation(field: str, given: Any) -> Array:
@@ -23,6 +25,9 @@ def read_rotation(field: str, given: Any) -> Array:
             "matrix, which is orthonormal with determinant 1, or a rotation vector [rad]"
         )
     return rotation
+
+
+Rotation = Annotated[ArrayLike, Numbers(((3,), (3, 3))), Check(read_rotation)]
 
 
 def rotation_matrix(given: Any) -> Array:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ocp.solvers.base import NamedSolver, Solution, check_options
+from ocp.solvers.base import NamedSolver, Solution
 from ocp.solvers.condensed_newton.condensed_program import (
     CondensedProgram,
     Expansion,
@@ -18,7 +18,7 @@ from ocp.solvers.condensed_newton.interior_point import InteriorPoint
 from ocp.solvers.condensed_newton.iterate import evaluate, polish
 from ocp.solvers.monitor import Monitor, Progress
 from ocp.transcription.sparse_nlp import Program
-from tenscasadi.util.validate import NEGLIGIBLE
+from tenscasadi.util.validate import NEGLIGIBLE, Boolean, Count, Positive
 
 MAX_GROWTH = 1e8  # of unknowns with defects of one; more multiplies rounding errors as much
 NOT_SETTLED = "unsettled"
@@ -78,12 +78,9 @@ class CondensedNewton(NamedSolver, kind="CondensedNewton"):
     True
     """
 
-    max_iterations: int = 200
-    tolerance: float = 1e-6
-    verbose: bool = False
-
-    def __post_init__(self) -> None:
-        check_options("CondensedNewton", self.max_iterations, self.tolerance, self.verbose, {}, "")
+    max_iterations: Count = 200
+    tolerance: Positive = 1e-6
+    verbose: Boolean = False
 
     def solve(self, program: Program, monitor: Monitor | None = None) -> Solution:
         """Solve a program.

@@ -10,7 +10,7 @@ import numpy as np
 from tenscasadi.schema.value import Value
 from tenscasadi.structure.cables import find_units
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, Indices, positive_number
+from tenscasadi.util.validate import Array, Indices, Positive
 
 
 @dataclass(frozen=True)
@@ -33,13 +33,9 @@ class Material(Value, kind="Material"):
     Material(modulus=60000000000.0, density=2700.0, strength=110000000.0)
     """
 
-    modulus: float
-    density: float
-    strength: float
-
-    def __post_init__(self) -> None:
-        for name in ("modulus", "density", "strength"):
-            object.__setattr__(self, name, positive_number(f"Material.{name}", getattr(self, name)))
+    modulus: Positive
+    density: Positive
+    strength: Positive
 
 
 class Sections(NamedTuple):

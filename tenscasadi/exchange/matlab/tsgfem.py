@@ -17,6 +17,7 @@ from tenscasadi.exchange.matlab.variables import (
     read_values,
 )
 from tenscasadi.exchange.source import Source
+from tenscasadi.structure.class_one import distances
 from tenscasadi.util.validate import Array, Indices, finite_array
 
 # variables of MOTES: keyword of Structure, and the variables of TsgFEM from which it follows
@@ -49,7 +50,7 @@ def convert_tsgfem(source: Source, variables: Variables, options: Variables) -> 
     given = [read_pairs(key, variables[key], N.shape[1]) for key in keys if key in variables]
     pairs = np.concatenate(given)
     cable = _read_cables(variables, len(pairs))
-    lengths = np.linalg.norm(N[:, pairs[:, 1]] - N[:, pairs[:, 0]], axis=0)
+    lengths = distances(N.T, pairs)
     converted = {"node_mass": np.zeros(1), **variables}
     known, variables = 0, _add_rest_lengths(variables, lengths)
     for index, key, table in (("index_b", "C_b", _BARS), ("index_s", "C_s", _STRINGS)):

@@ -47,11 +47,6 @@ class Piece:
     masses: list[Mass] = field(default_factory=list)
     geoms: list[Geom] = field(default_factory=list)
 
-    @property
-    def is_bar(self) -> bool:
-        """Whether it moves and has a geom with an axis."""
-        return self.parent is not None and any(geom.rod and geom.rod.length for geom in self.geoms)
-
 
 class Site(NamedTuple):
     """Site: its piece and its position [m]."""

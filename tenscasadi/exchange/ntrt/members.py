@@ -13,6 +13,7 @@ from tenscasadi.exchange.ntrt.rigid_groups import RigidPart, combine_mass, group
 from tenscasadi.exchange.ntrt.yaml_tree import YamlEntry
 from tenscasadi.exchange.source import Source
 from tenscasadi.schema.reading import SceneFileError
+from tenscasadi.structure.class_one import distances
 from tenscasadi.structure.rigid_body import RigidBody
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import NEGLIGIBLE, Array, Indices
@@ -196,7 +197,7 @@ class StructureBuilder:
 
     def _rest_lengths(self, lines: Indices, strings: dict[str, Array]) -> Array:
         """Compute rest lengths in the unit of the file, from the pretension."""
-        spans = np.linalg.norm(self.places[lines[:, 1]] - self.places[lines[:, 0]], axis=1)
+        spans = distances(self.places, lines)
         rest = spans - strings["pretension"] / strings["stiffness"]
         for k in np.flatnonzero(rest <= 0):
             pretension = (

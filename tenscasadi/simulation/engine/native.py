@@ -7,13 +7,13 @@ several runs in lanes, both are one library.
 from __future__ import annotations
 
 import ctypes
+import struct
 import threading
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
-from tenscasadi.simulation.engine.request import pack_request
 from tenscasadi.simulation.engine.step_code import (
     CALLS,
     MODEL_SIZES,
@@ -25,6 +25,40 @@ from tenscasadi.simulation.engine.step_code import (
     write_model,
 )
 from tenscasadi.util.compile import CompileError, CompileTimeout, compile_library, find_compiler
+
+# Fields of the struct of a request in `engine.hpp`, by kind: whole number, real number, pointer
+_FIELDS = (
+    ("q", "state_stride", "input_stride", "parameter_stride", "width", "intervals"),
+    ("P", "row", "count", "length", "clock", "decides", "states", "inputs", "parameters"),
+    ("P", "decision", "given", "reference", "gains", "lower", "upper"),
+    ("q", "referred"),
+    ("P", "numbers"),
+    ("q", "counted", "trials"),
+    ("d", "shortest"),
+    ("q", "correct_every", "save_every", "look_every", "rows", "begin", "total"),
+    ("d", "broken", "beyond", "largest"),
+    ("P", "last", "saved", "measured", "corrected", "worst", "cost", "carry"),
+    ("P", "status", "fault", "good", "stop"),
+    ("q", "compare_every"),
+    ("P", "compared", "companions"),
+)
+_NAMES = [name for _, *names in _FIELDS for name in names]
+_STRUCT = struct.Struct("".join(kind * len(names) for kind, *names in _FIELDS))
+
+
+def _pack_request(values: Mapping[str, Any]) -> bytes:
+    """Pack the C struct of a request.
+
+    Values are numbers and C-contiguous arrays, which must outlive the struct. Missing values and
+    None are 0. Unknown names are ignored.
+    """
+    given = [values.get(name) for name in _NAMES]
+    return _STRUCT.pack(
+        *(
+            value.__array_interface__["data"][0] if isinstance(value, np.ndarray) else value or 0
+            for value in given
+        )
+    )
 
 
 class ModelStruct(ctypes.Structure):
@@ -101,7 +135,7 @@ class Native:
         room = np.zeros(self._library.motion_room(self._at, counted), dtype=np.uint8)
         span = ctypes.c_int64(first), ctypes.c_int64(last)
         memory = ctypes.c_void_p(room.ctypes.data)
-        self._library.motion_roll(self._at, pack_request(values), *span, memory)
+        self._library.motion_roll(self._at, _pack_request(values), *span, memory)
 
 
 def _address(library: ctypes.CDLL, name: str) -> int | None:

@@ -1,13 +1,8 @@
-"""Input and result arrays of an integration loop.
-
-Their names and order are those of the struct in `engine.hpp`.
-"""
+"""Input and result arrays of an integration loop."""
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,40 +26,6 @@ WORST = (
     "gravity_high",
 )
 CARRIED = ("energy", "bars", "work", "jumps", *Memory._fields)  # then the stacked input
-
-# Fields of the struct by kind: whole number, real number, pointer
-_FIELDS = (
-    ("q", "state_stride", "input_stride", "parameter_stride", "width", "intervals"),
-    ("P", "row", "count", "length", "clock", "decides", "states", "inputs", "parameters"),
-    ("P", "decision", "given", "reference", "gains", "lower", "upper"),
-    ("q", "referred"),
-    ("P", "numbers"),
-    ("q", "counted", "trials"),
-    ("d", "shortest"),
-    ("q", "correct_every", "save_every", "look_every", "rows", "begin", "total"),
-    ("d", "broken", "beyond", "largest"),
-    ("P", "last", "saved", "measured", "corrected", "worst", "cost", "carry"),
-    ("P", "status", "fault", "good", "stop"),
-    ("q", "compare_every"),
-    ("P", "compared", "companions"),
-)
-_NAMES = [name for _, *names in _FIELDS for name in names]
-_STRUCT = struct.Struct("".join(kind * len(names) for kind, *names in _FIELDS))
-
-
-def pack_request(values: Mapping[str, Any]) -> bytes:
-    """Pack the C struct of a request.
-
-    Values are numbers and C-contiguous arrays, which must outlive the struct. Missing values and
-    None are 0. Unknown names are ignored.
-    """
-    given = [values.get(name) for name in _NAMES]
-    return _STRUCT.pack(
-        *(
-            value.__array_interface__["data"][0] if isinstance(value, np.ndarray) else value or 0
-            for value in given
-        )
-    )
 
 
 class Intervals(NamedTuple):

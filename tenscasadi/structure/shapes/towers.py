@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from tenscasadi.structure.class_one import member_vectors
 from tenscasadi.structure.shapes.family import build_structure, place_ring, polygon, shape
 from tenscasadi.structure.shapes.prisms import check_twist, equilibrium_twist
 from tenscasadi.structure.structure import Structure
@@ -204,7 +205,7 @@ def _ring_balance(tower: _Tower, p: int) -> Array:
     groups = [*tower.bars.values(), *tower.strings.values()]
     forces = np.zeros((len(tower.nodes), 3, len(groups)))
     for k, pairs in enumerate(groups):
-        vectors = tower.nodes[pairs[:, 1]] - tower.nodes[pairs[:, 0]]
+        vectors = member_vectors(tower.nodes, pairs)
         np.subtract.at(forces[:, :, k], pairs[:, 0], vectors)
         np.add.at(forces[:, :, k], pairs[:, 1], vectors)
     first = tower.nodes[::p]

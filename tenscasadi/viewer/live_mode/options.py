@@ -11,8 +11,9 @@ from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme, check_scheme
 from tenscasadi.integrators.stability import contact_rate, find_limit
 from tenscasadi.integrators.stabilization import Correction, Projection
+from tenscasadi.schema.value import check_fields
 from tenscasadi.util.compile import Compiled
-from tenscasadi.util.validate import Array, positive_number
+from tenscasadi.util.validate import Array, Positive
 
 
 @dataclass(frozen=True)
@@ -39,17 +40,15 @@ class LiveOptions:
     True
     """
 
-    step: float | None = None
+    step: Positive | None = None
     scheme: Scheme = field(default_factory=RungeKutta4)
     correction: Correction | None = field(default_factory=Projection)
     compiled: Compiled = None
-    tick: float = 1 / 60
+    tick: Positive = 1 / 60
 
     def __post_init__(self) -> None:
         check_scheme(self.scheme)
-        positive_number("tick", self.tick)
-        if self.step is not None:
-            positive_number("step", self.step)
+        check_fields(self)
 
 
 def count_substeps(options: LiveOptions, model: Model, state: Array, control: Array) -> int:

@@ -89,6 +89,7 @@ def test_stiffest_prestress_of_a_symmetric_dome_tells_its_gap() -> None:
     assert pre.tension.max() <= 1000.0 * (1 + 1e-9)
 
 
+@pytest.mark.slow
 def test_stiffest_prestress_settles_under_a_load() -> None:
     ball = tc.shapes.truncated_tetrahedron(pinned=[0, 1, 2])
     load = np.zeros(ball.nodes.shape)

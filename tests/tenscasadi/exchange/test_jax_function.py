@@ -40,7 +40,16 @@ def inputs(model, rows):
     return (x, u, p) if model.np else (x, u)
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("ground", "parameters"),
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in ("force densities", "rest lengths", "joints, wind")
+        ),
+    ],
+)
 def test_rates_and_derivatives_equal_those_of_casadi(name):
     model = tc.Model(SCENES[name], coordinates="reduced")
     rows = inputs(model, 3)

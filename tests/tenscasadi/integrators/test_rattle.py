@@ -73,6 +73,7 @@ def test_orders_and_constraints_on_certified_scenes(
     assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.15)
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_a_million_steps_of_the_prism_without_a_trend() -> None:
     case = certified("prism_n1")

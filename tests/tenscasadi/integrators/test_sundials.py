@@ -37,6 +37,7 @@ def test_sundials_follow_their_tolerance(
     assert fine < coarse / 50
 
 
+@pytest.mark.slow
 def test_idas_meets_the_ground() -> None:
     assert solve_certified("lander_mass", Idas(1e-6))[0] < 1e-4
 

@@ -91,10 +91,11 @@ BUMP = NodalForce(
     [
         (Cvodes, Scene(**FALLING), {"correction": Projection()}),
         (Cvodes, Scene(**FALLING, forces=BUMP), {}),
-        (
+        pytest.param(
             Idas,
             Scene(**FALLING, control=RestLength()),
             {"control": np.linspace(1.0, 0.98, 60)[:, None] * PRISM.string_lengths},
+            marks=pytest.mark.slow,
         ),
         (
             Cvodes,

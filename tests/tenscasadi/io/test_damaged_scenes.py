@@ -175,7 +175,7 @@ def _modules() -> None:
         b"\xff".decode("utf-8-sig")
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
 @given(damaged())
 def test_damaged_files_give_one_line_or_are_read(tmp_path, text):
     path = tmp_path / "scene.toml"

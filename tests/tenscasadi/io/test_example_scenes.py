@@ -69,7 +69,7 @@ def paper_membrane() -> tuple[tc.Scene, str]:
     [
         (paper_prism, 0.5, 0.1),
         (paper_dbar, 1.0, 0.5),
-        (paper_lander, 1.0, 2.0),
+        (paper_lander, 0.3, 0.4),
         (paper_membrane, 0.02, 0.04),
     ],
 )

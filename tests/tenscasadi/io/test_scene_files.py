@@ -51,7 +51,7 @@ def written(scene: tc.Scene | tc.Simulation, folder: Path, ending: str = "toml")
     return tc.save_scene(scene, folder / f"scene.{ending}")
 
 
-@settings(max_examples=30, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=15, deadline=None, suppress_health_check=list(HealthCheck))
 @given(scenes(), st.integers(0, 99), st.sampled_from(["toml", "json"]))
 def test_scenes_come_back_to_the_last_bit(tmp_path_factory, scene, seed, ending):
     path = written(scene, tmp_path_factory.getbasetemp(), ending)

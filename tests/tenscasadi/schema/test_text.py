@@ -161,7 +161,7 @@ def exact(value: Any) -> Any:
     return struct.pack("d", value) if isinstance(value, float) else (type(value), value)
 
 
-@settings(deadline=None)
+@settings(deadline=None, max_examples=50)
 @given(st.dictionaries(texts, values, max_size=5))
 def test_tables_come_back(data):
     assert exact(tomllib.loads(to_toml(data))) == exact(data)
