@@ -55,11 +55,11 @@ SCENES = {
 @pytest.mark.parametrize(
     ("scheme", "step"),
     [
-        (Collocation(1), 5e-3),
+        pytest.param(Collocation(1), 5e-3, marks=pytest.mark.slow),
         (Collocation(), 0.02),
         (Collocation(3), 0.02),
         (Collocation(2, "radau"), 0.01),
-        (Collocation(3, "radau"), 0.02),
+        pytest.param(Collocation(3, "radau"), 0.02, marks=pytest.mark.slow),
     ],
 )
 def test_order_of_collocation(scheme: Collocation, step: float) -> None:
@@ -184,7 +184,7 @@ def test_what_slides_comes_to_rest_within_a_step(
 @pytest.mark.parametrize(
     ("structure", "scheme"),
     [
-        (PRISM, Collocation(2, "radau")),
+        pytest.param(PRISM, Collocation(2, "radau"), marks=pytest.mark.slow),
         (Structure([(0, 0, 0), (0.5, 0, 0.3)], [(0, 1)]), Collocation()),
     ],
 )

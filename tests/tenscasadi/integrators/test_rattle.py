@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import casadi as ca
@@ -21,6 +22,7 @@ from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity, RestLength
 from tenscasadi.scene.supports import SupportMotion
 from tenscasadi.simulation.simulate import simulate
+from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure import shapes
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.compile import find_compiler
@@ -252,9 +254,9 @@ def test_a_bar_that_turns_too_far_in_a_step_fails_with_a_reason() -> None:
     assert "not finite" in run.message
 
 
-@BOTH
-@pytest.mark.parametrize("order", [2, 4])
-def test_moved_supports_keep_the_order(order: int, coordinates: Any) -> None:
+@cache
+def shake_pendulum(coordinates: Any) -> tuple[Model, Trajectory]:
+    """A pendulum on a moving support, and its motion in fine steps."""
     shaken = SupportMotion(
         {0: lambda t: (0.1 * np.sin(3 * t), 0.05 * np.cos(5 * t) - 0.05, 0.03 * t**2)}
     )
@@ -262,7 +264,13 @@ def test_moved_supports_keep_the_order(order: int, coordinates: Any) -> None:
         Scene(shapes.double_pendulum(), supports=shaken, gravity=Gravity((0, -9.81, 0))),
         coordinates,
     )
-    reference = simulate(model, 1.0, 1e-3, DormandPrince853(), compiled=False)
+    return model, simulate(model, 1.0, 1e-3, DormandPrince853(), compiled=False)
+
+
+@BOTH
+@pytest.mark.parametrize("order", [2, 4])
+def test_moved_supports_keep_the_order(order: int, coordinates: Any) -> None:
+    model, reference = shake_pendulum(coordinates)
     errors, losses = [], []
     for step in (8e-3, 4e-3):
         run = simulate(model, 1.0, step, Rattle(order), compiled=False)
@@ -274,6 +282,18 @@ def test_moved_supports_keep_the_order(order: int, coordinates: Any) -> None:
         losses.append(abs(run.energy_error).max())
     assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.25)
     assert np.log2(losses[0] / losses[1]) > order - 0.3
+
+
+@cache
+def fold_d_bar(coordinates: Any) -> tuple[Model, Trajectory]:
+    """A D-bar, and its motion through its fold in fine steps."""
+    square = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]) - 0.5
+    bars, pinned = [(0, 1), (1, 2), (2, 3), (3, 0)], {0: "xyz", 1: "z", 2: "z", 3: "z"}
+    model = Model(
+        Scene(Structure(square, bars, [(0, 2), (1, 3)], rest_length=(1.0, 0.5), pinned=pinned)),
+        coordinates,
+    )
+    return model, simulate(model, 0.6, 2e-4, correction=Projection(), compiled=False)
 
 
 @pytest.mark.parametrize(
@@ -289,13 +309,7 @@ def test_moved_supports_keep_the_order(order: int, coordinates: Any) -> None:
 )
 def test_through_the_fold_of_a_d_bar(order: int, iterations: int, coordinates: Any) -> None:
     """At 0.42 s all bars lie in one line and no longer tell apart what holds which."""
-    square = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]) - 0.5
-    bars, pinned = [(0, 1), (1, 2), (2, 3), (3, 0)], {0: "xyz", 1: "z", 2: "z", 3: "z"}
-    model = Model(
-        Scene(Structure(square, bars, [(0, 2), (1, 3)], rest_length=(1.0, 0.5), pinned=pinned)),
-        coordinates,
-    )
-    fine = simulate(model, 0.6, 2e-4, correction=Projection(), compiled=False)
+    model, fine = fold_d_bar(coordinates)
     run = simulate(model, 0.6, 4e-3, Rattle(order, iterations), compiled=False)
     assert run.success, run.message
     assert max(run.bar_length_error.max(), run.joint_error.max()) < 1e-14

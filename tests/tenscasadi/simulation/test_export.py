@@ -62,6 +62,7 @@ def rolling() -> Scene:
     )
 
 
+SLOW = "terrain, wall and a roller", "class k, full coordinates"  # parts of "every term"
 MODELS = {
     "winches": lambda: Model(
         Scene(shapes.prism(prestress=20.0, damping=0.5), control=RestLengthRate())
@@ -97,7 +98,9 @@ MODELS = {
 
 
 @needs_compiler
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in MODELS]
+)
 def test_the_exported_program_gives_the_simulators_numbers(name: str, tmp_path: Path) -> None:
     model = MODELS[name]()
     files = export_c(model, tmp_path / "c")
@@ -213,7 +216,14 @@ def test_schemes_that_choose_their_steps_are_no_c_code(scheme: Scheme, tmp_path:
 
 
 @needs_compiler
-@pytest.mark.parametrize("scheme", [DormandPrince853(), Rattle(), Collocation(2, "radau")])
+@pytest.mark.parametrize(
+    "scheme",
+    [
+        DormandPrince853(),
+        Rattle(),
+        pytest.param(Collocation(2, "radau"), marks=pytest.mark.slow),
+    ],
+)
 def test_every_scheme_of_fixed_steps_is_exported(scheme: Scheme, tmp_path: Path) -> None:
     model = MODELS["class 1 with ground"]()
     export_c(model, tmp_path, scheme)

@@ -32,7 +32,11 @@ def roll(kernel, x, w, factor: int = 1, compare_every: int = 0, **options) -> Ro
 
 
 @pytest.mark.parametrize("correction", [None, tc.Projection()], ids=["plain", "projected"])
-@pytest.mark.parametrize("scheme", [tc.RungeKutta4(), tc.DormandPrince853()], ids=["RK4", "853"])
+@pytest.mark.parametrize(
+    "scheme",
+    [tc.RungeKutta4(), pytest.param(tc.DormandPrince853(), marks=pytest.mark.slow)],
+    ids=["RK4", "853"],
+)
 def test_companions_are_runs_in_longer_steps(scheme, correction):
     model = prism(control=tc.RestLength())
     x = starts(model)

@@ -57,7 +57,7 @@ def cost_of(expression, inputs):
     return kernel(states, w[:, None], 1e-3, 1).cost, kernel
 
 
-@pytest.mark.parametrize("kind", [ca.SX, ca.MX])
+@pytest.mark.parametrize("kind", [pytest.param(ca.SX, marks=pytest.mark.slow), ca.MX])
 def test_each_number_is_as_in_c(kind):
     """Sums of weighted results, so that one compilation serves all: each operation is told apart by a third input."""
     x, w = kind.sym("x", 2), kind.sym("w", 4)  # w: the control, which, a, b
@@ -89,7 +89,10 @@ def test_code_that_branches_takes_one_lane():
     assert kernel.note.startswith("not compiled in lanes: ")
 
 
-@pytest.mark.parametrize("mode", ["linear", "exact", "binary"])
+@pytest.mark.parametrize(
+    "mode",
+    ["linear", *(pytest.param(mode, marks=pytest.mark.slow) for mode in ("exact", "binary"))],
+)
 def test_tables_are_looked_up_in_each_lane(mode):
     x, w = ca.MX.sym("x", 2), ca.MX.sym("w", 3)
     line = ca.interpolant(

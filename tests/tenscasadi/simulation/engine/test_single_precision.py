@@ -28,7 +28,7 @@ def turning(control: tc.ForceDensity | None = None) -> tuple[tc.Model, np.ndarra
         pytest.param(tc.DormandPrince853(), marks=pytest.mark.slow),
         tc.DormandPrince54(rtol=1e-6),
         pytest.param(tc.Rattle(), marks=pytest.mark.slow),
-        tc.Collocation(tolerance=1e-6),
+        pytest.param(tc.Collocation(tolerance=1e-6), marks=pytest.mark.slow),
     ],
 )
 def test_every_scheme_runs_in_float(scheme: tc.RungeKutta4) -> None:

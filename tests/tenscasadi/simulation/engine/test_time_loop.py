@@ -20,7 +20,9 @@ needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="no C compil
 
 @needs_compiler
 @pytest.mark.usefixtures("users_compiler")
-@pytest.mark.parametrize("correction", [None, Projection(), Projection(every=7)])
+@pytest.mark.parametrize(
+    "correction", [None, pytest.param(Projection(), marks=pytest.mark.slow), Projection(every=7)]
+)
 def test_compiled_and_not_give_the_same_numbers(correction: Any) -> None:
     model = prism(RestLength(), damping=1.0)
     u = model.initial_control

@@ -233,6 +233,7 @@ def test_undeclared_shift_of_a_support_is_told(scheme: Any) -> None:
     assert run.success == scheme.adaptive
 
 
+@pytest.mark.slow
 def test_recommended_ways_know_of_pulses() -> None:
     model = Model(Scene(SPRING, forces=TABLE))
     advice = recommend(model, 1.0, 1e-4, schemes=[RungeKutta4(), DormandPrince54()], compiled=False)
@@ -290,7 +291,7 @@ def test_supports_may_move_along_splines() -> None:
     [
         RungeKutta4(),
         DormandPrince853(),
-        DormandPrince853(1e-9),
+        pytest.param(DormandPrince853(1e-9), marks=pytest.mark.slow),
         Rattle(),
         Collocation(2, "radau"),
         Cvodes(1e-9),
