@@ -26,6 +26,7 @@ from tenscasadi.integrators.stability import contact_step, fastest_rate
 from tenscasadi.scene.winches import Winch
 from tenscasadi.simulation.inputs.feedback import Feedback
 from tenscasadi.simulation.trajectory import Trajectory
+from tenscasadi.structure.class_one import measure_diagonal
 from tenscasadi.util.immutable import ReadOnlyArrays
 from tenscasadi.util.renamed import rename_fields, rename_keywords
 from tenscasadi.util.troubleshooting import add_address
@@ -246,7 +247,7 @@ def track(
     default = int(np.ceil(T / shortest - 1e-6))
     count = whole_number("decisions", default if decisions is None else decisions, 1, 10_000)
     size = (
-        0.01 * float(np.linalg.norm(np.ptp(model.structure.nodes, axis=0)))
+        0.01 * measure_diagonal(model.structure.nodes)
         if position_scale is None
         else positive_number("position_scale", position_scale)
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -17,10 +16,10 @@ from tenscasadi.schema.reading import Document, NotWritten
 from tenscasadi.simulation.declared import Simulation
 from tenscasadi.simulation.simulation_files import START, read_simulation
 from tenscasadi.util.troubleshooting import add_address
-from tenscasadi.util.validate import file_path, instance
+from tenscasadi.util.validate import FilePath, file_path, instance
 
 
-def load_problem(path: str | os.PathLike[str]) -> Problem:
+def load_problem(path: FilePath) -> Problem:
     """Read a problem from a scene file with a table [plan].
 
     No content of the file is executed. Other files are opened only if they are included and in the
@@ -64,7 +63,7 @@ def load_problem(path: str | os.PathLike[str]) -> Problem:
     return load_solve_arguments(path)["problem"]  # type: ignore[no-any-return]
 
 
-def load_solve_arguments(path: str | os.PathLike[str]) -> dict[str, Any]:
+def load_solve_arguments(path: FilePath) -> dict[str, Any]:
     """Read the arguments of `solve` from a scene file.
 
     Parameters
@@ -117,7 +116,7 @@ def read_arguments(document: Document) -> dict[str, Any]:
     return read_plan(item, _read_simulation(document, scene))
 
 
-def load_studies(path: str | os.PathLike[str]) -> dict[str, dict[str, Any]]:
+def load_studies(path: FilePath) -> dict[str, dict[str, Any]]:
     """Read the studies of a plan from a scene file.
 
     Parameters
@@ -161,7 +160,7 @@ def load_studies(path: str | os.PathLike[str]) -> dict[str, dict[str, Any]]:
 
 def save_problem(
     problem: Problem,
-    path: str | os.PathLike[str],
+    path: FilePath,
     *,
     studies: Mapping[str, Mapping[str, Any]] | None = None,
     **solve_arguments: Any,

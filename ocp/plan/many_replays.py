@@ -33,7 +33,7 @@ from tenscasadi.simulation.inputs.controls import ControlProfile
 from tenscasadi.simulation.inputs.feedback import Feedback
 from tenscasadi.simulation.rollouts import rollouts
 from tenscasadi.simulation.verdict.endings import INTERRUPTED
-from tenscasadi.structure.class_one import distances
+from tenscasadi.structure.class_one import distances, measure_diagonal
 from tenscasadi.util.validate import MAX_ENTRIES, Array, positive_number, whole_number
 
 
@@ -82,7 +82,7 @@ def measure_robustness(
     misses = _measure_misses(plan, rolled.time, rolled.states[ended])
     success = rolled.success[ended]
     if limit is None:
-        limit = RELIABLE * (float(np.linalg.norm(np.ptp(planned.structure.nodes, axis=0))) or 1.0)
+        limit = RELIABLE * (measure_diagonal(planned.structure.nodes) or 1.0)
     varied = {name: draws[ended][:, [k]] for k, name in enumerate(names)}
     if any(place):
         varied["start"] = changes[ended]

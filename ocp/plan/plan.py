@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -29,7 +28,7 @@ from tenscasadi.scene.samples import sample_functions
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.archive import Fields
 from tenscasadi.util.troubleshooting import add_address, describe_address
-from tenscasadi.util.validate import flag, instance, positive_number, whole_number
+from tenscasadi.util.validate import FilePath, flag, instance, positive_number, whole_number
 from tenscasadi.util.viewable import Viewable
 
 
@@ -342,7 +341,7 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
         )
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str], problem: Problem | None = None) -> Plan:
+    def load(cls, path: FilePath, problem: Problem | None = None) -> Plan:
         """Load a saved plan.
 
         No code in the file is ever run.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ocp.problem.bounds.bound import Bound, Limit, PathBound, PathConstraint
 from ocp.problem.constraints import build_constraint
@@ -20,6 +20,7 @@ from tenscasadi.schema.field_types import LIMITS, Word
 from tenscasadi.util.validate import (
     TOLERANCE,
     Array,
+    Booleans,
     call_user_function,
     flag,
     format_value,
@@ -306,7 +307,7 @@ def check_expressions(
 
 def _first(
     item: Any, symbols: tuple[Any, ...], value: Any, start: Array | None
-) -> tuple[Array, NDArray[np.bool_]]:
+) -> tuple[Array, Booleans]:
     """Evaluate an expression at the start with zero controls.
 
     Returns its entries, and whether they depend on the controls. Both are empty if the start is

@@ -17,6 +17,7 @@ from ocp.problem.instant import symbolic
 from ocp.problem.reading import limits_of, read_duration, read_items
 from tenscasadi.schema.field_types import SPAN, Members
 from tenscasadi.schema.value import Value
+from tenscasadi.structure.class_one import measure_diagonal
 from tenscasadi.util.renamed import rename_fields
 from tenscasadi.util.validate import (
     Array,
@@ -258,7 +259,7 @@ def _check_contact(model: Model, start: Array, phases: Sequence[Phase]) -> None:
                     f"{name} has node {node}, on which the ground does not act: name it in {type(grounds[0]).__name__}.nodes"
                 )
     if phases and phases[0].contact_nodes:
-        size = float(np.linalg.norm(np.ptp(structure.nodes, axis=0)))
+        size = measure_diagonal(structure.nodes)
         depths = np.asarray(grounds[0].depth(model.nodes(start).T).full()).ravel()
         for node in phases[0].contact_nodes:
             if abs(depths[node]) > 1e-2 * size:  # closer nodes count as in contact

@@ -17,6 +17,7 @@ from ocp.problem.costs import cost_terms
 from ocp.problem.instant import symbolic
 from tenscasadi.scene.internal_states import join_scales
 from tenscasadi.scene.winches import RestLengthRate, Winch
+from tenscasadi.structure.class_one import measure_diagonal
 from tenscasadi.util.validate import Array, per_item, positive_number
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ class Scales:
         duration, or twice the typical one if that is less.
         """
         model = problem.model
-        length = float(np.linalg.norm(np.ptp(model.structure.nodes, axis=0))) or 1.0
+        length = measure_diagonal(model.structure.nodes) or 1.0
         time = min(problem.longest, 2 * problem.typical_duration)
         parts = [
             np.full(model.nq, length),

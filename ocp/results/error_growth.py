@@ -9,6 +9,7 @@ from tenscasadi.dynamics.linear_steps import linear_steps
 from tenscasadi.dynamics.linearization import tangents
 from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.internal_states import join_scales
+from tenscasadi.structure.class_one import measure_diagonal
 from tenscasadi.util.validate import Array
 
 # growth above which a motion counts as unstable; vibration and drift alone cause factors near ten
@@ -50,7 +51,7 @@ def measure_error_growth(model: Model, time: Array, states: Array, force_density
     lengths = np.diff(time[nodes])
     gamma = profile_at(force_density, time, time[nodes[:-1]] + lengths / 2)
     T = float(time[-1] - time[0])
-    length = float(np.linalg.norm(np.ptp(model.structure.nodes, axis=0))) or 1.0
+    length = measure_diagonal(model.structure.nodes) or 1.0
     own = length / join_scales(model.scene.internal_states)
     scale = np.concatenate(
         [np.ones(model.nq), np.full(model.nq, T), own, np.ones(int(model.has_clock))]

@@ -12,7 +12,7 @@ from ocp.problem.problem import Problem
 from ocp.problem.rows import RESOLUTION
 from tenscasadi.integrators.stability import lightest_mass
 from tenscasadi.statics.force_density import EquilibriumError, equilibrium_force_density
-from tenscasadi.structure.class_one import distances
+from tenscasadi.structure.class_one import distances, measure_diagonal
 from tenscasadi.util.validate import Array, per_item
 
 
@@ -64,7 +64,7 @@ def choose_defaults(problem: Problem) -> SamplingDefaults:
     size = (
         float(structure.bar_lengths.mean())
         if len(structure.bars)
-        else float(np.linalg.norm(np.ptp(structure.nodes, axis=0)))
+        else measure_diagonal(structure.nodes)
     )
     weight = 0.0 if model.scene.gravity is None else float(ca.norm_2(model.scene.gravity.at(0.0)))
     pull = weight or size / problem.longest**2
@@ -108,7 +108,7 @@ def find_symmetry_groups(problem: Problem) -> tuple[tuple[int, ...], ...]:
     height = -nodes @ down / (np.linalg.norm(down) or 1.0)
     ends = np.sort(height[structure.strings], axis=1)
     length = distances(nodes, structure.strings)
-    near = RESOLUTION * float(np.linalg.norm(np.ptp(nodes, axis=0)))
+    near = RESOLUTION * measure_diagonal(nodes)
     found: list[tuple[Array, list[int]]] = []
     for string, values in enumerate(np.column_stack([length, ends])):
         for first, members in found:

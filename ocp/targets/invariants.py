@@ -13,7 +13,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import scipy.sparse
-from numpy.typing import NDArray
 
 from ocp.problem.rows import Rows
 from tenscasadi.dynamics.mechanism import Mechanism
@@ -22,10 +21,10 @@ from tenscasadi.scene.scene import Scene
 from tenscasadi.structure.body_assembly import connected_pairs
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.casadi_tools import sparse
-from tenscasadi.util.validate import Array, Indices
+from tenscasadi.util.validate import Array, Booleans, Indices
 
 AXES = "xyz"
-Flags = NDArray[np.bool_]
+Flags = Booleans
 
 
 def invariants(

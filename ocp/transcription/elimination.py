@@ -7,12 +7,11 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import _sparsetools  # no public call multiplies a range of rows in place
 
-from tenscasadi.util.validate import Array, Indices
+from tenscasadi.util.validate import Array, Booleans, Indices
 
-Flags = NDArray[np.bool_]
+Flags = Booleans
 
 
 class Elimination:

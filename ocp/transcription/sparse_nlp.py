@@ -15,10 +15,9 @@ from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from tenscasadi.util.casadi_tools import symbol_kind
-from tenscasadi.util.validate import Array, Indices
+from tenscasadi.util.validate import Array, Booleans, Indices
 
 Kind = Literal[
     "start", "stage", "defect", "path", "rate", "waypoint", "end", "dependent", "periodic", "cost"
@@ -195,7 +194,7 @@ class Separable:
         )
 
     @property
-    def constant_entries(self) -> NDArray[np.bool_]:
+    def constant_entries(self) -> Booleans:
         """Whether each non-zero of the Jacobian is constant."""
         return self._row_derivatives.constant_entries(self.g.shape[0])
 
@@ -364,7 +363,7 @@ class _SparseMatrix:
         self._factors: list[Array] = []
         self._rows: list[Indices] = []
         self._columns: list[Indices] = []
-        self._varying: list[NDArray[np.bool_]] = []
+        self._varying: list[Booleans] = []
 
     def add_jacobian(
         self,
@@ -414,7 +413,7 @@ class _SparseMatrix:
         row, column = row[kept], column[kept]
         self._keep(values, position, scale[row] * scale[column], [row, column])
 
-    def _derivative(self, block: Block, z: Any) -> tuple[Any, Indices, Indices, NDArray[np.bool_]]:
+    def _derivative(self, block: Block, z: Any) -> tuple[Any, Indices, Indices, Booleans]:
         """Build the Jacobian's non-zeros, and find their indices."""
         s: Any = symbol_kind(block.function).sym("z", block.function.size1_in(0))
         varied, places = self._select_unknowns(block, s)
@@ -470,7 +469,7 @@ class _SparseMatrix:
         self._rows.append(places[0])
         self._columns.append(places[1])
 
-    def constant_entries(self, rows: int) -> NDArray[np.bool_]:
+    def constant_entries(self, rows: int) -> Booleans:
         """Find the constant entries of the matrix, in its order."""
         if not self._values:
             return np.zeros(0, dtype=bool)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import os
 from collections.abc import Mapping
 from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
 from numbers import Integral
@@ -15,7 +14,14 @@ import numpy as np
 from tenscasadi.integrators.scheme import NamedScheme, Scheme, check_scheme
 from tenscasadi.integrators.stabilization import Correction
 from tenscasadi.util import archive
-from tenscasadi.util.validate import as_tuple, format_value, instance, positive_number, real_array
+from tenscasadi.util.validate import (
+    FilePath,
+    as_tuple,
+    format_value,
+    instance,
+    positive_number,
+    real_array,
+)
 
 _FORMAT = "tenscasadi tradeoff 2"
 Cost = Literal["seconds", "work"]
@@ -279,7 +285,7 @@ class Tradeoff:
         )
         return "\n".join([*lines, self.message] if self.message else lines)
 
-    def plot(self, path: str | os.PathLike[str] | None = None, title: str = "") -> Any:
+    def plot(self, path: FilePath | None = None, title: str = "") -> Any:
         """Draw a work-precision diagram.
 
         It shows seconds per simulated second over position error.
@@ -304,7 +310,7 @@ class Tradeoff:
         front = [(row.position, row.seconds) for row in self.pareto()]
         return work_precision(curves, front, self.reference_error, title=title, path=path)
 
-    def save(self, path: str | os.PathLike[str]) -> Path:
+    def save(self, path: FilePath) -> Path:
         """Write the study to a compressed .npz file.
 
         Parameters
@@ -337,7 +343,7 @@ class Tradeoff:
         return archive.save(path, _FORMAT, content)
 
     @staticmethod
-    def load(path: str | os.PathLike[str]) -> Tradeoff:
+    def load(path: FilePath) -> Tradeoff:
         """Read a study that `save` wrote.
 
         No code in the file is ever run.

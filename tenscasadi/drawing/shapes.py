@@ -11,6 +11,7 @@ from tenscasadi.drawing.color_scale import ColorScale
 from tenscasadi.drawing.hulls import find_hulls
 from tenscasadi.drawing.style import STYLE, Bytes, Rgb
 from tenscasadi.drawing.view_content import Frame, NodeForces, ViewContent
+from tenscasadi.structure.class_one import measure_extent
 from tenscasadi.util.validate import Array, Indices
 
 PARTS = ("bars", "strings", "nodes", "supports")  # of a motion, in the order of their shapes
@@ -60,7 +61,7 @@ class MotionShapes:
     def __init__(self, content: ViewContent, index: int = 0, tint: Rgb | None = None) -> None:
         self.motion, self.tint = content.motions[index], tint
         self.radius, self.least = content.bar_radius, content.least_radius
-        extent = float(np.ptp(self.motion.nodes[0], axis=0).max(initial=0.0))
+        extent = measure_extent(self.motion.nodes[0])
         self.reach = STYLE.arrow_length * (extent if 0 < extent < np.inf else content.size)
         self._scales: dict[str, float] = {}
         offsets = self.motion.count("nodes") * np.arange(self.motion.copies)

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tenscasadi.drawing.style import STYLE
-from tenscasadi.structure.class_one import distances
+from tenscasadi.structure.class_one import distances, measure_extent
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import Array, Indices
@@ -245,7 +245,7 @@ class ViewContent:
         first = first[np.isfinite(first).all(axis=1)]
         if not len(first):
             return np.full(3, -0.5), np.full(3, 0.5)
-        center, extent = (first.max(0) + first.min(0)) / 2, float(np.ptp(first, axis=0).max()) or 1
+        center, extent = (first.max(0) + first.min(0)) / 2, measure_extent(first) or 1
         ends = [(motion.nodes.min(axis=0), motion.nodes.max(axis=0)) for motion in self.motions]
         points = np.concatenate([corner for pair in ends for corner in pair])
         if not (np.abs(points - center) <= 20 * extent).all():

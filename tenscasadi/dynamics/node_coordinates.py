@@ -12,6 +12,7 @@ import numpy as np
 from tenscasadi.dynamics.base_model import BaseModel
 from tenscasadi.scene.control_function import ControlSchedule
 from tenscasadi.scene.internal_states import join_initial
+from tenscasadi.structure.class_one import measure_extent
 from tenscasadi.structure.names import name_errors
 from tenscasadi.util.immutable import read_only
 from tenscasadi.util.validate import FILE_ROUNDING, Array, Indices, finite_array, rows_of_size
@@ -158,7 +159,7 @@ class NodeCoordinates(BaseModel):
         """Check that nodes and velocities (n, 3) satisfy the supports."""
         structure, fixed = self.structure, self.structure.fixed.copy()
         fixed[self._moved] = False
-        size = np.ptp(structure.nodes, axis=0).max(initial=0.0)
+        size = measure_extent(structure.nodes)
         moves = {
             "nodes": (positions - structure.nodes, 1e-9 * max(size, 1e-300)),
             "velocities": (speeds, 1e-9 * abs(speeds).max(initial=0.0)),
@@ -181,7 +182,7 @@ class NodeCoordinates(BaseModel):
         """Check that dependent nodes of bodies follow the others."""
         if self.mechanism.spread is None:
             return
-        size = float(np.ptp(self.structure.nodes, axis=0).max())
+        size = measure_extent(self.structure.nodes)
         for name, vectors, scale, unit in (
             ("nodes", positions, size, "m"),
             ("velocities", speeds, float(np.abs(speeds).max()), "m/s"),

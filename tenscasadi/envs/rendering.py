@@ -15,6 +15,7 @@ from tenscasadi.drawing.view_content import Frame, ViewContent
 from tenscasadi.dynamics.model import Model
 from tenscasadi.plots.frame_pictures import FramePictures
 from tenscasadi.simulation.trajectory import observe_states
+from tenscasadi.structure.class_one import measure_extent
 from tenscasadi.util.validate import Array, format_value
 from tenscasadi.viewer.canvas import Canvas
 from tenscasadi.viewer.web.server import address, start_server
@@ -114,7 +115,7 @@ def _describe_region(model: Model) -> ViewContent:
     """Describe a model so that pictures cover half a size around its start."""
     content = describe_content(model.scene)
     motion = content.motions[0]
-    size = float(np.ptp(motion.nodes[0], axis=0).max())
+    size = measure_extent(motion.nodes[0])
     shifts = 0.5 * size * np.array([[0, 0, 0], [1, 1, 1], [-1, -1, 0]])
     values: dict[str, Any] = {
         name: np.repeat(given, len(shifts), axis=0)

@@ -19,7 +19,7 @@ from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.integrators.scheme import Scheme
 from tenscasadi.simulation.export import export_c
 from tenscasadi.util.compile import CompileError, find_compiler, run_compiler
-from tenscasadi.util.validate import file_path, instance, positive_number
+from tenscasadi.util.validate import FilePath, file_path, instance, positive_number
 from tenscasadi.util.whole_file import whole_file
 from tenscasadi.version import __version__
 
@@ -38,7 +38,7 @@ class _Variable(NamedTuple):
 
 def export_fmu(
     model: Model,
-    path: str | os.PathLike[str],
+    path: FilePath,
     step: float = 1e-3,
     scheme: Scheme = RungeKutta4(),
 ) -> Path:

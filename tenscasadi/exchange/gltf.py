@@ -23,7 +23,7 @@ from tenscasadi.drawing.scenery import cut_ground, find_view
 from tenscasadi.drawing.shapes import PARTS, MotionShapes
 from tenscasadi.drawing.style import STYLE, Bytes, Rgb, linearize_colors
 from tenscasadi.drawing.view_content import Motion
-from tenscasadi.util.validate import Array, file_path, finite_array
+from tenscasadi.util.validate import Array, FilePath, file_path, finite_array
 from tenscasadi.util.whole_file import whole_file
 
 _MESHES = {"member": build_cylinder(12), "ball": build_ball(8, 12), "cone": build_cone(16)}
@@ -33,7 +33,7 @@ _UPWARD = np.array(
 )
 
 
-def export_gltf(data: Any, path: str | os.PathLike[str], *, time: float | None = None) -> Path:
+def export_gltf(data: Any, path: FilePath, *, time: float | None = None) -> Path:
     """Write a structure with its grounds as a 3-D picture in glTF.
 
     Slides, browsers and Blender read such files. Bars, strings, nodes and supports are objects with

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import warnings
 from pathlib import Path
 
 from tenscasadi.schema.reading import SceneFileError
-from tenscasadi.util.validate import file_path, flag
+from tenscasadi.util.validate import FilePath, file_path, flag
 
 DEEPEST = 100  # nesting of elements; MuJoCo reads deeper bodies badly
 
@@ -50,7 +49,7 @@ class Source:
         Features that were left out or changed.
     """
 
-    def __init__(self, path: str | os.PathLike[str], strict: bool = True) -> None:
+    def __init__(self, path: FilePath, strict: bool = True) -> None:
         flag("strict", strict)
         self.path, self.strict = file_path("path", path), strict
         self.changes: list[str] = []

@@ -16,13 +16,13 @@ from tenscasadi.drawing.hulls import find_hulls
 from tenscasadi.dynamics.model import Model
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.class_one import distances
-from tenscasadi.util.validate import Array, file_path, instance, whole_number
+from tenscasadi.util.validate import Array, FilePath, file_path, instance, whole_number
 from tenscasadi.util.whole_file import whole_file
 
 
 def export_vtk(
     trajectory: Trajectory,
-    path: str | os.PathLike[str],
+    path: FilePath,
     *,
     model: Model | None = None,
     every: int = 1,

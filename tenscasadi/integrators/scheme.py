@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from tenscasadi.dynamics.base_model import check_model
 from tenscasadi.schema.value import Value
+from tenscasadi.structure.class_one import measure_extent
 from tenscasadi.util.validate import Array, Check, format_value, instance, positive_number
 
 if TYPE_CHECKING:
@@ -156,7 +157,7 @@ def extent(model: Model) -> float:
     TypeError.
     """
     check_model(model)
-    return float(np.ptp(model.structure.nodes, axis=0).max()) or 1.0
+    return measure_extent(model.structure.nodes) or 1.0
 
 
 def add_work(ode: ca.Function, power: ca.Function) -> ca.Function:

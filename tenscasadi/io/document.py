@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, TypeVar
 from tenscasadi.schema.formulas import RESERVED
 from tenscasadi.schema.reading import Document, Item, SceneFileError, nearest
 from tenscasadi.schema.text import TextError, parse, to_json, to_toml
-from tenscasadi.util.validate import MAX_ENTRIES, file_path, format_value
+from tenscasadi.util.validate import MAX_ENTRIES, FilePath, file_path, format_value
 from tenscasadi.util.whole_file import whole_file
 
 T = TypeVar("T")
@@ -45,7 +45,7 @@ class Change(NamedTuple):
     value: str
 
 
-def read_document(path: str | os.PathLike[str], changes: Sequence[Change] = ()) -> Document:
+def read_document(path: FilePath, changes: Sequence[Change] = ()) -> Document:
     """Read a scene file with its includes, then apply changes.
 
     Nothing in the files is run, and no other file is opened. Raises SceneFileError, OSError.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from functools import singledispatch
 from pathlib import Path
 from typing import Any
@@ -13,12 +12,12 @@ from tenscasadi.scene.scene import Scene
 from tenscasadi.schema.definitions import definition
 from tenscasadi.schema.reading import Document, Item, NotWritten
 from tenscasadi.util.troubleshooting import add_address
-from tenscasadi.util.validate import file_path, format_value
+from tenscasadi.util.validate import FilePath, file_path, format_value
 
 SCENE = definition(Scene)
 
 
-def load_scene(path: str | os.PathLike[str]) -> Scene:
+def load_scene(path: FilePath) -> Scene:
     """Read the structure and the scene of a scene file.
 
     Nothing in the file is run, and no file is opened but those that it includes from its own
@@ -58,7 +57,7 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
     return read_scene(read_document(path))
 
 
-def save_scene(scene: Any, path: str | os.PathLike[str]) -> Path:
+def save_scene(scene: Any, path: FilePath) -> Path:
     """Write a scene or a simulation to a scene file.
 
     Numbers read back are equal to the last bit.

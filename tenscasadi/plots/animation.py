@@ -23,7 +23,7 @@ from tenscasadi.drawing.view_content import choose_frame_times
 from tenscasadi.plots.canvas3d import Canvas3D
 from tenscasadi.scene.ground import Grounds
 from tenscasadi.util.renamed import rename_keywords
-from tenscasadi.util.validate import file_path, flag, positive_number, text, whole_number
+from tenscasadi.util.validate import FilePath, file_path, flag, positive_number, text, whole_number
 from tenscasadi.util.whole_file import whole_path
 
 _COMPATIBLE = ["-pix_fmt", "yuv420p", "-movflags", "+faststart"]  # for browsers and slides
@@ -32,7 +32,7 @@ _COMPATIBLE = ["-pix_fmt", "yuv420p", "-movflags", "+faststart"]  # for browsers
 @rename_keywords(trajectory="data")
 def animate(
     data: Any,
-    path: str | os.PathLike[str],
+    path: FilePath,
     *,
     speed: float = 1.0,
     frames_per_second: int = 20,

@@ -10,8 +10,9 @@ from typing import Any, Protocol
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
-from tenscasadi.plots.panels import FilePath, add_legend, css_color, make_panels, save_figure
+from tenscasadi.plots.panels import add_legend, css_color, make_panels, save_figure
 from tenscasadi.util.validate import (
+    FilePath,
     as_tuple,
     file_path,
     format_value,

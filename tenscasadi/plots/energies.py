@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from tenscasadi.drawing.view_content import Chart
 from tenscasadi.plots.charts import draw_charts
 from tenscasadi.plots.histories import EXAMPLE, choose_nodes, find_contact_intervals
-from tenscasadi.plots.panels import FilePath, add_legend, css_color, make_panels, save_figure
+from tenscasadi.plots.panels import add_legend, css_color, make_panels, save_figure
 from tenscasadi.simulation.trajectory import Trajectory
-from tenscasadi.util.validate import choice, instance
+from tenscasadi.util.validate import FilePath, choice, instance
 
 _PARTS = ("kinetic", "elastic", "gravitational")
 

@@ -20,10 +20,18 @@ from tenscasadi.drawing.shapes import MotionShapes
 from tenscasadi.drawing.style import STYLE, interpolate_colors
 from tenscasadi.drawing.view_content import Motion, ViewContent
 from tenscasadi.plots.canvas3d import Canvas3D
-from tenscasadi.plots.panels import FilePath, save_figure
+from tenscasadi.plots.panels import save_figure
 from tenscasadi.scene.ground import Grounds
 from tenscasadi.util.renamed import rename_keywords
-from tenscasadi.util.validate import Indices, flag, per_item, positive_number, text, whole_number
+from tenscasadi.util.validate import (
+    FilePath,
+    Indices,
+    flag,
+    per_item,
+    positive_number,
+    text,
+    whole_number,
+)
 
 
 @rename_keywords(what="data")

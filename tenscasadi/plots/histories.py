@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from tenscasadi.drawing.view_content import Chart, list_names
 from tenscasadi.plots.charts import draw_charts
 from tenscasadi.plots.panels import (
-    FilePath,
     add_legend,
     css_color,
     make_panels,
@@ -25,6 +24,7 @@ from tenscasadi.structure.names import names_of
 from tenscasadi.util.tables import MOST_LISTED
 from tenscasadi.util.validate import (
     Array,
+    FilePath,
     as_tuple,
     finite_array,
     format_value,

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from tenscasadi.plots.panels import FilePath, css_color, make_panels, save_figure
+from tenscasadi.plots.panels import css_color, make_panels, save_figure
 from tenscasadi.statics.load_path import LoadPath
-from tenscasadi.util.validate import Array, instance
+from tenscasadi.util.validate import Array, FilePath, instance
 
 
 def load_path(load_path: LoadPath, *, title: str = "", path: FilePath | None = None) -> Figure:

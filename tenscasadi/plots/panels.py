@@ -11,10 +11,8 @@ from matplotlib.figure import Figure
 
 from tenscasadi.drawing.style import curve_color, format_css
 from tenscasadi.util.tables import MOST_LISTED
-from tenscasadi.util.validate import file_path, text
+from tenscasadi.util.validate import FilePath, file_path, text
 from tenscasadi.util.whole_file import whole_file
-
-FilePath = str | os.PathLike[str]
 
 
 def make_panels(

@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-from tenscasadi.plots.panels import FilePath, css_color, save_figure, style_axes
+from tenscasadi.plots.panels import css_color, save_figure, style_axes
 from tenscasadi.util.renamed import rename_keywords
-from tenscasadi.util.validate import Array, format_value, text
+from tenscasadi.util.validate import Array, FilePath, format_value, text
 
 
 class ReplayErrors(Protocol):

@@ -9,9 +9,10 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from tenscasadi.plots.histories import choose_items
-from tenscasadi.plots.panels import FilePath, css_color, make_panels, save_figure
+from tenscasadi.plots.panels import css_color, make_panels, save_figure
 from tenscasadi.simulation.motions import Rollouts
 from tenscasadi.util.validate import (
+    FilePath,
     finite_array,
     format_value,
     instance,

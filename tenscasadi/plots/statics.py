@@ -16,9 +16,10 @@ from tenscasadi.drawing.shapes import DrawnShape, MotionShapes
 from tenscasadi.drawing.style import STYLE, Rgb, interpolate_colors
 from tenscasadi.drawing.view_content import Frame, NodeForces, ViewContent
 from tenscasadi.plots.canvas3d import Canvas3D
-from tenscasadi.plots.panels import FilePath, save_figure
+from tenscasadi.plots.panels import save_figure
+from tenscasadi.structure.class_one import measure_extent
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import Array, finite_array, instance, per_item, text
+from tenscasadi.util.validate import Array, FilePath, finite_array, instance, per_item, text
 
 _SIGNS: tuple[Rgb, ...] = (STYLE.reaction, STYLE.slack, STYLE.load)  # push, none, pull
 # radii relative to the structure: of members without and with the largest force, and in modes
@@ -87,7 +88,7 @@ def forces(
     largest = float(np.abs(np.concatenate([pulls, pushes])).max(initial=0.0)) or 1.0
     rest = Frame(structure.nodes)
     bars, strings, *others = MotionShapes(content).build(rest, kinds=("reaction",))
-    size = float(np.ptp(structure.nodes, axis=0).max())
+    size = measure_extent(structure.nodes)
     members = (bars, pushes), (strings, pulls)
     canvas.draw([*(_color(shape, size, force / largest) for shape, force in members), *others])
     ramp = interpolate_colors(_SIGNS, np.linspace(0.0, 1.0, 256)) / 255
@@ -151,7 +152,7 @@ def mode_shapes(
     rows = -(-len(shown) // columns)
     figure = Figure(figsize=(3.4 * columns, 3.2 * rows + 0.4))
     content = describe_content(structure, "structure")
-    size = float(np.ptp(structure.nodes, axis=0).max())
+    size = measure_extent(structure.nodes)
     for k, (mode, name) in enumerate(zip(shown, names, strict=True)):
         row, column = divmod(k, columns)
         place = (

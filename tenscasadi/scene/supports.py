@@ -27,6 +27,7 @@ from tenscasadi.schema.definitions import OneOf
 from tenscasadi.schema.field_types import MOVING_POINT, TIMES
 from tenscasadi.schema.time_formula import TimeFormula
 from tenscasadi.schema.value import Value
+from tenscasadi.structure.class_one import measure_extent
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.immutable import keep
 from tenscasadi.util.renamed import rename_fields
@@ -126,7 +127,7 @@ class SupportMotion(Value, kind="SupportMotion"):
                 f"SupportMotion.positions, node {format_value(node)}", node, len(structure.nodes)
             )
         start = self.rates()(0.0)[0].full().T
-        size = float(np.ptp(structure.nodes, axis=0).max(initial=0.0))
+        size = measure_extent(structure.nodes)
         for node, place in zip(self.nodes, start, strict=True):
             name = f"SupportMotion.positions[{node}]"
             if structure.pinned.get(node) != "xyz":

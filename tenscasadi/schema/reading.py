@@ -17,6 +17,7 @@ from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import (
     LARGEST,
     MAX_COUNT,
+    Booleans,
     Indices,
     as_tuple,
     finite_array,
@@ -167,7 +168,7 @@ class Names:
         own = self.resolve_lists(field, "node", members)
         return node_pairs(field, own, self.counts["node"], item, parallel)
 
-    def mask(self, field: str, which: ItemKind, words: Any) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    def mask(self, field: str, which: ItemKind, words: Any) -> Booleans:
         """Convert names and indices to a mask of all items.
 
         Raises TypeError, ValueError.

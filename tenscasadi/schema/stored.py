@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 from collections.abc import Hashable, Mapping
 from dataclasses import MISSING, fields
 from functools import cache
@@ -25,7 +24,7 @@ import numpy as np
 from tenscasadi.util import archive
 from tenscasadi.util.archive import Fields
 from tenscasadi.util.immutable import ReadOnlyArrays
-from tenscasadi.util.validate import format_value
+from tenscasadi.util.validate import FilePath, format_value
 
 Own = TypeVar("Own", bound="Stored")
 _KINDS = {bool: "b", int: "i", float: "f", str: "U"}  # NumPy's letters
@@ -51,7 +50,7 @@ class Stored(ReadOnlyArrays):
         _check_arrays({name: getattr(self, name) for name in array_fields(type(self))}, type(self))
         super().__post_init__()
 
-    def save(self, path: str | os.PathLike[str]) -> Path:
+    def save(self, path: FilePath) -> Path:
         """Write to a compressed .npz file.
 
         Python functions, such as time-varying loads, are sampled at the saved times or left out.
@@ -86,7 +85,7 @@ class Stored(ReadOnlyArrays):
         return file.getvalue()
 
     @classmethod
-    def load(cls: type[Own], path: str | os.PathLike[str]) -> Own:
+    def load(cls: type[Own], path: FilePath) -> Own:
         """Read a file that `save` has written.
 
         No code in the file is ever run.

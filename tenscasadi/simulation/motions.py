@@ -16,7 +16,7 @@ from tenscasadi.simulation.scene_result import SceneResult, format_largest
 from tenscasadi.simulation.string_breaks import StringBreak, StringYield, find_breaks, find_yields
 from tenscasadi.structure.names import names_of
 from tenscasadi.util.tables import MOST_LISTED
-from tenscasadi.util.validate import Array, Indices
+from tenscasadi.util.validate import Array, Booleans, Indices
 from tenscasadi.util.viewable import Viewable
 
 
@@ -96,7 +96,7 @@ class Rollouts(Viewable, SceneResult, form="tenscasadi rollouts 1", title="file 
     # the shape by letters, and NumPy's letter of the numbers
     time: Annotated[Array, "T", "f"]
     states: Annotated[Array, "nTx", "f"]
-    success: Annotated[NDArray[np.bool_], "n", "b"]
+    success: Annotated[Booleans, "n", "b"]
     message: Annotated[NDArray[np.str_], "n", "U"]
     bar_length_error: Annotated[Array, "n", "f"]
     joint_error: Annotated[Array, "n", "f"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -17,7 +16,7 @@ from tenscasadi.schema.definitions import definition
 from tenscasadi.schema.field_types import POINTS, TIMES, VECTOR, Index
 from tenscasadi.schema.reading import Document, call
 from tenscasadi.simulation.declared import Simulation
-from tenscasadi.util.validate import Array
+from tenscasadi.util.validate import Array, FilePath
 
 _ROWS = for_items("node", VECTOR, POINTS)
 
@@ -95,7 +94,7 @@ SIMULATION = definition(Simulation)
 START = definition(StartSection, "start")
 
 
-def load_simulation(path: str | os.PathLike[str]) -> Simulation:
+def load_simulation(path: FilePath) -> Simulation:
     """Read a simulation from a scene file.
 
     Parameters

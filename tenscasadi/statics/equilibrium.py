@@ -29,6 +29,7 @@ from tenscasadi.statics.stuck_cables import (
     read_sliding,
     replace_cables,
 )
+from tenscasadi.structure.class_one import measure_extent
 from tenscasadi.structure.names import name_errors
 from tenscasadi.structure.properties import read_loads
 from tenscasadi.structure.structure import Structure
@@ -402,7 +403,7 @@ def _check_supports(structure: Structure, nodes: Array, moved: list[int]) -> Non
 
     Raises ValueError.
     """
-    size = float(np.ptp(structure.nodes, axis=0).max(initial=0.0))
+    size = measure_extent(structure.nodes)
     shift = nodes - structure.nodes
     fixed = structure.fixed.copy()
     fixed[moved] = False

@@ -12,10 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
-from tenscasadi.util.validate import Array
+from tenscasadi.util.validate import Array, Booleans
 
 
 class _LeastForceProgram(NamedTuple):
@@ -57,7 +56,7 @@ class _LeastForceIterate(NamedTuple):
 
 
 def least_force_density(
-    A: Any, B: Any, w: Array, least: Array, bounded: NDArray[np.bool_]
+    A: Any, B: Any, w: Array, least: Array, bounded: Booleans
 ) -> tuple[Array | None, Array]:
     """Compute the force densities of least norm that balance loads.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -32,6 +31,7 @@ from tenscasadi.util.immutable import ReadOnlyArrays
 from tenscasadi.util.validate import (
     MAX_REPETITIONS,
     Array,
+    FilePath,
     Indices,
     finite_array,
     format_value,
@@ -87,7 +87,7 @@ class LoadPath(ReadOnlyArrays):
     success: bool
     message: str
 
-    def plot(self, path: str | os.PathLike[str] | None = None, title: str = "") -> Any:
+    def plot(self, path: FilePath | None = None, title: str = "") -> Any:
         """Plot the load factor against the largest displacement.
 
         Parameters

@@ -110,6 +110,16 @@ def connectivity(pairs: Indices, count: int) -> csr_array:
     return csr_array((np.tile([-1.0, 1.0], members), (rows, pairs.ravel())), shape=(members, count))
 
 
+def measure_extent(nodes: Array) -> float:
+    """Measure the largest distance of nodes (n, 3) along an axis [m]."""
+    return float(np.ptp(nodes, axis=0).max(initial=0.0))
+
+
+def measure_diagonal(nodes: Array) -> float:
+    """Measure the diagonal of the box around nodes (n, 3) [m]."""
+    return float(np.linalg.norm(np.ptp(nodes, axis=0)))
+
+
 def member_vectors(nodes: Array, pairs: Indices) -> Array:
     """Compute the vectors (..., m, 3) between pairs (m, 2) of nodes (..., n, 3)."""
     return np.asarray(nodes[..., pairs[:, 1], :] - nodes[..., pairs[:, 0], :])

@@ -38,6 +38,7 @@ from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import (
     Array,
+    Booleans,
     IndexOrName,
     Indices,
     finite_array,
@@ -151,9 +152,9 @@ class Structure(ReadOnlyArrays, Value, Viewable, kind="Structure"):
     cables: Cables
     cable_friction: Array
     cable_of: Indices
-    elastic: np.ndarray[Any, np.dtype[np.bool_]]
-    fixed: np.ndarray[Any, np.dtype[np.bool_]]
-    held: np.ndarray[Any, np.dtype[np.bool_]]
+    elastic: Booleans
+    fixed: Booleans
+    held: Booleans
     bar_lengths: Array
     string_lengths: Array
     bar_inertia: Array

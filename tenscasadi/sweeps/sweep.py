@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Executor
 from typing import Any
@@ -13,7 +12,7 @@ from tenscasadi.sweeps.case_files import CaseFiles, CaseOutcome
 from tenscasadi.sweeps.sweep_table import Sweep
 from tenscasadi.sweeps.workers import run_in_processes, run_on_executor
 from tenscasadi.util.processes import on_interrupt
-from tenscasadi.util.validate import as_tuple, file_path, flag, format_value, instance
+from tenscasadi.util.validate import FilePath, as_tuple, file_path, flag, format_value, instance
 
 _MISSING = CaseOutcome({}, "", float("nan"))
 
@@ -22,7 +21,7 @@ def sweep(
     function: Callable[[Any], Any],
     cases: Iterable[Any],
     executor: Executor | None = None,
-    folder: str | os.PathLike[str] | None = None,
+    folder: FilePath | None = None,
     progress: bool = False,
 ) -> Sweep:
     """Evaluate a function for many independent cases.

@@ -6,7 +6,6 @@ import contextlib
 import csv
 import io
 import itertools
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -15,7 +14,7 @@ import numpy as np
 
 from tenscasadi.util.immutable import ReadOnlyArrays
 from tenscasadi.util.renamed import RenamedAttribute
-from tenscasadi.util.validate import Array, real_array
+from tenscasadi.util.validate import Array, FilePath, real_array
 from tenscasadi.util.whole_file import write_whole
 
 
@@ -111,7 +110,7 @@ class Sweep(ReadOnlyArrays):
             f"result.{name}" if name in columns else name: column for name, column in found
         }
 
-    def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
+    def to_csv(self, path: FilePath | None = None) -> str:
         """Format the table as comma-separated values.
 
         Parameters

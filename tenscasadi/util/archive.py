@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import zipfile
 import zlib
 from collections.abc import Callable, Mapping
@@ -13,7 +12,7 @@ from typing import Any, BinaryIO, TypeVar
 import numpy as np
 
 from tenscasadi.util.troubleshooting import add_address
-from tenscasadi.util.validate import MAX_BYTES, file_path
+from tenscasadi.util.validate import MAX_BYTES, FilePath, file_path
 from tenscasadi.util.whole_file import whole_file
 
 T = TypeVar("T")
@@ -49,7 +48,7 @@ class Fields(dict[str, Any]):
         return Fields({name.removeprefix(prefix): value for name, value in own.items()})
 
 
-def save(path: str | os.PathLike[str], form: str, content: Mapping[str, Any]) -> Path:
+def save(path: FilePath, form: str, content: Mapping[str, Any]) -> Path:
     """Write arrays by name to exactly `path`, atomically.
 
     The field "format" is `form`. Raises OSError.
@@ -76,7 +75,7 @@ def compute_size_limit(path: Path) -> int:
     return max(MAX_BYTES, 20 * path.stat().st_size)
 
 
-def load(path: str | os.PathLike[str], form: str, kind: str, build: Callable[[Fields], T]) -> T:
+def load(path: FilePath, form: str, kind: str, build: Callable[[Fields], T]) -> T:
     """Build a value from the arrays of a file.
 
     Raises FileNotFoundError. Raises ValueError with the file, the expected `kind` and the reason if
@@ -100,7 +99,7 @@ def load(path: str | os.PathLike[str], form: str, kind: str, build: Callable[[Fi
         raise ValueError(f"{rejection}: {error}") from error
 
 
-def read_format(path: str | os.PathLike[str]) -> str:
+def read_format(path: FilePath) -> str:
     """Read the format of a file, "" for other files.
 
     Raises FileNotFoundError.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import itertools
-import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tenscasadi.util.validate import Array, file_path
+from tenscasadi.util.validate import Array, FilePath, file_path
 from tenscasadi.util.whole_file import whole_file
 
 MOST_LISTED = 12  # entries of a legend, a panel or a summary; more are counted
@@ -86,7 +85,7 @@ class Tabular:
             for name, column in quantity.columns(self._labels()).items()
         }
 
-    def to_csv(self, path: str | os.PathLike[str]) -> Path:
+    def to_csv(self, path: FilePath) -> Path:
         """Write the table as comma-separated values.
 
         The first line has names with units; nodes and strings have their names, or indices if they

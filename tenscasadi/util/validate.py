@@ -21,6 +21,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
+Booleans = NDArray[np.bool_]
+FilePath = str | os.PathLike[str]
 IndexOrName = Any  # int or str in fields, which hold indices in a scene, and in invariant keys
 
 LARGEST = 1e100  # largest input in size: its square does not overflow

@@ -12,20 +12,20 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
-from tenscasadi.util.validate import file_path
+from tenscasadi.util.validate import FilePath, file_path
 
 _UNFINISHED = ".tenscasadi-"  # prefix of temporary files
 
 
 @contextmanager
-def whole_file(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
+def whole_file(path: FilePath) -> Iterator[BinaryIO]:
     """Open a file that is written atomically, see `whole_path`."""
     with whole_path(path) as part, open(part, "xb") as file:
         yield file
 
 
 @contextmanager
-def whole_path(path: str | os.PathLike[str]) -> Iterator[Path]:
+def whole_path(path: FilePath) -> Iterator[Path]:
     """Provide a temporary name for an atomic write.
 
     The file becomes exactly `path` if the block succeeds. Until then, and after a failure, an
@@ -59,7 +59,7 @@ def whole_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         part.unlink(missing_ok=True)
 
 
-def write_whole(path: str | os.PathLike[str], content: str) -> None:
+def write_whole(path: FilePath, content: str) -> None:
     """Write text to exactly `path` atomically."""
     with whole_file(path) as file:
         file.write(content.encode())

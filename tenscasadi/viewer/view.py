@@ -13,7 +13,7 @@ from tenscasadi.drawing.describe import describe_content
 from tenscasadi.drawing.view_content import ViewContent
 from tenscasadi.scene.ground import Grounds
 from tenscasadi.util.renamed import rename_keywords
-from tenscasadi.util.validate import choice, file_path, flag, positive_number, text
+from tenscasadi.util.validate import FilePath, choice, file_path, flag, positive_number, text
 from tenscasadi.util.viewable import in_notebook
 from tenscasadi.util.whole_file import whole_file
 from tenscasadi.viewer.canvas import Canvas
@@ -21,8 +21,6 @@ from tenscasadi.viewer.player import Player
 from tenscasadi.viewer.web.page import add_panel, record_page
 from tenscasadi.viewer.web.server import LOOPBACK, address, start_server
 from tenscasadi.viewer.web.serving import Served, check_serving, open_and_wait, stop
-
-FilePath = str | os.PathLike[str]
 
 
 class View(Served):

@@ -16,6 +16,7 @@ from ocp.problem.rows import Rows
 from tenscasadi.io.structure_section import OfStructure
 from tenscasadi.schema.containers import Either, MapOf
 from tenscasadi.schema.field_types import PER_ITEM, POINT, POINTS, TIMES
+from tenscasadi.structure.class_one import measure_extent
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import (
     NEGLIGIBLE,
@@ -90,7 +91,7 @@ class NodePositions(Goal, kind="NodePositions"):
         TypeError, ValueError
             If a node does not exist, or is pinned at another position.
         """
-        tolerance = 1e-9 * np.ptp(structure.nodes, axis=0).max()
+        tolerance = 1e-9 * measure_extent(structure.nodes)
         for node, axis, value in _entries("NodePositions.positions", self.positions, structure):
             held = structure.nodes[node, axis]
             if structure.fixed[node, axis] and abs(value - held) > tolerance:

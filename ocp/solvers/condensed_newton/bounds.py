@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tenscasadi.util.validate import LARGEST, Array, Indices
+from tenscasadi.util.validate import LARGEST, Array, Booleans, Indices
 
 
 class VariableBounds:
@@ -129,7 +128,7 @@ class WorkingSet:
         return select_stiffest(stiffness, felt | (np.abs(left) > 1e-9))
 
 
-def select_stiffest(stiffness: Array, among: NDArray[np.bool_]) -> Indices:
+def select_stiffest(stiffness: Array, among: Booleans) -> Indices:
     """Select the 400 stiffest of some rows."""
     rows = np.flatnonzero(among)
     return np.sort(rows[np.argsort(stiffness[rows], kind="stable")[::-1][:400]])

@@ -10,7 +10,6 @@ executed.
 from __future__ import annotations
 
 import math
-import os
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
@@ -24,7 +23,7 @@ from tenscasadi.exchange.source import DEEPEST, Source
 from tenscasadi.schema.reading import SceneFileError
 from tenscasadi.util.archive import compute_size_limit
 from tenscasadi.util.troubleshooting import add_address
-from tenscasadi.util.validate import file_path
+from tenscasadi.util.validate import FilePath, file_path
 from tenscasadi.util.whole_file import whole_file
 
 _HEADER = struct.Struct("124s2s2s")  # text, version, order of bytes
@@ -59,7 +58,7 @@ def read_mat(source: Source) -> dict[str, Any]:
     return {name: value for name, value in variables.items() if name}
 
 
-def write_mat(path: str | os.PathLike[str], content: Mapping[str, Any]) -> Path:
+def write_mat(path: FilePath, content: Mapping[str, Any]) -> Path:
     """Write variables to exactly `path` in MATLAB's format v7.
 
     Raises OSError.

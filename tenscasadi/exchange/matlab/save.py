@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ from tenscasadi.structure.names import name_errors
 from tenscasadi.structure.rigid_body import RigidBody, reject_bodies
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.renamed import rename_keywords
-from tenscasadi.util.validate import Array, Indices, flag, instance
+from tenscasadi.util.validate import Array, FilePath, Indices, flag, instance
 
 STRUCTURE_FORM, TRAJECTORY_FORM = "tenscasadi structure 1", "tenscasadi trajectory 1"
 # the names of MOTES; other fields keep their names
@@ -28,9 +27,7 @@ LETTERS = {name: str(letters) for name, (letters, _) in array_fields(Trajectory)
 
 @rename_keywords(what="data")
 @name_errors
-def save_mat(
-    data: Structure | Trajectory, path: str | os.PathLike[str], *, class_one: bool = False
-) -> Path:
+def save_mat(data: Structure | Trajectory, path: FilePath, *, class_one: bool = False) -> Path:
     """Write a structure or a trajectory for MATLAB.
 
     The names are those of MOTES and TsgFEM.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,7 +23,7 @@ from tenscasadi.structure.class_one import connectivity
 from tenscasadi.structure.rigid_body import RigidBody
 from tenscasadi.structure.structure import PARAMETERS, Structure
 from tenscasadi.util.troubleshooting import add_address
-from tenscasadi.util.validate import MAX_BYTES, Array, Indices, finite_array, text
+from tenscasadi.util.validate import MAX_BYTES, Array, FilePath, Indices, finite_array, text
 
 _BARS, _STRINGS = ("C_b", "C_b_in", "Cb_in"), ("C_s", "C_s_in", "Cs_in")
 _OF_BARS = {"m": "bar_mass"}
@@ -57,7 +56,7 @@ class ParsedStructure(NamedTuple):
 
 
 def load_mat(
-    path: str | os.PathLike[str], name: str | None = None, *, strict: bool = True, **options: Any
+    path: FilePath, name: str | None = None, *, strict: bool = True, **options: Any
 ) -> Structure:
     """Read a structure from a MATLAB file.
 

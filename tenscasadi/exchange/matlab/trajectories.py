@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +16,7 @@ from tenscasadi.scene.scene import Scene
 from tenscasadi.scene.strings import ForceDensity
 from tenscasadi.schema.reading import SceneFileError
 from tenscasadi.simulation.trajectory import Trajectory, record_trajectory
-from tenscasadi.util.validate import Array, Indices, finite_array, format_value, instance
+from tenscasadi.util.validate import Array, FilePath, Indices, finite_array, format_value, instance
 
 
 class ForeignTrajectory(NamedTuple):
@@ -48,7 +47,7 @@ class ForeignTrajectory(NamedTuple):
 
 
 def load_mat_trajectory(
-    path: str | os.PathLike[str],
+    path: FilePath,
     model: Model | None = None,
     parameters: Any = None,
     *,

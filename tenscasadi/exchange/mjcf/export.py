@@ -5,7 +5,6 @@ Bars become bodies, and strings become spatial tendons.
 
 from __future__ import annotations
 
-import os
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -25,6 +24,7 @@ from tenscasadi.structure.structure import Structure
 from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import (
     Array,
+    FilePath,
     choice,
     file_path,
     finite_array,
@@ -39,7 +39,7 @@ _LEAST = 1e-15  # kg and kg m²: MuJoCo's minimum for a moving body
 
 def export_mjcf(
     scene: Scene,
-    path: str | os.PathLike[str],
+    path: FilePath,
     velocities: ArrayLike | None = None,
     joints: Literal["ball", "connect"] = "ball",
     step: float = 1e-3,

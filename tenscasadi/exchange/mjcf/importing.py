@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,12 +24,12 @@ from tenscasadi.scene.strings import Clip, Linear
 from tenscasadi.schema.reading import SceneFileError
 from tenscasadi.structure.rigid_body import RigidBody
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import FILE_ROUNDING, Array
+from tenscasadi.util.validate import FILE_ROUNDING, Array, FilePath
 
 Side = tuple[int, Array]  # a piece, and a position in it
 
 
-def import_mjcf(path: str | os.PathLike[str], *, strict: bool = True) -> Scene:
+def import_mjcf(path: FilePath, *, strict: bool = True) -> Scene:
     """Read a tensegrity from MuJoCo's XML, MJCF.
 
     Bodies with two ends become bars, and bodies with one end point masses. Bodies with three or

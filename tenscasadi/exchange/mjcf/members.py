@@ -11,6 +11,7 @@ import numpy as np
 from tenscasadi.exchange.mjcf.bodies import Bodies, Piece, Site
 from tenscasadi.exchange.mjcf.elements import Element
 from tenscasadi.exchange.mjcf.geoms import Mass
+from tenscasadi.structure.class_one import measure_extent
 from tenscasadi.util.validate import FILE_ROUNDING, ROUNDING, Array
 
 _WORLD = 0
@@ -51,9 +52,7 @@ class PieceEnds:
         points = [site.place for site in bodies.sites.values()]
         rods = [geom.rod for piece in bodies.pieces for geom in piece.geoms if geom.rod]
         points += [end for rod in rods for end in rod.ends]
-        self.close = FILE_ROUNDING * max(
-            float(np.ptp(points, axis=0).max()) if points else 0.0, 1e-9
-        )
+        self.close = FILE_ROUNDING * max(measure_extent(np.array(points)) if points else 0.0, 1e-9)
         self.points: list[list[Array]] = [[] for _ in bodies.pieces]
         self._same: dict[Endpoint, Endpoint] = {}
         self._snaps: set[int] = set()

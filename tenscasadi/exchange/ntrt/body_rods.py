@@ -10,6 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from tenscasadi.exchange.ntrt.rigid_groups import RigidPart
+from tenscasadi.structure.class_one import measure_diagonal
 from tenscasadi.structure.rigid_body import MassProperties
 from tenscasadi.util.renamed import lazy_module
 from tenscasadi.util.validate import NEGLIGIBLE, Array
@@ -38,7 +39,7 @@ def find_body_rods(nodes: Array, wanted: MassProperties) -> tuple[Array, list[Ro
     rods : list of Rod
         Rods, of which some only join nodes and have no mass.
     """
-    size = float(np.linalg.norm(np.ptp(nodes, axis=0)))
+    size = measure_diagonal(nodes)
     b = _moments(wanted, wanted, size)
     thin, stout = float(np.sqrt(NEGLIGIBLE)), 0.5  # radius by length: nearly a line; a stub
     for points in (nodes, np.concatenate([nodes, _find_cross(wanted)])):

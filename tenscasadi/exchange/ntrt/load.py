@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -23,15 +22,15 @@ from tenscasadi.exchange.ntrt.members import (
 from tenscasadi.exchange.ntrt.yaml_tree import YamlEntry, read_tree
 from tenscasadi.exchange.source import Source
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import MAX_COUNT, file_path, flag, positive_number
+from tenscasadi.util.validate import MAX_COUNT, FilePath, file_path, flag, positive_number
 
 
 def load_ntrt(
-    path: str | os.PathLike[str],
+    path: FilePath,
     *,
     length_unit: float = 1.0,
     ball_joints: bool = True,
-    folder: str | os.PathLike[str] | None = None,
+    folder: FilePath | None = None,
     strict: bool = True,
 ) -> Structure:
     """Read a structure from NASA's Tensegrity Robotics Toolkit (NTRT).

@@ -13,7 +13,7 @@ from tenscasadi.exchange.ntrt.rigid_groups import RigidPart, combine_mass, group
 from tenscasadi.exchange.ntrt.yaml_tree import YamlEntry
 from tenscasadi.exchange.source import Source
 from tenscasadi.schema.reading import SceneFileError
-from tenscasadi.structure.class_one import distances
+from tenscasadi.structure.class_one import distances, measure_extent
 from tenscasadi.structure.rigid_body import RigidBody
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import NEGLIGIBLE, Array, Indices
@@ -237,9 +237,7 @@ def _merge_nodes(nodes: list[NtrtNode]) -> tuple[Array, dict[int, int]]:
     from scipy.spatial import cKDTree  # slow import
 
     places = np.array([node.at for node in nodes])
-    near = cKDTree(places).query_pairs(
-        NEGLIGIBLE * float(np.ptp(places, axis=0).max()), output_type="ndarray"
-    )
+    near = cKDTree(places).query_pairs(NEGLIGIBLE * measure_extent(places), output_type="ndarray")
     links = coo_array(
         (np.ones(len(near)), (near[:, 0], near[:, 1])), shape=(len(nodes), len(nodes))
     )

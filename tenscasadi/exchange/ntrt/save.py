@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import warnings
 from collections import defaultdict
 from collections.abc import Iterable
@@ -13,17 +12,16 @@ import numpy as np
 
 from tenscasadi.exchange.ntrt.body_rods import Rod, find_body_rods
 from tenscasadi.exchange.ntrt.yaml_tree import LARGEST_ENTRY
+from tenscasadi.structure.class_one import measure_diagonal, measure_extent
 from tenscasadi.structure.names import name_errors
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import NEGLIGIBLE, file_path, instance, positive_number
+from tenscasadi.util.validate import NEGLIGIBLE, FilePath, file_path, instance, positive_number
 from tenscasadi.util.whole_file import whole_file
 
 _ROD, _BOX, _STRING = "tgRodInfo", "tgBoxInfo", "tgBasicActuatorInfo"
 
 
-def save_ntrt(
-    structure: Structure, path: str | os.PathLike[str], *, length_unit: float = 1.0
-) -> Path:
+def save_ntrt(structure: Structure, path: FilePath, *, length_unit: float = 1.0) -> Path:
     """Write a structure for NASA's Tensegrity Robotics Toolkit (NTRT).
 
     The file contains nodes, pair_groups and builders. Bars become rods (tgRodInfo), and strings
@@ -184,7 +182,7 @@ class _NtrtWriter:
             self._add(_BOX, {"density": 0.0, "width": width, "height": width}, pair)
 
     def _width(self) -> float:
-        return float(np.linalg.norm(np.ptp(self.structure.nodes, axis=0))) / 100 or 1.0
+        return measure_diagonal(self.structure.nodes) / 100 or 1.0
 
     @name_errors
     def _check_nodes(self) -> None:
@@ -213,7 +211,7 @@ class _NtrtWriter:
 
         points = np.array(self.points)
         return cKDTree(points).query_pairs(  # type: ignore[no-any-return]
-            NEGLIGIBLE * float(np.ptp(points, axis=0).max())
+            NEGLIGIBLE * measure_extent(points)
         )
 
     def _add_strings(self) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.events import build_events
@@ -34,7 +33,7 @@ from tenscasadi.simulation.verdict.starts import (
 from tenscasadi.simulation.verdict.thresholds import EPSILON, THRESHOLDS, Doubts
 from tenscasadi.structure.mass_checks import total_mass
 from tenscasadi.util.compile import Single
-from tenscasadi.util.validate import Array
+from tenscasadi.util.validate import Array, Booleans
 
 if TYPE_CHECKING:
     from tenscasadi.simulation.verdict.step_error import StepErrors
@@ -55,7 +54,7 @@ class Verdict(NamedTuple):
         Refinement factors of the steps for small errors; 1 if errors are small or unknown.
     """
 
-    success: NDArray[np.bool_]
+    success: Booleans
     message: list[str]
     error: Array
     finer: Array

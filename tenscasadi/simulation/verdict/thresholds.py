@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+
+from tenscasadi.util.validate import Booleans
 
 
 class Threshold(NamedTuple):
@@ -35,7 +36,7 @@ class Doubts(NamedTuple):
     """
 
     text: list[str]
-    failed: NDArray[np.bool_]
+    failed: Booleans
 
 
 # Errors of node positions are relative to the motion, of bars to their length, of the energy to the

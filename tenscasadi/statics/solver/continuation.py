@@ -27,6 +27,7 @@ from tenscasadi.statics.solver.newton_system import NewtonSystem
 from tenscasadi.statics.solver.sparse_pattern import join_blocks
 from tenscasadi.statics.solver.static_equations import Conditions, StaticPoint
 from tenscasadi.statics.solver.trust_region import allowed_residual
+from tenscasadi.structure.class_one import measure_extent
 from tenscasadi.util.validate import ROUNDING, TOLERANCE, Array
 
 LONGEST = 0.1  # longest step, in units of arc length
@@ -454,7 +455,7 @@ class Tracer:
 
 def unit_length(nodes: Array) -> float:
     """Compute the norm of displacements of nodes (n, 3) that counts as one [m]."""
-    size = float(np.ptp(nodes, axis=0).max(initial=0.0)) or 1.0
+    size = measure_extent(nodes) or 1.0
     return float(0.2 * size * len(nodes) ** 0.5)
 
 

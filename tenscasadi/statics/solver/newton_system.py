@@ -17,6 +17,7 @@ from scipy.sparse.linalg import splu
 
 from tenscasadi.statics.solver.sparse_pattern import MatrixEntries, SparsePattern, join_entries
 from tenscasadi.statics.solver.static_equations import StaticEquations, StaticPoint
+from tenscasadi.structure.class_one import measure_extent
 from tenscasadi.util.validate import ROUNDING, Array, Indices
 
 COMPLIANCE = 1e-8  # of rigid bars, relative to 1/stiffness: keeps pivots of redundant bars nonzero
@@ -118,7 +119,7 @@ class NewtonSystem:
             np.abs(point.load_slopes),
         ]
         scale = max(float(values.max(initial=0.0)) for values in largest)
-        size = float(np.ptp(point.nodes, axis=0).max(initial=0.0)) or 1.0
+        size = measure_extent(point.nodes) or 1.0
         return scale or float(np.abs(point.applied).max(initial=0.0)) / size or 1.0
 
     def factor(

@@ -14,6 +14,7 @@ from tenscasadi.statics.solver.trust_region import (
     find_rest,
     pull_to_bars,
 )
+from tenscasadi.structure.class_one import measure_extent
 from tenscasadi.util.validate import MAX_ITERATIONS, ROUNDING, TOLERANCE, Array
 
 ROUGH = 1e-4  # accuracy before the final Newton iterations, relative to the largest force
@@ -63,7 +64,7 @@ def structure_size(nodes: Array) -> float:
 
     It is 1 if all nodes coincide.
     """
-    return float(np.ptp(nodes, axis=0).max(initial=0.0)) or 1.0
+    return measure_extent(nodes) or 1.0
 
 
 def finish(system: NewtonSystem, rest: SearchResult, given: Conditions) -> SearchResult:

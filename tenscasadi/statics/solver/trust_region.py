@@ -24,6 +24,7 @@ from tenscasadi.statics.solver.motions import (
 )
 from tenscasadi.statics.solver.newton_system import NewtonFactors, NewtonSystem
 from tenscasadi.statics.solver.static_equations import Conditions, StaticPoint
+from tenscasadi.structure.class_one import measure_extent
 from tenscasadi.util.validate import MAX_ITERATIONS, ROUNDING, Array
 
 ACCURACY = 1e-11  # unbalanced force in equilibrium, relative to the largest force
@@ -119,7 +120,7 @@ class _SearchState:
         self.lags = given.pressing is None
         self.given = given._replace(pressing=nodes) if self.lags else given
         self.start = nodes
-        self.size = float(np.ptp(nodes, axis=0).max(initial=0.0)) or 1.0
+        self.size = measure_extent(nodes) or 1.0
         self.radius = 0.1 * self.size * len(nodes) ** 0.5
         self.shift = 0.0
         self.steps = 0

@@ -12,7 +12,7 @@ from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.scene import Scene
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.renamed import rename_keywords
-from tenscasadi.util.validate import file_path, positive_number, text
+from tenscasadi.util.validate import FilePath, file_path, positive_number, text
 from tenscasadi.viewer.controls import FRAME_RATE
 from tenscasadi.viewer.live_mode.options import LiveOptions
 from tenscasadi.viewer.live_mode.pace import Pace
@@ -22,8 +22,6 @@ from tenscasadi.viewer.live_mode.sliders import Groups, choose_sliders
 from tenscasadi.viewer.runner import Runner
 from tenscasadi.viewer.web.server import LOOPBACK, address, start_server
 from tenscasadi.viewer.web.serving import Served, check_serving, open_and_wait
-
-FilePath = str | os.PathLike[str]
 
 
 class Live(Served):

@@ -20,7 +20,7 @@ from tenscasadi.simulation.trajectory import Trajectory, observe_states, record_
 from tenscasadi.simulation.verdict.endings import FAULTS, RunSamples, explain_loss
 from tenscasadi.simulation.verdict.judge import find_doubts, measure_trajectory
 from tenscasadi.util.renamed import rename_keywords
-from tenscasadi.util.validate import SMALLEST, Array, finite_array, instance
+from tenscasadi.util.validate import SMALLEST, Array, Booleans, finite_array, instance
 from tenscasadi.viewer.live_mode.inputs import add_inputs
 from tenscasadi.viewer.live_mode.options import LiveOptions, count_substeps
 from tenscasadi.viewer.live_mode.recording import Recording
@@ -130,7 +130,7 @@ class LiveSimulation:
         self.reset()
 
     @property
-    def pullable(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    def pullable(self) -> Booleans:
         """Nodes (n,) that can be pulled.
 
         Pinned ones cannot, nor any if nodal forces vary with time.
