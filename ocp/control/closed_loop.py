@@ -277,18 +277,18 @@ def _run_periods(
                 "give a function (time, x) -> x",
             )
             x = finite_array("disturbance(time, x)", pushed, (plant.nx,))
-            x = np.asarray(project(x).full()).ravel()
+            x = project(x).full().ravel()
         seen = _observe(controller.model, plant, x, now)
         began = clock.perf_counter()
         decided = controller.control(now, seen)
         waited = clock.perf_counter() - began
         u = finite_array(f"controller.control({now:g}, state)", decided, (plant.nu,))
         held = ca.repmat(ca.DM(u), 1, steps)
-        part = np.asarray(chain(x, held, (after - now) / steps).full()).T
+        part = chain(x, held, (after - now) / steps).full().T
         if not np.all(np.abs(part) <= LARGEST):
             yield None, u, waited
             return
-        x = np.asarray(project(part[-1]).full()).ravel()
+        x = project(part[-1]).full().ravel()
         part[-1] = x
         yield part, u, waited
 

@@ -363,7 +363,7 @@ def _planned(plan: PlanResult, model: Model, time: Array) -> Array:
             profile_at(plan.control, nodes, nodes[k] + (part + 0.5) / STEPS * since).T,
             since[None] / STEPS,
         )
-    states = np.asarray(x.full()).T
+    states: Array = x.full().T
     states[-1] = plan.trajectory.states[-1]
     if not np.all(np.abs(states) <= LARGEST):
         raise ValueError(
@@ -402,7 +402,7 @@ def _regulate(
         count = int(np.clip(np.ceil(rate * period), 2, MAX_SUBSTEPS))
     A, B = _linearize(model, states, gamma, period, count)
     Z = [tangents(model, x) for x in ends]
-    C = [np.asarray(kept(x)[1].full()) @ basis for x, basis in zip(ends, Z, strict=True)]
+    C = [kept(x)[1].full() @ basis for x, basis in zip(ends, Z, strict=True)]
     R = effort * np.eye(B.shape[2])
     P = C[-1].T @ C[-1]
     if rest.state is not None:
@@ -420,7 +420,7 @@ def _linearize(
     """
     step, h = RungeKutta4().step(model.ode).mapaccum(count).map(len(states)), period / count
     held = np.repeat(controls, count, axis=0)
-    ends = np.asarray(step(states.T, held.T, h).full()).T.reshape(len(states), count, -1)
+    ends = step(states.T, held.T, h).full().T.reshape(len(states), count, -1)
     starts = np.concatenate([states[:, None], ends[:, :-1]], axis=1)
     rows = len(held), model.nx
     lengths = np.full(len(held), h)

@@ -247,7 +247,7 @@ class Mpc:
     @property
     def first(self) -> Array:
         """First input `before` (α, intervals) of `function` [N/m]."""
-        held = np.asarray(self._reference(0.0)[1].full())
+        held = self._reference(0.0)[1].full()
         return np.column_stack([held[:, :1], held[:, :-1]])
 
     def _decide(

@@ -113,7 +113,7 @@ def _convert_forces(problem: Problem, states: Array, force_density: Array) -> tu
     measure = ca.Function(
         "measure", [now.state], [ca.densify(now.lengths), ca.densify(now.rates)]
     ).map(len(states))
-    lengths, rates = (np.asarray(value.full()).T for value in measure(states.T))
+    lengths, rates = (value.full().T for value in measure(states.T))
     tension = np.maximum(force_density, 0.02 * force_density.max(initial=0.0)) * lengths
     k, c = structure.stiffness, structure.damping
     if structure.cables:

@@ -104,11 +104,9 @@ def _measure_replay(
         for k in range(1, len(targets) + 1)
     ]
     sizes = [
-        np.abs(np.asarray(part.misfit(end).full()).ravel())
+        np.abs(part.misfit(end).full().ravel())
         * [time[-1] if unit == "m/s" else 1.0 for unit in part.units]
         for part, end in zip(targets, ends, strict=True)
     ]
-    rows = [
-        np.asarray(part.rows(end).full()).ravel() for part, end in zip(targets, ends, strict=True)
-    ]
+    rows = [part.rows(end).full().ravel() for part, end in zip(targets, ends, strict=True)]
     return float(np.concatenate(sizes).max(initial=0.0)), np.concatenate(rows)

@@ -93,7 +93,7 @@ class PhasedTask(NamedTuple):
     def values(self, w: Array) -> list[PhaseValues]:
         """Convert scaled unknowns to the values of each phase."""
         phases, count = len(self.parts), self.intervals
-        states, gamma, durations = (np.asarray(one.full()).T for one in self.program.unpack(w))
+        states, gamma, durations = (one.full().T for one in self.program.unpack(w))
         y = self.stages[0].variables.entries.values(w)
         return [
             PhaseValues(

@@ -94,7 +94,7 @@ def _without_standing(
             for value in (target.single(x), ca.vertcat(kept.bars, kept.bar_rates))
         ],
     )
-    goal, bars = (np.asarray(J.full()) * scales.state for J in gradients(target.state))
+    goal, bars = (J.full() * scales.state for J in gradients(target.state))
     held = np.concatenate(
         [places[list(since_start)].ravel(), model.nq + places[list(stands)].ravel()]
     ).astype(np.intp)

@@ -226,7 +226,7 @@ def draw_starts(
     starts[:, model.nq : 2 * model.nq] += spread[1] * changes[:, model.nq :]
     given = [starts.T, parameters.T] if model.np else [starts.T]
     kept = np.repeat(spread, model.nq) > 0
-    return np.asarray(build_projection(model, 10).map(count)(*given).full()).T, changes[:, kept]
+    return build_projection(model, 10).map(count)(*given).full().T, changes[:, kept]
 
 
 def share_variance(draws: Mapping[str, Array], misses: Array) -> dict[str, float]:

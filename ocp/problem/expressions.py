@@ -322,9 +322,7 @@ def _first(
     if start is None or column.is_empty():
         return np.zeros(0), np.zeros(0, dtype=bool)
     steered = np.array(function.jac_sparsity(0, 1).get_triplet()[0], dtype=np.intp)
-    return np.asarray(function(start, 0, 0).full()).ravel(), np.isin(
-        np.arange(column.shape[0]), steered
-    )
+    return function(start, 0, 0).full().ravel(), np.isin(np.arange(column.shape[0]), steered)
 
 
 def _check_within(limited: PathConstraint, value: Array, tolerance: float) -> None:

@@ -118,7 +118,7 @@ def _read_linear_rows(limited: PathConstraint, state: Array) -> list[_LimitRow]:
     function = ca.Function(
         "linear", limited.symbols, [value, ca.densify(ca.jacobian(value, control))]
     )
-    at_none, slope = (np.asarray(part.full()) for part in function(state, 0, 0))
+    at_none, slope = (part.full() for part in function(state, 0, 0))
     needed = np.zeros((len(at_none), len(state)), dtype=bool)
     pattern = np.array(limited.function.jac_sparsity(0, 0).get_triplet(), dtype=np.intp)
     needed[tuple(pattern)] = True

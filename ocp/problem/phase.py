@@ -260,7 +260,7 @@ def _check_contact(model: Model, start: Array, phases: Sequence[Phase]) -> None:
                 )
     if phases and phases[0].contact_nodes:
         size = measure_diagonal(structure.nodes)
-        depths = np.asarray(grounds[0].depth(model.nodes(start).T).full()).ravel()
+        depths = grounds[0].depth(model.nodes(start).T).full().ravel()
         for node in phases[0].contact_nodes:
             if abs(depths[node]) > 1e-2 * size:  # closer nodes count as in contact
                 side = "below" if depths[node] > 0 else "above"

@@ -105,4 +105,4 @@ def _read_state(model: Model, field: str, given: ArrayLike | None) -> Array:
         raise ValueError(
             f"{field} stretches bar {i} by {stretch[i]:g} m/s: give velocities that keep the bars' lengths"
         )
-    return read_only(np.asarray(build_projection(model, 10)(state).full()).ravel())  # type: ignore[no-any-return]
+    return read_only(build_projection(model, 10)(state).full().ravel())  # type: ignore[no-any-return]

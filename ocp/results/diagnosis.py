@@ -59,7 +59,7 @@ def build_interpolant(model: Model, states: Array, duration: float, fractions: A
         k, part = locate_share(fractions, share)
         before, after = (ca.DM(state) for state in states[k : k + 2])
         state = hermite_state(model, before, after, duration * fractions[k], part)
-        return np.asarray(ca.DM(state).full()).ravel()
+        return np.asarray(ca.DM(state).full().ravel())
 
     return state_at
 
@@ -88,7 +88,7 @@ def explain_failure(
     """
     functions = [program.problem["f"], program.problem["g"]]
     values = ca.Function("values", [program.problem["x"]], functions)(solution.w)
-    f, g = (np.asarray(value.full()).ravel() for value in values)
+    f, g = (value.full().ravel() for value in values)
     violation = np.maximum(np.maximum(program.lower - g, g - program.upper), 0.0)
     too_long = ""
     if step:
@@ -228,7 +228,7 @@ def _find_undefined(program: Program, solution: Solution, f: Array, g: Array) ->
     if solution.status != "Invalid_Number_Detected":
         return ""
     derivatives = program.derivatives()
-    slope = np.asarray(derivatives["nlp_grad_f"](solution.w, [])[1].full()).ravel()
+    slope = derivatives["nlp_grad_f"](solution.w, [])[1].full().ravel()
     if not np.all(np.isfinite(slope)):
         name = program.w_names[int(np.argmax(~np.isfinite(slope)))]
         return _cure(f"the derivative of Problem.costs by {name}")

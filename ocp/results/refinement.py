@@ -194,6 +194,6 @@ def defects(model: Model, time: Array, states: Array, force_density: Array) -> A
         now = advance(now, gamma.T, lengths[None] / STEPS)
     if model.mechanism.constrained:
         now = build_projection(model, 3).map(count)(now)
-    gap = np.asarray(now.full()).T - states[1:]
+    gap = now.full().T - states[1:]
     places, speeds, *_ = model.split(np.abs(gap))
     return np.asarray(np.maximum(places.max(axis=1), speeds.max(axis=1) * float(time[-1])))

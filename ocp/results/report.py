@@ -213,9 +213,7 @@ def _measure_soft_goals(problem: Problem, replay: Trajectory) -> tuple[Missed, .
         ]
         x = ca.SX.sym("x", model.nx)
         rows = goal_rows([goal], model, x)
-        misses = np.abs(
-            np.asarray(ca.Function("rows", [x], [ca.densify(rows.value)])(state).full()).ravel()
-        )
+        misses = np.abs(ca.Function("rows", [x], [ca.densify(rows.value)])(state).full().ravel())
         label = "" if share == 1.0 else f"waypoint at {share:.3g} of the duration, "
         named = zip(rows.names, misses.tolist(), rows.units, strict=True)
         found += [
@@ -313,9 +311,7 @@ def _limits_of_rates(
 
 
 def _evaluate(limited: PathConstraint, time: Array, *arguments: Array) -> _LimitedValues:
-    return _LimitedValues(
-        limited, time, np.asarray(limited.function.map(len(time))(*arguments).full()).T
-    )
+    return _LimitedValues(limited, time, limited.function.map(len(time))(*arguments).full().T)
 
 
 def _merge(findings: list[Finding], most: Callable[[Finding], float]) -> tuple[Finding, ...]:

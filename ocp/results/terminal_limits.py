@@ -80,7 +80,7 @@ def _measure(
     slopes = np.zeros(len(limited.names))
     entries = slopes
     for state, control in zip(ends, controls, strict=True):
-        entries, J = (np.asarray(part.full()) for part in function(state, control, duration))
+        entries, J = (part.full() for part in function(state, control, duration))
         slopes = np.fmax(slopes, np.linalg.norm(J * scale, axis=1))
     entries = np.ravel(entries)
     excess = np.maximum(np.maximum(limited.lower - entries, entries - limited.upper), 0.0)

@@ -103,7 +103,7 @@ def find_symmetry_groups(problem: Problem) -> tuple[tuple[int, ...], ...]:
     down = (
         np.array([0.0, 0.0, -1.0])
         if model.scene.gravity is None
-        else np.asarray(ca.DM(model.scene.gravity.at(0.0)).full()).ravel()
+        else ca.DM(model.scene.gravity.at(0.0)).full().ravel()
     )
     height = -nodes @ down / (np.linalg.norm(down) or 1.0)
     ends = np.sort(height[structure.strings], axis=1)

@@ -213,7 +213,7 @@ def _read_outcome(
 ) -> Outcome:
     """Read the result of a program, and diagnose a failure."""
     solution: Solution = found.solution
-    states, controls, duration = (np.asarray(value.full()) for value in program.unpack(solution.w))
+    states, controls, duration = (value.full() for value in program.unpack(solution.w))
     # interior-point methods violate bounds by their tolerance
     time = float(np.clip(duration.squeeze(), problem.shortest, problem.longest))
     accuracy = transcription.accuracy

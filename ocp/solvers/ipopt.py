@@ -371,7 +371,7 @@ def _run(
     if best.error is not None:
         raise best.error
     stats = solver.stats()
-    w = last = np.asarray(result["x"].full()).ravel()
+    w = last = result["x"].full().ravel()
     success = bool(stats["success"])
     if (
         not success

@@ -134,7 +134,7 @@ def solve_relaxed(relaxed: Relaxation, solver: Ipopt, monitor: Monitor | None) -
 def measure_relaxation(program: Program, w: Array) -> float:
     """Measure the violation of rate limits, relative to the limits."""
     rates = find_rate_rows(program)
-    g = np.asarray(ca.Function("g", [program.parts.w], [program.parts.g])(w).full()).ravel()[rates]
+    g = ca.Function("g", [program.parts.w], [program.parts.g])(w).full().ravel()[rates]
     lower, upper = program.lower[rates], program.upper[rates]
     return float(np.max([(g - upper) / np.abs(upper), (lower - g) / np.abs(lower)], initial=0.0))
 
@@ -256,7 +256,7 @@ def _find_excess(program: Program, blocks: Sequence[Block], w: Array) -> list[tu
     y = np.append(known.scale * w, known.constants)
     found = []
     for block in blocks:
-        value = np.asarray(ca.DM(block.value(y[block.index].T)).full()).T
+        value = ca.DM(block.value(y[block.index].T)).full().T
         lower, upper, _ = (limit.reshape(value.shape) for limit in block.limits())
         found.append((value, np.array([lower - value, value - upper])))
     return found

@@ -80,7 +80,7 @@ def _combined(reduction: Reduction, rows: Rows, scales: Scales) -> Any:
 def _check_momentum(momentum: Rows, x: Any, near: Array, scales: Scales) -> None:
     """Reject periodic motions with momentum changes that strings cannot prevent."""
     scaled = momentum.value / ca.DM(momentum.sizes(scales.units))
-    change = np.abs(np.asarray(ca.Function("change", [x], [scaled])(near).full()).ravel())
+    change = np.abs(ca.Function("change", [x], [scaled])(near).full().ravel())
     if change.max(initial=0.0) > 1e-6:  # relative to typical momenta: above rounding errors
         k = int(np.argmax(change))
         name = momentum.names[k]

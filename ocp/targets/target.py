@@ -141,7 +141,7 @@ class Target:
         for share, part, label in self.instants:
             states = np.atleast_2d(state_at(share))
             found = part.misfit.map(len(states))(states.T) if part.names else np.zeros((0, 1))
-            values.append(np.abs(np.asarray(ca.DM(found).full())).T)
+            values.append(np.abs(ca.DM(found).full()).T)
             names += tuple(label + name for name in part.names)
             units += part.units
         count = max(len(one) for one in values)

@@ -55,7 +55,7 @@ class FineSteps:
 
     def planned(self, w: Array) -> tuple[Array, tuple[Array, ...], float]:
         """Unpack states, further arguments of steps, and the duration."""
-        states, gamma, T = (np.asarray(one.full()) for one in self.program.unpack(w))
+        states, gamma, T = (one.full() for one in self.program.unpack(w))
         held = (gamma[:, :-1], gamma[:, 1:]) if self.linear else (gamma, gamma)
         duration = float(T.squeeze())
         return states.T, (*held, duration * self.fractions[None]), duration
@@ -74,7 +74,7 @@ class FineSteps:
         [m]. Velocities count as velocity × duration.
         """
         states, held, duration = self.planned(w)
-        later = np.asarray(self._chain(states[0], *held).full())
+        later = self._chain(states[0], *held).full()
         fine = np.column_stack([states[0], later]).T
         places, speeds, *_ = self.model.split(np.abs(fine - states) * self.program.known)
         return fine, float(max(places.max(initial=0.0), duration * speeds.max(initial=0.0)))
@@ -121,7 +121,7 @@ def measure_ends(program: Program, model: Model, fractions: Array) -> Measure:
             after = own == np.maximum(own.max(axis=1), 0)[:, None]
             z = np.where(after, ends[block.index], y[block.index])
             moved, here = (block.value(one.T) for one in (z, y[block.index]))
-            shift[rows] = np.asarray((moved - here).full()).ravel(order="F")
+            shift[rows] = (moved - here).full().ravel(order="F")
         return _build_residual(fine, w, shift)
 
     return measure
@@ -151,7 +151,7 @@ def measure_jumps(program: Program, model: Model, fractions: Array) -> Measure:
             least = size
             leaving[:, nq : 2 * nq] += missed / lengths[:, None]
             if project is not None:
-                leaving = np.asarray(project(leaving.T).full()).T
+                leaving = project(leaving.T).full().T
 
     def measure(w: Array) -> MotionResidual:
         states, held, duration = fine.planned(w)
@@ -162,7 +162,7 @@ def measure_jumps(program: Program, model: Model, fractions: Array) -> Measure:
         shift = np.zeros(len(program.lower))
         # Rows of interior velocities exist only if these are unknowns.
         for rows, jump in zip([ends[0], *middle, *ends[1:]], jumps, strict=False):
-            moved = duration * np.asarray(momentum(jump.T).full()).ravel(order="F")
+            moved = duration * momentum(jump.T).full().ravel(order="F")
             shift[rows] = -moved / program.scale[rows]
         return _build_residual(fine, w, shift)
 

@@ -188,7 +188,7 @@ class EquationDerivatives:
         M and J are sparse.
         """
         values = self._values(state, inputs)
-        force, bias, _, entries = (np.asarray(value.full()).ravel() for value in values)
+        force, bias, _, entries = (value.full().ravel() for value in values)
         J = sp.csc_array((entries, self._places), shape=(self.constraints, self.model.nq))
         return self.mass(inputs[self.model.nu :]), J, force, bias
 

@@ -433,7 +433,7 @@ def _differentiate(
     at_end = ca.Function("at_end", symbols, [output(*symbols), *slopes])(
         task.states[-1], task.inputs.stack(0, np.array([task.inputs.grid.steps - 1]))[0]
     )
-    value, by_z, by_w = (np.asarray(result.full()) for result in at_end)
+    value, by_z, by_w = (result.full() for result in at_end)
     if steps.running is not None:  # the output is the last entry of z
         by_z, by_w = np.eye(1, steps.size, model.nx), np.zeros_like(by_w)
     forward = mode == "forward"
