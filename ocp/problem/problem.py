@@ -124,8 +124,7 @@ class Problem(Value, kind="Problem"):
     def __post_init__(self) -> None:
         given = {field.name: getattr(self, field.name) for field in fields(self) if field.init}
         resolved = {**resolve(**given)._asdict(), "parameters": None, "given": given}
-        for name, value in resolved.items():
-            object.__setattr__(self, name, value)
+        vars(self).update(resolved)
 
     def __repr__(self) -> str:
         parts = [type(part).__name__ for part in (*self.goals, *self.bounds, *self.costs)]

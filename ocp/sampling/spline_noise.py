@@ -16,15 +16,14 @@ from tenscasadi.schema.value import Value
 from tenscasadi.util.renamed import rename_fields
 from tenscasadi.util.validate import (
     Array,
+    Count,
     IndexOrName,
+    Positive,
     as_tuple,
     check_indices,
     index_or_name,
-    nonnegative,
-    number_or_vector,
     per_item,
-    positive_number,
-    whole_number,
+    positive_each,
 )
 
 
@@ -61,19 +60,14 @@ class SplineNoise(Value, kind="SplineNoise"):
     ((0, 1, 2), (3, 4, 5))
     """
 
-    deviation: Annotated[ArrayLike, PER_ITEM]
-    knots: int = 4
+    deviation: Annotated[ArrayLike, PER_ITEM, positive_each("string", zero=True)]
+    knots: Count = 4
     groups: Annotated[Iterable[Sequence[IndexOrName]] | None, ListOf(Members("input"))] = None
-    min_scale: float = 0.03
+    min_scale: Positive = 0.03
 
     def __post_init__(self) -> None:
-        nonnegative(
-            "SplineNoise.deviation",
-            number_or_vector("SplineNoise.deviation", self.deviation).reshape(-1),
-            "string",
-        )
-        object.__setattr__(self, "knots", whole_number("SplineNoise.knots", self.knots, 1))
-        if positive_number("SplineNoise.min_scale", self.min_scale) > 1:
+        super().__post_init__()
+        if self.min_scale > 1:
             raise ValueError(
                 f"SplineNoise.min_scale is {self.min_scale:g}: give a fraction of the deviation, at most 1"
             )

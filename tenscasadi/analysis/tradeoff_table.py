@@ -112,10 +112,7 @@ class TradeoffRow:
 
     @property
     def curve(self) -> str:
-        """Common name of rows.
-
-        They differ only in step or tolerance.
-        """
+        """Common name of rows except for step or tolerance."""
         swept = "rtol" if np.isnan(self.step) else ""
         return ", ".join(
             [abbreviate(self.scheme, swept) + (f" with {swept}" if swept else ""), *self._variant()]
@@ -401,10 +398,7 @@ def abbreviate(value: Any, without: str = "") -> str:
 
 
 def _check_kinds(value: TradeoffRow | Tradeoff) -> None:
-    """Check the types of the fields.
-
-    Raises TypeError or ValueError with the name of the first wrong field.
-    """
+    """Check the types of the fields by name. Raises TypeError, ValueError."""
     for field in fields(value):
         name, given = f"{type(value).__name__}.{field.name}", getattr(value, field.name)
         if field.type == "float" and real_array(name, given, "a number").ndim:

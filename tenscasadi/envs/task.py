@@ -177,8 +177,7 @@ class Task:
             )
         if self.rest_length_rate is not None:
             own["rest_length_rate"] = self._per_string("rest_length_rate")
-        for name, value in own.items():
-            object.__setattr__(self, name, value)
+        vars(self).update(own)
         if np.any(crossed := np.greater_equal(*self.limits)):
             k = int(np.argmax(crossed))
             raise ValueError(f"Task.lower of string {k} is not below upper: give lower < upper")

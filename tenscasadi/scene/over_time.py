@@ -99,8 +99,7 @@ class OverTime(Value):
             }
         elif not callable(value):
             checked[self._quantity] = self._read_values(value, shape)
-        for field, array in checked.items():
-            object.__setattr__(self, field, array)
+        vars(self).update(checked)
 
     def _read_values(self, value: Any, shape: tuple[int | None, ...]) -> Any:
         """Read a constant or a table of the quantity. Raises TypeError, ValueError."""

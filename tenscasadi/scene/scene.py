@@ -112,10 +112,7 @@ class Scene(Value, Viewable, kind="Scene"):
     @name_errors
     def __post_init__(self) -> None:
         instance("Scene.structure", self.structure, Structure, "a tenscasadi.Structure")
-        for name, value in resolve_fields(
-            definition(Scene), vars(self), self.structure.names
-        ).items():
-            object.__setattr__(self, name, value)
+        vars(self).update(resolve_fields(definition(Scene), vars(self), self.structure.names))
         for name, kind in {
             "gravity": Gravity,
             "pressure": Pressure,

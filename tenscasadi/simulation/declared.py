@@ -144,8 +144,7 @@ class Simulation:
                 'a mapping such as {"stiffness": 120.0}',
             )
             own["parameters"] = dict(self.parameters)
-        for name, value in own.items():
-            object.__setattr__(self, name, value)
+        vars(self).update(own)
 
     @cached_property
     def model(self) -> Model:

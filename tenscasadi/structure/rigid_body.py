@@ -17,13 +17,12 @@ from tenscasadi.util.validate import (
     SMALLEST,
     Array,
     IndexOrName,
-    as_tuple,
+    Positive,
     finite_array,
     format_value,
     index_or_name,
     instance,
     nesting,
-    positive_number,
 )
 
 
@@ -33,7 +32,7 @@ class MassProperties(NamedTuple):
     The moments are about the center.
     """
 
-    mass: float
+    mass: Positive
     center: Array
     moments: Array  # ∫ r rᵀ dm = ½ tr(I) E − I, kg m²
 
@@ -78,14 +77,16 @@ class RigidBody(Value, kind="RigidBody"):
     """
 
     nodes: Annotated[Sequence[IndexOrName], Members("node")]
-    mass: float
+    mass: Positive
     center: Annotated[Any, VECTOR] = None
     inertia: Annotated[Any, Numbers(((3,), (3, 3)))] = None
     faces: Annotated[Any, Numbers(((None, 3),), whole=True)] = None
 
     def __post_init__(self) -> None:
-        given = as_tuple("RigidBody.nodes", self.nodes, "[0, 1, 2, 3]")
-        nodes = tuple(index_or_name(f"RigidBody.nodes[{k}]", node) for k, node in enumerate(given))
+        super().__post_init__()
+        nodes = tuple(
+            index_or_name(f"RigidBody.nodes[{k}]", node) for k, node in enumerate(self.nodes)
+        )
         if len(nodes) < 2:
             raise ValueError(
                 f"RigidBody.nodes is {format_value(nodes)}: give at least two nodes, "
@@ -94,12 +95,9 @@ class RigidBody(Value, kind="RigidBody"):
         for k, node in enumerate(nodes):
             if node in nodes[:k]:
                 raise ValueError(f"RigidBody.nodes has node {node} twice: remove one")
-        own: dict[str, Any] = {
-            "nodes": nodes,
-            "mass": positive_number("RigidBody.mass", self.mass),
-        }
+        own: dict[str, Any] = {"nodes": nodes}
         if self.center is not None:
-            own["center"] = tuple(finite_array("RigidBody.center", self.center, (3,)).tolist())
+            own["center"] = tuple(self.center.tolist())
         if self.inertia is not None:
             matrix = _read_inertia(self.inertia)
             diagonal = np.array_equal(matrix, np.diag(matrix.diagonal()))
@@ -107,8 +105,7 @@ class RigidBody(Value, kind="RigidBody"):
             own["inertia"] = _as_tuple(entries.tolist())
         if self.faces is not None:
             own["faces"] = _read_faces(self.faces)
-        for name, value in own.items():
-            object.__setattr__(self, name, value)
+        vars(self).update(own)
 
     def mass_properties(self, positions: Array) -> MassProperties:
         """Compute mass, center and second moments.

@@ -87,8 +87,7 @@ class Feedback:
             raise ValueError(
                 f"Feedback.lower[{k}] is {values['lower'][k]:g}, above upper[{k}] = {values['upper'][k]:g}: give lower ≤ upper"
             )
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
+        vars(self).update(values)
 
 
 def _limit(name: str, value: Any, size: int) -> Array:
