@@ -207,6 +207,7 @@ def test_a_plan_in_phases_refines():
     assert len(fine.problem.phases) == 2
 
 
+@pytest.mark.slow
 def test_limits_of_the_end_are_of_the_end_alone():
     """A limit that the end of the first phase breaks, as asked."""
     low = ocp.Constraint(

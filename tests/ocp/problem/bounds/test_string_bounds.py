@@ -67,6 +67,7 @@ def rates(plan):
     return np.abs(np.diff(rest, axis=0)).max(axis=1) / np.diff(plan.time)[: len(rest) - 1]
 
 
+@pytest.mark.slow
 def test_motors_have_a_speed_up_to_the_end_of_linear_profiles():
     linear = ocp.MultipleShooting(12, control=ocp.PiecewiseLinear())
     asked = ocp.Problem(MODEL, 1.0, goals=GOALS, bounds=[PRESTRESS], costs=[ocp.Effort()])

@@ -118,6 +118,7 @@ def test_problem_files_hold_the_goal(tmp_path):
     assert again.model.structure.bodies == problem.model.structure.bodies
 
 
+@pytest.mark.slow
 def test_spine_of_vertebrae_bends():
     """Each vertebra of four tips hangs in eight strings; the lowest one is pinned."""
     tips = 0.1 * np.array([(1, 1, -1), (-1, -1, -1), (1, -1, 1), (-1, 1, 1)])

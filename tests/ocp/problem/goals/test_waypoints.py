@@ -65,6 +65,7 @@ def test_a_missed_waypoint_is_named():
     assert plan.replay_error > 0.01 or np.isnan(plan.replay_error)
 
 
+@pytest.mark.slow
 def test_waypoints_at_one_time_are_one():
     """Given as a time and as a share, apart by rounding, in parts that repeat each other."""
     high, still = ocp.StringLengths({0: 0.9}), ocp.AtRest()
