@@ -18,6 +18,7 @@ from tenscasadi.util.validate import (
     Array,
     IndexOrName,
     Positive,
+    as_tuple,
     finite_array,
     format_value,
     index_or_name,

@@ -234,7 +234,6 @@ def test_files_hold_the_control(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("call", "cure"),
     [
-        (lambda m: tc.export_mjcf(m.scene, "x.xml"), "export a scene with control=RestLength()"),
         (lambda m: tc.simulate(m, 0.1, control=[[0.1, 0.1]]), "control has shape"),
     ],
 )
