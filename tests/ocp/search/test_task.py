@@ -102,7 +102,7 @@ REFUSED = {
     ),
     "a pinned node would move": (
         lambda: asked(goals=[ocp.NodePositions({0: (None, None, 1.0)})], model=driven(arm())),
-        ("node that is pinned at 0 m", "leave that axis None"),
+        ("which is pinned at 0 m", "leave that axis None"),
     ),
     "limits contradict each other at the start": (
         lambda: asked(ocp.BarForceLimits(compression=5.0)),
