@@ -117,7 +117,10 @@ def find_sliding(scene: Scene, search: Callable[[Array, Any], Any], start: Any) 
             break
         found, slip, side = trial, moved, onward
     cable = bends.cable[side != 0.0][int(np.argmax(np.abs(error)))]
-    cure = "give rest lengths at which its tensions differ less, raise cable_friction, or change supports or loads"
+    cure = (
+        "pin nodes that slide along it to the next one, give rest lengths at which its tensions differ less, "
+        "raise cable_friction, or change supports or loads"
+    )
     return replace(
         found,
         success=False,
