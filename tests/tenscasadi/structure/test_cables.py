@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import tenscasadi as tc
-from tenscasadi.structure.cables import find_directions
+from tenscasadi.structure.cables import find_directions, wrap_angles
 
 
 def chain(count: int = 5, **options: object) -> tc.Structure:
@@ -80,6 +80,25 @@ def test_any_path_is_followed(data):
     path = find_directions(strings, range(len(strings)))
     assert all(a[1] == b[0] for a, b in itertools.pairwise(path))
     assert [sorted(step) for step in path] == [sorted(pair) for pair in pairs]
+
+
+def test_cables_pass_a_node_twice_and_close_in_a_loop():
+    triangle = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
+    for strings in ([(0, 1), (1, 2), (2, 0)], [(0, 1), (1, 2), (2, 1)]):
+        s = tc.Structure(
+            triangle,
+            strings=strings,
+            node_mass=1.0,
+            rest_length=0.9,
+            cables=[[0, 1, 2]],
+            cable_friction=0.2,
+        )
+        angles = wrap_angles(s, s.cables[0])
+        assert angles[0] == pytest.approx(0.75 * np.pi)
+        assert angles[1] == pytest.approx(0.75 * np.pi if strings[2] == (2, 0) else np.pi)
+        tension = tc.simulate(tc.Model(tc.Scene(s)), 0.01, 1e-3, compiled=False).tension
+        assert np.ptp(tension[0]) < 1e-9  # at rest
+        assert tension.min() > 0
 
 
 def test_copies_keep_cables():
