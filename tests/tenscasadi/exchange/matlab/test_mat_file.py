@@ -186,7 +186,7 @@ def nested(depth: int) -> bytes:
             matrix(
                 5, (10**9, 10**9), element(5, bytes(4)), element(5, bytes(8)), element(9, bytes(8))
             ),
-            "a sparse matrix of shape .* does not hold",
+            "a sparse matrix of shape .* is inconsistent",
         ),
         (
             matrix(6, (1, 1), struct.pack("<II", 9, 2**32 - 8)),
