@@ -9,7 +9,7 @@ import numpy as np
 
 from ocp.solvers.base import Solution, Solver
 from ocp.solvers.monitor import Monitor
-from ocp.transcription.fine_steps import Measure
+from ocp.transcription.fine_steps import Measure, MotionResidual
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.util.validate import Array
 
@@ -64,8 +64,9 @@ def solve_corrected(
     if not solution.success:
         return best
     correct: Callable[..., Solution] | None = None
+    rest: MotionResidual | None = None
     for done in range(most + 1):
-        rest = measure(solution.w)
+        rest = measure(solution.w, rest)
         if rest.error < best.error:
             solution = solution._replace(status=best.solution.status, iterations=iterations)
             best = Corrected(solution, rest.states, rest.error)

@@ -90,7 +90,8 @@ class Transcription(Value):
     def measure_residual(self, program: Program, model: Model) -> Measure:
         """Prepare the residual of solutions against fine steps.
 
-        The result is a function of the unknowns that returns a `MotionResidual`.
+        The result is a function of the unknowns, and of the `MotionResidual` of a solution nearby or
+        None. It returns a `MotionResidual`.
         """
         return measure_ends(program, model, self.fractions)
 

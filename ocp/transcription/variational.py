@@ -100,6 +100,7 @@ class Variational(Transcription, kind="Variational"):
         Returns
         -------
         callable
-            Function of the unknowns that returns a `MotionResidual`.
+            Function of the unknowns, and of the `MotionResidual` of a solution nearby or None. It
+            returns a `MotionResidual`.
         """
         return measure_jumps(program, model, self.fractions)
