@@ -13,7 +13,7 @@ import ocp
         (lambda: ocp.DirectCollocation(5, degree=0), "DirectCollocation.degree is 0"),
         (
             lambda: ocp.DirectCollocation(5, degree=12),
-            "DirectCollocation.degree is 12: give at most 9",
+            "DirectCollocation.degree is 12: it must be at most 9",
         ),
     ],
 )
