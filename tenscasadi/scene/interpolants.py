@@ -142,7 +142,10 @@ def is_traceable(field: str, function: Callable[[Any], Any]) -> bool:
 def call_python(field: str, function: Callable[[Any], Any], shape: tuple[int, ...]) -> Any:
     """Wrap a function that cannot be traced, for evaluations outside runs."""
     sample = read_function(field, function, shape)
-    return VectorFunction(PythonFunction(sample, sample(0.0).size), shape)
+    python = PythonFunction(sample, sample(0.0).size)
+    # CasADi's Functions do not keep it alive, and outlive scene and model.
+    python.__disown__()  # type: ignore[attr-defined]
+    return VectorFunction(python, shape)
 
 
 def read_function(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import math
 from typing import Any
 
@@ -90,6 +91,21 @@ def test_rollouts_and_sensitivities_use_the_interpolant() -> None:
     assert abs(ends[0] - ends[1]).max() < 1e-8
     slopes = [tc.sensitivities(model, t_end=1.0, step=0.01).jacobian for model in models]
     assert abs(slopes[0] - slopes[1]).max() < 1e-6
+
+
+def test_functions_outlive_their_model_and_take_parameters() -> None:
+    jump = push(lambda t: 1.0 if t > 0.3 else 0.0)
+    scene = tc.Scene(PENDULUM, forces=jump, parameters=tc.Parameters(scale=["forces"]))
+    ode = tc.Model(scene).ode
+    gc.collect()
+    x = np.append(tc.Model(scene).initial_state[:-1], 0.5)
+    rates = [np.asarray(ode(x, [], [scale]))[3, 0] for scale in (1.0, 2.0)]
+    assert rates[1] == pytest.approx(2 * rates[0])
+    runs = [
+        tc.simulate(tc.Model(scene), 1.0, 0.01, parameters=[2.0], compiled=False),
+        tc.simulate(tc.Model(scene).with_parameters([2.0]), 1.0, 0.01, compiled=False),
+    ]
+    assert abs(runs[0].nodes - runs[1].nodes).max() < 1e-9
 
 
 def test_moved_supports_start_with_their_velocity() -> None:
