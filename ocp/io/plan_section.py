@@ -39,11 +39,7 @@ from tenscasadi.schema.value import check_fields
 from tenscasadi.simulation.declared import Simulation
 from tenscasadi.simulation.simulation_files import SIMULATION, START
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import (
-    MAX_REPETITIONS,
-    Positive,
-    whole,
-)
+from tenscasadi.util.validate import MAX_REPETITIONS, Positive, whole
 
 METHOD = "transcription", "solver"
 _START = OfStructure(

@@ -180,8 +180,6 @@ def assess_plan(
         reason = growth or "tracked=True"
         ends += f"; it counts as {reason}: {open_loop.describe('open-loop replay', True)}"
         ends += ": track the plan by ocp.track(plan) or ocp.Mpc(problem, plan=plan)"
-    elif growth:
-        ends = f"{growth}: {ends}"
     beyond = _describe_violation(plan, counts.motion) if success else ""
     parts = verdict, found.imposed, ends, overload, beyond
     planned = replace(plan.trajectory, success=plan.trajectory.success or success)

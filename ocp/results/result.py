@@ -95,7 +95,7 @@ class PlanResult(PlannedForces, Stored):
         growths = [
             measure_error_growth(
                 span.model,
-                self.time[span.first : span.last + 1] - self.time[span.first],
+                self.time[span.first : span.last + 1],
                 states[span.first : span.last + 1, span.entries],
                 self.control[span.first : span.last + int(self.linear)],
             )

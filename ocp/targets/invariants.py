@@ -24,7 +24,6 @@ from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.validate import Array, Booleans, Indices
 
 AXES = "xyz"
-Flags = Booleans
 
 
 def invariants(
@@ -149,7 +148,7 @@ class Body:
     """
 
     nodes: Indices
-    along: Flags
+    along: Booleans
     rotations: list[tuple[Array, Array]]
     name: str
 
@@ -159,9 +158,9 @@ def bodies(structure: Structure, gravity: Array) -> list[Body]:
 
     Members that meet in a pinned node are not connected there.
     """
-    pinned: Flags = np.asarray(structure.fixed.all(axis=1), dtype=bool).reshape(-1)
+    pinned: Booleans = np.asarray(structure.fixed.all(axis=1), dtype=bool).reshape(-1)
     pairs = connected_pairs(structure)
-    at_pin: Flags = pinned[pairs[:, 0]] | pinned[pairs[:, 1]]
+    at_pin: Booleans = pinned[pairs[:, 0]] | pinned[pairs[:, 1]]
     links, held = pairs[~at_pin], pairs[at_pin]
     n = len(structure.nodes)
     graph = scipy.sparse.coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(n, n))
@@ -178,8 +177,8 @@ def bodies(structure: Structure, gravity: Array) -> list[Body]:
 
 
 def free_motions(
-    nodes: Array, fixed: Flags, gravity: Array
-) -> tuple[Flags, list[tuple[Array, Array]]]:
+    nodes: Array, fixed: Booleans, gravity: Array
+) -> tuple[Booleans, list[tuple[Array, Array]]]:
     """Find the free translations and conserved rotations of a body.
 
     Returns the free axes (3,) of its nodes (n, 3), and the rotations (t, ω) with conserved
@@ -188,7 +187,7 @@ def free_motions(
     weight, wherever the nodes are (Noether's theorem). A single pin leaves three rotations, and two
     pins leave one.
     """
-    along: Flags = np.logical_not(np.asarray(fixed.any(axis=0)))
+    along: Booleans = np.logical_not(np.asarray(fixed.any(axis=0)))
     origin = nodes.mean(axis=0)
     size = float(np.abs(nodes - origin).max()) or 1.0
     conditions = [np.eye(6)[axis] for axis in range(3) if along[axis]]

@@ -11,8 +11,6 @@ from scipy.sparse import _sparsetools  # no public call multiplies a range of ro
 
 from tenscasadi.util.validate import Array, Booleans, Indices
 
-Flags = Booleans
-
 
 class Elimination:
     """Direct solver of a sparse linear system and its transpose.
@@ -44,7 +42,7 @@ class Elimination:
     """
 
     def __init__(
-        self, rows: Indices, columns: Indices, size: int, constant: Flags, sample: Array
+        self, rows: Indices, columns: Indices, size: int, constant: Booleans, sample: Array
     ) -> None:
         blocks = _order_blocks(rows, columns, *_find_blocks(rows, columns, size))
         nothing = np.zeros(0, dtype=np.intp)
@@ -141,7 +139,7 @@ def _group_alike(
     row: Indices,
     column: Indices,
     entries: Indices,
-    constant: Flags,
+    constant: Booleans,
     sample: Array,
 ) -> list[_Group]:
     """Collect the diagonal blocks of one pattern."""
@@ -249,7 +247,7 @@ class _Group:
         places: Indices,
         members: list[int],
         entries: Indices,
-        constant: Flags,
+        constant: Booleans,
         sample: Array,
     ) -> None:
         self.places, self.members, self.entries = places, members, entries

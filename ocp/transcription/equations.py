@@ -9,6 +9,7 @@ from ocp.transcription.mesh import project_states
 from tenscasadi.dynamics.equation_of_motion import compute_forces, forward_dynamics
 from tenscasadi.dynamics.linearization import EquationDerivatives, displacements
 from tenscasadi.dynamics.model import Model
+from tenscasadi.structure.class_one import measure_extent
 from tenscasadi.util.casadi_tools import sparse, symbol_kind
 from tenscasadi.util.linear_algebra import null_space
 from tenscasadi.util.validate import Array, Indices
@@ -35,7 +36,7 @@ def _find_independent(model: Model) -> Indices:
     near, negligible = 1e-2, 1e-6  # × the size of the structure; of rows of unit length
     start, inputs = model.initial_state, np.append(np.zeros(model.nu), model.parameters.nominal)
     moved, ways = start.copy(), displacements(model, start)
-    size = near * np.ptp(model.structure.nodes, axis=0).max(initial=0.0)
+    size = near * measure_extent(model.structure.nodes)
     moved[: model.nq] += size * ways @ np.random.default_rng(0).uniform(-1.0, 1.0, ways.shape[1])
     moved = project_states(model, moved[None], 5)[0]
     J = EquationDerivatives.of(model).system_at(moved, inputs)[1].toarray()

@@ -16,12 +16,7 @@ from ocp.problem.bounds.bound import (
 )
 from tenscasadi.schema.field_types import LIMITS, PER_ITEM
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import (
-    Array,
-    Positive,
-    per_item,
-    positive_each,
-)
+from tenscasadi.util.validate import Array, Positive, per_item, positive_each
 
 if TYPE_CHECKING:
     from ocp.problem.instant import Instant

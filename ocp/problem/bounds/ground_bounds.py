@@ -12,12 +12,7 @@ from ocp.problem.bounds.bound import Limit, PathBound
 from tenscasadi.scene.ground import Surface
 from tenscasadi.schema.field_types import Members
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import (
-    IndexOrName,
-    Number,
-    check_indices,
-    of_type,
-)
+from tenscasadi.util.validate import IndexOrName, Number, check_indices, of_type
 
 if TYPE_CHECKING:
     from ocp.problem.instant import Instant
