@@ -156,7 +156,7 @@ def run(
         )
     _check_plant(plant, controller.model)
     plant = plant.with_parameters(parameters)
-    n = whole_number("steps", steps, 1, 1000)
+    n = whole_number("steps", steps, 1, MAX_ENTRIES)
     flag("progress", progress)
     if disturbance is not None and not callable(disturbance):
         raise TypeError(

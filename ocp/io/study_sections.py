@@ -107,7 +107,7 @@ class ClosedLoopRun:
 
     t_end: Positive
     controller: Annotated[Any, OneOf(ControllerOptions)] = field(default_factory=MpcOptions)
-    steps: Annotated[int, whole(1, 1000)] = 10
+    steps: Annotated[int, whole(1, MAX_ENTRIES)] = 10
     parameters: Annotated[Mapping[str, Any] | None, TableOf(PER_ITEM)] = None
 
     def __post_init__(self) -> None:

@@ -23,6 +23,12 @@ def test_the_last_decision_holds_for_what_is_left(plan):
     assert short.time[-1] == 0.01
 
 
+def test_periods_take_the_many_steps_of_hard_grounds(plan):
+    held = ocp.run(ocp.track(plan), 0.01, steps=1806).trajectory
+    assert held.success
+    assert len(held.time) == 1807
+
+
 def test_what_bars_do_not_allow_of_a_push_is_taken_off(plan):
     def push(time, x):
         return x + np.eye(36)[18] * (time == 0)
