@@ -108,7 +108,7 @@ def _build_replay(
     planned = plan.require_model("robustness")
     elastic = _needs_rest_lengths(planned, names)
     model = vary_model(planned, names, RestLength() if elastic else planned.scene.control)
-    decisions = (STEPS if elastic else 1) * (len(plan.time) - 1)
+    decisions = STEPS * (len(plan.time) - 1) if elastic else None
     tracker = None if track is None else track(plan, decisions=decisions)
     convert = _convert_to_rest_lengths if elastic else _control_as_planned
     control, step = convert(plan, tracker)

@@ -89,7 +89,12 @@ def test_profiles_of_any_kind_are_replayed(transcription):
 
 
 @pytest.mark.parametrize("k", [0, 2])
-def test_tracked_replays_are_those_of_the_tracker(plan, k):
+@pytest.mark.parametrize("delay", [0.0, 0.2])
+def test_tracked_replays_are_those_of_the_tracker(plan, k, delay):
+    """With a delay, the last interval is the shortest, and decides how many decisions there are."""
+    time = plan.time.copy()
+    time[1:-1] += delay * time[1]
+    plan = replace(plan, time=time)
     found = plan.robustness({"bar_mass": 0.05}, start=0.005, samples=3, tracked=True)
     model, tracker = scaled(plan, tc.ForceDensity(), "bar_mass"), ocp.track(plan)
     x = found.starts[k]
