@@ -124,7 +124,7 @@ def _order_blocks(
     own = of_row[rows[inside]]
     sorting = np.lexsort((column, row, own))
     cuts = np.searchsorted(own[sorting], np.arange(1, count))
-    places = np.split((row * count + column)[sorting], cuts)
+    places = np.split((row * len(of_row) + column)[sorting], cuts)
     found = [
         _DefectBlock(int(level[k]), *(order[ends[k] : ends[k + 1]] for order in orders))
         for k in range(count)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.linalg import block_diag
 
 from ocp.transcription.elimination import Elimination
 
@@ -46,6 +47,17 @@ def test_solutions_are_those_of_dense_matrices(seed, stages, width, columns):
         assert np.allclose(own.solve(b.copy()), np.linalg.solve(ordered, b), atol=1e-8)
         assert np.allclose(own.solve_transposed(b.copy()), np.linalg.solve(ordered.T, b), atol=1e-8)
         A = np.where(constant | (A == 0), A, A * rng.uniform(0.9, 1.1, A.shape))
+
+
+def test_blocks_of_two_patterns_take_two_steps():
+    """Two cycles of five unknowns, each with one more entry, in turns on the diagonal."""
+    cycle = np.eye(5) + np.roll(np.eye(5), 1, axis=1)
+    above, below = cycle.copy(), cycle.copy()
+    above[0, 4], below[1, 0] = 1.0, 1.0
+    A = block_diag(above, below, above, below)
+    rows, columns = np.nonzero(A)
+    own = Elimination(rows, columns, len(A), np.zeros(len(rows), dtype=bool), A[rows, columns])
+    assert len(own._steps) == 2
 
 
 def test_singular_patterns_are_rejected():
