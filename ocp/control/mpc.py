@@ -425,8 +425,9 @@ def _build_reference(
     """Build the reference, and return a typical force density [N/m].
 
     The Function of the time returns references of the scaled output (·, count) at the ends of the
-    next intervals, and of the control (nu, count) in them. A plan is tracked, and held at its end by an equilibrium if it is at
-    rest. Without a plan, the state of the goals is held. Raises ValueError, InfeasibleGoalError.
+    next intervals, and of the control (nu, count) in them. A plan is tracked, and held at its end
+    by an equilibrium if it is at rest. Without a plan, the state of the goals is held. Raises
+    ValueError, InfeasibleGoalError.
     """
     time = ca.MX.sym("time")
     if plan is None:

@@ -131,7 +131,8 @@ class TrackOptions(ControllerOptions, kind="Track"):
     Parameters
     ----------
     decisions : int
-        Number of decisions, at equal times. Default: one per interval of the plan.
+        Number of decisions, at equal times. Default: one per interval of the plan, as long as the
+        shortest.
     position_scale : float
         Deviation of a coordinate [m] that costs as much as a control deviation of `control_scale`.
         Default: 1 % of the structure's size.

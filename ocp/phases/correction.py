@@ -26,7 +26,7 @@ MOST_LEFT = 0.7  # ratio of successive errors above which a round counts as inef
 Read = Callable[
     [Array], tuple[Array, Array, Array]
 ]  # w → time (K + 1,), states (K + 1, nx), force densities (K, α)
-Replay = Callable[[Array, Array, Array], Trajectory]  # of these
+Replay = Callable[[Array, Array, Array], Trajectory]  # of the values that `Read` returns
 
 
 def correct(
@@ -45,7 +45,7 @@ def correct(
     Each round shifts the goals by the residuals of the replay, and solves again. If the error
     hardly decreases, contact nodes slip in the replay. The minimum normal reaction is then
     increased by `harder`, relative to a typical reaction. Rounds end at a fraction of the tolerance
-    [m], where velocities count as velocity × duration. Only limits of rows change, so that the solver is
+    [m], where velocities count as velocity × duration. Only limits of rows change, so the solver is
     built once. Returns the solution with the smallest error.
     """
     again, best = None, solution
@@ -90,12 +90,13 @@ def _measure_replay(
     """Compute the goal residuals of a replay.
 
     Returns the largest residual [m], and the rows of the goals at the ends of the phases.
-    Velocities count as velocity × duration. The largest residual is inf if the replay diverges.
+    Velocities count as velocity × duration. The largest residual is inf if the replay diverges or
+    cannot be tracked.
     """
     count = len(gamma) // len(targets)
     try:
         motion = replay(time, states, gamma)
-    except ValueError:  # no gains are found
+    except ValueError:  # the deviations grow too fast for gains
         return np.inf, np.zeros(0)
     if not motion.success:
         return np.inf, np.zeros(0)

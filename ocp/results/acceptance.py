@@ -234,7 +234,7 @@ def describe_growth(plan: PlanResult, tolerance: float) -> str:
 
     Returns "" if the growth is small or unknown. In phases, the contact nodes of the plan do not
     sink into the ground. The depth to which they sink at rest is an error that no finer mesh
-    reduces, so that growth to the tolerance is large.
+    reduces. If it grows beyond the tolerance, the growth is not small.
     """
     # A small error shifts the times of contact, which the state transition does not describe. In
     # phases they are given.

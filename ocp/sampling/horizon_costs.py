@@ -53,8 +53,7 @@ def build_horizon_costs(
     period : float
         Length of one of the `intervals` periods [s].
     place : float
-        Distance from a goal [m] that costs 1. The scale of velocities is 10 ·
-        position_scale/duration.
+        Distance from a goal [m] that costs 1. The scale of velocities is 10 · place/duration.
     strength : float
         Typical force density [N/m].
 

@@ -144,21 +144,22 @@ def measure_jumps(program: Program, model: Model, fractions: Array) -> Measure:
     momentum = _build_momentum(model)
     ends, middle = (_find_rows(program, name) for name in ("ends", "middle"))
 
-    def leave(leaving: Array, ends: Array, held: tuple[Array, ...], lengths: Array) -> Array:
-        """Find velocities of `leaving` that connect the mesh points, and return the final ones.
+    def leave(leaving: Array, places: Array, held: tuple[Array, ...], lengths: Array) -> Array:
+        """Find initial velocities of intervals that connect the mesh points, in place.
 
-        Errors are a small share of the jumps, of which each correction leaves about a tenth anyway.
+        `places` are the positions at the ends of the intervals. Errors of a tenth of the largest
+        jump are left, as each correction leaves about as much. Returns the final velocities.
         """
-        share, least = 0.1, np.inf
+        sufficient, least = 0.1, np.inf
         while True:
             if project is not None:
                 leaving[:] = project(leaving.T).full().T
             arrived = fine.ends(leaving, held)
-            missed = (ends - arrived[:, :nq]) / lengths[:, None]
+            missed = (places - arrived[:, :nq]) / lengths[:, None]
             after = arrived[:, nq : 2 * nq]
             jumps = np.abs(leaving[1:, nq : 2 * nq] - after[:-1]).max(initial=0.0)
             size = float(np.abs(missed).max(initial=0.0))
-            if not size < 0.5 * least or size <= share * jumps:
+            if not size < 0.5 * least or size <= sufficient * jumps:
                 return after
             least = size
             leaving[:, nq : 2 * nq] += missed
