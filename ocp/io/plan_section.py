@@ -39,7 +39,7 @@ from tenscasadi.schema.value import check_fields
 from tenscasadi.simulation.declared import Simulation
 from tenscasadi.simulation.simulation_files import SIMULATION, START
 from tenscasadi.structure.structure import Structure
-from tenscasadi.util.validate import MAX_REPETITIONS, Positive, whole
+from tenscasadi.util.validate import MAX_REPETITIONS, Boolean, Positive, whole
 
 METHOD = "transcription", "solver"
 _START = OfStructure(
@@ -111,10 +111,10 @@ class PlanPart:
     tolerance: Positive | None = None
     time_limit: Positive | None = None
     n_starts: Annotated[int, whole(1, MAX_REPETITIONS)] = 1
-    tracked: bool = False
+    tracked: Boolean = False
 
     def __post_init__(self) -> None:
-        check_fields(self)
+        check_fields(self, public=False)
 
 
 _PROBLEM_ARGUMENTS = ("duration", "start", "goals", "bounds", "costs", "phases", "parameters")

@@ -43,7 +43,7 @@ class Refinement:
     attempts: Count = 5
 
     def __post_init__(self) -> None:
-        check_fields(self)
+        check_fields(self, public=False)
 
     def run(self, plan: Any) -> Any:
         """Refine a plan."""
@@ -81,7 +81,7 @@ class RobustnessStudy:
         spreads, _ = check_variation(self.parameters, self.start)
         if spreads:
             Parameters(scale=tuple(spreads))  # rejects unknown quantities
-        check_fields(self)
+        check_fields(self, public=False)
 
     def run(self, plan: Any, progress: bool = False) -> Any:
         """Replay a plan many times. With `progress` a bar is shown."""
@@ -111,7 +111,7 @@ class ClosedLoopRun:
     parameters: Annotated[Mapping[str, Any] | None, TableOf(PER_ITEM)] = None
 
     def __post_init__(self) -> None:
-        check_fields(self)
+        check_fields(self, public=False)
 
     def run(
         self, problem: Problem, find_plan: Callable[[], PlanResult], progress: bool = False

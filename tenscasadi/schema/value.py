@@ -90,17 +90,19 @@ def _add(family: type[Value], kind: str, member: Callable[..., Any]) -> None:
     family.members[kind] = member
 
 
-def check_fields(value: Any) -> None:
+def check_fields(value: Any, public: bool = True) -> None:
     """Check the fields of a dataclass by their annotations, and keep the clean values.
 
     Entries of an annotation that have a method `check`, such as `Check` and `FieldType`, are applied
-    in their order. None is not checked where it is the default, or in the annotation.
+    in their order. None is not checked where it is the default, or in the annotation. Messages name
+    the class only if it is `public`.
     """
+    owner = f"{type(value).__name__}." if public else ""
     for name, (optional, checks) in _find_checks(type(value)).items():  # type: ignore[arg-type]  # classes hash
         given = getattr(value, name)
         if given is not None or not optional:
             for check in checks:
-                given = check(f"{type(value).__name__}.{name}", given)
+                given = check(f"{owner}{name}", given)
             object.__setattr__(value, name, given)
 
 

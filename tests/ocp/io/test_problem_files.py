@@ -274,6 +274,10 @@ def test_what_no_file_holds_is_refused_by_name(tmp_path):
         )
     with pytest.raises(ValueError, match=r"Ipopt\.callback: a function in Python: leave it out"):
         ocp.save_problem(reach(0.4), tmp_path / "problem.toml", solver=ocp.Ipopt(callback=print))
+    with pytest.raises(ValueError, match=r"^n_starts is 0: it must be at least 1"):
+        ocp.save_problem(reach(0.4), tmp_path / "problem.toml", n_starts=0)
+    with pytest.raises(TypeError, match=r"^tracked is 'False': give True or False"):
+        ocp.save_problem(reach(0.4), tmp_path / "problem.toml", tracked="False")
     with pytest.raises(TypeError, match="'method': give transcription"):
         ocp.save_problem(reach(0.4), tmp_path / "problem.toml", method=1)
     with pytest.raises(TypeError, match=r"ocp\.Problem"):

@@ -89,11 +89,11 @@ def test_the_default_controller_is_predictive(read):
         ("[robustness]\nparameters = { bar_mas = 0.1 }", "bar_mas"),
         ("[robustness]\nparameters = { bar_mass = 1.5 }", "less than 1"),
         ("[robustness]\nstart = -1", "start is -1"),
-        ("[robustness]\nstart = 1\nsamples = 0", "samples is 0"),
+        ("[robustness]\nstart = 1\nsamples = 0", ": samples is 0"),
         ("[closed_loop]", "closed_loop has no t_end"),
         ("[closed_loop]\nt_end = 1\ncontroller = 'Mpcc'", "did you mean 'Mpc'"),
         ("[closed_loop]\nt_end = 1\ncontroller = { perod = 1 }", "did you mean 'period'"),
-        ("[closed_loop]\nt_end = 1\nsteps = 0", "steps is 0"),
+        ("[closed_loop]\nt_end = 1\nsteps = 0", ": steps is 0"),
     ],
 )
 def test_bad_tables_are_rejected_by_line(text, message, read):
