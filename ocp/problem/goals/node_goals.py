@@ -15,7 +15,7 @@ from ocp.problem.goals.goal import FREE_AXIS, FreePoint, Goal
 from ocp.problem.rows import Rows
 from tenscasadi.io.structure_section import OfStructure
 from tenscasadi.schema.containers import Either, MapOf
-from tenscasadi.schema.field_types import PER_ITEM, POINT, POINTS, TIMES
+from tenscasadi.schema.field_types import PER_ITEM, POINT, POINTS
 from tenscasadi.structure.class_one import measure_extent
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import (
@@ -51,7 +51,8 @@ def _read(field: str, given: Any, example: str) -> Any:
 
 _Given = Mapping[IndexOrName, Sequence[float | None]] | ArrayLike
 _EACH = OfStructure("nodes", Either((dict,), MapOf("node", POINT), POINTS))
-_Masses = Annotated[ArrayLike, PER_ITEM, Check(TIMES.check), positive_each("node", zero=True)]
+_Vector = Check(partial(finite_array, shape=(None,)))
+_Masses = Annotated[ArrayLike, PER_ITEM, _Vector, positive_each("node", zero=True)]
 
 
 @dataclass(frozen=True, eq=False)
