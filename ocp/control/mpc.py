@@ -471,7 +471,7 @@ def _find_goal(problem: Problem, scales: Scales) -> tuple[Array, Array, Array]:
     ]
     if asked:
         raise ValueError(
-            f"problem has {asked[0]}, which prescribes a motion instead of one state: find a plan, then give Mpc(problem, plan=plan)"
+            f"problem has {asked[0]}, which needs a plan: find one, then give Mpc(problem, plan=plan)"
         )
     target = find_target(problem, scales)
     state = target.start if target.state is None else target.state

@@ -60,7 +60,7 @@ def build_horizon_costs(
     Raises
     ------
     ValueError
-        If a goal asks for a motion of a given duration.
+        If the problem has a `Waypoint` or `FreeStart`.
     """
     now, given = _instant(problem)
     length = period * intervals
@@ -114,7 +114,7 @@ def _misses(problem: Problem, now: Instant, sizes: dict[str, float]) -> Any:
     asked += ["Waypoint"] * any(share < 1 for share, _ in cost_terms(problem.costs).instants)
     if asked:
         raise ValueError(
-            f"problem has {asked[0]}, which prescribes a motion of a given duration: find a plan, then give ocp.Tracking of its nodes"
+            f"problem has {asked[0]}, which Mppi does not support: find a plan, then give ocp.Tracking of its nodes"
         )
     model = problem.model
     x = ca.SX.sym("x", model.nx)

@@ -360,7 +360,7 @@ BAD = {
     "a waypoint": (
         lambda: ocp.Mppi(folding(goals=[ocp.Waypoint([ocp.AtRest()], share=0.5)])),
         ValueError,
-        "problem has Waypoint, which prescribes a motion of a given duration",
+        "problem has Waypoint, which Mppi does not support",
     ),
     "a free start": (
         lambda: ocp.Mppi(folding(start=ocp.FreeStart(), goals=())),
