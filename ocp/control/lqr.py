@@ -244,8 +244,9 @@ def track(
     instance("plan", plan, PlanResult, "an ocp.Plan")
     model, T = plan.require_model("track"), float(plan.time[-1])
     shortest = float(np.diff(plan.time).min())
-    default = int(np.ceil(T / shortest - 1e-6))
-    count = whole_number("decisions", default if decisions is None else decisions, 1, 10_000)
+    most = 10_000
+    default = min(int(np.ceil(T / shortest - 1e-6)), most)
+    count = whole_number("decisions", default if decisions is None else decisions, 1, most)
     size = (
         0.01 * measure_diagonal(model.structure.nodes)
         if position_scale is None
