@@ -111,7 +111,9 @@ def _misses(problem: Problem, now: Instant, sizes: dict[str, float]) -> Any:
         for part in (problem.start, *problem.goals)
         if isinstance(part, (FreeStart, Waypoint))
     ]
-    asked += ["CostAt before the end"] * any(share < 1 for share, _ in cost_terms(problem.costs).instants)
+    asked += ["CostAt before the end"] * any(
+        share < 1 for share, _ in cost_terms(problem.costs).instants
+    )
     if asked:
         raise ValueError(
             f"problem has {asked[0]}, which Mppi does not support: find a plan, then give ocp.Tracking of its nodes"
