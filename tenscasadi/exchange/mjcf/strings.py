@@ -139,13 +139,12 @@ class Servo(NamedTuple):
     stiffness, damping : float
         Those that it adds to the string [N/m], [N s/m].
     rest : float or None
-        Rest length of its stiffness at the initial control [m]; None for the length in the file.
+        Rest length of its stiffness, or of the string's, at the initial control [m]; None for the
+        length in the file.
     pushes : bool
         Whether it carries compression.
     start : float
         Initial control of a commanded force [N/m] or [N].
-    force : float
-        Initial force beside the string's own spring, along its extension [N].
     """
 
     element: Element
@@ -155,7 +154,6 @@ class Servo(NamedTuple):
     rest: float | None = None
     pushes: bool = False
     start: float = 0.0
-    force: float = 0.0
 
     def force_density(self, length: float) -> float:
         """Compute the initial force density [N/m] of a commanded force."""
@@ -186,28 +184,27 @@ def read_control(
             actuator.leave_out(f"is {name!r}: {message}", "tendon")
             continue
         servo = _read_servo(actuator, names[name], start[k])
-        if servo is not None and servo.control is ForceDensity and len(names[name].sites) > 2:
+        if servo.control is ForceDensity and len(names[name].sites) > 2:
             actuator.leave_out(
                 f"drives a cable by force density: {_TENSION} for its tension", "gainprm"
             )
-            servo = servo._replace(control=Tension)
-        if servo is not None:
-            servos[name] = servo
+            servo = servo._replace(control=Tension, start=servo.start * names[name].length)
+        servos[name] = servo
     if not servos:
         return None, strings
     kinds = {servo.control for servo in servos.values()}
     kind = next(kind for kind in _KINDS if kind in kinds)
     found = []
     for string in strings:
-        servo = servos.get(string.name)
-        if servo is None:
+        own = servos.get(string.name)
+        if own is None:
             message = "has no actuator, while others have: a scene controls all strings, or none"
             string.element.leave_out(message)
-        elif servo.control is not kind:
-            servo.element.leave_out(
+        elif own.control is not kind:
+            own.element.leave_out(
                 "controls its string in another way than others: a scene has one kind of control"
             )
-        found.append(_drive(string, servo, kind))
+        found.append(_drive(string, own, kind))
     return kind(), found
 
 
@@ -234,9 +231,8 @@ def _drive(string: TendonString, servo: Servo | None, kind: type[Control]) -> Te
         )
     if own is not None and own.stiffness:
         return string._replace(**{name: getattr(own, name) for name in _SPRING})
-    if own is not None and own.force:  # has the effect of another rest length
-        rest = string.length if string.rest is None else string.rest
-        return string._replace(rest=rest + own.force / string.stiffness)
+    if own is not None and own.rest is not None:
+        return string._replace(rest=own.rest)
     if commands:
         return _hold(string, 0.0 if own is None else own.force_density(string.length))
     return string
@@ -255,8 +251,8 @@ _DENSITY = 'give gaintype="affine" gainprm="0 -1 0"'
 _TENSION = 'give gainprm="-1 0 0"'
 
 
-def _read_servo(actuator: Element, string: TendonString, control: float | None) -> Servo | None:
-    """Read the actuator of a string with its initial control; None if it is left out.
+def _read_servo(actuator: Element, string: TendonString, control: float | None) -> Servo:
+    """Read the actuator of a string with its initial control.
 
     The force is affine in control, length and velocity, or the product of control and length.
     """
@@ -264,15 +260,15 @@ def _read_servo(actuator: Element, string: TendonString, control: float | None) 
         np.pad(actuator.numbers(name, range(1, 11), [first]), (0, 9))[:10]
         for name, first in (("gainprm", 1.0), ("biasprm", 0.0))
     )
-    kinds = [actuator.text(f"{name}type", "fixed" if name == "gain" else "none") for name in _TYPES]
-    if actuator.tag == "position":
+    kinds = [
+        actuator.text("gaintype", "fixed"),
+        actuator.text("biastype", "none"),
+        _read_dynamics(actuator),
+    ]
+    if actuator.tag in ("position", "intvelocity"):
         k = actuator.number("kp", 1.0)
         gain, bias = np.array([k]), np.array([0.0, -k, -actuator.number("kv", 0.0)])
-        kinds = ["fixed", "affine", "none"]
-    elif actuator.tag == "intvelocity":
-        k = actuator.number("kp", 1.0)
-        gain, bias = np.array([k]), np.array([0.0, -k, -actuator.number("kv", 0.0)])
-        kinds = ["fixed", "affine", "integrator"]
+        kinds = ["fixed", "affine", _read_dynamics(actuator)]
     if kinds[2] not in ("none", "integrator"):
         actuator.leave_out(f"is {kinds[2]!r}: strings follow their control at once", "dyntype")
         kinds[2] = "none"
@@ -306,37 +302,43 @@ def _read_servo(actuator: Element, string: TendonString, control: float | None) 
 def _read_motor(actuator: Element, string: TendonString, force: float) -> Servo:
     """Read an actuator whose force does not depend on the motion.
 
-    It commands the tension of a tendon without a spring.
+    It commands the tension of a tendon without a spring. Beside a spring, it has the effect of
+    another rest length.
     """
     if not string.stiffness and not string.damping:
         return Servo(actuator, Tension, start=-force)
     if not (string.pushes and string.stiffness):
         actuator.leave_out(
-            "adds a force to a string that goes slack: rest lengths, which have the same effect on "
-            "a spring that pushes, replace it"
+            "adds a force to a string that goes slack, or has only damping: give the tendon a "
+            "stiffness and one springlength"
         )
         return Servo(actuator, RestLength)
-    return Servo(actuator, RestLength, force=force)
+    rest = string.length if string.rest is None else string.rest
+    return Servo(actuator, RestLength, rest=rest + force / string.stiffness)
 
 
-_TYPES = ("gain", "bias", "dyn")
+def _read_dynamics(actuator: Element) -> str:
+    """Read the kind of activation dynamics."""
+    kinds = {"position": "none", "intvelocity": "integrator"}
+    return kinds.get(actuator.tag, actuator.text("dyntype", "none"))
 
 
 def _read_start(root: Element, actuators: list[Element]) -> list[float | None]:
     """Read the controls, or states of integrators, of the first key that has them."""
     keys = [key for section in root.find("keyframe") for key in section.find("key")]
-    found: list[float | None] = [None] * len(actuators)
-    integrates = [own.tag == "intvelocity" or "dyntype" in own.attributes for own in actuators]
-    own = {
-        "ctrl": list(range(len(actuators))),
-        "act": [k for k, yes in enumerate(integrates) if yes],
-    }
-    for name, which in own.items():
-        for key in [key for key in keys if name in key.attributes][:1]:
-            for k, value in zip(which, key.numbers(name, len(which)).tolist(), strict=True):
-                found[k] = value
-    if "act" not in {name for key in keys for name in key.attributes}:
-        found = [None if own else value for own, value in zip(integrates, found, strict=True)]
+
+    def read(name: str, count: int) -> list[float | None]:
+        first = (key for key in keys if name in key.attributes)
+        return next((key.numbers(name, count).tolist() for key in first), [])
+
+    kinds = [_read_dynamics(actuator) for actuator in actuators]
+    states = [k for k, kind in enumerate(kinds) if kind != "none"]
+    controls = read("ctrl", len(kinds)) or [None] * len(kinds)
+    found = [
+        None if kind == "integrator" else own for kind, own in zip(kinds, controls, strict=True)
+    ]
+    for k, own in zip(states, read("act", len(states)), strict=False):  # [] without states
+        found[k] = own
     return found
 
 

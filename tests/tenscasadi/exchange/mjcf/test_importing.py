@@ -124,6 +124,14 @@ def test_actuators_of_other_files_are_controls(actuator: str, control: Any, tmp_
     assert tc.import_mjcf(tmp_path / "s.xml").control == control
 
 
+def test_actuators_without_dynamics_start_at_their_control(tmp_path: Path) -> None:
+    bare = '<spatial name="s"><site site="a"/><site site="w"/></spatial>'
+    law = 'gainprm="50" biastype="affine" biasprm="0 -50 0" dyntype="none"'
+    more = f'<actuator><general tendon="s" {law}/></actuator><keyframe><key ctrl="0.3"/></keyframe>'
+    (tmp_path / "s.xml").write_text(file(tendon=bare, more=more))
+    assert tc.import_mjcf(tmp_path / "s.xml").structure.rest_length == pytest.approx([0.3])
+
+
 def test_rollers_hold_along_the_same_directions(tmp_path: Path) -> None:
     s = tc.shapes.prism(rollers={0: (1, 0, 1), 1: [(1, 1, 0), (0, 1, 1)]}, pinned=[2])
     found = tc.import_mjcf(tc.export_mjcf(tc.Scene(s), tmp_path / "s.xml")).structure

@@ -171,6 +171,18 @@ def test_a_motor_without_a_spring_commands_the_tension(tmp_path: Path) -> None:
     assert tc.Model(scene).initial_control.tolist() == pytest.approx([3.0])
 
 
+def test_force_densities_of_cables_become_tensions(tmp_path: Path) -> None:
+    tendon = STRING.replace('stiffness="1"', 'name="t"').replace("</sp", '<site site="v"/></sp')
+    law = 'gaintype="affine" gainprm="0 -1 0"'
+    key = '<keyframe><key ctrl="2"/></keyframe>'
+    more = f'<actuator><general tendon="t" {law}/></actuator>{key}'
+    scene, changes = read(
+        file(tendon=tendon, more=more, world='<site name="v" pos="0 3 0"/>'), tmp_path
+    )
+    assert "drives a cable by force density" in changes[0]
+    assert tc.Model(scene).initial_control.tolist() == pytest.approx([2.0 * 3.0])
+
+
 def test_errors_name_the_lenient_import(tmp_path: Path) -> None:
     path = tmp_path / "scene.xml"
     path.write_text(file(tendon=STRING.replace("<spatial", '<spatial frictionloss="1"')))
