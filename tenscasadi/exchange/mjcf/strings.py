@@ -58,9 +58,9 @@ class TendonString(NamedTuple):
         """Divide a cable into its strings, in series, of equal tension."""
         if len(self.sites) == 2:
             return [self]
-        found = []
+        found, length = [], self.length or 1.0
         for ends in pairwise(self.sites):
-            share = float(np.linalg.norm(ends[1].place - ends[0].place)) / self.length
+            share = float(np.linalg.norm(ends[1].place - ends[0].place)) / length
             if share > 0:
                 found.append(
                     self._replace(
@@ -70,7 +70,7 @@ class TendonString(NamedTuple):
                         rest=None if self.rest is None else self.rest * share,
                     )
                 )
-        return found
+        return found or [self._replace(sites=self.sites[:2])]  # a string of no length
 
 
 def read_strings(root: Element, defaults: Defaults, bodies: Bodies) -> list[TendonString]:

@@ -132,6 +132,13 @@ def test_actuators_without_dynamics_start_at_their_control(tmp_path: Path) -> No
     assert tc.import_mjcf(tmp_path / "s.xml").structure.rest_length == pytest.approx([0.3])
 
 
+def test_tendons_through_one_place_are_rejected(tmp_path: Path) -> None:
+    tendon = "<spatial>" + 3 * '<site site="a"/>' + "</spatial>"
+    (tmp_path / "s.xml").write_text(file(tendon=tendon))
+    with pytest.raises(tc.SceneFileError, match="joins a node to itself"):
+        tc.import_mjcf(tmp_path / "s.xml")
+
+
 def test_rollers_hold_along_the_same_directions(tmp_path: Path) -> None:
     s = tc.shapes.prism(rollers={0: (1, 0, 1), 1: [(1, 1, 0), (0, 1, 1)]}, pinned=[2])
     found = tc.import_mjcf(tc.export_mjcf(tc.Scene(s), tmp_path / "s.xml")).structure
