@@ -64,14 +64,15 @@ class PrestressedState:
         return find_stable_factors(self.system, self.point, self.tension) is not None
 
     def describe_softest(self, values: Array) -> str:
-        """Describe the softest motion by its eigenvalue, the first of `values` [N/m]."""
+        """Describe the softest motion by the lowest eigenvalues, `values` [N/m]."""
         zero = ROUNDING * self.scale
         if not len(values):
             return "no motion changes the shape"
         flat = int(np.sum(np.abs(values) <= zero))
         if flat and values[0] >= -zero:
+            least = "at least " if flat == len(values) else ""  # there may be more of them
             motions = "1 motion has" if flat == 1 else f"{flat} motions have"
-            return f"{motions} no stiffness: prestress the structure, or add members or supports"
+            return f"{least}{motions} no stiffness: prestress the structure, or add members or supports"
         return f"softest motion {values[0]:.4g} N/m"
 
     @cached_property

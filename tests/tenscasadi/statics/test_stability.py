@@ -463,5 +463,7 @@ def test_overloaded_strings_are_rejected(strength):
 def test_message_counts_motions_without_stiffness() -> None:
     flat = tc.stability(tc.shapes.prism())
     assert flat.message.startswith("1 motion has no stiffness: prestress")
+    one = tc.stability(tc.shapes.hyperbolic_paraboloid(4), count=1)
+    assert one.message.startswith("at least 1 motion has no stiffness")
     stiff = tc.stability(tc.shapes.prism(prestress=10.0))
     assert repr(stiff) == "Stability(softest motion 55.9 N/m)"
