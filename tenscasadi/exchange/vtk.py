@@ -16,7 +16,7 @@ from tenscasadi.drawing.hulls import find_hulls
 from tenscasadi.dynamics.model import Model
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.class_one import distances
-from tenscasadi.util.validate import Array, FilePath, file_path, instance, whole_number
+from tenscasadi.util.validate import Array, FilePath, Indices, file_path, instance, whole_number
 from tenscasadi.util.whole_file import whole_file
 
 
@@ -31,9 +31,10 @@ def export_vtk(
 
     Open the .pvd file in ParaView. It lists the frames, one .vtu file for each saved time, in a
     folder of the same name beside it. A frame contains bars and strings as lines, and faces of rigid
-    bodies as triangles, with the fields ``kind`` (0 for bars, 1 for strings, 2 for bodies), ``number``, ``length`` [m], ``force_density`` [N/m] and
-    ``tension`` [N], negative in compression. Nodes have the fields ``number``, ``velocity`` [m/s]
-    and ``pinned``. It requires ``pip install 'tenscasadi[exchange]'``.
+    bodies as triangles. Their fields are ``kind`` (0 for bars, 1 for strings, 2 for bodies),
+    ``number``, ``length`` [m], ``force_density`` [N/m] and ``tension`` [N], negative in compression.
+    Bodies have the first two. Nodes have the fields ``number``, ``velocity`` [m/s] and ``pinned``.
+    It requires ``pip install 'tenscasadi[exchange]'``.
 
     Parameters
     ----------
@@ -79,11 +80,12 @@ def export_vtk(
         raise ImportError("export_vtk needs meshio: pip install 'tenscasadi[exchange]'") from error
     folder = target.with_suffix("")
     folder.mkdir(exist_ok=True)
+    hulls = find_hulls(None if trajectory.scene is None else trajectory.scene.structure)
     names = [
         f"{folder.name}/{target.stem}_{k:0{len(str(len(rows)))}d}.vtu" for k in range(len(rows))
     ]
     for name, row in zip(names, rows, strict=True):
-        meshio.vtu.write(target.parent / name, _frame(meshio, trajectory, row, pushes[row]))
+        meshio.vtu.write(target.parent / name, _frame(meshio, trajectory, row, pushes[row], hulls))
     frames = [
         f'    <DataSet timestep="{float(trajectory.time[row])!r}" file="{html.escape(name)}"/>'
         for name, row in zip(names, rows, strict=True)
@@ -126,12 +128,13 @@ def _bar_force_density(run: Trajectory, model: Model | None) -> Array:
     return np.asarray(-lam.full().T.reshape(len(run.time), -1))
 
 
-def _frame(meshio: Any, run: Trajectory, row: int, bar_force_density: Array) -> Any:
+def _frame(
+    meshio: Any, run: Trajectory, row: int, bar_force_density: Array, hulls: list[Indices]
+) -> Any:
     """Build the mesh of one saved time."""
     nodes, pinned = run.nodes[row], np.zeros(run.nodes.shape[1])
     pinned[run.pinned] = 1
     lengths = [distances(nodes, pairs) for pairs in (run.bars, run.strings)]
-    hulls = find_hulls(None if run.scene is None else run.scene.structure)
     body = np.repeat(np.arange(float(len(hulls))), [len(hull) for hull in hulls])
     faces = np.concatenate([np.zeros((0, 3), dtype=np.intp), *hulls])
     none = np.full(len(faces), np.nan)
