@@ -17,7 +17,7 @@ from scipy.linalg import qr
 
 from tenscasadi.design.force_densities import ForceDensities
 from tenscasadi.statics.self_stress import rigid_body_motions
-from tenscasadi.structure.class_one import connectivity
+from tenscasadi.structure.class_one import connectivity, distances
 from tenscasadi.structure.equilibrium_matrix import body_pairs, free_directions, member_pairs
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.casadi_tools import sparse
@@ -85,7 +85,7 @@ class FormProgram:
         inside = inside[moved[inside].any(axis=1)]
         pairs = np.concatenate([member_pairs(structure), inside])
         members = len(pairs) - len(inside)
-        lengths = np.linalg.norm(np.diff(structure.nodes[pairs], axis=1)[:, 0], axis=1)
+        lengths = distances(structure.nodes, pairs)
         self.length = float(lengths[:members].mean())
         self.density = densities.scale
         self._free = free
