@@ -43,11 +43,8 @@ def inputs(model, rows):
 @pytest.mark.parametrize(
     "name",
     [
-        *("ground", "parameters"),
-        *(
-            pytest.param(name, marks=pytest.mark.slow)
-            for name in ("force densities", "rest lengths", "joints, wind")
-        ),
+        pytest.param(name, marks=[] if name in ("ground", "parameters") else pytest.mark.slow)
+        for name in SCENES
     ],
 )
 def test_rates_and_derivatives_equal_those_of_casadi(name):
