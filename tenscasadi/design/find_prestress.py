@@ -119,7 +119,8 @@ def find_prestress(
     goal : Stiffest, Even or Least
         Largest stiffness of the softest motion, most uniform tensions, or least tensions.
     load_cases : sequence of array_like, shape (n, 3), or mapping
-        Forces on the nodes, or on some by name or index [N]. The limits of tensions also apply under each load case.
+        Forces on the nodes, or on some by name or index [N]. The limits of tensions also apply
+        under each load case.
     minimum : array_like, shape (α,)
         Least tension of strings [N], or one number for all. `Even` and `Least` need one above 0, or
         load cases, to determine the level of prestress.

@@ -95,7 +95,7 @@ def size(
     By the lower-bound theorem of plasticity, areas carry the loads if any forces within the limits
     are in equilibrium with them. If yield governs, the least mass is the solution of a linear
     program. Euler's load makes it nonconvex: branch and bound over linear programs finds the least
-    mass within 1e-6, or reports the gap. The reported forces are the elastic ones with the reported
+    mass within 1e-6, or the message gives a lower bound. The reported forces are the elastic ones with the reported
     prestress, if these are also within the limits. This is always possible for a single load case
     that compresses no string. A given prestress is superposed with the elastic response to the
     loads.

@@ -92,9 +92,8 @@ def export_mjcf(
       MuJoCo rejects 0. No force turns a bar about its axis, so only friction on the contact spheres
       changes the trajectory.
     - A damped string in MuJoCo also damps while it is slack, and may then be in compression.
-      Strings without
-      damping follow `Clip` exactly, and strings with the law `Linear` are always exact. `Smooth` is
-      rejected.
+      Strings without damping follow `Clip` exactly, and strings with the law `Linear` are always
+      exact. `Smooth` is rejected.
     - Rigid bodies become bodies ``body0``, ``body1`` … that are free, or have a ball joint at a
       pinned node or a hinge at two of them. `connect` joins nodes that they share with each other or
       with bars. Their principal moments of inertia are at least 0.01 of the largest. Their nodes

@@ -36,9 +36,8 @@ def import_mjcf(path: FilePath, *, strict: bool = True) -> Scene:
     more attached points that are not on a line become rigid bodies. Spatial tendons between two
     sites become strings, and those through more sites cables without friction. Ball joints and
     ``connect`` become nodes that bars share. A hinge becomes two nodes on its axis, which two rigid
-    bodies share or which are pinned. Bodies that ``weld`` or
-    nesting fixes to each other are one body. Features without a counterpart in a scene are rejected
-    by name, or left out.
+    bodies share or which are pinned. Bodies that ``weld`` or nesting fixes to each other are one
+    body. Features without a counterpart in a scene are rejected by name, or left out.
 
     Parameters
     ----------
@@ -76,15 +75,16 @@ def import_mjcf(path: FilePath, *, strict: bool = True) -> Scene:
       MuJoCo; here only strings with `Linear` do.
     - Position actuators on all tendons become control by rest lengths, and integrators such as
       ``intvelocity`` control by their rates. Initial rest lengths are those of the first key. Forces
-      become control by tensions or force densities. Control ranges are ignored, because they are bounds of a plan.
+      become control by tensions or force densities, and by rest lengths beside springs. Control
+      ranges are ignored, because they are bounds of a plan.
     - Nodes touch the ground. Spheres, capsules and cylinders that end at a node give its distance.
       A capsule with the radius of its bar makes it one of `Ground.bars`. A contact time constant
       becomes the stiffness for the mean mass. A `pair` of two such capsules becomes `BarContact`.
       Other contacts between bodies, velocities of keys, step and solver are ignored.
     - If not `strict`, attached points move to the nearer end of their bar. Hinges that slide become
-      balls, and boxes are bars along their longest side. Actuators with affine forces become control by rest lengths, and tendons
-      without actuator are controlled, too. Limits, friction of joints and activation dynamics are
-      left out.
+      balls, and boxes are bars along their longest side. Actuators with affine forces become
+      control by rest lengths, and tendons without actuator are controlled, too. Limits, friction of
+      joints and activation dynamics are left out.
 
     Nodes, bars and strings keep the numbers in the names of `export_mjcf`. Others, and strings of
     files with cables, are numbered in the order of the file.
