@@ -287,15 +287,14 @@ def read_load(system: NewtonSystem, load: Any) -> Array:
 
     Nodes are those of the model. Raises TypeError, ValueError.
     """
-    structure = system.equations.structure
-    n = len(structure.nodes)
+    modelled, own = system.equations.structure, system.equations.scene.structure
     if not isinstance(load, NodalForce):
-        return read_loads("load", load, structure)
-    load = resolve_names(load, structure.names)
-    load.check(len(system.equations.scene.structure.nodes))
+        return read_loads("load", load, modelled)
+    load = resolve_names(load, own.names)
+    load.check(len(own.nodes))
     if load.varies:
         raise ValueError("load changes over time: give its values at one time")
-    return np.pad(load.values, ((0, n - len(load.values)), (0, 0)))
+    return np.pad(load.values, ((0, len(modelled.nodes) - len(own.nodes)), (0, 0)))
 
 
 def describe_rest(

@@ -190,6 +190,16 @@ def test_displacement_is_that_of_small_loads():
     assert found.stiffness(tc.NodalForce(load)) == found.stiffness(load)
 
 
+def test_loads_of_named_nodes_move_segmented_strings():
+    prism = tc.shapes.prism(pinned=[0, 1, 2], stiffness=500.0, prestress=20.0, string_mass=1.0)
+    s = prism.replace(node_names=[f"n{k}" for k in range(6)])
+    st = tc.stability(tc.Scene(s, segments=2))
+    full = np.zeros((15, 3))
+    full[3] = force = (0.0, 0.0, -1.0)
+    for load in ({"n3": force}, tc.NodalForce({"n3": force}), tc.NodalForce({3: force})):
+        np.testing.assert_array_equal(st.displacement(load), st.displacement(full))
+
+
 def test_stiffness_of_held_and_free_loads():
     found = tc.stability(tc.shapes.prism(prestress=10.0, pinned=[0]))
     held, along, turning = np.zeros((3, 6, 3))
