@@ -24,7 +24,7 @@ from tenscasadi.design.sizing.stable import StableSizing
 from tenscasadi.design.tangent_stiffness import TangentStiffness
 from tenscasadi.scene.loads import Gravity
 from tenscasadi.structure.cables import reject_cable_friction
-from tenscasadi.structure.names import add_names, name_errors
+from tenscasadi.structure.names import name_errors
 from tenscasadi.structure.properties import NodalLoads
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import (
@@ -156,7 +156,7 @@ def _stabilize(
     for _ in range(MAX_ITERATIONS):
         found = search.search(start)
         if found.message:
-            return report_failure(structure, cases, add_names(found.message, structure))
+            return report_failure(structure, cases, found.message)
         more = _gap(float(found.area @ sections.mass_per_area), design.bound)
         message = f"stable, {more:.1e} above the least mass without that"
         sized = report_sections(structure, program, cases, found[:3], message)
