@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from tenscasadi.statics.least_force_density import least_force_density
 from tenscasadi.structure.cables import density_basis
 from tenscasadi.structure.equilibrium_matrix import equilibrium_matrix, free_directions
-from tenscasadi.structure.names import add_names
+from tenscasadi.structure.names import add_names, name_errors
 from tenscasadi.structure.properties import NodalLoads, read_loads
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.renamed import rename_keywords
@@ -43,6 +43,7 @@ class EquilibriumError(ValueError):
 
 
 @rename_keywords(pushing="compression_strings")
+@name_errors
 def equilibrium_force_density(
     structure: Structure,
     loads: NodalLoads | None = None,

@@ -99,6 +99,7 @@ NAMED = mast(node_names=["foot", "top", "far"], string_names=["guy", "tie"], bar
         (lambda: tc.Model(tc.Scene(NAMED)).state(NAMED.nodes + 1.0), "(node 0: foot)"),
         (lambda: tc.find_equilibrium(NAMED_SCENE, start=NAMED.nodes + 1.0), "(node 0: foot)"),
         (lambda: tc.find_prestress(NAMED, minimum=2.0, maximum=1.0), "(string 0: guy)"),
+        (lambda: tc.equilibrium_force_density(NAMED, minimum=[1.0, -1.0]), "(string 1: tie)"),
         (lambda: tc.form_find(NAMED, positions={"foot": (1, 0, 0)}), "(node 0: foot)"),
     ],
 )
