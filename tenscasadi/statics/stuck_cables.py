@@ -118,7 +118,7 @@ def find_sliding(scene: Scene, search: Callable[[Array, Any], Any], start: Any) 
         found, slip, side = trial, moved, onward
     cable = bends.cable[side != 0.0][int(np.argmax(np.abs(error)))]
     cure = (
-        "pin nodes that slide along it to the next one, give rest lengths at which its tensions differ less, "
+        "pin nodes that slide until they meet, give rest lengths at which its tensions differ less, "
         "raise cable_friction, or change supports or loads"
     )
     return replace(
