@@ -146,10 +146,10 @@ class TangentStiffness:
         return softest_motions(self.at(q, stiffness), self.J, self.rigid_body, count)
 
     def has_stiff_motions(self, q: Array) -> bool:
-        """Return whether all motions that keep rigid bars are stiff, by the inertia of K.
+        """Return whether all motions are stiff, by the inertia of K.
 
-        Rigid-body motions are left out: a few fixed coordinates exclude them. False can also mean
-        that rounding hides a stiffness.
+        They preserve the lengths of rigid bars, and a few fixed coordinates exclude rigid-body
+        motions. False can also mean that rounding hides a stiffness.
         """
         K, J = self.at(q)[self._others][:, self._others], self.J[:, self._others]
         if not K.nnz:

@@ -9,9 +9,10 @@ from tenscasadi.util.validate import NEGLIGIBLE, Array, Indices
 
 
 def find_hulls(structure: Structure | None) -> list[Indices]:
-    """Find the faces (f, 3) of each body: the given ones, or those of the convex hull.
+    """Find the faces (f, 3) of each body.
 
-    They are triangles of node indices. Bodies whose nodes lie on a line have no hull.
+    They are triangles of node indices: the given ones, or those of the convex hull. Bodies whose
+    nodes lie on a line have no hull.
     """
     bodies = () if structure is None else structure.bodies
     nodes = np.zeros((0, 3)) if structure is None else structure.nodes

@@ -42,7 +42,7 @@ class Design(NamedTuple):
 
     @property
     def is_global(self) -> bool:
-        """Return whether the design is the lightest one, within the tolerance."""
+        """Whether the design is the lightest one, within the tolerance."""
         return self.bound >= self.best.mass * (1.0 - TOLERANCE)
 
 
