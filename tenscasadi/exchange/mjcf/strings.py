@@ -171,7 +171,7 @@ def read_control(
 
     Raises SceneFileError.
     """
-    names = {string.name: string for string in strings}
+    names = {string.name: string for string in strings if string.name}
     actuators = [
         defaults.apply(child) for section in root.find("actuator") for child in children(section)
     ]

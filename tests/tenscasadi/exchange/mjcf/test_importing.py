@@ -132,6 +132,12 @@ def test_actuators_without_dynamics_start_at_their_control(tmp_path: Path) -> No
     assert tc.import_mjcf(tmp_path / "s.xml").structure.rest_length == pytest.approx([0.3])
 
 
+def test_actuators_of_joints_drive_no_unnamed_tendon(tmp_path: Path) -> None:
+    (tmp_path / "s.xml").write_text(file(more='<actuator><motor joint="j"/></actuator>'))
+    with pytest.raises(tc.SceneFileError, match="actuators to tendons alone"):
+        tc.import_mjcf(tmp_path / "s.xml")
+
+
 def test_tendons_through_one_place_are_rejected(tmp_path: Path) -> None:
     tendon = "<spatial>" + 3 * '<site site="a"/>' + "</spatial>"
     (tmp_path / "s.xml").write_text(file(tendon=tendon))
