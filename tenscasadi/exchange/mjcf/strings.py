@@ -210,8 +210,10 @@ def read_control(
 
 def _drive(string: TendonString, servo: Servo | None, kind: type[Control]) -> TendonString:
     """Combine the springs of a string and its actuator."""
-    own = servo if servo is not None and servo.control is kind else None
     commands = kind in (ForceDensity, Tension)
+    own = servo
+    if servo is not None and servo.control is not kind and (commands or not servo.stiffness):
+        own = None
     if own is not None and commands and (string.stiffness or string.damping):
         string.element.leave_out(
             "has stiffness or damping beside an actuator that sets its force: leave them out",

@@ -183,6 +183,18 @@ def test_force_densities_of_cables_become_tensions(tmp_path: Path) -> None:
     assert tc.Model(scene).initial_control.tolist() == pytest.approx([2.0 * 3.0])
 
 
+def test_integrators_beside_servos_keep_their_springs(tmp_path: Path) -> None:
+    tendons = "".join(
+        f'<spatial name="{name}"><site site="{name}"/><site site="w"/></spatial>' for name in "ab"
+    )
+    law = 'kp="50" kv="2" tendon'
+    more = f'<actuator><position {law}="a"/><intvelocity {law}="b" actrange="0 1"/></actuator>'
+    scene, changes = read(file(tendon=tendons, more=more), tmp_path)
+    assert "controls its string in another way" in changes[0]
+    assert scene.control == tc.RestLength()
+    assert scene.structure.stiffness.tolist() == [50.0, 50.0]
+
+
 def test_errors_name_the_lenient_import(tmp_path: Path) -> None:
     path = tmp_path / "scene.xml"
     path.write_text(file(tendon=STRING.replace("<spatial", '<spatial frictionloss="1"')))
