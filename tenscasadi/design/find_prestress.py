@@ -336,7 +336,7 @@ class _PrestressSearch:
         found = PrestressDesign(
             forces[:strings], forces[strings:], q[:strings], structure, True, message, q
         )
-        if self.tangent.has_stiff_motions(q) or found.least_stiffness > 0.0:
+        if self.tangent.has_stiff_motions(q):
             return found
         reason = (
             f"unstable within the limits, the least stiffness is {found.least_stiffness:.3g} N/m"

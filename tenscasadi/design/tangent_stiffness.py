@@ -149,15 +149,15 @@ class TangentStiffness:
         """Return whether all motions are stiff, by the inertia of K.
 
         They preserve the lengths of rigid bars, and a few fixed coordinates exclude rigid-body
-        motions. False can also mean that rounding hides a stiffness.
+        motions. The softest motion decides if rounding hides its stiffness from the inertia.
         """
         K, J = self.at(q)[self._others][:, self._others], self.J[:, self._others]
-        if not K.nnz:
-            return not K.shape[0]
-        shift = sp.diags_array(np.full(K.shape[0], ROUNDING * float(abs(K.data).max())))
+        zero = ROUNDING * float(np.abs(K.data).max(initial=0.0))
         with suppress(np.linalg.LinAlgError):
-            return SaddlePoint(K - shift, J).count_negative() == 0
-        return False
+            shift = sp.diags_array(np.full(K.shape[0], zero))
+            if K.nnz and SaddlePoint(K - shift, J).count_negative() == 0:
+                return True
+        return bool(self.softest(q, 1)[0].min(initial=np.inf) > zero)
 
     @cached_property
     def _others(self) -> Indices:

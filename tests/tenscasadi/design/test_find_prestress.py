@@ -232,6 +232,16 @@ def test_unstable_prestress_is_no_success() -> None:
     assert "unstable" in pre.message
 
 
+def test_stiffness_within_rounding_is_none() -> None:
+    nodes = [(0, 0, 0), (1, 0, 0), (2, 0, 0), (1, 1, 0)]
+    loose = tc.Structure(nodes, bars=[(1, 3)], strings=[(0, 1), (1, 2)], pinned=[0, 2])
+    pre = tc.find_prestress(loose, tc.Even(), minimum=1.0)  # the bar turns about its node
+    assert not pre.success
+    assert abs(pre.least_stiffness) < 1e-9
+    pinned = loose.replace(pinned=[0, 2, 3])
+    assert tc.find_prestress(pinned, tc.Even(), minimum=1.0).success
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [
