@@ -146,6 +146,8 @@ class Stiffest(Value, kind="Stiffest"):
         if found.status != "solved":
             return found
         best, (values, motions) = found.x, program.softest(found.x)
+        if not len(values):  # no motion to stiffen
+            return found._replace(x=program.fit(best, up=False))
         seen, most, damping = motions[:, :0], SOFTEST + SOFTEST // 2, 0.0
         for k in range(MAX_ITERATIONS):
             least = float(values[0]) if len(values) else np.inf

@@ -232,6 +232,13 @@ def test_unstable_prestress_is_no_success() -> None:
     assert "unstable" in pre.message
 
 
+def test_stiffest_prestress_without_motions_is_within_limits() -> None:
+    pre = tc.find_prestress(tc.shapes.prism(pinned=range(6)), minimum=1.0, maximum=5.0)
+    assert pre.success, pre.message
+    assert pre.least_stiffness == np.inf
+    assert 1.0 - 1e-9 <= pre.tension.min() <= pre.tension.max() <= 5.0 + 1e-9
+
+
 def test_stiffness_within_rounding_is_none() -> None:
     nodes = [(0, 0, 0), (1, 0, 0), (2, 0, 0), (1, 1, 0)]
     loose = tc.Structure(nodes, bars=[(1, 3)], strings=[(0, 1), (1, 2)], pinned=[0, 2])
