@@ -8,6 +8,7 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
+from tenscasadi.schema.containers import ListOf
 from tenscasadi.schema.field_types import VECTOR, Members, Numbers
 from tenscasadi.schema.reading import Names
 from tenscasadi.schema.value import Value
@@ -33,7 +34,7 @@ class MassProperties(NamedTuple):
     The moments are about the center.
     """
 
-    mass: Positive
+    mass: float
     center: Array
     moments: Array  # ∫ r rᵀ dm = ½ tr(I) E − I, kg m²
 
@@ -81,7 +82,7 @@ class RigidBody(Value, kind="RigidBody"):
     mass: Positive
     center: Annotated[Any, VECTOR] = None
     inertia: Annotated[Any, Numbers(((3,), (3, 3)))] = None
-    faces: Annotated[Any, Numbers(((None, 3),), whole=True)] = None
+    faces: Annotated[Any, ListOf(Members("node"))] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()

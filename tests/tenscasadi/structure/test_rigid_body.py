@@ -80,3 +80,15 @@ def test_a_body_follows_its_nodes(turn, shift):
     moved = body.follow(TETRAHEDRON, TETRAHEDRON @ R.T + shift)
     np.testing.assert_allclose(moved.center, R @ body.center + shift, atol=1e-12)
     np.testing.assert_allclose(moved.inertia, R @ inertia @ R.T, atol=1e-12)
+
+
+def test_files_give_faces_by_name(tmp_path):
+    names = ["a", "b", "c", "d"]
+    path = tmp_path / "body.toml"
+    path.write_text(
+        'format = 1\nunits = "SI"\n[structure]\n'
+        f"nodes = {np.eye(4, 3).tolist()}\nnode_names = {names}\n"
+        f'[[structure.bodies]]\nnodes = {names}\nmass = 1.0\nfaces = [["a", "b", "d"]]\n'
+    )
+    (body,) = tc.load_scene(path).structure.bodies
+    assert body.faces == ((0, 1, 3),)
