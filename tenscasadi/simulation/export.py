@@ -196,7 +196,7 @@ def _start(model: Model, p: Array, t_end: float | None) -> str:
         f"static const casadi_real x_start[{max(model.nx, 1)}] = {_literal(model.start_at(p))};",
         f"static const casadi_real u_start[{max(model.nu, 1)}] = {_literal(model.control_at(p))};",
     ]
-    if t_end is not None:
+    if t_end is not None and model.has_clock:
         lines.append(f"#define T_END {float(t_end)!r} /* functions of time are known until then */")
     if model.np:
         names = "; ".join(

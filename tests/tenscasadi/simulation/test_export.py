@@ -143,6 +143,11 @@ def test_the_program_takes_functions_that_casadi_cannot_trace(tmp_path: Path) ->
     assert "known until 0.5 s" in late.stderr
 
 
+def test_the_program_without_functions_of_time_has_no_last_time(tmp_path: Path) -> None:
+    export_c(Model(Scene(shapes.pendulum())), tmp_path, t_end=0.5)
+    assert "T_END" not in (tmp_path / "start.h").read_text()
+
+
 def test_functions_of_time_are_checked_until_the_end(tmp_path: Path) -> None:
     for function, told in {
         lambda t: np.sqrt(0.5 - t): r"Gravity\.acceleration is not finite at t = 0\.5",
