@@ -33,7 +33,7 @@ from tenscasadi.simulation.tangent_passes import PassSetup, run_adjoint, run_for
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.names import name_errors
 from tenscasadi.util.casadi_tools import ArrayFunction
-from tenscasadi.util.compile import CompileError, Single, compile_function, read_compiled
+from tenscasadi.util.compile import CompileError, compile_function
 from tenscasadi.util.immutable import ReadOnlyArrays
 from tenscasadi.util.renamed import rename_keywords
 from tenscasadi.util.validate import (
@@ -44,6 +44,7 @@ from tenscasadi.util.validate import (
     choice,
     finite_array,
     format_value,
+    instance,
 )
 
 By = Literal["state", "control", "parameters"]
@@ -343,10 +344,8 @@ def _check(model: Model, scheme: Any, over: Any, by: Any, mode: Any, compiled: A
     choice("by", by, "state", "control", "parameters")
     if mode is not None:
         choice("mode", mode, "forward", "adjoint")
-    if isinstance(read_compiled("compiled", compiled), Single):
-        raise TypeError(
-            f"compiled is {compiled}: give True, False or None, as derivatives are of double precision"
-        )
+    double = "True, False or None, as derivatives are of double precision"
+    instance("compiled", compiled, (bool, np.bool_, type(None)), double)
     if getattr(scheme, "adaptive", False) or isinstance(scheme, Sundials):
         raise ValueError(
             f"scheme is {format_value(scheme)}, which chooses its steps: give one with fixed steps, such as RungeKutta4() or Rattle()"

@@ -441,6 +441,7 @@ def test_runs_that_fail_say_so():
         ({"by": "mass"}, ValueError, "by is 'mass'"),
         ({"mode": "backward"}, ValueError, "mode is 'backward'"),
         ({"compiled": tc.Single()}, TypeError, "compiled is Single"),
+        ({"compiled": "yes"}, TypeError, "give True, False or None, as derivatives are"),
         ({"model": 3}, TypeError, "model is 3"),
     ],
 )
