@@ -163,7 +163,13 @@ def build_schedule(
     edges = inside
     if traced is None:
         traced, steep = interpolate_function(
-            "control", sample, 0.0, t_end, inside, shortest=control.resolution
+            "control",
+            sample,
+            0.0,
+            t_end,
+            inside,
+            shortest=control.resolution,
+            cure="give ControlFunction(function, breakpoints=(…), resolution=…)",
         )
         edges = np.union1d(inside, steep)
     times = np.union1d(probe_times(0.0, t_end), find_breakpoints(traced, 0.0, t_end))

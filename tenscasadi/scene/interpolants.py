@@ -185,6 +185,7 @@ def interpolate_function(
     breakpoints: Array,
     degree: int = VALUE,
     shortest: float | None = None,
+    cure: str = "declare breakpoints=(…)",
 ) -> tuple[ca.Function, Array]:
     """Interpolate a function by pieces of polynomials.
 
@@ -205,6 +206,8 @@ def interpolate_function(
         Degree of the pieces.
     shortest : float, optional
         Shortest piece [s]. Default: a billionth of the run.
+    cure : str
+        Cure in the message on too many pieces.
 
     Returns
     -------
@@ -251,8 +254,7 @@ def interpolate_function(
         if len(pieces) + len(waiting) > MAX_COUNT:
             raise add_address(
                 ValueError(
-                    f"{field} changes too fast near t = {low:g} s to be sampled: declare "
-                    f"breakpoints=(…), or {CURE}"
+                    f"{field} changes too fast near t = {low:g} s to be sampled: {cure}, or {CURE}"
                 )
             )
     if degree == PATH:

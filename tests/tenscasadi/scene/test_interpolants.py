@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import tenscasadi as tc
+from tenscasadi.scene import interpolants
 
 PENDULUM = tc.shapes.pendulum()
 SCHEMES = [
@@ -137,6 +138,22 @@ def test_a_declared_breakpoint_may_end_an_acceleration() -> None:
     found = run(supports=tc.SupportMotion({0: place}, breakpoints=[0.3551]))
     assert found.nodes[-1, 0, 2] == pytest.approx(2 * 0.6449**2, abs=1e-12)
     assert abs(found.time - 0.3551).min() < 1e-12
+
+
+def test_functions_that_change_too_fast_are_rejected_with_a_cure(monkeypatch: Any) -> None:
+    monkeypatch.setattr(interpolants, "MAX_COUNT", 100)
+    fast = "changes too fast near t = .* s to be sampled: "
+    with pytest.raises(
+        ValueError, match=rf"NodalForce\.values {fast}declare breakpoints=\(…\), or"
+    ):
+        run(forces=push(lambda t: math.sin(1e6 * t)))
+    model = tc.Model(tc.Scene(tc.shapes.prism(), control=tc.RestLength()))
+    with pytest.raises(
+        ValueError, match=rf"control {fast}give ControlFunction\(.*resolution=…\), or"
+    ):
+        tc.simulate(
+            model, 1.0, 0.01, control=lambda t: model.initial_control * (2 + math.sin(1e6 * t))
+        )
 
 
 def test_a_function_that_changes_its_answer_is_rejected() -> None:
