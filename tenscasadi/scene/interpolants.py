@@ -89,10 +89,8 @@ class Samples(Value, kind="Samples"):
     values: Annotated[Array, POINTS]
 
     def __post_init__(self) -> None:
-        times = finite_array("Samples.times", self.times, (None,))
-        object.__setattr__(self, "times", times)
-        values = finite_array("Samples.values", self.values, (len(times), 3))
-        object.__setattr__(self, "values", values)
+        super().__post_init__()
+        finite_array("Samples.values", self.values, (len(self.times), 3))
 
     def __call__(self, time: Any) -> Any:
         """Interpolate at a time, a number or a CasADi symbol."""
@@ -189,8 +187,8 @@ def interpolate_function(
 ) -> tuple[ca.Function, Array]:
     """Interpolate a function by pieces of polynomials.
 
-    A piece is halved until it agrees with the function to a billionth: of the largest value, or of
-    the change of a path.
+    A piece is halved until it agrees with the function to a billionth of the largest value, or, for
+    a path, of its change within the piece.
 
     Parameters
     ----------
@@ -298,16 +296,12 @@ def _spline(pieces: list[tuple[float, float, Array]], degree: int) -> ca.Functio
     clock past the end.
     """
     pieces = list(pieces)
-    for k, side in ((0, "low"), (-1, "high")):
+    s = np.linspace(0, 1, degree + 1)
+    for k, before, after in ((0, 0.01, 0.0), (-1, 0.0, 0.01)):
         low, high, bezier = pieces[k]
-        room = (high - low) / 100
-        s = np.linspace(
-            -0.01 if side == "low" else 0.0, 1.01 if side == "high" else 1.0, degree + 1
-        )
-        values = _bernstein(degree, s) @ bezier
-        own = np.linalg.solve(_bernstein(degree, np.linspace(0, 1, degree + 1)), values)
-        bezier = own.astype(float)
-        pieces[k] = low - room * (side == "low"), high + room * (side == "high"), bezier
+        values = _bernstein(degree, s * (1 + before + after) - before) @ bezier
+        own = np.linalg.solve(_bernstein(degree, s), values).astype(float)
+        pieces[k] = low - before * (high - low), high + after * (high - low), own
     ends = np.array([pieces[0][0], *(high for _, high, _ in pieces)])
     knots = np.concatenate([ends[:1], np.repeat(ends, degree), ends[-1:]])
     rows = np.concatenate([pieces[0][2][:1], *(bezier[1:] for _, _, bezier in pieces)])

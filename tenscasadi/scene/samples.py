@@ -68,8 +68,7 @@ def interpolate_functions(scene: Scene, first: float, last: float) -> Scene:
         If a function raises, is not deterministic, or changes too fast.
     """
     parts = {name: getattr(scene, name) for name in ("gravity", "pressure", "forces", "supports")}
-    varying = {name: part for name, part in parts.items() if part in scene.over_time}
-    found = {name: part.interpolate(first, last) for name, part in varying.items()}
+    found = {name: part and part.interpolate(first, last) for name, part in parts.items()}
     changes = {name: part for name, part in found.items() if part is not parts[name]}
     return replace(scene, **changes) if changes else scene
 

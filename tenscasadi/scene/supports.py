@@ -183,13 +183,12 @@ class SupportMotion(Value, kind="SupportMotion"):
         if not self.is_interpolated:
             return self
         positions = dict(self.positions)
+        # In shorter pieces, rounding errors of accelerations grow.
+        shortest = NEGLIGIBLE**0.5 * (last - first)
         for node in self._python_functions:
             name = f"SupportMotion.positions[{node}]"
             sample = read_function(name, positions[node], (3,))
             sample_twice(name, sample, first, last)
-            shortest = NEGLIGIBLE**0.5 * (
-                last - first
-            )  # rounding errors of accelerations grow below
             at, steep = interpolate_function(
                 name, sample, first, last, self.breakpoints, PATH, shortest
             )

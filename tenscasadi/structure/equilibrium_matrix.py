@@ -148,7 +148,7 @@ def free_directions(structure: Any, rigid: bool = True) -> sp.csr_array:
     block = inside[:, touched].toarray()
     if rigid:
         bars = body_pairs(structure)
-        units = structure.nodes[bars[:, 1]] - structure.nodes[bars[:, 0]]
+        units = member_vectors(structure.nodes, bars)
         units = units / np.linalg.norm(units, axis=1)[:, None]
         lengthening = balance_columns(bars, units, count).T[:, rows] @ block
         _, sizes, right = np.linalg.svd(lengthening)

@@ -386,8 +386,6 @@ def one_of(*options: str) -> Check:
 
 
 Count = Annotated[int, whole(1)]
-
-
 Number = Annotated[float, Check(number)]
 Boolean = Annotated[bool, Check(flag)]
 
