@@ -188,7 +188,7 @@ def interpolate_function(
     """Interpolate a function by pieces of polynomials.
 
     A piece is halved until it agrees with the function to a billionth of the largest value, or, for
-    a path, of its change within the piece.
+    a path, of its change within the piece. It is compared at thousands of times, see `probe_times`.
 
     Parameters
     ----------
@@ -227,7 +227,8 @@ def interpolate_function(
 
     around = 4 * np.spacing(max(abs(first), abs(last)))
     shortest = max(NEGLIGIBLE * (last - first) if shortest is None else shortest, 4 * around)
-    nodes, between, to_bezier, at_between = _piece(degree)
+    nodes, between, to_bezier = _piece(degree)
+    probes = probe_times(first, last)
     inside = breakpoints[(breakpoints > first) & (breakpoints < last)]
     jumps = [inside - around, inside + around] if degree == VALUE else [inside]
     edges = np.union1d(sample_times(first, last), np.concatenate(jumps))
@@ -238,11 +239,13 @@ def interpolate_function(
     while waiting:
         low, high = waiting.pop()
         values = at(np.append(low + (high - low) * nodes[:-1], high))
-        bezier, found = to_bezier @ values, at(low + (high - low) * between)
+        own = probes[slice(*np.searchsorted(probes, (low, high)))]
+        s = np.append(between, (own - low) / (high - low))
+        bezier, found = to_bezier @ values, at(np.append(low + (high - low) * between, own))
         largest = max(largest, abs(values).max(initial=0.0), abs(found).max(initial=0.0))
         scale = largest if degree == VALUE else np.ptp(values, axis=0).max(initial=0.0)
         least = max(NEGLIGIBLE * scale, 16 * np.spacing(largest))
-        wrong = abs(at_between @ bezier - found).max(initial=0.0) > least
+        wrong = abs(_bernstein(degree, s) @ bezier - found).max(initial=0.0) > least
         if wrong and high - low > shortest:
             middle = (low + high) / 2
             waiting += [(middle, high), (low, middle)]
@@ -274,15 +277,15 @@ def _find_corners(pieces: list[tuple[float, float, Array]], largest: float) -> l
 
 
 @cache
-def _piece(degree: int) -> tuple[Array, Array, Array, Array]:
-    """Compute nodes of a piece, times between them, and matrices.
+def _piece(degree: int) -> tuple[Array, Array, Array]:
+    """Compute nodes of a piece, times between them, and a matrix.
 
-    These convert values at nodes to Bernstein form, and that to values between the nodes.
+    It converts values at nodes to Bernstein form.
     """
     nodes: Array = (1 - np.cos(np.pi * np.arange(degree + 1) / degree)) / 2
     between = (nodes[1:] + nodes[:-1]) / 2
     to_bezier: Array = np.linalg.inv(_bernstein(degree, nodes)).astype(float)
-    return nodes, between, to_bezier, _bernstein(degree, between)
+    return nodes, between, to_bezier
 
 
 def _bernstein(degree: int, s: Array) -> Array:

@@ -140,6 +140,18 @@ def test_a_declared_breakpoint_may_end_an_acceleration() -> None:
     assert abs(found.time - 0.3551).min() < 1e-12
 
 
+def test_pulses_of_a_two_thousandth_of_the_run_are_found() -> None:
+    for start in np.random.default_rng(0).uniform(0, 9.9, 20):
+        pulse = interpolants.interpolate_function(
+            "pulse",
+            lambda t, start=start: np.array([float(start < t < start + 0.005)]),
+            0.0,
+            10.0,
+            np.empty(0),
+        )[0]
+        assert float(pulse(start + 0.0025)) == pytest.approx(1.0)
+
+
 def test_functions_that_change_too_fast_are_rejected_with_a_cure(monkeypatch: Any) -> None:
     monkeypatch.setattr(interpolants, "MAX_COUNT", 100)
     fast = "changes too fast near t = .* s to be sampled: "
