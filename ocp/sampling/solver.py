@@ -8,8 +8,7 @@ from typing import Annotated, Any
 
 from ocp.sampling.spline_noise import SplineNoise
 from ocp.solvers.base import NamedSolver
-from tenscasadi.schema.containers import ListOf
-from tenscasadi.schema.field_types import InPython, Members
+from tenscasadi.schema.field_types import InPython, ListOf, Members
 from tenscasadi.util.renamed import rename_fields
 from tenscasadi.util.validate import MAX_ENTRIES, Boolean, IndexOrName, of_type, whole
 

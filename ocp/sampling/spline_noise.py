@@ -10,8 +10,7 @@ import numpy as np
 import scipy.interpolate
 from numpy.typing import ArrayLike
 
-from tenscasadi.schema.containers import ListOf
-from tenscasadi.schema.field_types import PER_ITEM, Members
+from tenscasadi.schema.field_types import PER_ITEM, ListOf, Members
 from tenscasadi.schema.value import Value
 from tenscasadi.util.renamed import rename_fields
 from tenscasadi.util.validate import (

@@ -11,8 +11,7 @@ import numpy as np
 
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import build_projection
-from tenscasadi.schema.containers import ListOf
-from tenscasadi.schema.field_types import Members
+from tenscasadi.schema.field_types import ListOf, Members
 from tenscasadi.schema.value import Value
 from tenscasadi.util.casadi_tools import hermite_cubic
 from tenscasadi.util.immutable import ReadOnlyArrays

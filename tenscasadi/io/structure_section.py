@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from tenscasadi.io.structure_types import MemberGroups, NodeTable, PerItem, Turn
-from tenscasadi.schema.containers import ListOf, MapOf, TableOf, for_items
+from tenscasadi.schema.containers import MapOf, TableOf, for_items
 from tenscasadi.schema.definitions import Definition, OneOf, definition
 from tenscasadi.schema.field_types import (
     PER_ITEM,
@@ -18,6 +18,7 @@ from tenscasadi.schema.field_types import (
     TIMES,
     VECTOR,
     FieldType,
+    ListOf,
     Members,
     Numbers,
     Schema,

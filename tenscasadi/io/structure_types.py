@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 
-from tenscasadi.schema.containers import ListOf, MapOf, TableOf, for_items
+from tenscasadi.schema.containers import MapOf, TableOf, for_items
 from tenscasadi.schema.field_types import (
     LIMITS,
     NUMBER,
@@ -15,6 +15,7 @@ from tenscasadi.schema.field_types import (
     POINTS,
     VECTOR,
     FieldType,
+    ListOf,
     Members,
     Numbers,
     Schema,

@@ -9,8 +9,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from tenscasadi.schema.containers import ListOf
-from tenscasadi.schema.field_types import Members
+from tenscasadi.schema.field_types import ListOf, Members
 from tenscasadi.schema.value import Value
 from tenscasadi.util.validate import (
     IndexOrName,

@@ -10,8 +10,8 @@ import casadi as ca
 import numpy as np
 
 from tenscasadi.scene.over_time import OverTime
-from tenscasadi.schema.containers import ListOf, MapOf, NodeForceTable
-from tenscasadi.schema.field_types import TIMES, Index, Members, varying
+from tenscasadi.schema.containers import MapOf, NodeForceTable
+from tenscasadi.schema.field_types import TIMES, Index, ListOf, Members, varying
 from tenscasadi.util.casadi_tools import is_expression
 from tenscasadi.util.immutable import ReadOnlyArrays
 from tenscasadi.util.renamed import RenamedAttribute, rename_fields

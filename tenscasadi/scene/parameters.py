@@ -8,8 +8,8 @@ from functools import partial
 from typing import Annotated, Any, cast
 
 from tenscasadi.scene.quantities import GROUPED, QUANTITIES
-from tenscasadi.schema.containers import Either, ListOf, TableOf
-from tenscasadi.schema.field_types import WHOLE, Members, Word
+from tenscasadi.schema.containers import Either, TableOf
+from tenscasadi.schema.field_types import WHOLE, ListOf, Members, Word
 from tenscasadi.schema.reading import ItemKind
 from tenscasadi.schema.value import Value
 from tenscasadi.util.validate import as_tuple, format_value, index_or_name

@@ -22,9 +22,9 @@ from tenscasadi.scene.slack import read_slack
 from tenscasadi.scene.strength import find_limited
 from tenscasadi.scene.strings import Clip, ForceDensity, StringLaw
 from tenscasadi.scene.supports import SupportMotion
-from tenscasadi.schema.containers import Either, ListOf, MapOf
+from tenscasadi.schema.containers import Either, MapOf
 from tenscasadi.schema.definitions import OneOf, definition, resolve_fields
-from tenscasadi.schema.field_types import ElsewhereInFile
+from tenscasadi.schema.field_types import ElsewhereInFile, ListOf
 from tenscasadi.schema.value import Value
 from tenscasadi.structure.cables import select_first
 from tenscasadi.structure.names import name_errors

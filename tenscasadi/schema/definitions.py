@@ -20,7 +20,6 @@ from typing import (
     get_type_hints,
 )
 
-from tenscasadi.schema.containers import ListOf
 from tenscasadi.schema.field_types import (
     NUMBER,
     SPAN,
@@ -30,6 +29,7 @@ from tenscasadi.schema.field_types import (
     FieldType,
     Flag,
     InPython,
+    ListOf,
     Numbers,
     Schema,
     Schemas,

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from tenscasadi.schema.formulas import FormulaError
-from tenscasadi.schema.reading import Item, ItemKind, Names, NotWritten, nearest
+from tenscasadi.schema.reading import Item, ItemKind, Names, NotWritten, list_entries, nearest
 from tenscasadi.schema.time_formula import TimeFormula
 from tenscasadi.util.validate import as_tuple, finite_array, format_value, index_or_name
 
@@ -323,6 +324,58 @@ class Members(FieldType):
     def resolve(self, field: str, value: Any, names: Names) -> Any:
         """Replace names."""
         return names.resolve_all(field, self.which, value)
+
+
+@dataclass(frozen=True)
+class ListOf(FieldType):
+    """A list of values of one type.
+
+    Parameters
+    ----------
+    type : FieldType
+        Type of the entries.
+    single : bool
+        Whether a value may stand for a list of one.
+    count : int, optional
+        Number of entries.
+    """
+
+    type: FieldType
+    single: bool = False
+    count: int | None = None
+
+    def read(self, item: Item) -> list[Any]:
+        """Read the entries."""
+        if self.single and not isinstance(item.value, list):
+            return [self.type.read(item)]
+        entries = item.entries()
+        if self.count not in (None, len(entries)):
+            raise item.error(f"has {len(entries)} entries: give {self.count}")
+        return [self.type.read(entry) for entry in entries]
+
+    def write(self, value: Any) -> Any:
+        """Write the entries, or a single one without a list."""
+        alone = self.single and not isinstance(value, (Sequence, np.ndarray))
+        written = [self.type.write(entry) for entry in ([value] if alone else value)]
+        return written[0] if self.single and len(written) == 1 else written
+
+    def schema(self, kinds: Schemas) -> Schema:
+        """Build the schema of a list."""
+        one = self.type.schema(kinds)
+        limits = {} if self.count is None else {"minItems": self.count, "maxItems": self.count}
+        many: Schema = {"type": "array", "items": one, **limits}
+        return {"anyOf": [one, many]} if self.single else many
+
+    def resolve(self, field: str, value: Any, names: Names) -> Any:
+        """Replace the names in the entries."""
+        entries = list_entries(field, value)
+        if entries is None:
+            return self.type.resolve(field, value, names) if self.single else value
+        found = [
+            self.type.resolve(f"{field}[{k}]", entry, names) for k, entry in enumerate(entries)
+        ]
+        same = all(new is entry for new, entry in zip(found, entries, strict=True))
+        return value if same and not isinstance(value, Iterator) else found
 
 
 class InPython(FieldType):

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from tenscasadi.structure.class_one import member_vectors
 from tenscasadi.util.validate import (
     Array,
     Indices,
@@ -104,7 +103,7 @@ def wrap_angles(structure: Any, cable: Sequence[int], nodes: Array | None = None
     """
     places = structure.nodes if nodes is None else nodes
     path = np.array(find_directions(structure.strings, cable))
-    vectors = member_vectors(places, path)
+    vectors = places[path[:, 1]] - places[path[:, 0]]
     across = np.linalg.norm(np.cross(vectors[:-1], vectors[1:]), axis=1)
     along = np.einsum("ij,ij->i", vectors[:-1], vectors[1:])
     return np.asarray(np.arctan2(across, along))

@@ -8,8 +8,7 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from tenscasadi.schema.containers import ListOf
-from tenscasadi.schema.field_types import VECTOR, Members, Numbers
+from tenscasadi.schema.field_types import VECTOR, ListOf, Members, Numbers
 from tenscasadi.schema.reading import Names
 from tenscasadi.schema.value import Value
 from tenscasadi.util.linear_algebra import fit_rotation

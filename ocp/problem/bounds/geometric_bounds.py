@@ -15,8 +15,7 @@ import numpy as np
 
 from ocp.problem.bounds.axis_limits import AxisLimits
 from ocp.problem.bounds.bound import Bound, Limit, PathBound
-from tenscasadi.schema.containers import ListOf
-from tenscasadi.schema.field_types import VECTOR, Members
+from tenscasadi.schema.field_types import VECTOR, ListOf, Members
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.casadi_tools import column_norms
 from tenscasadi.util.renamed import rename_fields

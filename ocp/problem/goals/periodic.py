@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike
 from ocp.problem.goals.goal import FREE_AXIS, Goal
 from ocp.problem.rows import Rows
 from tenscasadi.io.structure_section import OfStructure
-from tenscasadi.schema.containers import ListOf
-from tenscasadi.schema.field_types import POINT, POINTS
+from tenscasadi.schema.field_types import POINT, POINTS, ListOf
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import Array, Check, coordinates, finite_array
 
