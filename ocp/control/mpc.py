@@ -88,8 +88,8 @@ class Mpc:
     -----
     The quadratic program is condensed. Its unknowns are the changes of the control, and the states
     follow by the exact derivatives of the steps, so bars, joints and momenta need no constraints.
-    DAQP solves it. Rate limits, such as `RestLengthRateLimits`, also hold from the last decision to
-    the new one.
+    CasADi's solver DAQP solves it. Rate limits, such as `RestLengthRateLimits`, also hold from the
+    last decision to the new one.
 
     References
     ----------
@@ -218,17 +218,18 @@ class Mpc:
         )
 
     def function(self) -> ca.Function:
-        """Build the decision as one CasADi Function, for C code.
+        """Build the controller as one CasADi Function, for C code.
 
-        An interior-point method replaces DAQP.
+        The Function solves the quadratic programs by an interior-point method instead of DAQP.
 
         Returns
         -------
         casadi.Function
-            Function (time, state (nx), before (α, intervals)) → after (α, intervals). Apply the
-            first column of `after`. `before` is the last `after`; begin with `first`. With rate
-            limits there is a fourth input `earlier` (nx), the state at the last decision; begin
-            with NaN.
+            Function (time, state (nx), before (nu, intervals)) → after (nu, intervals). The
+            columns of ``after`` are the controls in the periods of the horizon; apply the first
+            one. ``before`` is ``after`` of the previous call, or `first` in the first call. With
+            rate limits, there is a fourth input ``earlier`` (nx): the state in the previous call,
+            or NaN in the first call.
         """
         time, state, before = (
             ca.MX.sym("time"),
@@ -246,7 +247,7 @@ class Mpc:
 
     @property
     def first(self) -> Array:
-        """First input `before` (α, intervals) of `function` [N/m]."""
+        """Input ``before`` (nu, intervals) of the first call of `function`."""
         held = self._reference(0.0)[1].full()
         return np.column_stack([held[:, :1], held[:, :-1]])
 

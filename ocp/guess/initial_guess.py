@@ -40,7 +40,7 @@ class InitialGuess(Protocol):
     """Protocol of initial guesses."""
 
     def guess(self, problem: Problem, target: Target, intervals: int) -> Guess:
-        """Compute the guess on equal intervals."""
+        """Compute the guess on intervals of equal duration."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,9 +53,9 @@ class InverseDynamics(NamedGuess, kind="InverseDynamics"):
     Parameters
     ----------
     path : array_like, shape (P, n, 3), optional
-        Nodes [m] at equal times from the start to the end. They are projected onto the constraints
-        of bars and joints. Default: a smooth path from the start to the goals, which is also the
-        default of `solve`.
+        Positions of all nodes [m] at P equally spaced times, from the start to the end. They are
+        projected onto the constraints of bars and joints. Default: a smooth path from the start to
+        the goals, which is also the default of `solve`.
     noise : float, optional
         Largest random change of a force density, relative to the largest force density. Symmetric
         guesses are often close to a saddle point, which costs a solver many iterations. The noise
@@ -95,14 +95,14 @@ class InverseDynamics(NamedGuess, kind="InverseDynamics"):
             )
 
     def guess(self, problem: Problem, target: Target, intervals: int) -> Guess:
-        """Compute the guess on equal intervals.
+        """Compute the guess on intervals of equal duration.
 
         Parameters
         ----------
         problem : Problem
             Optimal control problem.
         target : Target
-            Target state of its goals.
+            Initial state, and the final state nearest to the goals.
         intervals : int
             Number of intervals K.
 
@@ -114,7 +114,7 @@ class InverseDynamics(NamedGuess, kind="InverseDynamics"):
         Raises
         ------
         ValueError
-            If the number of nodes of the path differs from that of the model.
+            If the number of nodes in ``path`` differs from that of the structure.
         """
         guess = (
             make_guess(problem, target, intervals)
@@ -159,14 +159,14 @@ class EquilibriumGuess(NamedGuess, kind="EquilibriumGuess", earlier="Equilibrium
     """
 
     def guess(self, problem: Problem, target: Target, intervals: int) -> Guess:
-        """Compute the guess on equal intervals.
+        """Compute the guess on intervals of equal duration.
 
         Parameters
         ----------
         problem : Problem
             Optimal control problem.
         target : Target
-            Target state of its goals.
+            Initial state, and the final state nearest to the goals.
         intervals : int
             Number of intervals K.
 
@@ -180,7 +180,7 @@ class EquilibriumGuess(NamedGuess, kind="EquilibriumGuess", earlier="Equilibrium
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryGuess(NamedGuess, kind="TrajectoryGuess", earlier="Arrays"):
-    """Initial guess given by arrays at equal times.
+    """Initial guess given by arrays at equally spaced times.
 
     Parameters
     ----------
@@ -215,14 +215,14 @@ class TrajectoryGuess(NamedGuess, kind="TrajectoryGuess", earlier="Arrays"):
     duration: Positive | None = None
 
     def guess(self, problem: Problem, target: Target, intervals: int) -> Guess:
-        """Compute the guess on equal intervals.
+        """Compute the guess on intervals of equal duration.
 
         Parameters
         ----------
         problem : Problem
             Optimal control problem.
         target : Target
-            Target state of its goals.
+            Initial state, and the final state nearest to the goals.
         intervals : int
             Number of intervals K.
 

@@ -88,8 +88,9 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
     not_restored : str
         Reason why a loaded plan has no problem, transcription or solver; "" if it has them.
     inputs : ndarray, shape (K, nu) or (K + 1, nu), or None
-        Inputs of cables and lone strings under other controls than force densities; `force_density`
-        has the resulting force densities. None under ``control=ForceDensity()``.
+        Inputs under other controls than force densities, one for each cable and each string in no
+        cable. `force_density` has the resulting force densities. None under
+        ``control=ForceDensity()``.
     input_attribute : str
         Attribute that returns the inputs: "force_density", "rest_length", "input_tension",
         "rest_length_rate" or "motor_torque".
@@ -108,17 +109,19 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
 
     @classmethod
     def of(cls, result: PlanResult) -> Plan:
-        """Convert the result of a search to a plan.
+        """Convert a `PlanResult` to a plan.
+
+        `ocp.solve` makes its plans in this way.
 
         Parameters
         ----------
         result : PlanResult
-            Result of a search, such as by `ocp.search.find_plan`.
+            Data with the fields of a plan, such as the result of `ocp.search.find_plan`.
 
         Returns
         -------
         Plan
-            The plan.
+            Plan with the same fields.
         """
         return cls(**{field.name: getattr(result, field.name) for field in fields(PlanResult)})
 

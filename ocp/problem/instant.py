@@ -110,7 +110,8 @@ class Instant:
         Returns
         -------
         casadi.SX or casadi.MX, shape (3, 3)
-            Rotation matrix.
+            Matrix that rotates vectors between nodes of the body from their directions in
+            ``Structure.nodes`` to those at the instant.
         """
         return body_frame(self.model.scene.structure, body).rotation(self.nodes)
 

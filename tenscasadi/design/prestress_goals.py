@@ -92,12 +92,12 @@ class PrestressGoal(Protocol):
         Parameters
         ----------
         program : PrestressProgram
-            Equilibrium and limits.
+            Constraints on the force densities: equilibrium and limits of tensions.
 
         Returns
         -------
         ConicSolution
-            Force densities p (u,) [N/m] and status.
+            Force densities (u,) [N/m], one for each column of ``program.basis``, and status.
         """
 
 
@@ -130,12 +130,13 @@ class Stiffest(Value, kind="Stiffest"):
         Parameters
         ----------
         program : PrestressProgram
-            Equilibrium and limits.
+            Constraints on the force densities: equilibrium and limits of tensions.
 
         Returns
         -------
         ConicSolution
-            Force densities p (u,) [N/m], status, and gap.
+            Force densities (u,) [N/m], one for each column of ``program.basis``, status, and the
+            relative distance from the largest stiffness.
 
         References
         ----------
@@ -193,12 +194,12 @@ class Even(Value, kind="Even"):
         Parameters
         ----------
         program : PrestressProgram
-            Equilibrium and limits.
+            Constraints on the force densities: equilibrium and limits of tensions.
 
         Returns
         -------
         ConicSolution
-            Force densities p (u,) [N/m] and status.
+            Force densities (u,) [N/m], one for each column of ``program.basis``, and status.
         """
         T = program.tension
         mean = sp.csc_array(-np.ones((T.shape[0], 1)))
@@ -236,12 +237,12 @@ class Least(Value, kind="Least"):
         Parameters
         ----------
         program : PrestressProgram
-            Equilibrium and limits.
+            Constraints on the force densities: equilibrium and limits of tensions.
 
         Returns
         -------
         ConicSolution
-            Force densities p (u,) [N/m] and status.
+            Force densities (u,) [N/m], one for each column of ``program.basis``, and status.
         """
         found = program.minimize(np.asarray(program.tension.sum(axis=0)).ravel())
         return found._replace(x=program.fit(found.x, up=True))

@@ -97,7 +97,7 @@ class Parameters(Value, kind="Parameters"):
         scale: Iterable[str] = (),
         groups: Mapping[str, Any] | None = None,
     ) -> Parameters:
-        """Build parameters from their fields by name."""
+        """Build parameters from names, scale and groups as keywords."""
         return cls(*names, scale=scale, groups=groups)
 
     def __init__(
@@ -145,7 +145,10 @@ class Parameters(Value, kind="Parameters"):
             object.__setattr__(self, attribute, value)
 
     def to_fields(self) -> dict[str, Any]:
-        """Return the arguments of `from_fields`."""
+        """Return names, scale and groups as a dictionary.
+
+        `Parameters.from_fields` builds the parameters from it.
+        """
         groups = {name: "all" if own == ((),) else own for name, own in self.groups}
         return {"names": self.names, "scale": self.scale, "groups": groups or None}
 

@@ -268,17 +268,20 @@ class Scene(Value, Viewable, kind="Scene"):
 
     @property
     def switching_strings(self) -> Indices:
-        """Modeled strings with slack events."""
+        """Indices of the strings of `modelled` with slack events."""
         return self._strings_with("switches")
 
     @property
     def clamped_strings(self) -> Indices:
-        """Modeled strings that are slack if damping cancels tension."""
+        """Indices of the strings of `modelled` with clamped damping.
+
+        Damping cannot make their tension negative.
+        """
         return self._strings_with("clamps")
 
     @property
     def compression_strings(self) -> Indices:
-        """Compression-capable strings of the modeled structure."""
+        """Indices of the strings of `modelled` that can carry compression."""
         return self._strings_with("pushes")
 
     pushing_strings = RenamedAttribute("compression_strings")

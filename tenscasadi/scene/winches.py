@@ -62,7 +62,7 @@ class RestLengthRate(Control, kind="RestLengthRate"):
         Parameters
         ----------
         rest, tension : ndarray, shape (nu,)
-            Initial rest lengths [m] and tensions [N] of cables and lone strings.
+            Initial rest lengths [m] and tensions [N], one for each input.
 
         Returns
         -------
@@ -92,9 +92,9 @@ class RestLengthRate(Control, kind="RestLengthRate"):
         Parameters
         ----------
         u : casadi column, shape (nu,)
-            Inputs.
+            Rates of the rest lengths [m/s], not used.
         internal : casadi column, shape (na,)
-            Internal states.
+            Rest lengths [m].
 
         Returns
         -------
@@ -104,16 +104,16 @@ class RestLengthRate(Control, kind="RestLengthRate"):
         return internal
 
     def internal_rates(self, u: Any, internal: Any, tension: Any) -> Any:
-        """Return the inputs.
+        """Return the inputs, which are the rates of the rest lengths.
 
         Parameters
         ----------
         u : casadi column, shape (nu,)
-            Inputs.
+            Rates of the rest lengths [m/s].
         internal : casadi column, shape (na,)
-            Internal states.
+            Rest lengths [m], not used.
         tension : casadi column, shape (nu,)
-            Tensions of the strings at the winches [N].
+            Tensions of the strings at the winches [N], not used.
 
         Returns
         -------
@@ -153,15 +153,16 @@ class RestLengthRate(Control, kind="RestLengthRate"):
 
 @dataclass(frozen=True, eq=False)
 class Winch(Control, kind="Winch"):
-    """Control by motor torques [N·m] of winches that wind up cables and lone strings.
+    """Control by motor torques of winches [N·m].
 
-    Rest lengths ρ and winding speeds ω are internal states. They begin at the rest lengths of the
-    structure, at rest. A positive speed shortens the string. The initial control holds the drums.
+    There is a winch for each cable and each string in no cable. Rest lengths ρ and winding speeds ω
+    are internal states. They begin at the rest lengths of the structure, at rest. A positive speed
+    shortens the string. The initial control holds the drums.
 
     Parameters
     ----------
     radius : float or array_like, shape (nu,)
-        Radius r of the drum [m]: one number, or one for each cable and lone string.
+        Radius r of the drum [m]: one number, or one for each winch.
     inertia : float or array_like, shape (nu,)
         Inertia J of drum and motor about the axis of the drum [kg·m²].
     friction : float or array_like, shape (nu,)
@@ -218,7 +219,7 @@ class Winch(Control, kind="Winch"):
         Parameters
         ----------
         count : int
-            Number of cables and lone strings.
+            Number of winches.
 
         Raises
         ------
@@ -238,7 +239,7 @@ class Winch(Control, kind="Winch"):
         name : {"torque", "speed"}
             Name of the field.
         count : int
-            Number of cables and lone strings.
+            Number of winches.
 
         Returns
         -------
@@ -262,7 +263,7 @@ class Winch(Control, kind="Winch"):
         Parameters
         ----------
         rest, tension : ndarray, shape (nu,)
-            Initial rest lengths [m] and tensions [N] of cables and lone strings.
+            Initial rest lengths [m] and tensions [N], one for each input.
 
         Returns
         -------
@@ -296,9 +297,9 @@ class Winch(Control, kind="Winch"):
         Parameters
         ----------
         u : casadi column, shape (nu,)
-            Inputs.
+            Motor torques [N·m].
         internal : casadi column, shape (na,)
-            Internal states.
+            Rest lengths [m], then winding speeds [rad/s].
 
         Returns
         -------
@@ -313,9 +314,9 @@ class Winch(Control, kind="Winch"):
         Parameters
         ----------
         u : casadi column, shape (nu,)
-            Inputs.
+            Motor torques [N·m].
         internal : casadi column, shape (na,)
-            Internal states.
+            Rest lengths [m], then winding speeds [rad/s].
         tension : casadi column, shape (nu,)
             Tensions of the strings at the winches [N].
 

@@ -188,12 +188,13 @@ class Rollouts(Viewable, SceneResult, form="tenscasadi rollouts 1", title="file 
         return node_positions(self, [names.index("node", "node", node)])[:, :, 0]
 
     def summary(self) -> str:
-        """Format endings, errors and speed of the runs.
+        """Summarize success, wall time and errors of the runs.
 
         Returns
         -------
         str
-            One line for each quantity, with its unit.
+            One line for each quantity, with its unit. Errors are the largest ones of successful
+            runs. The last lines count the messages of failed runs.
         """
         n, good = len(self.states), int(np.count_nonzero(self.success))
         total = n * self.steps

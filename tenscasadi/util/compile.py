@@ -68,8 +68,8 @@ class Single:
     """Machine code in single precision, as on small processors.
 
     Give it as `compiled` to `simulate`, or as `precision` to `export_c`. Each instruction and each
-    step rounds to ``float``, which has about seven digits. Errors and energies of the result are
-    computed from these states in double precision.
+    step rounds to the C type ``float``, which has about seven digits. Errors and energies of the
+    result are computed in double precision, from the states in single precision.
 
     Examples
     --------

@@ -71,7 +71,10 @@ class StringLimits(Bound):
 
     @classmethod
     def names_of(cls, structure: Structure) -> list[str]:
-        """Name the strings, or cables and lone strings, that have a limit each."""
+        """Name the members with a limit each.
+
+        They are the strings, or the cables and the strings in no cable.
+        """
         if cls.per_cable:
             return name_inputs(structure)
         return [f"string {string}" for string in range(len(structure.strings))]
@@ -110,7 +113,7 @@ class ForceDensityLimits(StringLimits, kind="ForceDensityLimits"):
 
     See Also
     --------
-    TensionLimits : Limits of the tension γ s.
+    TensionLimits : Limits of the tension of each string.
 
     Examples
     --------
@@ -126,9 +129,9 @@ class ForceDensityLimits(StringLimits, kind="ForceDensityLimits"):
 class ForceDensityRateLimits(RateBound, kind="ForceDensityRateLimits"):
     """Limits of the rate of each force density.
 
-    From the start of an interval of length h [s] to that of the next, γ changes by at most
-    ``rate`` · h. For piecewise-linear controls (`PiecewiseLinear`), this also holds from the start
-    to the end of the last interval.
+    From the start of an interval of duration h [s] to the start of the next one, the force density
+    changes by at most ``rate`` · h. For piecewise-linear controls (`PiecewiseLinear`), the limits
+    also hold from the start to the end of the last interval.
 
     Parameters
     ----------
@@ -229,26 +232,26 @@ class TensionBound(StringLimits, PathBound):
 
 @dataclass(frozen=True, eq=False)
 class TensionLimits(TensionBound, kind="TensionLimits"):
-    """Limits of the tension γ s of each string.
+    """Limits of the tension of each string.
 
-    They hold at both ends of every interval. If a string is modeled in segments, they hold in each
-    segment. A cable has one limit, see `tenscasadi.Structure.cable_of`. Under tension control
+    The limits hold at both ends of every interval. If a string is modeled in segments, they hold in
+    each segment. A cable has one limit, see `tenscasadi.Structure.cable_of`. Under tension control
     (``control=Tension()``), they are bounds on decision variables.
 
     Parameters
     ----------
     lower : float or array_like, shape (nu,), optional
-        Smallest tension [N], ≥ 0: one number, or one for each cable and lone string. None for no
-        limit but γ ≥ 0.
+        Smallest tension [N], ≥ 0: one number, or one for each cable and each string in no cable.
+        None for 0, as strings carry no compression.
     upper : float or array_like, shape (nu,), optional
-        Largest tension [N]: one number, or one for each cable and lone string. None or inf for no
-        limit.
+        Largest tension [N]: one number, or one for each cable and each string in no cable. None or
+        inf for no limit.
 
     Raises
     ------
     TypeError, ValueError
         If both are None, or if a limit is negative or not a number. In a `Problem`: if the number
-        of limits differs from that of strings, or if ``lower`` is above ``upper``.
+        of limits differs from nu, or if ``lower`` is above ``upper``.
 
     Examples
     --------
@@ -270,20 +273,20 @@ class StrengthLimits(TensionLimits):
 class RestLengthLimits(StringLimits, PathBound, kind="RestLengthLimits"):
     """Limits of the rest length of each string.
 
-    The rest length is ρ = s (1 − γ/k). The limits hold at both ends of every interval. With
-    ``RestLengthLimits(0)``, an actuator can realize all force densities by changing the rest length
-    of a string of stiffness k. Under rest-length control (``control=RestLength()``), they are
-    bounds on decision variables, which are positive without these limits, too. A cable has one
-    limit, see `tenscasadi.Structure.cable_of`.
+    A string of length s, force density γ and stiffness k has the rest length ρ = s (1 − γ/k). The
+    limits hold at both ends of every interval. With ``RestLengthLimits(0)``, an actuator can realize
+    all force densities by changing the rest length. Under rest-length control
+    (``control=RestLength()``), the limits are bounds on decision variables, which are positive
+    without these limits, too. A cable has one limit, see `tenscasadi.Structure.cable_of`.
 
     Parameters
     ----------
     lower : float or array_like, shape (nu,), optional
-        Smallest rest length [m], ≥ 0: one number, or one for each cable and lone string. None for
-        no limit.
+        Smallest rest length [m], ≥ 0: one number, or one for each cable and each string in no cable.
+        None for no limit.
     upper : float or array_like, shape (nu,), optional
-        Largest rest length [m]: one number, or one for each cable and lone string. None or inf for
-        no limit.
+        Largest rest length [m]: one number, or one for each cable and each string in no cable. None
+        or inf for no limit.
     stiffness : float or array_like, shape (α,), optional
         Stiffness k [N/m]: one number, or one for each string. None for that of the structure.
 
@@ -291,8 +294,8 @@ class RestLengthLimits(StringLimits, PathBound, kind="RestLengthLimits"):
     ------
     TypeError, ValueError
         If both limits are None, or if one is negative or not a number. In a `Problem`: if the
-        number of limits differs from that of strings, if ``lower`` is above ``upper``, or if a
-        string has no stiffness.
+        number of limits differs from nu, if ``lower`` is above ``upper``, or if a string has no
+        stiffness.
 
     Examples
     --------
@@ -334,7 +337,7 @@ class RestLengthLimits(StringLimits, PathBound, kind="RestLengthLimits"):
         Returns
         -------
         Limit
-            Rest length of each cable and lone string [m].
+            Rest length of each cable and each string in no cable [m].
         """
         structure = now.model.scene.structure
         stiffness = read_stiffness("RestLengthLimits.stiffness", self.stiffness, structure)
@@ -348,25 +351,25 @@ class RestLengthLimits(StringLimits, PathBound, kind="RestLengthLimits"):
 class RestLengthRateLimits(RateBound, kind="RestLengthRateLimits"):
     """Limits of the rate of each rest length.
 
-    They are the speed limits of winches. From the start of an interval of length h [s] to that of
-    the next, ρ changes by at most ``rate`` · h. Under ``control=RestLengthRate()``, they are bounds
-    on decision variables. For piecewise-linear controls (`PiecewiseLinear`), this also holds from
-    the start to the end of the last interval.
+    They are the speed limits of winches. From the start of an interval of duration h [s] to the
+    start of the next one, the rest length changes by at most ``rate`` · h. For piecewise-linear
+    controls (`PiecewiseLinear`), the limits also hold from the start to the end of the last
+    interval. Under ``control=RestLengthRate()``, they are bounds on decision variables.
 
     Parameters
     ----------
     rate : float or array_like, shape (nu,)
-        Largest mean rate [m/s], > 0: one number, or one for each cable and lone string. inf for no
-        limit.
+        Largest mean rate [m/s], > 0: one number, or one for each cable and each string in no cable.
+        inf for no limit.
     stiffness : float or array_like, shape (α,), optional
-        Stiffness k of ρ = s (1 − γ/k) [N/m]: one number, or one for each string. None for that of
-        the structure.
+        Stiffness k [N/m]: one number, or one for each string. None for that of the structure. A
+        string of length s and force density γ has the rest length ρ = s (1 − γ/k).
 
     Raises
     ------
     TypeError, ValueError
-        If a rate is not a positive number. In a `Problem`: if the number of rates differs from that
-        of strings, or if a string has no stiffness.
+        If a rate is not a positive number. In a `Problem`: if the number of rates differs from nu,
+        or if a string has no stiffness.
 
     Examples
     --------
@@ -408,7 +411,7 @@ class RestLengthRateLimits(RateBound, kind="RestLengthRateLimits"):
         Returns
         -------
         Limit
-            Mean rate of the rest length of each cable and lone string [m/s].
+            Mean rate of the rest length of each cable and each string in no cable [m/s].
         """
         structure = before.model.scene.structure
         k = read_stiffness("RestLengthRateLimits.stiffness", self.stiffness, structure)

@@ -17,17 +17,17 @@ class TerminalTensions(TensionBound, kind="TerminalTensions"):
     Parameters
     ----------
     lower : float or array_like, shape (nu,), optional
-        Smallest tension [N], ≥ 0: one number, or one for each cable and lone string. None for no
-        limit.
+        Smallest tension [N], ≥ 0: one number, or one for each cable and each string in no cable.
+        None for no limit.
     upper : float or array_like, shape (nu,), optional
-        Largest tension [N]: one number, or one for each cable and lone string. None or inf for no
-        limit.
+        Largest tension [N]: one number, or one for each cable and each string in no cable. None or
+        inf for no limit.
 
     Raises
     ------
     TypeError, ValueError
         If both are None, or if a limit is negative or not a number. In a `Problem`: if the number
-        of limits differs from that of strings, or if ``lower`` is above ``upper``.
+        of limits differs from nu, or if ``lower`` is above ``upper``.
 
     See Also
     --------

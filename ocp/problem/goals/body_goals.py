@@ -26,7 +26,8 @@ class BodyOrientation(Goal, kind="BodyOrientation"):
     body : int
         Index of the body in ``Structure.bodies``.
     rotation : array_like, shape (3, 3) or (3,)
-        Rotation relative to the structure's nodes: a matrix, or a rotation vector [rad].
+        Rotation from the orientation of the structure's nodes to the final one: a matrix, or a
+        rotation vector [rad]. Its axes are x, y, z.
 
     Raises
     ------
@@ -46,7 +47,11 @@ class BodyOrientation(Goal, kind="BodyOrientation"):
 
     @property
     def matrix(self) -> Array:
-        """Rotation matrix (3, 3)."""
+        """Matrix (3, 3) of the rotation.
+
+        It rotates vectors between nodes of the body from their directions in ``Structure.nodes`` to
+        the final ones.
+        """
         return rotation_matrix(self.rotation)
 
     def check(self, structure: Structure) -> None:

@@ -134,7 +134,8 @@ class NodeTripleOrientation(Goal, kind="NodeTripleOrientation"):
     nodes : sequence of int or str, length 3
         Three nodes.
     rotation : array_like, shape (3, 3) or (3,)
-        Rotation relative to the structure's nodes: a matrix, or a rotation vector [rad].
+        Rotation from the orientation of the structure's nodes to the final one: a matrix, or a
+        rotation vector [rad]. Its axes are x, y, z.
 
     Raises
     ------

@@ -86,8 +86,9 @@ def geiger_dome(
 ) -> Structure:
     """Build a Geiger cable dome (class 1).
 
-    Ridges, diagonals and hoops are strings; ridges and diagonals are radial. Posts are bars. The
-    outer ring of nodes is pinned.
+    Posts are bars, and no two of them share a node. Ridges, diagonals and hoops are strings. Ridges
+    and diagonals are radial. A hoop is a ring of strings between the bottoms of p posts. The outer
+    ring of nodes is pinned.
 
     ::
 
@@ -96,9 +97,11 @@ def geiger_dome(
                ╲ ── diagonal ─ bottom k  ╲ diagonal bottom 1  ╲ ──── bottom
                                ○ hoop               ○ hoop
 
-    Nodes: top and bottom of the central post, then for each hoop from the inside its p tops and its
-    p bottoms, then the p pinned nodes. Bars: the central post, then those of each hoop. Strings: the
-    ridges, ring by ring from the inside, p each; the diagonals likewise; the hoops, p each.
+    Nodes and members are listed from the inside to the outside. The first two nodes are the top and
+    the bottom of the central post. The p tops and the p bottoms of the posts at the first hoop
+    follow, then those at the next hoops. The last p nodes are pinned. The first bar is the central
+    post, and those at each hoop follow. The first strings are the ridges, p in each ring. The
+    diagonals follow in the same order. The last strings are the hoops, p in each.
 
     Parameters
     ----------
@@ -146,7 +149,9 @@ def levy_dome(
 
     Ridges and diagonals form triangles. It differs from `geiger_dome` outside the first hoop: each
     ring is rotated by half a segment, and two ridges and two diagonals lead from each post to the
-    next ring. Ridges and diagonals of a ring are the strings i → i, then i → i−1.
+    next ring. Nodes and members are listed as in `geiger_dome`. Outside the first hoop, the ridges of
+    a ring lead from each post i to node i of the next ring, then from each post i to node i − 1. So
+    do the diagonals.
 
     Parameters
     ----------
