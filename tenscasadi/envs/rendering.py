@@ -29,7 +29,7 @@ class Renderer(Protocol):
         """Draw a frame."""
 
     def close(self) -> None:
-        """Release what the display uses."""
+        """Release the resources of the display."""
 
 
 class ArrayRenderer:

@@ -123,7 +123,7 @@ def _find_checks(kind: type) -> dict[str, tuple[bool, list[Callable[[str, Any], 
 
 
 def _list_entries(hint: Any) -> Iterator[Any]:
-    """List the types of an annotation, and what annotates them."""
+    """List the types and the metadata of an annotation."""
     if get_origin(hint) is Annotated:
         kind, *entries = get_args(hint)
         yield from (*_list_entries(kind), *entries)
