@@ -1,6 +1,7 @@
-"""Batches of replays for the robustness of plans.
+"""Batches of replays that measure the robustness of plans.
 
-Replays are in open loop or under a tracker, by the planned control or by rest lengths.
+Replays are in open loop, or under the feedback of `track`. They apply the planned control, or rest
+lengths that produce it.
 """
 
 from __future__ import annotations
@@ -104,7 +105,10 @@ def measure_robustness(
 def _build_replay(
     plan: Any, names: tuple[str, ...], track: Callable[..., Any] | None
 ) -> tuple[Model, Feedback | ControlProfile, float]:
-    """Build the model, the control and the longest step [s] of replays."""
+    """Build model, control and longest time step [s] of replays.
+
+    The model has the varied quantities as parameters.
+    """
     planned = plan.require_model("robustness")
     elastic = _needs_rest_lengths(planned, names)
     model = vary_model(planned, names, RestLength() if elastic else planned.scene.control)
@@ -116,7 +120,7 @@ def _build_replay(
 
 
 def _measure_misses(plan: Any, time: Array, states: Array) -> Any:
-    """Measure the errors of replays in the goals of the plan."""
+    """Compute the goal residuals of replays."""
     target = None
     if plan.problem is not None:
         found = find_target(plan.problem, Scales.of(plan.problem))
@@ -125,7 +129,10 @@ def _measure_misses(plan: Any, time: Array, states: Array) -> Any:
 
 
 def _needs_rest_lengths(planned: Model, names: Sequence[str]) -> bool:
-    """Return whether planned forces become rest lengths, on which varied values act."""
+    """Return whether replays need rest lengths as control.
+
+    This is so if string parameters vary, as prescribed force densities do not depend on them.
+    """
     if not any(name in STRINGS for name in names):
         return False
     control = planned.scene.control
@@ -137,9 +144,9 @@ def _needs_rest_lengths(planned: Model, names: Sequence[str]) -> bool:
 
 
 def _control_as_planned(plan: Any, tracker: Any) -> tuple[Feedback | ControlProfile, float]:
-    """Build the control of a replay by the planned quantity, and its step.
+    """Build a replay's control and its longest time step [s].
 
-    It is the profile of the plan, or the feedback of its tracker. The step is the longest one [s].
+    The control is the planned control over time, or the feedback of `track`.
     """
     longest = float(np.diff(plan.time).min()) / STEPS
     if tracker is not None:
@@ -155,13 +162,13 @@ def _control_as_planned(plan: Any, tracker: Any) -> tuple[Feedback | ControlProf
 
 
 def _convert_to_rest_lengths(plan: Any, tracker: Any) -> tuple[Feedback, float]:
-    """Build the rest-length control of a replay, and its step.
+    """Build a replay's rest-length control and longest time step.
 
-    It realizes the force densities of the plan, or of its tracker, at the planned string lengths s.
-    The step is the longest one [s].
+    It realizes the force densities of the plan, or of its tracking feedback, at the planned string
+    lengths s. The step is in seconds.
 
-    With ρ = s (1 − γ/k) (Eq. 99), the feedback law γ_k − G (x − x_k) becomes
-    ρ_k + (s/k) G (x − x_k).
+    With ρ = s (1 − γ/k) (Eq. 99), the feedback law γ_k − G (x − x_k) becomes ρ_k + (s/k) G (x −
+    x_k).
     """
     plan.rest_lengths()  # raises an error that names a string of too low stiffness
     k, size = plan.structure.stiffness, plan.trajectory.states.shape[1]
@@ -181,7 +188,7 @@ def _convert_to_rest_lengths(plan: Any, tracker: Any) -> tuple[Feedback, float]:
 
 
 def _open_loop(time: Array, controls: Array, size: int) -> Feedback:
-    """Build a feedback with zero gains from piecewise constant controls.
+    """Convert piecewise-constant controls to a feedback with zero gains.
 
     Controls (K, α) apply between successive times (K + 1,).
     """

@@ -35,10 +35,10 @@ _LAWS: Mapping[str, Any] = {
 
 
 def upgrade(content: Fields, trajectory: Trajectory) -> dict[str, Any]:
-    """Restore structure, model, problem and method of solution.
+    """Convert a file of version 0.1 to plan fields.
 
-    The model is None if the file has none, or if its scene has functions of time. Raises ValueError
-    for damaged content.
+    They are structure, model, problem, transcription and solver. The model is None if the file has
+    none, or if its scene has functions of time. Raises ValueError for damaged content.
     """
     none = dict.fromkeys(("model", "problem", "transcription", "solver"))
     unknown = {"not_restored": "its file is of an older version"}
@@ -62,9 +62,9 @@ def upgrade(content: Fields, trajectory: Trajectory) -> dict[str, Any]:
 
 
 def _read_solved(text: str) -> dict[str, Any]:
-    """Convert the text of problem, transcription and solver to tables.
+    """Parse the JSON text of problem, transcription and solver.
 
-    It is {} if the text is no JSON.
+    The result is {} if the text is not JSON.
     """
     try:
         parts = json.loads(text)
@@ -74,7 +74,7 @@ def _read_solved(text: str) -> dict[str, Any]:
 
 
 def _convert(tree: Any) -> Any:
-    """Convert a value to the data of scene files."""
+    """Convert a parsed JSON value to scene-file format."""
     if not isinstance(tree, dict):
         return tree
     (form, content), *_ = tree.items()
@@ -90,7 +90,7 @@ def _convert(tree: Any) -> Any:
 
 
 def read_structure(content: Fields) -> Structure:
-    """Restore a structure.
+    """Restore a structure from arrays.
 
     Raises ValueError, TypeError.
     """

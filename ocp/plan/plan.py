@@ -109,9 +109,7 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
 
     @classmethod
     def of(cls, result: PlanResult) -> Plan:
-        """Convert a `PlanResult` to a plan.
-
-        `ocp.solve` makes its plans in this way.
+        """Convert a `PlanResult` to a plan with all methods.
 
         Parameters
         ----------
@@ -126,7 +124,7 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
         return cls(**{field.name: getattr(result, field.name) for field in fields(PlanResult)})
 
     def summary(self) -> str:
-        """Describe the plan and its replay.
+        """Describe the plan and its replay in a few lines.
 
         Returns
         -------
@@ -383,7 +381,7 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
 
     @classmethod
     def from_arrays(cls, content: Mapping[str, Any]) -> Plan:
-        """Build a plan from arrays.
+        """Build a plan from named arrays, such as a file's.
 
         Field names of earlier versions are also accepted.
 
@@ -427,7 +425,7 @@ _RENAMED = {"unknown": "not_restored", "starts": "start_objectives"}  # field na
 
 
 def _find_differences(plan: Plan, model: Model) -> list[str]:
-    """Find fields that differ between a plan's model and another.
+    """Find fields in which a plan's model and another differ.
 
     Names of nodes and members do not count.
     """

@@ -1,4 +1,4 @@
-"""Models, problems and methods of solution in plan files."""
+"""Models, problems, transcriptions and solvers in plan files."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from tenscasadi.schema.value import Value
 
 
 def write_parts(plan: PlanResult) -> str:
-    """Format the parts of a plan as a scene file.
+    """Format model, problem, transcription and solver as a scene file.
 
-    Parts that files cannot hold are replaced by the reason.
+    A part that files cannot hold is replaced by the reason.
     """
     left_out: dict[str, str] = {}
 
@@ -51,7 +51,10 @@ def write_parts(plan: PlanResult) -> str:
 
 
 def _drop_functions(value: Any) -> Any:
-    """Drop the fields that only Python can give."""
+    """Remove the fields of a value that files cannot hold.
+
+    These are Python functions.
+    """
     if not isinstance(value, Value):
         return value
     known = definition(type(value)).fields.items()  # type: ignore[arg-type]  # classes hash
@@ -60,9 +63,9 @@ def _drop_functions(value: Any) -> Any:
 
 
 def read_parts(document: Document) -> dict[str, Any]:
-    """Read the parts that `write_parts` wrote.
+    """Read model, problem, transcription and solver of a plan file.
 
-    See `read_solution`.
+    It is the inverse of `write_parts`.
     """
     left_out = {name: item.text() for name, item in document.root.child("left_out").table().items()}
     item = document.section("plan")

@@ -26,7 +26,7 @@ ROOM = 10  # minimum number of replays for each regression coefficient
 class Robustness(ReadOnlyArrays):
     """Errors of replays with random parameters and initial states.
 
-    `Plan.robustness` returns it.
+    `Plan.robustness` returns them.
 
     Attributes
     ----------
@@ -139,7 +139,7 @@ class Robustness(ReadOnlyArrays):
         return np.asarray(ordered[np.ceil(wanted * (len(ordered) - 1)).astype(int)])
 
     def summary(self) -> str:
-        """Describe success rate, errors, and importance of the variations.
+        """Describe the success rate, the errors, and the dominant variations.
 
         Returns
         -------
@@ -170,10 +170,10 @@ class Robustness(ReadOnlyArrays):
 
 
 def vary_model(model: Model, names: tuple[str, ...], control: Any) -> Model:
-    """Build the model with factors of some quantities as parameters.
+    """Build a model whose parameters scale some of its quantities.
 
-    Its control is replaced. Models are cached. Raises ValueError if the model already has
-    parameters.
+    `names` are these quantities, and `control` replaces the control. Models are cached. Raises
+    ValueError if the model already has parameters.
     """
     if model.np:
         raise add_address(
@@ -196,7 +196,7 @@ def draw_starts(
     parameters: Array,
     rng: np.random.Generator,
 ) -> tuple[Array, Array]:
-    """Draw initial states about a given state.
+    """Draw random initial states about a given state.
 
     Parameters
     ----------

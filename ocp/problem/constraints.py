@@ -1,4 +1,4 @@
-"""Symbolic path constraints of single bounds."""
+"""Conversion of a bound into a symbolic path constraint."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def build_constraint(bound: Bound, model: Model) -> PathConstraint:
-    """Build the path constraint of a bound in new symbols."""
+    """Convert a bound into a path constraint in new symbols."""
     now = symbolic(model)
     if isinstance(bound, RateBound):
         after = symbolic(model)

@@ -25,26 +25,29 @@ def controls_rest_lengths(model: Model) -> bool:
 
 
 def has_elastic_strings(model: Model) -> bool:
-    """Return whether forces follow from rest lengths by the string law."""
+    """Return whether a string law determines the string forces.
+
+    Otherwise the control prescribes force densities or tensions.
+    """
     return not model.scene.commands_forces
 
 
 def control_name(model: Model) -> str:
-    """Return the name of the control of one string or cable."""
+    """Return the name of the control, such as "rest length"."""
     control = model.scene.control
     return "" if control is None else control.name
 
 
 def control_unit(model: Model) -> str:
-    """Return the unit of the control."""
+    """Return the unit of the control variable."""
     control = model.scene.control
     return "" if control is None else control.unit
 
 
 def build_force_density_model(model: Model) -> Model:
-    """Build the model of the same structure under force densities.
+    """Build the same model with force densities as control.
 
-    Its strings are in no cable, so that each has a force density.
+    It has no cables, so that each string has its own force density.
     """
     if controls_force_densities(model):
         return model
@@ -56,34 +59,37 @@ def build_force_density_model(model: Model) -> Model:
 
 
 def build_force_model(model: Model) -> Model:
-    """Build the model of the same structure under forces of strings.
+    """Build the same model with string forces as control.
 
-    These are force densities if they are the control, and otherwise tensions of cables and lone
-    strings. Both are linear in the accelerations.
+    If force densities are the control already, the model is returned. Otherwise the control is the
+    tension of each cable and of each string that is not part of a cable. Accelerations are linear
+    in force densities and in tensions.
     """
     return model if model.scene.commands_forces else _change(model, control=Tension())
 
 
 def build_locked_model(model: Model) -> Model:
-    """Build the model whose rest lengths are the control, in place of states."""
+    """Build the model with rest lengths as control, not states.
+
+    Winches then do not turn.
+    """
     control = model.scene.control
     return model if control is None or not model.na else _change(model, control=control.locked)
 
 
 def build_smooth_model(model: Model) -> Model:
-    """Build the model whose elastic strings do not go slack.
+    """Build the model without slackening of elastic strings.
 
-    The force densities of a nonlinear program are limited to γ ≥ 0, which makes the nonsmooth slack
-    law unnecessary.
+    A nonlinear program limits force densities to γ ≥ 0. The nonsmooth slack law is then not needed.
     """
     smooth = not has_elastic_strings(model) or model.scene.slack == Linear()
     return model if smooth else _change(model, slack=Linear())
 
 
 def _change(model: Model, **changes: Any) -> Model:
-    """Build the model of a changed scene.
+    """Build the model with changed fields of its scene.
 
-    It is cached in the model, as its functions take time to build.
+    It is cached in the given model, as its CasADi functions take time to build.
     """
     kinds = ((name, type(value)) for name, value in changes.items())
     return model.keep(
@@ -111,7 +117,11 @@ def check_control(model: Model) -> None:
 
 
 def reject_coupled_rates(model: Model, user: str) -> None:
-    """Raise ValueError if rates of internal states depend on the state."""
+    """Raise ValueError if rates of internal states depend on others.
+
+    Internal states are for example rest lengths of winches. `user` names the method that cannot
+    treat such models.
+    """
     if model.has_coupled_rates:
         raise ValueError(
             f"{user} takes no model with control={type(model.scene.control).__name__}(...): "
@@ -120,7 +130,7 @@ def reject_coupled_rates(model: Model, user: str) -> None:
 
 
 def require_force_densities(model: Model, user: str) -> None:
-    """Raise ValueError if the control is not force densities."""
+    """Raise ValueError unless force densities are the control."""
     if not controls_force_densities(model):
         raise ValueError(
             f"{user} is for force densities, and the model has control={model.scene.control}: give a model of Scene(..., control=ForceDensity())"

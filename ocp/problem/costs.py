@@ -31,15 +31,20 @@ InstantTerm = Callable[["Instant"], Any]
 
 
 class CostTerms(NamedTuple):
-    """Terms of the objective by the variables they depend on.
+    """Terms of the objective, grouped by their variables.
 
     Attributes
     ----------
-    control : functions of the force densities of each interval.
-    changes : functions of the force densities of neighboring intervals.
-    running : functions of each instant, which are integrated over time.
-    instants : functions of one instant, with its fraction of the duration (1 at the end).
-    effort : functions of the force densities of each interval, or of the torques of motors.
+    control : tuple of callable
+        Functions of the force densities of each interval.
+    changes : tuple of callable
+        Functions of the force densities of neighboring intervals.
+    running : tuple of callable
+        Functions of each instant, which are integrated over time (Lagrange terms).
+    instants : tuple of (float, callable)
+        Fraction of the duration (1 at the end), and function of that instant (Mayer terms).
+    effort : tuple of callable
+        Functions of the force densities of each interval, or of the torques of motors.
     """
 
     control: tuple[ControlTerm, ...] = ()
@@ -49,9 +54,9 @@ class CostTerms(NamedTuple):
     effort: tuple[ControlTerm, ...] = ()
 
     def express(self, model: Model) -> CostTerms:
-        """Express the terms by the controls of a model.
+        """Express the terms in the control variables of a model.
 
-        Terms of force densities that are no controls become integrals over time.
+        If force densities are not the control, their terms become running costs.
         """
         direct = controls_force_densities(model)
         effort = direct or model.has_coupled_rates
@@ -66,7 +71,7 @@ def _evaluate_forces(term: ControlTerm, now: Instant) -> Any:
 
 
 def cost_terms(costs: Iterable[Cost]) -> CostTerms:
-    """Collect the terms of several costs."""
+    """Collect the objective terms of several costs by group."""
     each = [cost.terms() for cost in costs]
     return CostTerms(*(sum(parts, ()) for parts in zip(*each, strict=True)))
 
@@ -94,20 +99,20 @@ class Cost(Value):
 
 
 class ControlCost(Cost):
-    """Base class of costs of the force densities.
+    """Base class of costs that depend on the force densities.
 
-    Under rest-length control, the resulting force densities are integrated as in a `RunningCost`.
+    If force densities are not the control, their cost is integrated as in a `RunningCost`.
     """
 
     def expression(self, force_density: Any, interval: Any) -> Any:
-        """Build the cost of force densities on some intervals.
+        """Build the cost of the force densities on all intervals.
 
-        Force densities are (α×intervals) [N/m]; ``interval`` is the length of each interval [s].
+        Force densities are (α×intervals) [N/m]; ``interval`` has the length of each interval [s].
         """
         raise NotImplementedError
 
     def terms(self) -> CostTerms:
-        """Return the cost of each interval."""
+        """Return the cost as a function of the force densities."""
         return CostTerms(control=(self.expression,))
 
 
@@ -119,11 +124,11 @@ class RunningCost(Cost):
     """
 
     def rate(self, now: Instant) -> Any:
-        """Build the integrand, a CasADi scalar."""
+        """Build the integrand at an instant, a CasADi scalar."""
         raise NotImplementedError
 
     def terms(self) -> CostTerms:
-        """Return the integrand."""
+        """Return the integrand as a running cost."""
         return CostTerms(running=(self.rate,))
 
 
@@ -133,19 +138,19 @@ class TerminalCost(Cost):
     additive: ClassVar[bool] = False
 
     def terminal(self, end: Instant) -> Any:
-        """Build the cost, a CasADi scalar."""
+        """Build the cost of the final instant, a CasADi scalar."""
         raise NotImplementedError
 
     def terms(self) -> CostTerms:
-        """Return the cost of the end."""
+        """Return the cost as a function of the final instant."""
         return CostTerms(instants=((1.0, self.terminal),))
 
 
 @dataclass(frozen=True, eq=False)
 class CostAt(Cost):
-    """Terminal cost that applies before the end.
+    """Cost of one instant before the end of the plan.
 
-    ``share`` is the fraction of the duration, between 0 and 1.
+    It applies a `TerminalCost` at ``share``, a fraction of the duration between 0 and 1.
     """
 
     additive: ClassVar[bool] = False
@@ -167,7 +172,7 @@ class CostAt(Cost):
         self.cost.check(structure)
 
     def terms(self) -> CostTerms:
-        """Return the cost of the instant."""
+        """Return the cost with its fraction of the duration."""
         return CostTerms(instants=((self.share, self.cost.terminal),))
 
 
@@ -202,7 +207,7 @@ class Effort(ControlCost, kind="Effort"):
     weight: Positive = 1.0
 
     def terms(self) -> CostTerms:
-        """Return the cost of each interval.
+        """Return the cost as a function of the control effort.
 
         Returns
         -------
@@ -212,7 +217,7 @@ class Effort(ControlCost, kind="Effort"):
         return CostTerms(effort=(self.expression,))
 
     def expression(self, force_density: Any, interval: Any) -> Any:
-        """Build the cost on some intervals.
+        """Build the cost of the force densities on all intervals.
 
         Parameters
         ----------
@@ -261,7 +266,7 @@ class Smoothness(ControlCost, kind="Smoothness"):
     weight: Positive = 1.0
 
     def terms(self) -> CostTerms:
-        """Return the cost of neighboring intervals.
+        """Return the cost as a function of neighboring force densities.
 
         Returns
         -------
@@ -271,7 +276,7 @@ class Smoothness(ControlCost, kind="Smoothness"):
         return CostTerms(changes=(self.expression,))
 
     def expression(self, force_density: Any, interval: Any) -> Any:
-        """Build the cost on some intervals.
+        """Build the cost of the force densities on all intervals.
 
         Parameters
         ----------
@@ -290,7 +295,7 @@ class Smoothness(ControlCost, kind="Smoothness"):
 
 @dataclass(frozen=True, eq=False)
 class Prestress(ControlCost, kind="Prestress"):
-    """Cost of force densities that differ from a level.
+    """Cost of the deviation of force densities from a level.
 
     It is weight · ∫ Σ (γ − level)² dt, with the sum over strings.
 
@@ -333,7 +338,7 @@ class Prestress(ControlCost, kind="Prestress"):
         per_item("Prestress.level", self.level, len(structure.strings))
 
     def expression(self, force_density: Any, interval: Any) -> Any:
-        """Build the cost on some intervals.
+        """Build the cost of the force densities on all intervals.
 
         Parameters
         ----------
@@ -401,10 +406,10 @@ class Duration(TerminalCost, kind="Duration"):
 
 @dataclass(frozen=True)
 class Work(RunningCost, kind="Work"):
-    """Work of shortening strings.
+    """Work of the actuators that shorten strings.
 
-    The cost is weight · ∫ Σ max(0, −γ s ṡ) dt, with the integral in J. Lengthening strings return
-    no work.
+    The cost is weight · ∫ Σ max(0, −γ s ṡ) dt for strings of length s, with the integral in J.
+    Lengthening strings return no work.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Named costs and constraints of user-defined CasADi expressions."""
+"""Costs and constraints given by user-defined CasADi expressions."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _NO_NUMBER = "is not a number at the start: keep roots, logarithms and quotients
 
 @dataclass(frozen=True, eq=False)
 class AtEnd(TerminalCost, kind="AtEnd"):
-    """Cost weight · expression(end) of a user-defined expression.
+    """Terminal cost weight · expression(end) of a user-defined expression.
 
     Within a `Constraint`, it is the constrained quantity.
 
@@ -78,7 +78,7 @@ class AtEnd(TerminalCost, kind="AtEnd"):
 
     @property
     def weighted(self) -> Expression:
-        """Expression times weight, as a function of an instant."""
+        """User-defined function of an instant, multiplied by the weight."""
         return self.expression if self.weight == 1.0 else partial(_weighted, self)
 
     def terminal(self, end: Instant) -> Any:
@@ -272,10 +272,10 @@ class Integral(RunningCost, kind="Integral"):
 def check_expressions(
     model: Model, bounds: Sequence[Bound], costs: Sequence[Cost], start: Array | None
 ) -> None:
-    """Check bounds and costs by building each of them once.
+    """Check bounds and costs by building their expressions once.
 
-    Raises TypeError or ValueError if one fails, or if the start (nx,) violates a bound on the
-    state. The start is None if it is free.
+    Raises TypeError or ValueError if one fails, or if the initial state (nx,) violates a bound on
+    the state. ``start`` is None if the initial state is free.
     """
     names = [bound.name for bound in bounds if isinstance(bound, Constraint)]
     for name in names:
@@ -308,9 +308,9 @@ def check_expressions(
 def _first(
     item: Any, symbols: tuple[Any, ...], value: Any, start: Array | None
 ) -> tuple[Array, Booleans]:
-    """Evaluate an expression at the start with zero controls.
+    """Evaluate an expression at the initial state with zero controls.
 
-    Returns its entries, and whether they depend on the controls. Both are empty if the start is
+    Returns its entries, and whether each depends on the controls. Both are empty if the start is
     None.
     """
     column = ca.densify(ca.vec(value))
@@ -355,7 +355,7 @@ def _label(item: Any) -> str:
 
 
 def _column(item: Any, now: Instant) -> Any:
-    """Build the entries of a user-defined expression."""
+    """Build the entries of a user-defined expression as a column."""
     nodes, strings = now.model.scene.structure.nodes, now.model.scene.structure.strings
     hint = f"an instant has nodes and velocities 3×{len(nodes)}, lengths, rates, control ({len(strings)},), tension, bar_force, state, time"
     value = call_user_function(_label(item), item.expression, now, hint)

@@ -1,4 +1,4 @@
-"""Expressions of a plan at one instant, built on demand."""
+"""Symbolic positions, lengths and forces at one instant."""
 
 from __future__ import annotations
 
@@ -52,38 +52,41 @@ class Instant:
 
     @property
     def symbols(self) -> tuple[Any, Any, Any]:
-        """State, control and time."""
+        """State x, control u and time t, as CasADi symbols."""
         return self.state, self.control, self.time
 
     @cached_property
     def model_nodes(self) -> Any:
-        """Node positions 3×n [m], with the nodes inside strings last."""
+        """Positions 3×n [m] of structural nodes and nodes inside strings.
+
+        Strings that are modeled in segments have such nodes.
+        """
         return self.model.nodes(self.state).T
 
     @cached_property
     def model_velocities(self) -> Any:
-        """Node velocities 3×n [m/s], with the nodes inside strings last."""
+        """Velocities 3×n [m/s] of structural nodes and nodes inside strings."""
         return self.model.velocities(self.state).T
 
     @cached_property
     def nodes(self) -> Any:
-        """Node positions of the scene's structure, 3×n [m]."""
+        """Positions of the structure's nodes, 3×n [m]."""
         return self.model_nodes[:, : len(self.model.scene.structure.nodes)]
 
     @cached_property
     def velocities(self) -> Any:
-        """Node velocities of the scene's structure, 3×n [m/s]."""
+        """Velocities of the structure's nodes, 3×n [m/s]."""
         return self.model_velocities[:, : len(self.model.scene.structure.nodes)]
 
     @cached_property
     def accelerations(self) -> Any:
-        """Node accelerations of the scene's structure, 3×n [m/s²]."""
+        """Accelerations of the structure's nodes, 3×n [m/s²]."""
         build = partial(_build_accelerations, self.model)
         return self.model.keep("accelerations", build)(self.state, self.control)
 
     @cached_property
     def center_of_mass(self) -> Any:
-        """Center of the mass of bars, bodies, nodes and strings (3,) [m]."""
+        """Center of mass of bars, bodies, nodes and strings (3,) [m]."""
         return ca.mtimes(self._columns[0], self._mass_fractions)
 
     @cached_property
@@ -138,7 +141,7 @@ class Instant:
 
     @cached_property
     def rates(self) -> Any:
-        """Time derivatives of these distances (α,) [m/s]."""
+        """Time derivatives of the string lengths (α,) [m/s]."""
         strings = self.model.scene.structure.strings
         return (
             ca.sum1(self._across(self.nodes, strings) * self._across(self.velocities, strings)).T
@@ -208,20 +211,24 @@ class Instant:
 
     @cached_property
     def _columns(self) -> tuple[Any, Any]:
-        """Columns N [m] and V [m/s] of the equation of motion."""
+        """Matrices N [m] and V [m/s] of the equation of motion.
+
+        Their columns are the positions and velocities of nodes.
+        """
         N, V, _ = self.model.unpack(self.state)
         return N, V
 
     @property
     def _mass_fractions(self) -> ca.DM:
-        """Share of each column of N in the whole mass."""
+        """Fraction of the total mass in each column of N."""
         weight = np.asarray(self.model.mechanism.M.sum(axis=1)).ravel()
         return ca.DM(weight / weight.sum())
 
     def _gather(self, whole: Indices, weights: Array) -> ca.DM:
-        """Build the matrix that sums over the segments of strings or the strings of cables.
+        """Build a matrix that sums over segments or cables.
 
-        ``whole`` is the sum to which each segment contributes, with a weight.
+        ``whole`` is the index of the string or cable to which each segment or string belongs, and
+        ``weights`` its factor.
         """
         count = int(whole.max(initial=-1)) + 1
         return ca.sparsify(ca.DM((np.arange(count)[:, None] == whole[None]) * weights[None]))
@@ -231,7 +238,7 @@ class Instant:
 
 
 def _build_accelerations(model: Model) -> ca.Function:
-    """Build the Function (x, u) → node accelerations 3×n."""
+    """Build the Function (x, u) → node accelerations 3×n [m/s²]."""
     now = symbolic(model)
     rate = model.ode(now.state, now.control)
     moved = ca.jtimes(ca.vec(now.velocities), now.state, rate)
@@ -243,7 +250,7 @@ def _build_accelerations(model: Model) -> ca.Function:
 
 
 def forces_of(model: Model, states: Array, controls: Array) -> Array:
-    """Evaluate force densities at states under given controls.
+    """Compute the force densities at states under given controls.
 
     States are (K, nx), controls (K, nu), force densities (K, α) [N/m].
     """
@@ -257,9 +264,9 @@ def forces_of(model: Model, states: Array, controls: Array) -> Array:
 
 
 def symbolic(model: Model) -> Instant:
-    """Build a symbolic instant of a model.
+    """Build an instant in new symbols for state, control and time.
 
-    Its symbols are SX if the model's equations are SX functions; MX otherwise, for large models.
+    The symbols are SX if the model's equations are SX functions; otherwise MX, for large models.
     """
     kind: Any = (
         ca.SX if model.ode.is_a("SXFunction") and model.observe.is_a("SXFunction") else ca.MX

@@ -1,4 +1,4 @@
-"""Formulas of an instant, as functions that files can hold."""
+"""User-defined functions of an instant, given by formulas in files."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ class InstantFormula:
 
 
 def find_quantity(name: str, names: Names) -> tuple[Callable[[Instant, int], Any], int]:
-    """Find the quantity and the index of an indexed name, such as "z[tip]".
+    """Find quantity and index of a name such as "z[tip]".
 
     Raises FormulaError.
     """
@@ -118,10 +118,10 @@ def find_quantity(name: str, names: Names) -> tuple[Callable[[Instant, int], Any
 
 @dataclass(frozen=True)
 class InstantText(FieldType):
-    """Formula of an instant."""
+    """Field type of a formula of an `ocp.Instant`."""
 
     def read(self, item: Item) -> InstantFormula:
-        """Read a formula, whose names have to exist."""
+        """Read a formula and check the names in it."""
         formula = item.formula()
         numbers = item.document.numbers
         for name in sorted(formula.names - numbers.keys() - {TIME}):
@@ -132,11 +132,11 @@ class InstantText(FieldType):
         return InstantFormula(formula.text, numbers)
 
     def write(self, value: Any) -> str:
-        """Write a formula, with numbers for their names."""
+        """Write a formula with numbers in place of named constants."""
         if not isinstance(value, InstantFormula):
             raise NotWritten("a function in Python: leave it out, or give an ocp.InstantFormula")
         return Formula(value.text).with_numbers(value.numbers)
 
     def schema(self, kinds: Any) -> dict[str, Any]:
-        """Build the schema of a text."""
+        """Build the JSON Schema of a text."""
         return {"type": "string"}

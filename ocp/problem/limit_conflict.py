@@ -1,7 +1,7 @@
 """Contradictory limits at one instant.
 
-At a given state, most limits are linear in the controls. A linear program then decides whether
-there are controls that satisfy all of them.
+At a given state, most limits are linear in the controls. A linear program then decides whether any
+controls satisfy all of them.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from tenscasadi.util.validate import Array
 
 
 class Conflict(NamedTuple):
-    """Limit that is infeasible together with the others.
+    """Limit that contradicts the other limits at a state.
 
     Attributes
     ----------
@@ -44,15 +44,20 @@ class Conflict(NamedTuple):
 
 
 class _LimitRow(NamedTuple):
-    """One-sided limit slope · u ≤ room on controls u.
+    """One-sided linear limit slope · u ≤ room on the controls u.
 
     Attributes
     ----------
-    slope, room : gradient (α,) and right-hand side, both divided by ``size``.
-    limit, name, unit : limit, name and unit of the quantity.
-    sign : 1 for an upper limit, −1 for a lower one.
-    size : magnitude of the limit.
-    needed : whether the quantity depends on an entry of the state (nx,).
+    slope, room : ndarray (α,), float
+        Gradient and right-hand side, both divided by ``size``.
+    limit, name, unit : float, str, str
+        Limit, name and unit of the quantity.
+    sign : float
+        1 for an upper limit, −1 for a lower one.
+    size : float
+        Magnitude of the limit.
+    needed : ndarray of bool (nx,)
+        Whether the quantity depends on each entry of the state.
     """
 
     slope: Array
@@ -70,9 +75,10 @@ def find_conflict(
 ) -> Conflict | None:
     """Find the most violated limit at a state.
 
-    The controls are those that minimize the largest relative violation. Returns None if this
-    violation is negligible. ``moment`` is "start" or "end" of an interval. ``fixed`` (nx,) marks the
-    known entries of the state (None: all of them); quantities that depend on others are ignored.
+    A linear program chooses controls that minimize the largest relative violation of all limits.
+    Returns None if this violation is negligible. ``moment`` is "start" or "end" of an interval.
+    ``fixed`` (nx,) marks the known entries of the state (None: all of them); quantities that depend
+    on other entries are ignored.
     """
     moments = {moment, "last"} if moment == "end" else {moment}
     rows = [
@@ -111,7 +117,7 @@ def find_conflict(
 def _read_linear_rows(limited: PathConstraint, state: Array) -> list[_LimitRow]:
     """Extract the limits that are linear in the controls.
 
-    Coefficients are those at the given state.
+    Their coefficients are evaluated at the given state.
     """
     value, control = ca.densify(limited.value), limited.symbols[1]
     linear = ~np.array(ca.which_depends(value, control, 2, True), dtype=bool)

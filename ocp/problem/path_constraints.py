@@ -1,4 +1,4 @@
-"""Path constraints of a plan.
+"""Path constraints of a plan, built from its bounds.
 
 Nonlinear programs and controllers impose them, and reports list them.
 """
@@ -42,9 +42,10 @@ _LIMITS: dict[type, type[Any]] = {
 
 
 def control_limits(model: Model) -> type[Any] | tuple[()]:
-    """Return the limits of a model's control, which are bounds on decision variables.
+    """Return the class of bounds that limit the model's control.
 
-    None are bounds of a problem if they belong to the control, as those of winches do.
+    They are bounds on decision variables instead of path constraints. Controls that have limits of
+    their own, such as winches, have no such class.
     """
     return _LIMITS.get(type(model.scene.control), ())
 
@@ -52,7 +53,7 @@ def control_limits(model: Model) -> type[Any] | tuple[()]:
 def path_constraints(
     problem: Problem, kind: type[PathBound] | type[RateBound], implied: bool = False
 ) -> list[PathConstraint]:
-    """Build the path constraints of the bounds of one kind.
+    """Build the path constraints of all bounds of a class.
 
     Names are unique: if several bounds limit a quantity, its name includes the index of the bound,
     as in "obstacle clear of bar 0 (bounds[2])". ``implied`` selects the weaker constraints that the
@@ -72,9 +73,9 @@ def path_constraints(
 def _build_constraints(
     problem: Problem, kind: type, implied: bool
 ) -> Iterator[tuple[int, PathConstraint]]:
-    """Yield constraints with the index of their bound.
+    """Yield path constraints with the index of their bound.
 
-    Limits of the control itself are left out, as they are bounds on decision variables.
+    Limits of the control itself are omitted, as they are bounds on decision variables.
     """
     model = problem.model
     control = control_limits(model)
@@ -87,10 +88,10 @@ def _build_constraints(
 
 
 def _limit_force_densities(problem: Problem) -> list[PathConstraint]:
-    """Build the limits of force densities that are no controls.
+    """Build the limits of force densities that are not controls.
 
-    Strings carry no compression, so that lower limits are at least 0. That is one constraint for
-    each cable, and the controls satisfy it already if they are tensions.
+    Strings carry no compression, so that lower limits are at least 0. A cable needs one such
+    constraint. If tensions are the control, none is needed.
     """
     now, (lower, upper) = symbolic(problem.model), problem.force_density_limits
     own = (lower > 0) | np.isfinite(upper)
@@ -106,7 +107,10 @@ def _limit_force_densities(problem: Problem) -> list[PathConstraint]:
 
 
 def _limit_internal_states(problem: Problem) -> list[PathConstraint]:
-    """Build the limits of rest lengths and winding speeds that are states."""
+    """Build the limits of winches' rest lengths and motor speeds.
+
+    Both are states of the model.
+    """
     if not problem.model.na:
         return []
     now, scene = symbolic(problem.model), problem.model.scene
@@ -150,7 +154,7 @@ class ScaledRows:
 def scaled_rows(
     problem: Problem, kind: type[PathBound] | type[RateBound], scales: Scales, strength: float
 ) -> list[ScaledRows]:
-    """Build the scaled path constraints of one kind.
+    """Build the scaled path constraints of a class of bounds.
 
     ``strength`` is a typical force density [N/m].
     """

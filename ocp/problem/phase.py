@@ -40,7 +40,7 @@ class Phase(Value, kind="Phase"):
 
     Jumps, landings and steps are plans of several phases. Contact nodes keep their positions. Their
     normal forces are compressive, and their tangential forces stay within the friction cone. At the
-    beginning of a phase, nodes that come into contact have an impact without rebound.
+    beginning of a phase, nodes that come into contact have an inelastic impact.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ class Phase(Value, kind="Phase"):
 def phases_between(
     waypoints: Sequence[Waypoint], shortest: float, longest: float
 ) -> tuple[Phase, ...]:
-    """Build the phases between waypoints of free times.
+    """Build the phases between waypoints whose times are free.
 
     Raises ValueError if the times contradict each other or the duration.
     """
@@ -143,7 +143,7 @@ def phases_between(
 
 
 def find_node_coordinates(model: Model) -> Indices:
-    """Find the indices (n, 3) of the nodes' free coordinates.
+    """Find the indices (n, 3) of node coordinates in the state.
 
     Pinned coordinates have −1.
     """
@@ -153,7 +153,7 @@ def find_node_coordinates(model: Model) -> Indices:
 
 
 def reject_phases(phases: Sequence[Phase], user: str) -> None:
-    """Raise ValueError if there are phases."""
+    """Raise ValueError if a problem has phases."""
     if phases:
         raise ValueError(
             f"{user} takes no problem with phases: give one without, or plan it by ocp.solve"
@@ -168,7 +168,7 @@ def check_phases(
     bounds: Sequence[Bound],
     costs: Sequence[Cost],
 ) -> None:
-    """Check that phases fit the rest of a problem.
+    """Check that phases are consistent with the problem.
 
     Raises TypeError, ValueError.
     """
@@ -204,9 +204,9 @@ def check_phases(
 
 
 def _check_costs(model: Model, costs: Sequence[Cost]) -> None:
-    """Check that costs do not depend on the plan's time.
+    """Check that costs do not depend on the total time.
 
-    Raises ValueError, as the time within a phase does not determine that of the whole plan.
+    Raises ValueError, as only the time since the beginning of the phase is known within it.
     """
     for cost in costs:
         now, terms = symbolic(model), cost.terms()
@@ -222,9 +222,9 @@ def _check_costs(model: Model, costs: Sequence[Cost]) -> None:
 
 
 def _check_contact(model: Model, start: Array, phases: Sequence[Phase]) -> None:
-    """Check that contact nodes have a ground.
+    """Check that the scene has a ground for contact nodes.
 
-    Those of the first phase have to start on it. Raises ValueError.
+    The contact nodes of the first phase have to start on it. Raises ValueError.
     """
     structure, grounds = model.scene.structure, model.scene.grounds
     on_bodies = {node for body in structure.bodies for node in body.nodes}

@@ -131,9 +131,9 @@ class Problem(Value, kind="Problem"):
         return f"Problem({', '.join([f'duration={self.duration}', *parts])})"
 
     def to_fields(self) -> dict[str, Any]:
-        """Return the keyword arguments.
+        """Return the keyword arguments that build the problem again.
 
-        Parameters are left out, as the model has their values.
+        ``parameters`` is omitted, as the model contains their values.
         """
         names = [field.name for field in fields(self) if field.init and field.name != "parameters"]
         return {name: getattr(self, name) for name in names}
@@ -217,12 +217,12 @@ class Problem(Value, kind="Problem"):
 
     @property
     def initial_goals(self) -> tuple[Goal, ...]:
-        """Goals of a free start."""
+        """Goals for a free initial state; empty without one."""
         return tuple(self.start.goals) if isinstance(self.start, FreeStart) else ()
 
     @property
     def terminal_goals(self) -> tuple[Goal, ...]:
-        """Goals of the final state, without periodic goals.
+        """Goals for the final state, without periodic goals.
 
         Goals of waypoints at the end are included.
         """
@@ -236,12 +236,12 @@ class Problem(Value, kind="Problem"):
 
     @property
     def periodic_goals(self) -> tuple[Any, ...]:
-        """Goals that compare the final state with a free start."""
+        """Goals that the final state equals a free initial state."""
         return tuple(goal for goal in self.goals if goal.repeats_start)
 
     @property
     def waypoints(self) -> list[tuple[float, tuple[Goal, ...]]]:
-        """Goals before the end, by fraction of the duration.
+        """Goals before the end, with their fractions of the duration.
 
         They are in the order of time. Goals of one instant form one entry.
         """
@@ -255,14 +255,14 @@ class Problem(Value, kind="Problem"):
 
     @property
     def _instants(self) -> list[tuple[float, tuple[Goal, ...]]]:
-        """Goals by fraction of the duration."""
+        """All goals with their instants, as fractions of the duration."""
         return [
             (fraction_of(goal, self.duration), tuple(getattr(goal, "goals", (goal,))))
             for goal in self.goals
         ]
 
     def limits(self, kind: type[StringLimits]) -> tuple[Array, Array]:
-        """Combine the limits of all bounds of one kind.
+        """Combine the limits of all bounds of a class.
 
         Parameters
         ----------
@@ -280,7 +280,7 @@ class Problem(Value, kind="Problem"):
 
     @property
     def force_density_limits(self) -> tuple[Array, Array]:
-        """Lower and upper limits of γ (α,) [N/m].
+        """Lower and upper limits (α,) of force densities [N/m].
 
         Lower limits are at least 0, as strings carry no compression.
         """

@@ -14,10 +14,10 @@ Duration = float | tuple[float, float]
 def read_items(
     field: str, values: Any, kinds: type, example: str, names: Names | None = None
 ) -> tuple[Any, ...]:
-    """Read a tuple of values of one kind.
+    """Read a tuple of objects of one class.
 
-    Names of nodes, bars and strings are replaced by indices if `names` are given. Raises
-    TypeError, ValueError.
+    Names of nodes, bars and strings are replaced by indices if `names` are given. Raises TypeError,
+    ValueError.
     """
     found = as_tuple(field, values, example)
     for k, value in enumerate(found):
@@ -28,7 +28,7 @@ def read_items(
 
 
 def read_duration(field: str, value: Any) -> Duration:
-    """Read a duration [s], or (shortest, longest).
+    """Read a fixed duration [s], or limits (shortest, longest).
 
     Raises TypeError, ValueError.
     """

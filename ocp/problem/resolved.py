@@ -142,9 +142,10 @@ def fraction_of(goal: Goal, duration: Duration) -> float:
 def string_limits(
     structure: Structure, bounds: Iterable[Bound], kind: type[StringLimits]
 ) -> tuple[Array, Array]:
-    """Combine the limits (α,) or (nu,) of all bounds of one kind.
+    """Combine the string limits of all bounds of a class.
 
-    They are infinite if there are none.
+    They are (α,), or (nu,) with one entry for each cable and each string in no cable; infinite if
+    there are none.
     """
     given = [
         bound.limits(structure)
@@ -158,7 +159,7 @@ def string_limits(
 
 
 def _check_plannable(model: Model) -> None:
-    """Check that plans can move a model: its control, its pins and its bars."""
+    """Check that a model has a control, rigid bars and mobility."""
     check_control(model)
     if model.nq == 0:
         raise ValueError("Problem.model has all nodes pinned: there is nothing to move")
@@ -171,7 +172,7 @@ def _check_plannable(model: Model) -> None:
 def _add_durations(given: Any, phases: tuple[Phase, ...]) -> Any:
     """Compute the total duration of all phases.
 
-    Without phases, it is the given duration.
+    Without phases, ``given`` is returned.
     """
     if not phases:
         return given
@@ -188,7 +189,7 @@ def _add_durations(given: Any, phases: tuple[Phase, ...]) -> Any:
 def _divide(
     structure: Structure, goals: tuple[Goal, ...], phases: tuple[Phase, ...], duration: Duration
 ) -> tuple[tuple[Goal, ...], tuple[Phase, ...]]:
-    """Convert waypoints of free times into ends of phases."""
+    """Convert waypoints with free times into phases that end there."""
     ways = [goal for goal in goals if isinstance(goal, Waypoint)]
     if phases or not any(isinstance(way.time, tuple) for way in ways):
         return goals, phases
@@ -201,7 +202,7 @@ def _divide(
 def _split_soft(
     goals: tuple[Goal, ...], costs: tuple[Cost, ...], duration: Duration
 ) -> tuple[tuple[Goal, ...], tuple[Cost, ...]]:
-    """Split goals into constraints and penalties."""
+    """Move soft goals from the goals to the costs."""
     met: list[Goal] = []
     penalties: list[Any] = []
     for goal in goals:
@@ -225,9 +226,9 @@ def _split_soft(
 def join_soft(
     goals: Iterable[Goal], costs: Iterable[Cost]
 ) -> tuple[tuple[Goal, ...], tuple[Cost, ...]]:
-    """Move penalties from the costs back to the goals.
+    """Move soft goals from the costs back to the goals.
 
-    It reverts the splitting of soft goals. Returns goals and costs.
+    This is the inverse of `_split_soft`. Returns goals and costs.
     """
     given, own = list(goals), []
     for cost in costs:
@@ -241,14 +242,14 @@ def join_soft(
 
 
 def drop_derived(bounds: Iterable[Bound]) -> tuple[Bound, ...]:
-    """Drop the bounds that derive from a strength."""
+    """Drop the bounds that follow from the strings' strength."""
     return tuple(bound for bound in bounds if not isinstance(bound, StrengthLimits))
 
 
 def _drop_strength_states(model: Model, start: Any) -> Any:
-    """Remove the states of the strength from a start (nx,).
+    """Remove the states that record broken or yielded strings.
 
-    Raises ValueError if a string has failed.
+    The start is a state (nx,). Raises ValueError if a string has failed.
     """
     if not count_states(model.scene) or nesting(start) != 1:  # none, nodes or FreeStart
         return start
@@ -276,7 +277,7 @@ def _check_limits(structure: Structure, bounds: tuple[Bound, ...], strength: Arr
 
 
 def _check_phases(found: Resolved, divided: bool) -> None:
-    """Check that phases fit the rest of a problem.
+    """Check that phases are consistent with the problem.
 
     ``divided`` says whether they come from waypoints. Raises TypeError, ValueError.
     """

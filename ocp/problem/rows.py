@@ -43,7 +43,7 @@ class Rows:
     quadratic: Any = None
 
     def select(self, *units: str) -> Rows:
-        """Select the rows with these units."""
+        """Select the rows that have one of the given units."""
         kept = [k for k, unit in enumerate(self.units) if unit in units]
         return Rows(
             self.value[kept, :],
@@ -54,12 +54,12 @@ class Rows:
         )
 
     def sizes(self, units: Mapping[str, float]) -> Array:
-        """Look up the scales (m,) of rows by unit."""
+        """Return the scale (m,) of each row by its unit."""
         return np.array([units[unit] for unit in self.units], dtype=float)
 
 
 def stack(rows: Iterable[Rows]) -> Rows:
-    """Stack the rows of goals, positions before velocities."""
+    """Stack the residuals of several goals, positions before velocities."""
     given = list(rows)
     parts = [part.select(unit) for unit in ("m", "m/s") for part in given]
     empty = ca.SX(0, 1)

@@ -1,4 +1,4 @@
-"""Scales that make states, constraints and objective of order one."""
+"""Scale factors of states, constraints and objective."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ UNBOUNDED = 100.0  # scaled size that no bounded state or unknown of a plan reac
 
 @dataclass(frozen=True, eq=False)
 class Scales:
-    """Scales that make the variables of order one.
+    """Scale factors that make the variables of order one.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Scales:
 
     @staticmethod
     def of(problem: Problem) -> Scales:
-        """Compute the scales of a problem.
+        """Compute the scale factors of a problem.
 
         The length is the diagonal of the structure's bounding box. The time is the longest
         duration, or twice the typical one if that is less.
@@ -67,14 +67,17 @@ class Scales:
         return Scales(length, time, float(model.mechanism.M.sum()), np.concatenate(parts))
 
     def read_position(self, position_scale: float | None) -> float:
-        """Read the `position_scale` of a controller [m]; by default 1 % of the length."""
+        """Read the `position_scale` of a controller [m].
+
+        By default it is 1 % of the typical length.
+        """
         if position_scale is None:
             return 0.01 * self.length
         return positive_number("position_scale", position_scale)
 
     @property
     def units(self) -> dict[str, float]:
-        """Scales of units by their names."""
+        """Scale of each unit by its name, such as "m/s"."""
         speed = self.length / self.time
         return {
             "m": self.length,
@@ -89,16 +92,19 @@ class Scales:
 def control_scale(problem: Problem, strength: float) -> Array:
     """Compute the scale (nu,) of control changes.
 
-    It is a typical force density ``strength`` [N/m], or the tension [N] of a string that has it.
-    Under rest-length control, it is the change of rest lengths [m] that causes it, at most the
-    string lengths; under their rates, that change in the duration [m/s]. Torques of winches hold the
-    typical tension.
+    It is a typical force density ``strength`` [N/m], or the tension [N] of a string with this force
+    density. Rest lengths [m] change by as much as causes this tension, at most by the string
+    length. Rest-length rates [m/s] make that change within the duration. Motor torques [N m]
+    balance the typical tension.
     """
     return scale_control(problem.model, strength, problem.typical_duration)
 
 
 def scale_control(model: Model, strength: float, duration: float) -> Array:
-    """Compute the scale (nu,) of control changes in a duration [s], see `control_scale`."""
+    """Compute the scale (nu,) of control changes in a duration.
+
+    See `control_scale`.
+    """
     structure = model.scene.structure
     if controls_force_densities(model):
         return np.full(len(structure.strings), strength)
@@ -116,9 +122,10 @@ def scale_control(model: Model, strength: float, duration: float) -> Array:
 
 
 def scale_deviations(model: Model, strength: float, speed: float) -> Array:
-    """Compute the scale (nu,) of deviations of the control in regulators.
+    """Compute the scale (nu,) of control deviations in feedback controllers.
 
-    It is that of `scale_control`; of rest-length rates, the deviation of velocities `speed` [m/s].
+    It is that of `scale_control`. For rest-length rates, it is the scale `speed` of velocities
+    [m/s].
     """
     if isinstance(model.scene.control, RestLengthRate):
         return np.full(model.nu, speed)
@@ -128,12 +135,12 @@ def scale_deviations(model: Model, strength: float, speed: float) -> Array:
 def typical_cost(
     problem: Problem, strength: float, states: Array, force_density: Array, duration: float
 ) -> float:
-    """Compute a typical value of the objective for its scaling.
+    """Compute a typical value of the objective, which scales it.
 
-    States are (K + 1, nx), controls (K, nu). Force densities are replaced by one sine period about
-    ``strength`` [N/m]; under other controls, in control costs only. If they alternated between
-    intervals instead, costs of their rates would grow with the square of the number of intervals.
-    The scaled objective would then be small compared with the solver's tolerance.
+    States are (K + 1, nx), controls (K, nu). In costs of the control, the force density is one sine
+    period about ``strength`` [N/m]. If it alternated between intervals instead, costs of its rate
+    would grow with the square of the number of intervals. The scaled objective would then be small
+    compared with the solver's tolerance.
     """
     count = len(force_density)
     string, interval = np.indices((len(problem.model.scene.structure.strings), count))

@@ -25,9 +25,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class FreeStart(Value, kind="FreeStart"):
-    """Initial state that the solver chooses, as for a gait.
+    """Initial state as a decision variable, such as a gait's.
 
-    Bar lengths and joints are constraints on it. A clock keeps its value in ``near``.
+    Bar lengths and joints are constraints on it. The clock (time as a state) keeps its value in
+    ``near``.
 
     Parameters
     ----------
@@ -65,7 +66,7 @@ class FreeStart(Value, kind="FreeStart"):
 
 
 def read_start(model: Model, start: ArrayLike | FreeStart | None) -> Array | FreeStart:
-    """Read the start and project it onto the constraints.
+    """Read the initial state and project it onto the constraints.
 
     Raises TypeError, ValueError.
     """

@@ -130,7 +130,7 @@ class Tracking(RunningCost, kind="Tracking"):
 
 
 def _moving(field: str, place: Callable[[Any], Any], time: Any) -> tuple[Any, ...]:
-    """Read a reference position at a symbolic time."""
+    """Evaluate a time-dependent reference position at a symbolic time."""
 
     def read(field: str, entry: Any) -> Any:
         if not isinstance(entry, (ca.SX, ca.MX)):

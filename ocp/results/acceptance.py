@@ -34,7 +34,7 @@ UNFINISHED = "its replay was not finished in time"
 
 
 class ReplayMeasures(NamedTuple):
-    """Distances of the ends of several replays from the goals.
+    """Goal residuals of several replays.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class ReplayMeasures(NamedTuple):
 
 
 def measure_errors(plan: PlanResult, target: Target | None, state_at: StateAt) -> ReplayMeasures:
-    """Compute the goal residuals of several motions.
+    """Compute the goal residuals of several trajectories.
 
     `state_at` returns their states (n, nx) at a fraction of the duration. Residuals refer to the
     user's goals and waypoints. Without goals they refer to the final state of the plan.
@@ -75,9 +75,9 @@ def measure_errors(plan: PlanResult, target: Target | None, state_at: StateAt) -
 
 
 def interpolate_replays(times: Array, states: Array) -> StateAt:
-    """Interpolate the fine steps of n replays linearly.
+    """Interpolate the states of n replays linearly between time steps.
 
-    Their states (n, T, nx) are given at times (T,) [s].
+    The states (n, T, nx) are given at times (T,) [s].
     """
 
     def state_at(share: float) -> Array:
@@ -110,14 +110,14 @@ class _Verified(NamedTuple):
     goal: str = ""
 
     def worst(self, duration: float) -> float:
-        """Compute the larger of both errors [m].
+        """Compute the larger of position and velocity error [m].
 
         The velocity error counts as velocity × duration. A failed replay has infinite error.
         """
         return float(np.nan_to_num(max(self.position, self.velocity * duration), nan=np.inf))
 
     def describe(self, name: str, success: bool) -> str:
-        """Describe the end of the replay."""
+        """Describe the final errors of the replay for a message."""
         if np.isnan(self.position):
             return self.note or f"its {name} diverges"
         text = f"its {name} ends {self.position:.2g} m and {self.velocity:.2g} m/s from the goals"
@@ -139,9 +139,10 @@ def assess_plan(
 
     The replay must meet goals, waypoints and terminal limits within the tolerance, and the plan all
     limits. Convergence of the solver is not required. By default the open-loop replay counts. The
-    replay under `track` counts instead if `tracked` is True, or if errors grow so fast that no
-    open-loop motion follows the plan, see `describe_growth`. `scene` is that of the user's problem,
-    whose strings can break or yield. Returns the plan with its errors, success and message.
+    replay under the feedback of `track` counts instead if `tracked` is True, or if errors grow so
+    fast that no open-loop simulation follows the plan, see `describe_growth`. `scene` is that of
+    the user's problem, whose strings can break or yield. Returns the plan with its errors, success
+    and message.
     """
     target = target.begin_at(found.states[0])
     duration = float(plan.time[-1])
@@ -213,17 +214,17 @@ def _verify(plan: PlanResult, target: Target, replay: Replay, tracked: bool) -> 
 
 
 def find_missed_goal(plan: PlanResult, target: Target, tolerance: float) -> str:
-    """Find the goal row that the planned motion itself misses most.
+    """Find the goal row that the plan itself violates most.
 
-    Waypoints refer to the interpolant by which they are imposed. Returns "" if the motion meets
-    all goals within the tolerance [m].
+    Waypoints refer to the interpolant by which they are imposed. Returns "" if the planned states
+    meet all goals within the tolerance [m].
     """
     errors = measure_errors(plan, target, interpolate_plan(plan))
     return "" if errors.rows.max(initial=0.0) <= tolerance else errors.worst
 
 
 def _violated(plan: PlanResult) -> bool:
-    """Return whether the planned motion violates a limit."""
+    """Return whether the planned trajectory violates a limit."""
     return plan.problem is not None and bool(
         violated_limits(plan.problem, plan.time, plan.trajectory.states, plan.control)
     )
@@ -253,7 +254,7 @@ def describe_growth(plan: PlanResult, tolerance: float) -> str:
 
 
 def _measure_depth(problem: Problem) -> float:
-    """Compute the depth of contact nodes at rest [m]."""
+    """Compute the penetration depth of contact nodes at rest [m]."""
     scene = problem.model.scene
     counts = [len(phase.contact_nodes) for phase in problem.phases if phase.contact_nodes]
     if not counts or scene.gravity is None:
@@ -297,9 +298,9 @@ def _advise(plan: PlanResult, found: Outcome) -> str:
 
 
 def _describe_overload(scene: Scene, motion: Trajectory | None) -> str:
-    """Describe a string that breaks or yields between mesh points of a replay.
+    """Describe a string that breaks or yields in a replay.
 
-    Returns "" if there is none.
+    This happens between mesh points. Returns "" if there is none.
     """
     if motion is None:
         return ""

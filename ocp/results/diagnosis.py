@@ -83,8 +83,8 @@ def explain_failure(
     """Explain why a solver failed.
 
     The message gives the cause, its cure, and the name of the largest violation. `state_at` returns
-    the states of the planned motion. `step` is the longest step of its discretization [s]; 0 omits
-    the check of its length.
+    the planned states at a fraction of the duration. `step` is the longest step of its
+    discretization [s]; 0 omits the check of its length.
     """
     functions = [program.problem["f"], program.problem["g"]]
     values = ca.Function("values", [program.problem["x"]], functions)(solution.w)
@@ -152,9 +152,9 @@ def _describe_limits(
 
 
 def _find_overdetermined(target: Target, program: Program) -> str:
-    """Find goals with more rows than preceding controls.
+    """Find waypoints with more residuals than earlier controls can satisfy.
 
-    Returns "" if there are none.
+    Returns a message, or "" if there are none.
     """
     unknowns, count = program.parts.unknowns, len(program.states) - 1
     controls = np.array(["of string" in name for name in unknowns.names])
@@ -166,7 +166,7 @@ def _find_overdetermined(target: Target, program: Program) -> str:
 
 
 def _explain_rates(program: Program, solution: Solution, violation: Array, too_long: str) -> str:
-    """Explain which relaxation of the rate limits permits a solution.
+    """Explain how much larger rate limits would permit a solution.
 
     Returns "" if the rate limits are not the cause of the failure.
     """
@@ -217,7 +217,7 @@ def find_long_steps(model: Model, states: Array, gamma: Array, step: float, dura
 
 
 def _find_undefined(program: Program, solution: Solution, f: Array, g: Array) -> str:
-    """Find the row, cost or derivative that is not finite.
+    """Find the constraint, cost or derivative that is not finite.
 
     Returns "" if there is none.
     """
@@ -249,9 +249,9 @@ def _cure(name: str) -> str:
 
 
 def _find_runaway(program: Program, solution: Solution) -> str:
-    """Find the largest unbounded unknown.
+    """Find the decision variable that diverges and has no bound.
 
-    Controls come first, as they make the others grow. Returns "" if no unknown is large.
+    Controls come first, as they make states grow. Returns "" if no variable is large.
     """
     if solution.last is None or not np.all(np.isfinite(solution.last)):
         return ""
@@ -270,6 +270,6 @@ def _find_runaway(program: Program, solution: Solution) -> str:
 
 
 def _list_active(names: tuple[str, ...], value: Array, lower: Array, upper: Array) -> list[str]:
-    """List the entries at (or beyond) their upper limit."""
+    """List the names of entries at or above upper limits."""
     limited = np.isfinite(upper) & (lower < upper)
     return [names[k] for k in np.flatnonzero(limited) if value[k] > upper[k] - 1e-3 * abs(upper[k])]

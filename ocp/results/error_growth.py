@@ -23,10 +23,10 @@ MOST_WORK = (
 def measure_error_growth(model: Model, time: Array, states: Array, force_density: Array) -> float:
     """Compute the worst-case growth of initial errors.
 
-    It is the largest singular value of the state-transition matrix of the motion, restricted to
-    changes of the initial state that bars and joints permit. Positions count in m, velocities in m
-    per duration, and internal states relative to their scale, times the size of the structure. The
-    matrix is the product of the `linear_steps`.
+    It is the largest singular value of the state-transition matrix along the trajectory, restricted
+    to changes of the initial state that bars and joints permit. Positions count in m, velocities in
+    m per duration, and internal states relative to their scale, times the size of the structure.
+    The matrix is the product of the `linear_steps`.
 
     Parameters
     ----------

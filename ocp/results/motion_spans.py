@@ -1,4 +1,7 @@
-"""Spans of a motion that obey one equation of motion each."""
+"""Division of a planned trajectory at changes of contact.
+
+Each part has its own equation of motion.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ from tenscasadi.util.validate import Array, Indices
 
 
 class MotionSpan(NamedTuple):
-    """Part of a motion with its equation of motion.
+    """Part of a trajectory with a single equation of motion.
 
     Attributes
     ----------
@@ -33,7 +36,7 @@ class MotionSpan(NamedTuple):
 
 
 def split_motion(model: Model, states: Array, phases: Sequence[Phase]) -> list[MotionSpan]:
-    """Split a motion into the spans of its phases.
+    """Split a trajectory into the spans of its phases.
 
     Contact nodes are pinned at their planned positions, and no ground acts. A compliant ground
     would have no contact force in the planned states, which do not sink into it. Without phases or

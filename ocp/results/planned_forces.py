@@ -46,8 +46,9 @@ class PlannedForces(Tabular):
     def control(self) -> Array:
         """Control values (K, nu) or (K + 1, nu).
 
-        They are force densities [N/m] of strings, or rest lengths [m], their rates [m/s], motor
-        torques [N m] or tensions [N] of cables and lone strings.
+        They are force densities [N/m] of strings. Otherwise they are rest lengths [m], their rates
+        [m/s], motor torques [N m] or tensions [N], one for each cable and for each string in no
+        cable.
         """
         return self.force_density if self.inputs is None else self.inputs
 

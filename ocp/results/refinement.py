@@ -1,4 +1,4 @@
-"""Mesh refinement of plans by the defects of their intervals."""
+"""Mesh refinement of plans where the discretization error is large."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def refine_until_accurate(
 def _search(
     plan: PlanResult, tolerance: float, attempts: int, again: Again, monitor: Any
 ) -> tuple[PlanResult, str]:
-    """Refine a plan by its solver.
+    """Refine the mesh of a plan in several attempts.
 
     Returns the plan and "", or the best plan and the reason why it misses the tolerance.
     """
@@ -127,7 +127,7 @@ def _finer_mesh(plan: PlanResult, tolerance: float) -> dict[str, Any]:
 
 
 def _sample_again(plan: PlanResult, tolerance: float, again: Again) -> tuple[PlanResult, str]:
-    """Refine a plan of the sampling method by another search.
+    """Repeat the random search for a more accurate plan.
 
     Returns the plan and "", or the given plan and the reason why it misses the tolerance.
     """
@@ -146,7 +146,7 @@ def _better(plan: PlanResult, other: PlanResult) -> PlanResult:
 def finer(
     model: Model, time: Array, states: Array, force_density: Array, too_large: float
 ) -> Array:
-    """Subdivide the intervals of a plan by their defects.
+    """Subdivide the intervals of a plan that have large defects.
 
     Parameters
     ----------

@@ -28,9 +28,9 @@ def replay_open(
     the plan. `step` is the longest integration step [s]. By default it is a tenth of an interval,
     or less if contact with a ground requires it, of `RungeKutta4`. If elastic strings make such
     steps unstable, it is half an interval of `Collocation`. Under rest-length control with the
-    default scheme, energy is not judged: the steps need not resolve vibrations of the strings,
-    which move no goal. The error estimate judges positions. Raises TypeError or ValueError for an
-    invalid scheme or step.
+    default scheme, the acceptance test of the run ignores the energy error: the steps need not
+    resolve vibrations of the strings, which do not affect the goals. Its error estimate is that of
+    positions. Raises TypeError or ValueError for an invalid scheme or step.
     """
     size = None if step is None else positive_number("step", step)
     start, intervals, end = plan.trajectory.states[0], np.diff(plan.time), float(plan.time[-1])

@@ -191,7 +191,7 @@ def violated_limits(
 def _planned_limits(
     problem: Problem, time: Array, states: Array, controls: Array
 ) -> list[_LimitedValues]:
-    """Evaluate limits at both ends of every interval.
+    """Evaluate a plan's limits at both ends of every interval.
 
     Both ends have the controls of the interval.
     """
@@ -240,7 +240,7 @@ class _LimitedValues(NamedTuple):
     values: Array
 
     def findings(self, broken: bool) -> list[Finding]:
-        """Find the limits that are violated, or those active."""
+        """List the violated limits if `broken`, otherwise the active ones."""
         found = []
         lower, upper = self.limited.lower, self.limited.upper
         width = np.where(np.isfinite(upper - lower), upper - lower, np.inf)
@@ -268,9 +268,9 @@ class _LimitedValues(NamedTuple):
 def _limits_of_instants(
     problem: Problem, time: Array, states: Array, controls: Array
 ) -> list[_LimitedValues]:
-    """Evaluate the controls and all path bounds at given instants.
+    """Evaluate the controls and all path constraints at given times.
 
-    Bounds of the end only are evaluated at the last instant.
+    Terminal limits are evaluated at the last time only.
     """
     lower, upper = problem.control_limits
     inputs = name_inputs(problem.model.scene.structure)
@@ -300,7 +300,7 @@ def _limits_of_instants(
 def _limits_of_rates(
     problem: Problem, time: Array, states: Array, force_density: Array
 ) -> list[_LimitedValues]:
-    """Evaluate the rate bounds between successive control values."""
+    """Evaluate the limited rates between successive control values."""
     x, u, t = states[: len(force_density)].T, force_density.T, time[: len(force_density)]
     if len(t) < 2:
         return []

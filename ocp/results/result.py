@@ -1,4 +1,4 @@
-"""The result of a search for a plan, as data."""
+"""Solution of an optimal control problem, as data."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ STEPS = 10  # integration steps and rest-length updates in each interval of a pl
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PlanResult(PlannedForces, Stored):
-    """Controls over time and the resulting motion.
+    """Solution of an optimal control problem, as data.
 
-    `ocp.Plan` documents the fields.
+    `ocp.Plan` documents the fields and adds methods.
     """
 
     success: bool
@@ -104,7 +104,7 @@ class PlanResult(PlannedForces, Stored):
         return float(np.max(growths))
 
     def require_model(self, user: str) -> Model:
-        """Return the model.
+        """Return the model; raise ValueError if it is unknown.
 
         Parameters
         ----------

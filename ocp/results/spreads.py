@@ -1,4 +1,4 @@
-"""Checks of the spreads of robustness studies."""
+"""Checks of the parameter and state variations of robustness studies."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from tenscasadi.util.validate import finite_array, format_value, nesting, positi
 def check_variation(parameters: Any, start: Any) -> tuple[dict[str, float], tuple[float, float]]:
     """Check the spreads of parameters and of the initial state.
 
-    Returns those of the parameters by name, and those of positions [m] and velocities [m/s]. Raises
-    TypeError or ValueError, also if nothing varies.
+    A spread is the half-width of a uniform distribution. Returns those of the parameters by name,
+    and those of positions [m] and velocities [m/s]. Raises TypeError or ValueError, also if nothing
+    varies.
     """
     spreads, place = check_spreads(parameters), check_start(start)
     if not spreads and not any(place):

@@ -1,4 +1,4 @@
-"""View content of plans: motions, obstacles, targets, and charts."""
+"""Pictures of plans: trajectories, obstacles, targets and charts."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from tenscasadi.util.validate import Array
 
 
 def describe_plan(plan: Any) -> ViewContent:
-    """Describe a plan as view content.
+    """Describe a plan for plots and the viewer.
 
-    The replay is opaque. It is missing if the plan's model is unknown.
+    The replay is drawn opaque. It is missing if the plan's model is unknown.
     """
     planned = describe_trajectory(plan.trajectory, "plan")
     replay = None if plan.model is None else plan.replay(tracked=plan.tracked)
@@ -53,7 +53,7 @@ def describe_plan(plan: Any) -> ViewContent:
 
 
 def _list_goals(plan: Any) -> Iterator[tuple[float, Any]]:
-    """Yield the goals with their times [s]."""
+    """Yield the goals of a problem with their times [s]."""
     problem, first, last = plan.problem, float(plan.time[0]), float(plan.time[-1])
     if problem is None:
         return
@@ -119,7 +119,10 @@ def _build_charts(plan: Any, replay: Any, bounds: list[Any]) -> Iterator[Chart]:
 def _limits(
     kind: type[StringLimits], plan: Any, bounds: list[Any], count: int
 ) -> tuple[Array, Array]:
-    """Find the tightest limits (α,) of a kind, or infinity."""
+    """Find the tightest limits (α,) of a class of bounds.
+
+    They are infinite if there are none.
+    """
     lower, upper = np.full(count, -np.inf), np.full(count, np.inf)
     for bound in bounds:
         if isinstance(bound, kind):

@@ -71,7 +71,7 @@ class NodeAccelerationLimits(PathBound, kind="NodeAccelerationLimits"):
             raise ValueError("NodeAccelerationLimits.nodes is empty: give nodes that can move")
 
     def _moving(self, structure: Structure) -> list[int]:
-        """List the nodes with a limit."""
+        """List the indices of the nodes whose acceleration is limited."""
         if self.nodes is not None:
             return list(self.nodes)
         return [int(node) for node in np.flatnonzero(~structure.fixed.all(axis=1))]

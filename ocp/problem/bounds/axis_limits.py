@@ -18,9 +18,9 @@ Corner = Annotated[Sequence[float | None], POINT, Check(partial(coordinates, non
 
 @dataclass(frozen=True, eq=False)
 class AxisLimits(PathBound):
-    """Base class of lower and upper limits along x, y and z.
+    """Base class of limits along x, y and z.
 
-    They limit functions of the state, at the end of every interval.
+    They limit a function of the state at the end of every interval of the mesh.
     """
 
     lower: Corner = (None, None, None)
@@ -41,7 +41,9 @@ class AxisLimits(PathBound):
             )
 
     def corners(self) -> tuple[Array, Array]:
-        """Return both corners of the box.
+        """Return the lower and upper limits along x, y, z.
+
+        They are infinite along axes without limit.
 
         Returns
         -------
@@ -54,6 +56,6 @@ class AxisLimits(PathBound):
         return lower, np.array([np.inf if value is None else value for value in self.upper])
 
     def limit_vector(self, vector: Any, quantity: str, unit: str) -> Limit:
-        """Build the limits of a vector (3,) along the axes that have one."""
+        """Build the limits of a vector (3,) along the limited axes."""
         names = tuple(f"{quantity} along {axis}" for axis in "xyz")
         return drop_infinite(Limit(vector, *self.corners(), names, unit))

@@ -82,7 +82,7 @@ class BarForceLimits(PathBound, kind="BarForceLimits"):
         self._most(structure)
 
     def _most(self, structure: Structure) -> tuple[Array, Array]:
-        """Broadcast the largest compression and tension (β,) [N]."""
+        """Broadcast the largest compression and tension of bars (β,) [N]."""
         count = len(structure.bars)
         compression = broadcast_limits(
             "BarForceLimits.compression", self.compression, count, np.inf
@@ -166,7 +166,7 @@ class Buckling(PathBound, kind="Buckling"):
         self.loads(structure)
 
     def loads(self, structure: Structure) -> Array:
-        """Compute the allowed compression of each bar.
+        """Compute the allowed compression of each bar (β,) [N].
 
         Parameters
         ----------

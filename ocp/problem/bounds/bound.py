@@ -1,4 +1,4 @@
-"""Base classes of bounds on quantities along a plan."""
+"""Base classes of limits that hold along a plan."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 class Limit(NamedTuple):
     """Quantities with lower and upper limits.
 
-    The constraints are lower ≤ value ≤ upper; the quantities are functions of one or two instants.
+    The constraints are lower ≤ value ≤ upper. The quantities are functions of the variables at one
+    instant of the plan, or at two.
 
     Attributes
     ----------
@@ -43,7 +44,7 @@ class Limit(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PathConstraint:
-    """Constraint lower ≤ value ≤ upper in symbols.
+    """Path constraint lower ≤ value ≤ upper as CasADi expressions.
 
     Attributes
     ----------
@@ -66,7 +67,7 @@ class PathConstraint:
 
     @property
     def function(self) -> ca.Function:
-        """Function from the symbols to the quantities."""
+        """Function from the symbols to the constrained quantities."""
         return ca.Function("limited", self.symbols, [ca.densify(self.value)])
 
 
@@ -81,22 +82,23 @@ class Bound(Value):
 
 
 class PathBound(Bound):
-    """Base class of limits of functions of one instant.
+    """Base class of limits on functions of one instant.
 
-    They hold at the ``ends`` of every interval, by default at both. Functions of the state alone
-    need one of them only, which limits each state once.
+    They hold at the ``ends`` of every mesh interval, by default at its start and its end. The start
+    differs from the previous end only in the control. Limits on the state alone therefore need one
+    of both.
     """
 
     ends: ClassVar[tuple[str, ...]] = ("start", "end")
 
     def limit(self, now: Instant) -> Limit:
-        """Build the constrained quantities of an instant."""
+        """Build the constrained quantities at an instant, and their limits."""
         raise NotImplementedError
 
     def imply(self, structure: Structure) -> PathBound:
-        """Build an implied, weaker bound on fewer state entries.
+        """Build a weaker bound on fewer entries of the state.
 
-        By default, it is the bound itself.
+        This bound implies it. By default, it is the bound itself.
         """
         return self
 
@@ -111,15 +113,15 @@ class RateBound(Bound):
     ends: ClassVar[tuple[str, ...]] = ("end",)
 
     def limit(self, before: Instant, after: Instant, interval: Any) -> Limit:
-        """Build the mean rates between two instants.
+        """Build mean rates between two instants, and their limits.
 
-        The instants are an interval [s] apart.
+        ``interval`` is the time between the instants [s].
         """
         raise NotImplementedError
 
 
 def drop_infinite(limit: Limit) -> Limit:
-    """Drop the quantities without limits."""
+    """Drop the quantities with neither lower nor upper limit."""
     value, lower, upper, names, unit = limit
     kept = np.flatnonzero(np.isfinite(lower) | np.isfinite(upper))
     chosen = tuple(names[k] for k in kept)
@@ -127,7 +129,7 @@ def drop_infinite(limit: Limit) -> Limit:
 
 
 def broadcast_limits(field: str, value: ArrayLike | None, count: int, missing: float) -> Array:
-    """Broadcast a limit to ``count`` members.
+    """Broadcast a limit to an array (``count``,), one per member.
 
     None becomes ``missing``. Raises TypeError, ValueError.
     """

@@ -125,7 +125,7 @@ class InsideBox(AxisLimits, kind="InsideBox"):
         return Limit(value, lower[axes], upper[axes], names, "m")
 
     def _chosen(self, structure: Structure) -> list[int]:
-        """List the nodes that stay inside."""
+        """List the nodes that must stay inside the box."""
         return list(range(len(structure.nodes)) if self.nodes is None else self.nodes)
 
 
@@ -169,7 +169,7 @@ def AboveGround(
 
 @dataclass(frozen=True, eq=False)
 class BarClearance(PathBound, kind="BarClearance"):
-    """Least distance between the axes of bars.
+    """Smallest permitted distance between the axes of bars.
 
     It holds at the end of every interval.
 
@@ -245,7 +245,7 @@ class BarClearance(PathBound, kind="BarClearance"):
             raise ValueError("BarClearance: all bars share nodes: leave it out")
 
     def _bar_pairs(self, structure: Structure) -> list[tuple[int, int]]:
-        """List the pairs of bars that stay apart."""
+        """List the pairs of bars whose distance is limited."""
         if self.pairs is not None:
             return [(pair[0], pair[1]) for pair in self.pairs]
         ends = [set(bar) for bar in structure.bars.tolist()]
@@ -279,7 +279,7 @@ class BarClearance(PathBound, kind="BarClearance"):
 @rename_fields(centre="center")
 @dataclass(frozen=True, eq=False)
 class Obstacle(PathBound, kind="Obstacle"):
-    """Ball that nodes and the axes of bars avoid.
+    """Ball that nodes and the axes of bars must avoid.
 
     The limits hold at the end of every interval.
 
@@ -365,7 +365,7 @@ class Obstacle(PathBound, kind="Obstacle"):
         return Limit(ca.vertcat(*values), lower, upper, tuple(names), "m")
 
     def imply(self, structure: Structure) -> Obstacle:
-        """Build the implied bound on nodes alone.
+        """Build the weaker bound on nodes only.
 
         If a bar is outside the ball, so are its ends.
 
@@ -408,5 +408,5 @@ def segment_distance(a: Any, b: Any, c: Any, d: Any) -> Any:
 
 
 def _within_segment(share: Any) -> Any:
-    """Clip ``share`` to [0, 1] with rounded corners."""
+    """Clip ``share`` to [0, 1], smoothed at both ends."""
     return (ca.sqrt(share**2 + ROUNDING**2) - ca.sqrt((share - 1) ** 2 + ROUNDING**2) + 1) / 2

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class AboveSurface(PathBound, kind="AboveSurface"):
-    """Least distance of nodes from a plane or height field.
+    """Smallest permitted distance of nodes from a ground.
 
     It holds at the end of every interval.
 
@@ -95,6 +95,9 @@ class AboveSurface(PathBound, kind="AboveSurface"):
         return Limit(value, lower, np.full(len(nodes), np.inf), names, "m")
 
     def _chosen(self, structure: Structure) -> list[int]:
-        """List the nodes that stay above, without fixed ones."""
+        """List the nodes that must stay above the ground.
+
+        Nodes that are pinned along all axes are omitted.
+        """
         nodes = range(len(structure.nodes)) if self.nodes is None else self.nodes
         return [node for node in nodes if not structure.fixed[node].all()]

@@ -71,18 +71,19 @@ class StringLimits(Bound):
 
     @classmethod
     def names_of(cls, structure: Structure) -> list[str]:
-        """Name the members with a limit each.
+        """Name the strings or cables that have a limit each.
 
-        They are the strings, or the cables and the strings in no cable.
+        With `per_cable`, they are the cables and the strings that belong to no cable.
         """
         if cls.per_cable:
             return name_inputs(structure)
         return [f"string {string}" for string in range(len(structure.strings))]
 
     def limits(self, structure: Structure) -> tuple[Array, Array]:
-        """Return the lower and upper limits (α,), or (nu,) with cables.
+        """Return the lower and upper limits of each string (α,).
 
-        They are −inf and inf where there are none.
+        With `per_cable`, they have an entry per control input (nu,): for each cable and for each
+        string in no cable. They are −inf and inf where there are none.
         """
         count, name = len(self.names_of(structure)), type(self).__name__
         return broadcast_limits(f"{name}.lower", self.lower, count, -np.inf), broadcast_limits(
@@ -94,9 +95,9 @@ class StringLimits(Bound):
 class ForceDensityLimits(StringLimits, kind="ForceDensityLimits"):
     """Limits of the force density γ of each string.
 
-    They are bounds on decision variables, and hold exactly at all times. Under rest-length control,
-    they are path constraints at both ends of every interval. Strings carry no compression: γ ≥ 0
-    holds without these limits, too.
+    Where force densities are the control, these are bounds on decision variables, and hold exactly
+    at all times. Under rest-length control, they are path constraints at both ends of every
+    interval. Strings carry no compression: γ ≥ 0 holds without these limits, too.
 
     Parameters
     ----------
@@ -174,7 +175,7 @@ class ForceDensityRateLimits(RateBound, kind="ForceDensityRateLimits"):
         broadcast_limits("ForceDensityRateLimits.rate", self.rate, len(structure.strings), np.inf)
 
     def limit(self, before: Instant, after: Instant, interval: Any) -> Limit:
-        """Build the limited rates and their limits.
+        """Build the force-density rates between two instants, and their limits.
 
         Parameters
         ----------
@@ -197,7 +198,7 @@ class ForceDensityRateLimits(RateBound, kind="ForceDensityRateLimits"):
 
 @dataclass(frozen=True, eq=False)
 class TensionBound(StringLimits, PathBound):
-    """Base class of limits of tensions at the ends of intervals."""
+    """Base class of limits on string tensions at mesh points."""
 
     per_cable: ClassVar[bool] = True
 
@@ -263,9 +264,9 @@ class TensionLimits(TensionBound, kind="TensionLimits"):
 
 @dataclass(frozen=True, eq=False)
 class StrengthLimits(TensionLimits):
-    """Limits of the tension that `Problem` derives from the strength.
+    """Tension limits that `Problem` derives from the strength of strings.
 
-    They are no arguments: a copied problem derives its own.
+    They are not stored among the user's bounds: a copied problem derives them again.
     """
 
 
@@ -399,7 +400,7 @@ class RestLengthRateLimits(RateBound, kind="RestLengthRateLimits"):
         read_stiffness("RestLengthRateLimits.stiffness", self.stiffness, structure)
 
     def limit(self, before: Instant, after: Instant, interval: Any) -> Limit:
-        """Build the limited rates and their limits.
+        """Build the rest-length rates between two instants, and their limits.
 
         Parameters
         ----------
@@ -423,7 +424,10 @@ class RestLengthRateLimits(RateBound, kind="RestLengthRateLimits"):
 
 
 def combine_rates(structure: Structure, bounds: Iterable[Bound]) -> Array:
-    """Compute the smallest limit (nu,) [m/s] of each rest-length rate."""
+    """Compute the tightest limit (nu,) of rest-length rates [m/s].
+
+    It has one entry for each cable and for each string that belongs to no cable.
+    """
     count = len(name_inputs(structure))
     largest = np.full(count, np.inf)
     for bound in bounds:
@@ -436,7 +440,8 @@ def combine_rates(structure: Structure, bounds: Iterable[Bound]) -> Array:
 def read_stiffness(field: str, given: ArrayLike | None, structure: Structure) -> Array:
     """Read the stiffness (α,) [N/m] of strings.
 
-    It is the given one, or that of the structure. Raises ValueError for strings without stiffness.
+    By default it is the stiffness of the structure. Raises ValueError for strings without
+    stiffness.
     """
     values = per_item(
         field, structure.stiffness if given is None else given, len(structure.strings)

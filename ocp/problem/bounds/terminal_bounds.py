@@ -10,9 +10,10 @@ from ocp.problem.bounds.string_bounds import TensionBound
 
 @dataclass(frozen=True, eq=False)
 class TerminalTensions(TensionBound, kind="TerminalTensions"):
-    """Tensions at the end of the plan, within limits.
+    """Limits of string tensions at the end of the plan.
 
-    The tensions are those under the control of the last interval. Equal limits prescribe them.
+    The tensions are those under the control of the last interval. Equal lower and upper limits
+    prescribe them.
 
     Parameters
     ----------

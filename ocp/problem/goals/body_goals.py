@@ -1,4 +1,4 @@
-"""Goals of rigid bodies."""
+"""Goals for the orientation of rigid bodies."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class BodyOrientation(Goal, kind="BodyOrientation"):
         return rotation_matrix(self.rotation)
 
     def check(self, structure: Structure) -> None:
-        """Reject a structure that the goal does not fit.
+        """Check that the structure has the goal's rigid body.
 
         Parameters
         ----------
@@ -70,9 +70,9 @@ class BodyOrientation(Goal, kind="BodyOrientation"):
         find_body(structure, self.body)
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
-        """Build the displacements of the body's nodes.
+        """Build displacements of the body's nodes from the goal.
 
-        They are those from the desired orientation, relative to the mean of the nodes.
+        All positions are relative to the mean of the body's nodes.
 
         Parameters
         ----------

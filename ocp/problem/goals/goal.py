@@ -1,4 +1,4 @@
-"""Base class of goals, soft goals, and goals of distances."""
+"""Base class of goals, soft goals, and goals for distances."""
 
 from __future__ import annotations
 
@@ -63,7 +63,10 @@ class Goal(Value):
 
     @property
     def repeats_start(self) -> bool:
-        """Whether the goal takes the initial state from the problem."""
+        """Whether the goal is relative to the initial state.
+
+        The problem provides this state, which the goal does not store.
+        """
         return False
 
     def check(self, structure: Structure) -> None:
@@ -73,7 +76,7 @@ class Goal(Value):
         """
 
     def bind(self, model: Model, start: Array | None) -> Goal:
-        """Complete the goal by the model and its initial state.
+        """Complete the goal with data of model and initial state.
 
         For example, `CenterOfMass` takes masses from the model. The initial state (nx,) is None if
         it is free.
@@ -81,28 +84,28 @@ class Goal(Value):
         return self
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
-        """Build the residuals as functions of nodes and velocities.
+        """Build the residuals as functions of node positions and velocities.
 
         Both are 3×n [m, m/s].
         """
         raise NotImplementedError
 
     def residuals(self, now: Instant) -> Rows:
-        """Build the residuals at an instant.
+        """Build the residuals at an instant of the plan.
 
-        By default, they are `rows` of the nodes and velocities.
+        By default, they are `rows` of the positions and velocities.
         """
         return self.rows(now.model.scene.structure, now.model_nodes, now.model_velocities)
 
     def places(self, structure: Structure) -> list[tuple[int, int, float]]:
-        """List the coordinates that the goal prescribes.
+        """List the node coordinates that the goal prescribes.
 
         Each entry is node, axis and value [m].
         """
         return []
 
     def move(self, structure: Structure, nodes: Array) -> Array:
-        """Move nodes (n, 3) to the positions of the goal.
+        """Move nodes (n, 3) to positions that satisfy the goal [m].
 
         Bars may change their lengths.
         """
@@ -183,7 +186,7 @@ class SoftGoal(Goal, TerminalCost, kind="SoftGoal"):
         self.goal.check(structure)
 
     def bind(self, model: Model, start: Array | None) -> Goal:
-        """Complete the goal by the model and its initial state.
+        """Complete the goal with data of model and initial state.
 
         Parameters
         ----------
@@ -200,7 +203,7 @@ class SoftGoal(Goal, TerminalCost, kind="SoftGoal"):
         return replace(self, goal=self.goal.bind(model, start))
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
-        """Build the residuals of the goal.
+        """Build the residuals of the penalized goal.
 
         Parameters
         ----------
@@ -219,7 +222,7 @@ class SoftGoal(Goal, TerminalCost, kind="SoftGoal"):
         return self.goal.rows(structure, nodes, velocities)
 
     def residuals(self, now: Instant) -> Rows:
-        """Build the residuals of the goal at an instant.
+        """Build the residuals of the penalized goal at an instant.
 
         Parameters
         ----------
@@ -252,7 +255,7 @@ class SoftGoal(Goal, TerminalCost, kind="SoftGoal"):
 def soft_goals(costs: Iterable[Cost]) -> Iterator[tuple[float, SoftGoal]]:
     """Yield the soft goals among costs.
 
-    Each comes with its fraction of the duration.
+    Each comes with its instant as a fraction of the duration.
     """
     for cost in costs:
         share, goal = (cost.share, cost.cost) if isinstance(cost, CostAt) else (1.0, cost)
@@ -328,7 +331,7 @@ class StringLengths(Goal, kind="StringLengths"):
             per_item("StringLengths.lengths", self.lengths, count)
 
     def _wanted(self, structure: Structure) -> dict[int, float]:
-        """Collect the desired lengths by string."""
+        """Return the desired length of each constrained string [m]."""
         if isinstance(self.lengths, Mapping):
             return dict(self.lengths)
         return dict(
@@ -338,7 +341,7 @@ class StringLengths(Goal, kind="StringLengths"):
         )
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
-        """Build length minus desired length of each string.
+        """Build the length minus the desired length of each string.
 
         Parameters
         ----------
@@ -417,7 +420,7 @@ class Shape(Goal, kind="Shape"):
             )
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
-        """Build distance minus desired distance of node pairs.
+        """Build the distance minus the desired distance of node pairs.
 
         They are the pairs without a bar between them.
 
@@ -452,7 +455,7 @@ class Shape(Goal, kind="Shape"):
         )
 
     def move(self, structure: Structure, nodes: Array) -> Array:
-        """Move nodes to the shape after the best rigid fit.
+        """Move nodes (n, 3) to the desired shape by best fit.
 
         Parameters
         ----------
@@ -473,7 +476,7 @@ class Shape(Goal, kind="Shape"):
 
 
 def check_bar_lengths(subject: str, nodes: Array, structure: Structure) -> None:
-    """Check that nodes keep the lengths of the bars.
+    """Check that node positions agree with bar lengths.
 
     Nodes are (n, 3) [m]; the tolerance is 0.1 %. Raises ValueError.
     """

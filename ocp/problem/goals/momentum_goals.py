@@ -1,4 +1,4 @@
-"""Goals of the velocity of the center of mass and of the angular momentum."""
+"""Goals for linear and angular momentum."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class CenterOfMassVelocity(Goal, kind="CenterOfMassVelocity"):
     velocity: FreePoint
 
     def residuals(self, now: Instant) -> Rows:
-        """Build the velocity minus the desired one.
+        """Build the center of mass velocity minus the desired one.
 
         Parameters
         ----------
@@ -97,7 +97,7 @@ class AngularMomentum(Goal, kind="AngularMomentum"):
     momentum: FreePoint
 
     def bind(self, model: Model, start: Array | None) -> Goal:
-        """Complete the goal by the model and its initial state.
+        """Check that the model can have an angular momentum.
 
         Parameters
         ----------

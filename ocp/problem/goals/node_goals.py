@@ -1,4 +1,4 @@
-"""Goals of nodes and of the center of mass."""
+"""Goals for nodes and for the center of mass."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 def _read(field: str, given: Any, example: str) -> Any:
-    """Read values of nodes from a mapping or array.
+    """Read node positions or velocities from a mapping or array.
 
     A mapping has three numbers or None for each of its nodes; an array is (n, 3).
     """
@@ -104,7 +104,7 @@ class NodePositions(Goal, kind="NodePositions"):
                 )
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
-        """Build coordinates minus desired coordinates.
+        """Build the coordinates minus the desired ones.
 
         Pinned coordinates have no residual.
 
@@ -131,7 +131,7 @@ class NodePositions(Goal, kind="NodePositions"):
         )
 
     def places(self, structure: Structure) -> list[tuple[int, int, float]]:
-        """List the coordinates that the goal prescribes.
+        """List the node coordinates that the goal prescribes.
 
         Parameters
         ----------
@@ -146,7 +146,7 @@ class NodePositions(Goal, kind="NodePositions"):
         return _entries("NodePositions.positions", self.positions, structure)
 
     def move(self, structure: Structure, nodes: Array) -> Array:
-        """Move nodes to the positions of the goal.
+        """Move nodes (n, 3) to the prescribed positions [m].
 
         Bars may change their lengths.
 
@@ -217,7 +217,7 @@ class NodeVelocities(Goal, kind="NodeVelocities"):
                 )
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
-        """Build velocities minus desired velocities.
+        """Build the velocities minus the desired ones.
 
         Pinned axes have no residual.
 
@@ -346,7 +346,7 @@ class CenterOfMass(Goal, kind="CenterOfMass", earlier="CentreOfMass"):
             )
 
     def bind(self, model: Model, start: Array | None) -> Goal:
-        """Complete the goal by the model and its initial state.
+        """Take the masses of the nodes from the model.
 
         Parameters
         ----------
@@ -380,7 +380,7 @@ class CenterOfMass(Goal, kind="CenterOfMass", earlier="CentreOfMass"):
         return self
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
-        """Build coordinates minus desired ones of the center of mass.
+        """Build the center of mass minus its desired position.
 
         Parameters
         ----------
@@ -415,7 +415,7 @@ class CenterOfMass(Goal, kind="CenterOfMass", earlier="CentreOfMass"):
 
 
 def _entries(field: str, given: Any, structure: Structure) -> list[tuple[int, int, float]]:
-    """List node, axis and value of each prescribed entry."""
+    """List node, axis and value of each prescribed coordinate."""
     count = len(structure.nodes)
     if not isinstance(given, Mapping):
         given = dict(enumerate(finite_array(field, given, (count, 3)).tolist()))
@@ -432,9 +432,9 @@ def _entries(field: str, given: Any, structure: Structure) -> list[tuple[int, in
 def _rows(
     goal: str, entries: list[tuple[int, int, float]], structure: Structure, columns: Any, unit: str
 ) -> Rows:
-    """Build entries minus desired entries of columns (3×n).
+    """Build the residuals of prescribed coordinates or velocities of nodes.
 
-    Pinned axes have no residual.
+    ``columns`` (3×n) are the positions or velocities. Pinned axes have no residual.
     """
     free = [(node, axis, value) for node, axis, value in entries if not structure.fixed[node, axis]]
     value = ca.vertcat(*(columns[axis, node] - wanted for node, axis, wanted in free))

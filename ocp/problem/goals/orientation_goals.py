@@ -1,4 +1,4 @@
-"""Goals of the orientation of bars and of triples of nodes."""
+"""Goals for the orientation of bars and node triples."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class BarOrientation(Goal, kind="BarOrientation"):
         node_index("BarOrientation.bar", self.bar, len(structure.bars), "bar")
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
-        """Build the bar vector minus the desired one.
+        """Build the vector along the bar minus the desired one.
 
         Parameters
         ----------
@@ -102,7 +102,7 @@ class BarOrientation(Goal, kind="BarOrientation"):
         return Rows(value, names, ("m",) * 3)
 
     def move(self, structure: Structure, nodes: Array) -> Array:
-        """Turn the bar about its center.
+        """Rotate the bar about its center to the desired direction.
 
         Parameters
         ----------
@@ -190,9 +190,9 @@ class NodeTripleOrientation(Goal, kind="NodeTripleOrientation"):
             )
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
-        """Build the displacements of the first edge and of the normal.
+        """Build the deviations of first edge and normal.
 
-        Both are unit vectors, scaled by the initial length of the edge.
+        Both are unit vectors, multiplied by the initial length of the edge.
 
         Parameters
         ----------
@@ -233,7 +233,7 @@ class NodeTripleOrientation(Goal, kind="NodeTripleOrientation"):
         return Rows(value, names, ("m",) * 6, quadratic=linear)
 
     def move(self, structure: Structure, nodes: Array) -> Array:
-        """Turn the nodes about their mean.
+        """Rotate the three nodes about their mean into the goal.
 
         Parameters
         ----------
@@ -256,13 +256,19 @@ class NodeTripleOrientation(Goal, kind="NodeTripleOrientation"):
 
 
 def _edges(nodes: Any, triple: Sequence[int]) -> tuple[Any, Any]:
-    """Select the vectors from the first node to both others; nodes are 3×n."""
+    """Compute vectors from a triple's first node to the others.
+
+    Nodes are 3×n.
+    """
     first, second, third = triple
     return nodes[:, second] - nodes[:, first], nodes[:, third] - nodes[:, first]
 
 
 def _frame(edge: Array, other: Array) -> Array:
-    """Build the frame (3, 3) of two edges: first edge, in the plane, normal."""
+    """Build the orthonormal frame (3, 3) of two vectors in a plane.
+
+    Its columns are the direction of `edge`, the perpendicular in the plane, and the normal.
+    """
     first, normal = edge / np.linalg.norm(edge), np.cross(edge, other)
     normal = normal / np.linalg.norm(normal)
     return np.column_stack([first, np.cross(normal, first), normal])

@@ -1,4 +1,4 @@
-"""Periodicity constraint between start and end."""
+"""Goal that the final state equals the initial state."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Periodic(Goal, kind="Periodic"):
 
     @property
     def repeats_start(self) -> bool:
-        """Whether the goal takes the initial state from the problem."""
+        """Whether the goal is relative to the problem's initial state."""
         return self.start is None
 
     def __post_init__(self) -> None:
@@ -97,7 +97,7 @@ class Periodic(Goal, kind="Periodic"):
                 )
 
     def bind(self, model: Model, start: Array | None) -> Goal:
-        """Complete the goal by the model and its initial state.
+        """Store the initial positions and velocities in the goal.
 
         Parameters
         ----------
@@ -117,7 +117,7 @@ class Periodic(Goal, kind="Periodic"):
         return replace(self, start=(model.nodes(start)[:count], model.velocities(start)[:count]))
 
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
-        """Build the differences between the final state and the start.
+        """Build the final minus the initial positions and velocities.
 
         Parameters
         ----------

@@ -31,7 +31,7 @@ Rotation = Annotated[ArrayLike, Numbers(((3,), (3, 3))), Check(read_rotation)]
 
 
 def rotation_matrix(given: Any) -> Array:
-    """Compute the matrix (3, 3) of a rotation matrix or vector [rad]."""
+    """Convert a rotation matrix or vector [rad] to a matrix (3, 3)."""
     rotation = np.asarray(given)
     if rotation.ndim == 2:
         return rotation

@@ -1,4 +1,4 @@
-"""Waypoints: constraints at instants before the end."""
+"""Waypoints: goals at instants before the end of a plan."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Waypoint(Goal, kind="Waypoint"):
-    """Goals at a time or fraction of the duration.
+    """Goals at a time or at a fraction of the duration.
 
     Between mesh points, states are interpolated by cubic polynomials. Give either ``time`` or
-    ``share``.
+    ``share``, the fraction of the duration.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ class Waypoint(Goal, kind="Waypoint"):
             goal.check(structure)
 
     def bind(self, model: Model, start: Array | None) -> Goal:
-        """Complete the goals by the model and its initial state.
+        """Complete the goals with data of model and initial state.
 
         Parameters
         ----------
@@ -142,7 +142,7 @@ class Waypoint(Goal, kind="Waypoint"):
         return replace(self, goals=[goal.soft(weight) for goal in self.goals])
 
     def at(self, shortest: float, longest: float) -> float:
-        """Compute the waypoint's fraction of the duration.
+        """Compute the waypoint's time as a fraction of the duration.
 
         Parameters
         ----------
