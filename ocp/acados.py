@@ -109,7 +109,7 @@ def export_acados(mpc: Mpc, folder: str | Path) -> list[Path]:
 
 
 class _Limits:
-    """Collected rows lower ≤ value ≤ upper of one instant."""
+    """Limits lower ≤ value ≤ upper of an instant, collected for acados."""
 
     def __init__(self, mpc: Mpc) -> None:
         self.symbols = [ca.MX.sym("x", mpc.model.nx), ca.MX.sym("u", mpc.model.nu), ca.MX.sym("t")]
@@ -119,7 +119,7 @@ class _Limits:
         self.names: list[str] = []
 
     def add(self, rows: ScaledRows, kept: list[int]) -> None:
-        """Add some of the rows."""
+        """Add the rows with the indices `kept`."""
         self.values.append(rows.function(*self.symbols)[kept])
         self.lower += _finite(rows.lower[kept])
         self.upper += _finite(rows.upper[kept])

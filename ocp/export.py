@@ -192,7 +192,10 @@ def _write_code(
     comment: Sequence[str],
     constants: Sequence[str] = (),
 ) -> list[Path]:
-    """Write functions as `name`.c and `name`.h, whose comment describes them."""
+    """Write CasADi Functions as C code, `name`.c and `name`.h.
+
+    A comment in the header describes them.
+    """
     generator = ca.CodeGenerator(f"{name}.c", {"with_header": True})
     for function in functions:
         generator.add(function)

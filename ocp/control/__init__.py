@@ -1,1 +1,1 @@
-"""Control in closed loop: LQR, model predictive control, sampling."""
+"""Closed-loop control: tracking LQR, model predictive control, MPPI."""

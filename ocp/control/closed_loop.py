@@ -38,7 +38,7 @@ from tenscasadi.util.validate import (
 
 @runtime_checkable
 class Controller(Protocol):
-    """Controller that decides the control of strings from time and state."""
+    """Feedback controller: control of the strings from time and state."""
 
     @property
     def period(self) -> float:
@@ -49,19 +49,19 @@ class Controller(Protocol):
         """Model of the controller."""
 
     def control(self, time: float, state: Array) -> Array:
-        """Decide the control (nu,) until the next decision."""
+        """Compute the control (nu,) for the next sampling period."""
 
 
 @dataclass(frozen=True, eq=False)
 class ClosedLoop(ReadOnlyArrays):
-    """Result of `run`: motion and wall times of the decisions.
+    """Result of `run`: simulated trajectory and computation times.
 
     Attributes
     ----------
     trajectory : Trajectory
-        Motion at the decisions and the steps between them.
+        States at all time steps.
     seconds : ndarray, shape (D,)
-        Wall time of each decision [s].
+        Wall time to compute the control of each sampling period [s].
 
     Examples
     --------
@@ -182,7 +182,10 @@ def run(
 
 
 def _trace_functions(plant: Model, x: Array, duration: float) -> Model:
-    """Check the functions of time of the plant, and interpolate those that CasADi cannot trace."""
+    """Check the functions of time of the simulated model.
+
+    Those that CasADi cannot trace are replaced by interpolants.
+    """
     if not plant.has_clock:
         return plant
     first = float(plant.split(x).clock[0])
@@ -193,7 +196,7 @@ def _trace_functions(plant: Model, x: Array, duration: float) -> Model:
 
 
 def _check_controller(controller: Any) -> float:
-    """Check a controller, and return its period [s]."""
+    """Check a controller and return its sampling period [s]."""
     if (
         isinstance(controller, type)
         or not isinstance(controller, Controller)
@@ -207,7 +210,7 @@ def _check_controller(controller: Any) -> float:
 
 
 def _find_decision_times(t_end: float, period: float) -> Array:
-    """Compute the times of decisions and the end [s]."""
+    """Compute the start times of the sampling periods, and the end [s]."""
     ratio = positive_number("t_end", t_end) / period
     if ratio > MAX_ENTRIES:
         raise ValueError(
@@ -226,7 +229,10 @@ def _record(
     seconds: float,
     interrupted: bool,
 ) -> Trajectory:
-    """Record the periods that were simulated, of n steps each."""
+    """Build the trajectory of the simulated sampling periods.
+
+    Each of them has `n` time steps.
+    """
     rows = np.concatenate(states)
     done = len(controls) == len(ends) - 1
     held = np.concatenate([*controls, controls[-1][-1:]]) if controls else np.zeros((1, plant.nu))
@@ -261,10 +267,10 @@ def _run_periods(
     steps: int,
     disturbance: Callable[[float, Array], Array] | None,
 ) -> Iterator[tuple[Array | None, Array, float]]:
-    """Simulate period after period.
+    """Simulate the sampling periods one after the other.
 
-    Yields the states (steps, nx), None after a divergence, the control (nu,), and the wall
-    time of the decision [s].
+    For each, yields the states (steps, nx), or None after a divergence; the control (nu,); and the
+    wall time of the controller [s].
     """
     chain = split_at_breaks(RungeKutta4().step(plant.ode), plant).mapaccum(steps)
     project = build_projection(plant, 2)
@@ -294,7 +300,7 @@ def _run_periods(
 
 
 def _check_plant(plant: Any, believed: Model) -> None:
-    """Raise ValueError if plant and controller do not fit."""
+    """Raise ValueError if simulated and controller model do not match."""
     instance("model", plant, Model, "a tenscasadi.Model or None")
     own_control, known = plant.scene.control, believed.scene.control
     if own_control is None or type(own_control) is not type(known):
@@ -315,7 +321,7 @@ def _check_plant(plant: Any, believed: Model) -> None:
 
 
 def _find_start(plant: Model, state: Any) -> Array:
-    """Check the initial state, and project it onto the constraints."""
+    """Check the initial state and project it onto the constraints."""
     x = plant.initial_state if state is None else finite_array("state", state, (plant.nx,))
     # rounded lengths and speeds are projected
     if off := off_constraints(plant, x, 1e-3):
@@ -324,7 +330,10 @@ def _find_start(plant: Model, state: Any) -> Array:
 
 
 def _observe(believed: Model, plant: Model, x: Array, now: float) -> Array:
-    """Convert the plant's state to that of the controller's model."""
+    """Convert the plant's state to that of the controller's model.
+
+    The controller's model may lack states of the plant, such as the clock.
+    """
     known, own = believed.moving.stop, plant.moving.stop
     passed = x[own:] if plant.nx > own else np.array([now])
     return np.append(x[:known], passed[: believed.nx - known])

@@ -1,4 +1,4 @@
-"""Predictive control problems as data."""
+"""Optimal control problem of an MPC, as data for export."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tenscasadi.util.validate import Array
 
 
 class Formulation(NamedTuple):
-    """Predictive control problem of an `Mpc`.
+    """Optimal control problem that an `Mpc` solves in each period.
 
     Attributes
     ----------
@@ -27,9 +27,9 @@ class Formulation(NamedTuple):
     substeps : int
         Number of Runge-Kutta steps in each period.
     limits : list of ScaledRows
-        Limits of functions of one instant, except those of the control.
+        Path constraints on state and control, without limits of the control itself.
     rates : list of str
-        Names of limited rates.
+        Names of the quantities whose rates are limited.
     """
 
     ode: ca.Function

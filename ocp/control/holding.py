@@ -1,4 +1,4 @@
-"""Equilibrium of a state at rest, and its stationary regulator."""
+"""Equilibrium at the end of a plan, and its stationary feedback."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from tenscasadi.util.validate import Array, per_item
 
 
 class HeldState(NamedTuple):
-    """Forces of strings that hold a state at rest.
+    """Smallest string forces that keep a state at rest.
 
     Attributes
     ----------
     force_density : ndarray, shape (nu,)
         Force densities [N/m], or tensions [N] if these are the control.
     left : float
-        Largest acceleration that remains [m/s²].
+        Largest remaining acceleration [m/s²].
     coordinate : str
-        Name of its coordinate.
+        Name of the coordinate with this acceleration.
     exact : bool
-        Whether it is negligible.
+        Whether this acceleration is negligible.
     """
 
     force_density: Array
@@ -42,10 +42,10 @@ class HeldState(NamedTuple):
 
 
 def find_equilibrium(model: Model, state: Array, lower: Array, upper: Array) -> HeldState:
-    """Find the least forces of strings that hold a state at rest.
+    """Find the smallest string forces that keep a state at rest.
 
     The control of the model is force densities or tensions. Loads are those at the time of the
-    state. If nothing holds it, the accelerations are least.
+    state. If no forces within the limits balance the loads, they minimize the accelerations.
     """
     count = model.nu
     still = EquationDerivatives.of(model).at(at_rest(model, state)[None], np.zeros((1, count)))
@@ -82,16 +82,16 @@ def find_equilibrium(model: Model, state: Array, lower: Array, upper: Array) -> 
 
 
 class Rest(NamedTuple):
-    """State at rest and the control that holds it.
+    """State at rest with the control that keeps it there.
 
     Attributes
     ----------
     state : ndarray, shape (nx,), or None
-        State; None if nothing holds it.
+        Equilibrium state; None if there is none.
     control : ndarray, shape (nu,)
-        Control of the model.
+        Control of the model in equilibrium.
     message : str
-        Result in words, with the reason of a failure.
+        Description of the result, with the reason of a failure.
     """
 
     state: Array | None
@@ -102,10 +102,10 @@ class Rest(NamedTuple):
 def find_rest(
     model: Model, end: Array, lower: Array, upper: Array, slow: float, margin: float = 0.0
 ) -> Rest:
-    """Find the control that holds the end of a motion.
+    """Find the control that keeps the final state of a plan at rest.
 
-    Forces of strings are found first. Rest lengths follow from the tensions and the stiffness, and
-    winches hold these.
+    The string forces in equilibrium are found first. Rest lengths follow from these forces and the
+    stiffness, and the torques of winches from the tensions.
 
     Parameters
     ----------
@@ -143,11 +143,11 @@ def find_rest(
 
 
 def force_limits(model: Model, problem: Problem | None, state: Array) -> tuple[Array, Array]:
-    """Compute the limits (nu,) of the forces of strings in a state.
+    """Compute the limits (nu,) of the string forces in a state.
 
-    These are force densities [N/m] if they are the control. Otherwise they are the tensions [N] of
-    cables and lone strings, limited by all limits of the problem, which may exclude each other.
-    Without a problem, they are 0 and inf.
+    They limit force densities [N/m] if these are the control. Otherwise they limit the tensions [N]
+    of cables and of strings in no cable, and result from all limits of the problem, which may
+    contradict each other. Without a problem, they are 0 and inf.
     """
     if problem is None:
         return np.zeros(model.nu), np.full(model.nu, np.inf)
@@ -173,7 +173,10 @@ def force_limits(model: Model, problem: Problem | None, state: Array) -> tuple[A
 
 
 def _follow_forces(model: Model, state: Array, forces: Array) -> tuple[Array, Array]:
-    """Compute internal states and control with given forces of strings."""
+    """Compute internal states and control for given string forces.
+
+    Internal states are, for example, the rest lengths of winches.
+    """
     control, structure = model.scene.control, model.scene.structure
     if control is None or control.commands_forces:
         return state, forces
@@ -200,11 +203,12 @@ def at_rest(model: Model, state: Array) -> Array:
 
 
 def compute_stationary_cost(a: Array, b: Array, Q: Array, R: Array) -> Array:
-    """Compute the cost matrix of a regulator over a long horizon.
+    """Compute the cost matrix of an LQR with a long horizon.
 
-    The system is δ⁺ = a δ + b u with the cost δᵀQδ + uᵀRu for each decision. The horizon doubles
-    each time (Chu, Fan, Lin, Int. J. Control 2004, 77, 767), so that modes need not be observable
-    or controllable. It ends before the cost of unstable modes leaves no digits for others.
+    The system is δ⁺ = a δ + b u, with the cost δᵀQδ + uᵀRu at each time step. The horizon is
+    doubled repeatedly (Chu, Fan, Lin, Int. J. Control 2004, 77, 767), so that modes need not be
+    observable or controllable. Doubling ends before the cost of unstable modes exceeds the
+    precision of the others.
     """
     A, G, H = a, b @ scipy.linalg.solve(R, b.T, assume_a="pos"), Q
     eye = np.eye(len(a))

@@ -44,7 +44,7 @@ MAX_SUBSTEPS = 50  # of a decision, for its derivatives
 
 
 class Hold(NamedTuple):
-    """Feedback law after the end of the plan.
+    """Feedback law of a `Tracker` after the end of the plan.
 
     The control is u = inputs − gains (x − state), within limits.
 
@@ -66,12 +66,12 @@ class Hold(NamedTuple):
 @rename_fields(force_density="inputs")
 @dataclass(frozen=True, eq=False)
 class Tracker(ReadOnlyArrays):
-    """Time-varying LQR about a plan, made by `track`.
+    """Time-varying LQR that tracks a plan, made by `track`.
 
     It is a controller for `run` with the law u = u_plan − G (x − x_plan), within limits. After a
-    plan that ends at rest it holds that state. The control then consists of the smallest string
-    forces in equilibrium and the feedback of a stationary LQR. If there is none, `message` gives
-    the reason, and the last gain holds the last state.
+    plan that ends at rest, it keeps the final state: the control is the smallest one in
+    equilibrium, with the feedback of a stationary LQR. If there is no equilibrium, `message` gives
+    the reason, and the last gain G remains in use about the last state.
 
     Attributes
     ----------
@@ -128,7 +128,7 @@ class Tracker(ReadOnlyArrays):
 
     @property
     def feedback(self) -> Feedback:
-        """The regulator as feedback of `tenscasadi.rollouts`."""
+        """Feedback law for `tenscasadi.rollouts`."""
         if self.hold is None:
             return Feedback(self.time, self.inputs, self.states, self.gains, self.lower, self.upper)
         time = np.append(self.time, self.time[-1] + self.period)
@@ -140,7 +140,7 @@ class Tracker(ReadOnlyArrays):
         return Feedback(time, controls, states, gains, self.lower, self.upper)
 
     def control(self, time: float, state: Array) -> Array:
-        """Decide the control until the next decision.
+        """Compute the control for the next sampling period.
 
         Parameters
         ----------
@@ -284,9 +284,9 @@ def track(
 
 
 def _default_scale(plan: PlanResult, model: Model, speed: float) -> float:
-    """Compute the default deviation of the control.
+    """Compute the default scale of control deviations.
 
-    `speed` is the deviation of velocities [m/s].
+    `speed` is the scale of velocity deviations [m/s].
     """
     fraction = 1.0 if isinstance(model.scene.control, Winch) else 0.1  # torques that hold
     strength = fraction * float(plan.force_density.mean()) or 1.0
@@ -296,7 +296,10 @@ def _default_scale(plan: PlanResult, model: Model, speed: float) -> float:
 def _read_limits(
     plan: PlanResult, model: Model, lower: ArrayLike | None, upper: ArrayLike | None
 ) -> tuple[Array, Array]:
-    """Read the limits (nu,) of the control. Raises TypeError, ValueError."""
+    """Read the limits (nu,) of the control.
+
+    Raises TypeError, ValueError.
+    """
     kind, structure = control_limits(model), model.scene.structure
     signed = not (isinstance(kind, type) and issubclass(kind, StringLimits))
     known = (-np.inf if signed else 0.0), np.inf
@@ -322,7 +325,7 @@ def _read_limits(
 def _rest(
     plan: PlanResult, model: Model, limits: tuple[Array, Array], slow: float, margin: float
 ) -> Rest:
-    """Find the control that holds the end of a plan."""
+    """Find the control that keeps the plan's final state at rest."""
     end = plan.trajectory.states[-1]
     if model.scene.commands_forces:
         return find_rest(model, end, *limits, slow, margin)
@@ -333,7 +336,7 @@ def _rest(
 
 
 def replay_tracked(plan: PlanResult) -> Trajectory:
-    """Simulate a plan under `track` from its start.
+    """Simulate a plan under the feedback of `track`.
 
     Raises ValueError if no gains are found or the model is unknown.
     """
@@ -382,9 +385,9 @@ def _regulate(
     kept: ca.Function,
     effort: float,
 ) -> Array:
-    """Compute the gains (K, α, nx) along planned states.
+    """Compute the feedback gains (K, nu, nx) along the planned states.
 
-    If the end is held, there is one gain more, that of the stationary regulator.
+    If there is an equilibrium at the end, the gain of its stationary LQR is appended.
     """
     ends = states
     if rest.state is not None:
@@ -415,9 +418,9 @@ def _regulate(
 def _linearize(
     model: Model, states: Array, controls: Array, period: float, count: int
 ) -> tuple[Array, Array]:
-    """Linearize the trajectories from states (K, nx) over a period.
+    """Linearize the dynamics over a sampling period at states (K, nx).
 
-    RK4 steps compute the states between, and `transitions` the derivatives.
+    RK4 steps compute the states within the period, and `transitions` the Jacobians.
     """
     step, h = RungeKutta4().step(model.ode).mapaccum(count).map(len(states)), period / count
     held = np.repeat(controls, count, axis=0)

@@ -166,9 +166,9 @@ class Mpc:
         )
 
     def control(self, time: float, state: Array) -> Array:
-        """Decide the control until the next decision.
+        """Compute the control for the next sampling period.
 
-        A time before that of the last decision begins a new run.
+        A time before that of the previous call begins a new run.
 
         Parameters
         ----------
@@ -196,7 +196,7 @@ class Mpc:
 
     @property
     def formulation(self) -> Formulation:
-        """Costs and limits of the predictive control problem."""
+        """Optimal control problem on the prediction horizon, as data."""
         x = symbol_kind(self._scaled_output).sym("x", self.model.nx)
         smooth = replace(self.problem, model=self._predicted)
         limits = scaled_rows(smooth, PathBound, self._scales, self._strength)
@@ -212,7 +212,7 @@ class Mpc:
         )
 
     def reset(self) -> None:
-        """Forget the last decision before another run."""
+        """Discard the warm start before another run."""
         self._last = _MpcDecision(
             0.0, np.full((self.intervals, self.model.nu), np.nan), np.full(self.model.nx, np.nan)
         )
@@ -247,7 +247,10 @@ class Mpc:
 
     @property
     def first(self) -> Array:
-        """Input ``before`` (nu, intervals) of the first call of `function`."""
+        """Input ``before`` (nu, intervals) of the first call of `function`.
+
+        It contains the reference control.
+        """
         held = self._reference(0.0)[1].full()
         return np.column_stack([held[:, :1], held[:, :-1]])
 
@@ -260,9 +263,10 @@ class Mpc:
         before: Any,
         earlier: Any,
     ) -> Any:
-        """Compute the controls of the horizon: symbols (nu, intervals), arrays (intervals, nu).
+        """Compute the controls of all periods of the horizon.
 
-        `before` and `earlier` are the last decision and its state, or NaN.
+        Symbols are (nu, intervals), arrays (intervals, nu). `before` and `earlier` are the controls
+        and the state of the previous call, or NaN.
         """
         shift, program = steps
         (gamma,) = shift(time, before)
@@ -271,9 +275,9 @@ class Mpc:
         return gamma
 
     def _build_shift(self) -> ca.Function:
-        """Build the Function (time, before) → shifted γ (α, intervals).
+        """Build the Function that shifts the previous controls by a period.
 
-        Without a last decision, γ is the reference.
+        It is (time, before) → γ (nu, intervals). In the first call, γ is the reference.
         """
         time, before = ca.MX.sym("time"), ca.MX.sym("before", self.model.nu, self.intervals)
         held = self._reference(time)[1]
@@ -287,11 +291,12 @@ class Mpc:
         )
 
     def _build_program(self) -> ca.Function:
-        """Build the quadratic program about a motion.
+        """Build the quadratic program about a predicted trajectory.
 
-        The Function (time, state, γ, before, earlier) → γ, G, g, a, b belongs to: minimize
-        ½ ‖G ΔU‖² + ½ ‖ΔU/control_scale‖² + gᵀ ΔU subject to a ΔU ≤ b, over changes ΔU
-        (α · intervals) of γ. If the motion under γ diverges, γ is replaced by the reference.
+        The Function (time, state, γ, before, earlier) → γ, G, g, a, b gives the program: minimize ½
+        ‖G ΔU‖² + ½ ‖ΔU/control_scale‖² + gᵀ ΔU subject to a ΔU ≤ b, over changes ΔU (nu ·
+        intervals) of the controls γ. If the trajectory under γ diverges, γ is replaced by the
+        reference.
         """
         model, count = self.model, self.intervals
         time, state, earlier = (
@@ -325,7 +330,7 @@ class Mpc:
         )
 
     def _horizon(self, state: Any, gamma: Any, earlier: Any, last: Any) -> Horizon:
-        """Predict the motion under γ (α, intervals), with its derivatives."""
+        """Predict states and sensitivities under the controls γ (nu, intervals)."""
         (nx, nu), count = (self.model.nx, self.model.nu), self.intervals
         slopes, h = build_slopes(self._predicted), self.period / self._substeps
         x, effect = state, ca.DM(nx, 0)  # by the γ of intervals so far
@@ -347,7 +352,10 @@ class Mpc:
         )
 
     def _improve(self, gamma: Array, G: Array, g: Array, a: Array, b: Array) -> Array:
-        """Improve the controls (intervals, nu) by DAQP; keep them after a failure."""
+        """Solve the quadratic program by DAQP and update the controls.
+
+        Controls are (intervals, nu); they remain unchanged if the solver fails.
+        """
         slack = self._slack
         H, now = G @ G.T, gamma.ravel()
         H[np.diag_indices(len(H))] += self._weights
@@ -367,7 +375,10 @@ class Mpc:
         return np.clip(now + change, self._lower, self._upper).reshape(gamma.shape)
 
     def _improve_symbolically(self, gamma: Any, G: Any, g: Any, a: Any, b: Any) -> Any:
-        """Build γ + ΔU (α, intervals) by an interior-point method."""
+        """Build the updated controls γ + ΔU by an interior-point method.
+
+        They are (nu, intervals). The iterations are part of the expression, for C code.
+        """
         size, now = g.shape[0], ca.vec(gamma)
         H, own = G.T @ G + ca.diag(ca.DM(self._weights)), ca.DM.eye(size)
         least, most = (
@@ -388,7 +399,7 @@ class Mpc:
 
 
 class _MpcDecision(NamedTuple):
-    """Time, control and state of a decision, or NaN."""
+    """Time, controls and state of the previous call; NaN before."""
 
     time: float
     force_density: Array
@@ -406,7 +417,7 @@ def _check_plan(plan: PlanResult | None, model: Model) -> None:
 
 
 def _build_solver(unknowns: int, rows: int) -> ArrayFunction:
-    """Build the solver of dense quadratic programs of this size."""
+    """Build the solver of dense quadratic programs of a size."""
     shapes = {
         "h": ca.Sparsity.dense(unknowns, unknowns),
         "a": ca.Sparsity.dense(rows, unknowns),
@@ -423,12 +434,12 @@ def _build_reference(
     period: float,
     place: float,
 ) -> tuple[ca.Function, float]:
-    """Build the reference, and return a typical force density [N/m].
+    """Build the reference to track, and a typical force density [N/m].
 
-    The Function of the time returns references of the scaled output (·, count) at the ends of the
-    next intervals, and of the control (nu, count) in them. A plan is tracked, and held at its end
-    by an equilibrium if it is at rest. Without a plan, the state of the goals is held. Raises
-    ValueError, InfeasibleGoalError.
+    The reference is a Function of the time. It returns the scaled output (·, count) at the ends of
+    the next intervals, and the control (nu, count) in them. With a plan, it is the plan, then its
+    final equilibrium if it ends at rest. Without a plan, it is an equilibrium that meets the goals.
+    Raises ValueError, InfeasibleGoalError.
     """
     time = ca.MX.sym("time")
     if plan is None:
@@ -464,7 +475,10 @@ def _build_reference(
 
 
 def _find_goal(problem: Problem, scales: Scales) -> tuple[Array, Array, Array]:
-    """Find the goals' state, the control that holds it, and force densities."""
+    """Find an equilibrium that meets the goals.
+
+    Returns its state, its control, and its force densities.
+    """
     asked = [
         type(part).__name__
         for part in (problem.start, *problem.goals)
@@ -489,7 +503,7 @@ def _find_goal(problem: Problem, scales: Scales) -> tuple[Array, Array, Array]:
 
 
 def _interpolate(values: Array, nodes: Array, time: Any) -> Any:
-    """Interpolate a profile or states at a symbolic time."""
+    """Interpolate controls or states of a plan at a symbolic time."""
     k = ca.low(ca.DM(nodes), time)
     left = ca.MX(ca.DM(values.T))[:, k]
     if len(values) < len(nodes):

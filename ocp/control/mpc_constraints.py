@@ -17,16 +17,17 @@ NO_LIMIT = 1 / TOLERANCE  # scaled distance that stands for no limit
 
 
 class Horizon(NamedTuple):
-    """Predicted motion over K intervals, and its derivatives.
+    """Predicted states on a horizon of K intervals, with sensitivities.
 
-    The derivatives are with respect to the changes ΔU (K nu) of all controls.
+    Sensitivities are derivatives with respect to the changes ΔU (K nu) of all controls.
 
     Attributes
     ----------
     states, state_effects : list
-        States and derivatives at the last decision, now, and at the ends of the intervals.
+        States and their sensitivities in the previous sampling period, now, and at the ends of the
+        intervals.
     controls, control_effects : list
-        Controls and derivatives of the last decision, and of the intervals.
+        Controls and their sensitivities in the previous sampling period, and in the intervals.
     """
 
     states: list[Any]
@@ -41,11 +42,11 @@ class Horizon(NamedTuple):
 
 
 class HorizonLimits:
-    """Linearized limits of a problem except those of the controls.
+    """Linearized path constraints over the prediction horizon.
 
-    Limits of instants hold at the end of each interval, and terminal limits at the end of the
-    horizon. Rate limits hold between the starts of neighboring intervals, and from the last
-    decision to now.
+    Limits of the control itself are not included. Constraints on one instant hold at the end of
+    each interval, and terminal constraints at the end of the horizon. Rate limits hold between the
+    starts of neighboring intervals, and from the previous sampling period to the present one.
 
     Parameters
     ----------
@@ -67,11 +68,14 @@ class HorizonLimits:
 
     @property
     def from_last_decision(self) -> bool:
-        """Whether the rows depend on the last decision."""
+        """Whether the constraints depend on the previous sampling period."""
         return bool(self._rates)
 
     def rows(self, horizon: Horizon, time: Any, begun: Any) -> tuple[Any, Any]:
-        """Build a (rows, K nu) and b (rows,); `begun`: whether there was a last decision."""
+        """Build a (m, K nu) and b (m,) of the constraints a ΔU ≤ b.
+
+        `begun` is whether there was a previous sampling period.
+        """
         a, b = [ca.DM(0, horizon.control_effects[0].shape[1])], [ca.DM(0, 1)]
         x, dx, u, du = horizon
         for limit, last in self._instants:
@@ -97,7 +101,7 @@ class HorizonLimits:
 
 
 def _one_sided(bound: ScaledRows) -> ca.Function:
-    """Build the distances from finite limits and their negative Jacobians."""
+    """Build distances to finite limits, and their negative Jacobians."""
     inputs = [ca.MX.sym("z", bound.function.size1_in(k)) for k in range(bound.function.n_in())]
     value = bound.function(*inputs)
     upper, lower = (

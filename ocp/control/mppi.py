@@ -1,4 +1,4 @@
-"""Model predictive path integral control: sampled motions, no derivatives."""
+"""Model predictive path integral control: sampling without derivatives."""
 
 from __future__ import annotations
 
@@ -49,12 +49,12 @@ Asked: TypeAlias = Cost | ca.Function | Callable[[Instant], Any]
 
 
 class Mppi:
-    """Model predictive path integral control (MPPI) by sampled motions.
+    """Model predictive path integral control (MPPI).
 
     It is a controller for `run`, also for contact and friction, where gradients are of little use.
-    At each decision, many motions are simulated from the measured state. Their controls are the
-    previous ones, shifted by a period, with smooth noise. The new controls are their mean, weighted
-    by the costs, and those of the first period are applied.
+    In each sampling period, it simulates many control sequences from the measured state. They are
+    the previous sequence, shifted by a period, with smooth noise. The new sequence is their mean,
+    weighted by the costs, and its first control is applied.
 
     Parameters
     ----------
@@ -94,8 +94,8 @@ class Mppi:
     Attributes
     ----------
     effective_samples : float
-        Effective number 1/Σw² of motions in the last decision. 0 if all diverged; the previous
-        decision is then kept.
+        Effective number 1/Σw² of samples in the last call. 0 if all diverged; the previous
+        control sequence is then used again.
 
     Raises
     ------
@@ -203,9 +203,9 @@ class Mppi:
         return f"Mppi({self.model.nu} strings, every {self.period:g} s over {self.intervals} periods, {self.samples} samples)"
 
     def control(self, time: float, state: Array) -> Array:
-        """Decide the control until the next decision.
+        """Compute the control for the next sampling period.
 
-        A time before that of the last decision begins a new run.
+        A time before that of the previous call begins a new run.
 
         Parameters
         ----------
@@ -239,7 +239,7 @@ class Mppi:
         return np.array(self._plan[0])
 
     def reset(self) -> None:
-        """Forget the last decision before another run."""
+        """Discard the previous control sequence before another run."""
         self._random = np.random.default_rng(self._seed)
         self._plan = self._initial
         self._last = None
@@ -261,7 +261,10 @@ class Mppi:
         return np.asarray(0.1 * (self._upper - self._lower))
 
     def _draw(self) -> Array:
-        """Draw controls (samples, K, nu) about the last decision."""
+        """Draw random control sequences (samples, K, nu).
+
+        Their mean is the previous sequence.
+        """
         knots = self._random.standard_normal(
             (self.samples, self._basis.shape[1], len(self._directions))
         )
@@ -272,7 +275,10 @@ class Mppi:
         )
 
     def _evaluate(self, time: float, state: Array, tried: Array) -> Array:
-        """Compute the costs of motions, inf or NaN after divergence."""
+        """Simulate control sequences and compute their costs.
+
+        Costs are inf or NaN after divergence.
+        """
         count, K, nu = tried.shape
         inputs = np.empty((count, K, nu + 1))
         inputs[:, :, :nu] = tried
@@ -289,7 +295,10 @@ class Mppi:
         return np.asarray(cost)
 
     def _changes(self, states: Array, tried: Array) -> list[Array]:
-        """Return x, γ, x⁺, γ⁺ of all changes (samples · K, ·)."""
+        """Return state and control before and after each control change.
+
+        They are x, u, x⁺, u⁺ of successive intervals of all samples, as arrays (samples · K, ·).
+        """
         now = _Decision(0.0, states[0, 0], tried[0, 0]) if self._last is None else self._last
         free = (
             tried[:, :1]
@@ -315,7 +324,7 @@ class _Decision(NamedTuple):
 
 
 def softmin(costs: Array, temperature: float) -> Array:
-    """Compute the normalized weights exp(−(S − min S)/λ) of costs.
+    """Compute normalized weights exp(−(S − min S)/λ) of costs S.
 
     λ = temperature · (median S − min S). Costs that are not finite have no weight.
     """
@@ -356,7 +365,7 @@ def _read_problem(asked: Any, model: Any) -> Problem:
 
 
 def _read_cost(k: int, cost: Any, model: Model) -> Cost:
-    """Read a cost, a CasADi Function or a callable."""
+    """Convert a CasADi Function or a callable to a cost."""
     name = f"problem[{k}]"
     if not isinstance(cost, ca.Function):
         return Integral(name, cost)
@@ -385,7 +394,10 @@ def _map_cost(cost: ca.Function | None, count: int) -> ArrayFunction | None:
 
 
 def _find_initial(problem: Problem) -> tuple[Array, float]:
-    """Find the control (nu,) that holds the start best, and the mean force density."""
+    """Find the control (nu,) that best balances the initial state.
+
+    Also returns the mean force density.
+    """
     state = at_rest(problem.model, problem.initial_state)
     states, inputs, _ = inverse_dynamics(problem, np.array([state, state]), 1.0)
     if controls_force_densities(problem.model):

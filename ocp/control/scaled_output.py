@@ -1,4 +1,4 @@
-"""Scaled output of regulators, and its Jacobian."""
+"""Scaled output of tracking controllers, and its Jacobian."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from tenscasadi.util.casadi_tools import column_norms
 
 
 def build_scaled_output(model: Model, place: float, speed: float) -> ca.Function:
-    """Build the scaled output of a regulator and its Jacobian.
+    """Build the tracked output y(x), scaled, with its Jacobian.
 
     The output is the coordinates in units of `place` [m] and the velocities in units of `speed`
-    [m/s]. Rest lengths and winding speeds of winches follow in the same units of their strings,
-    because the tensions of a self-stress change no coordinate. Free structures may drift and turn:
-    their output is the distances between nodes, and the rates of these.
+    [m/s]. Rest lengths and speeds of winches are included, scaled likewise, because tensions of a
+    self-stress change no coordinate. Unsupported structures may translate and rotate: their output
+    is the distances between nodes, and the rates of these distances.
     """
     x = ca.SX.sym("x", model.nx)
     if model.scene.structure.held.any() or model.scene.ground is not None:

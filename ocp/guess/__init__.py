@@ -1,1 +1,1 @@
-"""Initial guesses: values, paths to the target, and inverse dynamics."""
+"""Initial guesses by paths to the goals and inverse dynamics."""

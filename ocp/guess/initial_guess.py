@@ -32,7 +32,7 @@ NOISY = 16.0  # rad, phase of the fastest vibration above which the noise decrea
 
 
 class NamedGuess(Value):
-    """Initial guess that problem files can store by its kind."""
+    """Initial guess with a name in problem files."""
 
 
 @runtime_checkable
@@ -284,9 +284,9 @@ def resample_guess(
 ) -> Guess:
     """Resample states and controls on equal intervals.
 
-    The states are projected onto the constraints; unless the start is free, the first one is the
-    start. Controls and duration are clipped to their limits. Raises ValueError if a projection
-    fails.
+    Both are given at fractions of the duration (`…_shares`). The states are projected onto the
+    constraints; unless the start is free, the first one is the initial state. Controls and duration
+    are clipped to their limits. Raises ValueError if a projection fails.
     """
     shares = np.linspace(0.0, 1.0, intervals + 1)
     moved = project_states(
@@ -308,10 +308,11 @@ def resample_guess(
 
 
 def _with_noise(problem: Problem, guess: Guess, share: float, seed: int) -> Guess:
-    """Attach the noise that a solver adds at a saddle.
+    """Add random control noise to a guess, for saddle points.
 
-    It differs from string to string, which breaks symmetries. It is at most ``share`` times the
-    largest force density or tension. Guesses of rest lengths get none.
+    A solver uses it if it stops at a saddle point. It differs from string to string, which breaks
+    symmetries. It is at most ``share`` times the largest force density or tension. Guesses of rest
+    lengths get none.
     """
     if has_elastic_strings(
         problem.model
@@ -324,10 +325,10 @@ def _with_noise(problem: Problem, guess: Guess, share: float, seed: int) -> Gues
 
 
 def _limit_noise(model: Model, guess: Guess) -> float:
-    """Compute the factor that limits the noise of long motions.
+    """Compute a factor (at most 1) that reduces noise.
 
     Perturbations grow at a rate of up to √noise times that of the fastest vibration. The factor
-    (at most 1) keeps this growth small.
+    keeps this growth small in long plans.
     """
     middle = len(guess.force_density) // 2
     turned = fastest_rate(model, guess.states[middle], guess.force_density[middle]) * guess.duration

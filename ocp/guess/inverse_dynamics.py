@@ -33,14 +33,14 @@ def inverse_dynamics(
 ) -> tuple[Array, Array, float]:
     """Find the controls that best reproduce the accelerations of states.
 
-    The states (K + 1, nx) are an interval [s] apart. `balanced` are the force densities that
-    `balance` finds for the first and the last one, if they are known. Returns the states with
+    The states (K + 1, nx) are an interval [s] apart. `balanced` are the equilibrium force densities
+    of the first and the last state, if they are known (see `balance`). Returns the states with
     internal states that follow from the controls, the controls (K, nu), within their limits, and
     the mean squared error of the accelerations.
 
-    Accelerations are linear in γ, which leads to a small bounded least-squares problem in each
-    interval. Self-stress does not change accelerations: it follows the equilibrium force densities
-    of the first and the last state.
+    Accelerations are linear in the force densities, which leads to a small bounded least-squares
+    problem in each interval. Self-stress does not change accelerations: it follows the equilibrium
+    force densities of the first and the last state.
     """
     model, parts = build_force_density_model(problem.model), problem.model.split(states)
     ends = (
@@ -88,10 +88,11 @@ def inverse_dynamics(
 def _wind(
     problem: Problem, states: Array, tension: Array, rest: Array, interval: float
 ) -> tuple[Array, Array]:
-    """Compute the inputs (K, nu) that wind up to given rest lengths.
+    """Compute the inputs (K, nu) of actuators for given rest lengths.
 
-    Tensions [N] and rest lengths [m] are those in the middle of intervals, and the internal states
-    begin at the start. Also return the states (K + 1, nx) with the resulting internal states.
+    Tensions [N] and rest lengths [m] are those in the middle of intervals. The initial internal
+    states are those of the initial state. Also returns the states (K + 1, nx) with the resulting
+    internal states.
     """
     states, control = states.copy(), problem.model.scene.control
     own = problem.model.split(states).internal
@@ -105,9 +106,10 @@ def _wind(
 def _convert_forces(problem: Problem, states: Array, force_density: Array) -> tuple[Array, Array]:
     """Convert force densities into tensions and rest lengths.
 
-    At states (K, nx), a cable has the mean tension T = Σ s t/Σ s [N] of its strings. The rest
-    lengths are Σ s − (T − c Σ ṡ)/k [m], clipped to their limits. Both are (K, nu). Strings keep at
-    least 2 % of the largest force density, as slack ones do not respond to their controls.
+    At states (K, nx), a cable has the mean tension T = Σ s t/Σ s [N] of its strings, with lengths s
+    and tensions t. The rest lengths are Σ s − (T − c Σ ṡ)/k [m] for stiffness k and damping c,
+    clipped to their limits. Both are (K, nu). Strings have at least 2 % of the largest force
+    density, as slack ones do not respond to their controls.
     """
     structure, now = problem.model.scene.structure, symbolic(problem.model)
     measure = ca.Function(
@@ -127,9 +129,9 @@ def _convert_forces(problem: Problem, states: Array, force_density: Array) -> tu
 
 
 def balance(problem: Problem, state: Array) -> Array:
-    """Find the force densities (α,) that balance a state at rest [N/m].
+    """Find force densities (α,) in equilibrium at a state [N/m].
 
-    They are within the limits. If there are none, they are the lower limits.
+    They are within the limits. If no equilibrium is found, they are the lower limits.
     """
     lower, upper = problem.force_density_limits
     model = problem.model
@@ -148,7 +150,7 @@ def balance(problem: Problem, state: Array) -> Array:
 
 
 def _interpolate(first: Array, last: Array, count: int) -> Array:
-    """Interpolate force densities in the middle of intervals."""
+    """Interpolate force densities linearly at the middle of intervals."""
     s = (np.arange(count)[:, None] + 0.5) / count
     return np.asarray((1 - s) * first + s * last)
 

@@ -1,7 +1,8 @@
-"""Kinematic paths to the target, for initial guesses.
+"""Kinematic paths from the initial to the final state.
 
-A path moves nodes along straight lines. If the structure rotates as a whole, the lines are straight
-in a frame that rotates with it. If bars rotate far, each bar rotates about its own axis.
+They are initial guesses. A path moves nodes along straight lines. If the structure rotates as a
+whole, the lines are straight in a frame that rotates with it. If bars rotate far, each bar rotates
+about its own axis.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ LARGE_TURN = 0.5  # rad; for smaller rotations, straight lines are good paths
 
 
 def make_guess(problem: Problem, target: Target, intervals: int) -> Guess:
-    """Build the guess along a smooth path to the target.
+    """Build the guess along a smooth path to the final state.
 
     It has no noise. Of several paths, it follows the one whose accelerations the controls reproduce
     best.
@@ -38,16 +39,19 @@ def make_guess(problem: Problem, target: Target, intervals: int) -> Guess:
 
 
 def follow(problem: Problem, target: Target, positions: Array) -> Guess:
-    """Build the guess that follows given coordinates.
+    """Build the guess along given coordinates.
 
-    The free coordinates (K + 1, nq) are at equal times. They are projected onto the constraints of
-    bars and joints. The controls follow by inverse dynamics.
+    The free coordinates (K + 1, nq) are at equal time intervals. They are projected onto the
+    constraints of bars and joints. The controls follow by inverse dynamics.
     """
     return _follow(problem, target, positions)[0]
 
 
 def stay_at_start(problem: Problem, target: Target, intervals: int) -> Guess:
-    """Build the guess that stays at the start, balanced by its controls."""
+    """Build the guess that stays at the initial state.
+
+    The controls balance it as well as their limits permit.
+    """
     duration = problem.typical_duration
     states = np.repeat(target.start[None], intervals + 1, axis=0)
     clock = problem.model.split(states).clock
@@ -81,9 +85,12 @@ class _Quintic(NamedTuple):
 
     Attributes
     ----------
-    change : factor of the difference between both ends.
-    leave : factor of the derivative at the start.
-    arrive : factor of the derivative at the end.
+    change : ndarray
+        Factor of the difference between both end values.
+    leave : ndarray
+        Factor of the derivative at the start.
+    arrive : ndarray
+        Factor of the derivative at the end.
     """
 
     change: Array
@@ -110,10 +117,10 @@ def _quintic(intervals: int) -> _Quintic:
 
 
 def find_paths(target: Target, model: Model, intervals: int, duration: float) -> list[Array]:
-    """Find paths from start to target through the waypoints.
+    """Find paths from the initial to the final state through waypoints.
 
-    A path has the free coordinates (K + 1, nq) at equal times. There are several paths if the
-    structure or its bars rotate far.
+    A path has the free coordinates (K + 1, nq) at equal time intervals. There are several paths if
+    the structure or its bars rotate far.
     """
     start, end = target.start, target.start if target.state is None else target.state
     (q0, v0, *_), (q1, v1, *_) = model.split(start), model.split(end)
@@ -136,7 +143,7 @@ def find_paths(target: Target, model: Model, intervals: int, duration: float) ->
 
 
 def select_coordinates(model: Model, nodes: Array) -> Array:
-    """Select the free coordinates from nodes.
+    """Select the free coordinates from node positions.
 
     Nodes are (P, n, 3) [m], the coordinates (P, nq).
     """
@@ -147,9 +154,9 @@ def select_coordinates(model: Model, nodes: Array) -> Array:
 def _turn_nodes(
     model: Model, start: Array, end: Array, quintic: _Quintic, duration: float
 ) -> Iterator[Array]:
-    """Yield paths with large rotations of structure or bars.
+    """Yield paths with large rotations of the structure or bars.
 
-    Each path has the nodes (K + 1, n, 3) [m] at equal times.
+    Each path has the nodes (K + 1, n, 3) [m] at equal time intervals.
     """
     (first, v0), (last, v1) = (
         (model.nodes(state), duration * model.velocities(state)) for state in (start, end)
@@ -181,10 +188,10 @@ def _turn_nodes(
 
 
 def _list_turns(first: Array, last: Array, v0: Array, v1: Array) -> list[Array]:
-    """List candidate rotation vectors from nodes to others.
+    """List candidate rotation vectors from first to last nodes.
 
-    Nodes are (n, 3) [m]. The candidates are the zero vector, and those two of the rotation with one
-    turn less, as many or one turn more that are nearest to the mean angular velocity.
+    Nodes are (n, 3) [m]. The candidates are the zero vector and two others. The best-fit rotation
+    may have one turn less or more; the two are those nearest to the mean angular velocity.
     """
     turn = Rotation.from_matrix(fit_rotation(first, last)).as_rotvec()
     angle = np.linalg.norm(turn)
@@ -207,11 +214,11 @@ def _spin(arms: Array, velocities: Array) -> Array:
 def _turn_bars(
     model: Model, nodes: Array, leaving: Array, arriving: Array, change: Array
 ) -> Array | None:
-    """Move nodes so that bars rotate about own axes.
+    """Move nodes so that each bar rotates about an axis of its own.
 
     Nodes are (P, n, 3) [m]. Each bar rotates by the angle nearest to that of its velocities at both
-    ends of the path. Bars keep their lengths as nearly as possible, and other nodes stay near their
-    lines. Returns None if no bar rotates far.
+    ends of the path. Bars nearly keep their lengths, and other nodes stay near their lines. Returns
+    None if no bar rotates far.
     """
     structure, ends = model.structure, model.structure.bars
     b0, b1, r0, r1 = (
@@ -250,11 +257,11 @@ def _turn_bars(
 
 
 def _add_velocities(problem: Problem, target: Target, q: Array, duration: float) -> Array | None:
-    """Build states on the constraints from free coordinates.
+    """Build states that satisfy the constraints from free coordinates.
 
-    Coordinates (K + 1, nq) are at equal times; velocities are their central differences. The states
-    (K + 1, nx) have the start and, if it is known, the target at the ends. Returns None if they are
-    not finite or if a bar turns by 90° or more within an interval.
+    Coordinates (K + 1, nq) are at equal time intervals; velocities are their central differences.
+    The first of the states (K + 1, nx) is the initial one and the last, if it is known, the final
+    one. Returns None if they are not finite or if a bar turns by 90° or more within an interval.
     """
     model, intervals = problem.model, len(q) - 1
     start = target.start

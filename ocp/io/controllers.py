@@ -1,4 +1,4 @@
-"""Controllers of [closed_loop] in scene files."""
+"""Controllers in the table [closed_loop] of scene files."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from tenscasadi.util.validate import Boolean
 
 
 class ControllerOptions(Value, implied="Mpc"):
-    """Controller with a kind in files."""
+    """Base class of controllers in scene files."""
 
     @property
     def needs_plan(self) -> bool:
-        """Whether the controller follows a plan."""
+        """Whether the controller tracks a plan."""
         return False
 
     @abstractmethod
@@ -67,7 +67,7 @@ class MpcOptions(ControllerOptions, kind="Mpc"):
 
     @property
     def needs_plan(self) -> bool:
-        """Whether the controller follows a plan."""
+        """Whether the controller tracks a plan."""
         return self.along_plan
 
     def build(self, problem: Problem, plan: PlanResult | None) -> Controller:
@@ -146,7 +146,7 @@ class TrackOptions(ControllerOptions, kind="Track"):
 
     @property
     def needs_plan(self) -> bool:
-        """Whether the controller follows a plan."""
+        """Whether the controller tracks a plan."""
         return True
 
     def build(self, problem: Problem, plan: PlanResult | None) -> Controller:

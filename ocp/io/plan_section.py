@@ -136,9 +136,9 @@ def file_schema() -> dict[str, Any]:
 
 
 def read_plan(item: Item, simulation: Simulation) -> dict[str, Any]:
-    """Read [plan] of a scene as arguments of `ocp.solve`.
+    """Read the table [plan] as arguments of `ocp.solve`.
 
-    The simulation provides the scene and the default start. Raises SceneFileError.
+    The simulation provides the scene and the default initial state. Raises SceneFileError.
     """
     item = item._replace(names=simulation.scene.structure.names)
     part, table = PLAN.read(item), item.table()
@@ -184,7 +184,7 @@ def _check_each(table: Mapping[str, Item], part: PlanPart, structure: Structure)
 def read_solution(scene: Scene, item: Item, left_out: Mapping[str, str]) -> dict[str, Any]:
     """Read model, problem, transcription and solver from [plan].
 
-    Parts that cannot be read are None, and `not_restored` gives the reason. Raises SceneFileError.
+    Those that cannot be read are None, and `not_restored` gives the reason. Raises SceneFileError.
     """
     item = item._replace(names=scene.structure.names)
     found: dict[str, Any] = dict.fromkeys(("problem", *METHOD))
@@ -209,7 +209,7 @@ def read_solution(scene: Scene, item: Item, left_out: Mapping[str, str]) -> dict
 
 
 def write_plan(problem: Problem, arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Write a problem and further arguments of `ocp.solve` as [plan].
+    """Convert a problem and arguments of `ocp.solve` to a table [plan].
 
     Raises NotWritten for Python functions and other values that files cannot hold.
     """
@@ -234,10 +234,10 @@ def write_plan(problem: Problem, arguments: Mapping[str, Any]) -> dict[str, Any]
 
 
 def _select_bounds(problem: Problem) -> tuple[Bound, ...]:
-    """Select the bounds that a file holds.
+    """Select the bounds that a file stores.
 
-    Bounds that derive from a strength are written if the scene does not have it, as commanded
-    forces do not yield.
+    Bounds that derive from the strength of strings are stored if the scene does not have this
+    strength, as strings with prescribed forces do not yield.
     """
     if problem.scene.strength is not None:
         return drop_derived(problem.bounds)

@@ -106,7 +106,10 @@ def load_solve_arguments(path: FilePath) -> dict[str, Any]:
 
 
 def read_arguments(document: Document) -> dict[str, Any]:
-    """Read the arguments of `solve` from a document. Raises SceneFileError."""
+    """Read the arguments of `solve` from a parsed scene file.
+
+    Raises SceneFileError.
+    """
     scene = read_scene(document)
     item = document.section("plan")
     if item is None:
@@ -243,9 +246,9 @@ def describe_problem(problem: Problem) -> str:
 
 
 def _read_simulation(document: Document, scene: Scene) -> Simulation:
-    """Read [start] and [simulation].
+    """Read the tables [start] and [simulation].
 
-    Without [simulation] the duration is arbitrary.
+    Without [simulation], the duration is arbitrary.
     """
     if document.section("simulation") is not None:
         return read_simulation(document, scene)

@@ -84,13 +84,16 @@ class RobustnessStudy:
         check_fields(self, public=False)
 
     def run(self, plan: Any, progress: bool = False) -> Any:
-        """Replay a plan many times. With `progress` a bar is shown."""
+        """Replay a plan with random errors.
+
+        With `progress`, a progress bar is shown.
+        """
         return plan.robustness(**vars(self), progress=progress)
 
 
 @dataclass(frozen=True)
 class ClosedLoopRun:
-    """Simulation under a controller, see `ocp.run`.
+    """Simulation under a feedback controller, see `ocp.run`.
 
     Parameters
     ----------
@@ -118,8 +121,8 @@ class ClosedLoopRun:
     ) -> ClosedLoop:
         """Simulate the scene of a problem under the controller.
 
-        `find_plan` is called if the controller follows a plan. With `progress` a bar is shown.
-        Raises TypeError, ValueError.
+        `find_plan` is called if the controller tracks a plan. With `progress`, a progress bar is
+        shown. Raises TypeError, ValueError.
         """
         plant = problem.given["model"]
         if self.parameters is None:
@@ -139,7 +142,10 @@ class ClosedLoopRun:
 
 
 class Studies(NamedTuple):
-    """Computations with the plan of a scene file; None for those without a table."""
+    """Studies of a plan that a scene file requests.
+
+    They are None if the file has no table for them.
+    """
 
     refinement: Refinement | None
     robustness: RobustnessStudy | None
@@ -154,7 +160,10 @@ SECTIONS = {
 
 
 def read_studies(document: Document) -> Studies:
-    """Read the studies of a scene file. Raises SceneFileError."""
+    """Read the studies of a plan from a scene file.
+
+    Raises SceneFileError.
+    """
     items = {name: document.section(name) for name in SECTIONS}
     return Studies(
         **{
@@ -165,9 +174,10 @@ def read_studies(document: Document) -> Studies:
 
 
 def build_studies(given: Any) -> Studies:
-    """Build studies from tables of their fields by name, as `ocp.load_studies` returns them.
+    """Build studies from mappings of their fields.
 
-    They are read as those of a file. Raises TypeError, SceneFileError.
+    `ocp.load_studies` returns such mappings by name. They are read like the tables of a file.
+    Raises TypeError, SceneFileError.
     """
     names = ", ".join(SECTIONS)
     if not isinstance(given, Mapping) or not all(
@@ -190,7 +200,10 @@ def build_studies(given: Any) -> Studies:
 
 
 def _make_plain(value: Any) -> Any:
-    """Convert arrays, numbers of NumPy and controllers to lists, numbers and mappings."""
+    """Convert a value to lists, numbers and mappings for files.
+
+    It may be an array, a number of NumPy or a controller.
+    """
     if isinstance(value, ControllerOptions):
         own = {key: entry for key, entry in value.to_fields().items() if entry is not None}
         return {"kind": type(value).kind, **own}
@@ -198,13 +211,16 @@ def _make_plain(value: Any) -> Any:
 
 
 def write_studies(studies: Studies) -> dict[str, dict[str, Any]]:
-    """Write studies as tables without defaults. Raises NotWritten."""
+    """Convert studies to tables of scene files without default values.
+
+    Raises NotWritten.
+    """
     given = {name: own for name, own in studies._asdict().items() if own is not None}
     return {name: SECTIONS[name].write(vars(own)) for name, own in given.items()}
 
 
 def describe_studies(studies: Studies) -> list[str]:
-    """Describe each study in a line, by the fields that differ from their defaults."""
+    """Describe each study in a line by its non-default fields."""
     texts = {
         name: [f"{key} = {own}" for key, own in table.items()]
         for name, table in write_studies(studies).items()
@@ -213,10 +229,10 @@ def describe_studies(studies: Studies) -> list[str]:
 
 
 def measure_goal_error(problem: Problem, state: Any) -> tuple[float, float]:
-    """Measure how far a state is from the terminal goals.
+    """Compute the largest residuals of a state in the terminal goals.
 
-    States of the strength may be part of it. Returns the largest residuals of positions [m] and of
-    velocities [m/s], 0 without goals.
+    They are those of positions [m] and of velocities [m/s], 0 without goals. The state may contain
+    the record of broken or yielded strings.
     """
     x = ca.SX.sym("x", problem.model.nx)
     if len(state) > problem.model.nx:

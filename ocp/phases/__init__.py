@@ -1,4 +1,4 @@
-"""Plans with phases of given contact nodes, linked by impacts.
+"""Plans with contact phases, linked by impacts.
 
-All phases form one nonlinear program.
+The contact nodes of each phase are given. All phases form one nonlinear program.
 """

@@ -54,7 +54,7 @@ def cone_blocks(v: Variables, contact: ContactSet, ground: Surface, least: float
 def height_blocks(
     v: Variables, contact: ContactSet, grounds: Sequence[Surface], landing: Sequence[int]
 ) -> list[Block]:
-    """Build the clearance constraints of nodes without contact.
+    """Build the ground clearance constraints of nodes without contact.
 
     They remain above all grounds that act on them. Nodes that land at the end of the phase are on
     the ground there.
@@ -86,11 +86,11 @@ def height_blocks(
 
 
 def friction_cone(ground: Surface, least: float = 0.0) -> ca.Function:
-    """Build the rows of a friction pyramid inside the cone.
+    """Build the constraints of a friction pyramid inside the cone.
 
-    The Function is (position, reaction) → rows (SIDES,), which are nonnegative inside the pyramid.
-    A row is friction coefficient × normal component − component along a tangent. `least` is the
-    normal reaction at the apex of the pyramid [N].
+    The Function is (position, reaction) → values (SIDES,), which are nonnegative inside the
+    pyramid. A value is friction coefficient × normal component − component along a tangent. `least`
+    is the normal reaction at the apex of the pyramid [N].
     """
     z, (place, push) = split_symbol(ca.SX, 3, 3)
     outward = ca.densify(ground.contact(place).outward)

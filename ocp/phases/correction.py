@@ -45,8 +45,8 @@ def correct(
     Each round shifts the goals by the residuals of the replay, and solves again. If the error
     hardly decreases, contact nodes slip in the replay. The minimum normal reaction is then
     increased by `harder`, relative to a typical reaction. Rounds end at a fraction of the tolerance
-    [m], where velocities count as velocity × duration. Only limits of rows change, so the solver is
-    built once. Returns the solution with the smallest error.
+    [m], where velocities count as velocity × duration. Only bounds of constraints change, so the
+    solver is built once. Returns the solution with the smallest error.
     """
     again, best = None, solution
     least, residuals = _measure_replay(replay, *read(solution.w), targets)
@@ -89,9 +89,8 @@ def _measure_replay(
 ) -> tuple[float, Array]:
     """Compute the goal residuals of a replay.
 
-    Returns the largest residual [m], and the rows of the goals at the ends of the phases.
-    Velocities count as velocity × duration. The largest residual is inf if the replay diverges or
-    cannot be tracked.
+    Returns the largest residual [m], and all residuals at the ends of the phases. Velocities count
+    as velocity × duration. The largest residual is inf if the replay diverges or cannot be tracked.
     """
     count = len(gamma) // len(targets)
     try:

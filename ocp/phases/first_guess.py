@@ -1,4 +1,4 @@
-"""Initial guess of a program with phases."""
+"""Initial guess of the nonlinear program of all phases."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ def guess_phases(
 ) -> list[Guess]:
     """Build the initial guess of each phase.
 
-    States move smoothly from one target to the next at zero velocity. In phases without goals they
-    are constant. Force densities are random about a typical value, so that they differ between
-    strings, and within their limits. `count` is the number of intervals of a phase, and `weight`
-    the weight of the structure [N].
+    States move smoothly from one phase's final state to the next, with zero velocity at both. In
+    phases without goals they are constant. Force densities are random about a typical value, so
+    that they differ between strings, and within their limits. `count` is the number of intervals of
+    a phase, and `weight` the weight of the structure [N].
     """
     typical = TYPICAL_FORCE_DENSITY * weight / scales.length or scales.mass / scales.time**2
     drawn, nq, at = np.random.default_rng(0), parts[0].model.nq, targets[0].start

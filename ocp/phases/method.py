@@ -1,4 +1,7 @@
-"""Planning with phases by one corrected nonlinear program."""
+"""Planning with contact phases by one nonlinear program.
+
+Deferred correction adapts its goals to the compliant ground.
+"""
 
 from __future__ import annotations
 
@@ -70,7 +73,7 @@ class PhasedTask(NamedTuple):
     problem : Problem
         The problem.
     parts, targets, stages, contacts : list
-        Problem, target, blocks and contact set of each phase.
+        Problem, final state, constraints and contact nodes of each phase.
     harder : float
         Minimum normal reaction of a contact node, relative to a typical reaction.
     program : Program
@@ -87,11 +90,11 @@ class PhasedTask(NamedTuple):
 
     @property
     def intervals(self) -> int:
-        """Number of intervals of a phase."""
+        """Number of mesh intervals of each phase."""
         return self.stages[0].variables.count
 
     def values(self, w: Array) -> list[PhaseValues]:
-        """Convert scaled unknowns to the values of each phase."""
+        """Convert scaled decision variables to the trajectory of each phase."""
         phases, count = len(self.parts), self.intervals
         states, gamma, durations = (one.full().T for one in self.program.unpack(w))
         y = self.stages[0].variables.entries.values(w)
@@ -257,7 +260,7 @@ def _check_options(transcription: Transcription, guess: InitialGuess | None) -> 
 
 
 def _end_times(problem: Problem, stages: list[Stage]) -> list[Block]:
-    """Build the limits of the end times of phases.
+    """Build the limits of the phases' end times.
 
     An end time is the sum of the durations up to it. That of the first phase is limited by its
     duration.
@@ -279,10 +282,10 @@ def _end_times(problem: Problem, stages: list[Stage]) -> list[Block]:
 
 
 def _without_end(part: Problem, problem: Problem) -> Problem:
-    """Drop the terminal costs and limits from an intermediate phase.
+    """Remove terminal costs and limits from an intermediate phase.
 
-    Additive costs remain, such as that of the duration, which is a part of the whole. Limits at the
-    end remain if they belong to the phase and not to the problem.
+    Additive costs remain, such as that of the duration, which is a part of the whole. Terminal
+    limits remain if they belong to the phase and not to the problem.
     """
     costs = [cost for cost in part.costs if cost.additive]
     return replace(
@@ -297,9 +300,9 @@ def _without_end(part: Problem, problem: Problem) -> Problem:
 
 
 def _read_outcome(task: PhasedTask, solution: Solution) -> tuple[Outcome, Target]:
-    """Read the result of the program.
+    """Convert the solution of the nonlinear program to a result.
 
-    Returns it with the target of its acceptance test.
+    Also returns the goals and states that its acceptance test uses.
     """
     values, program = task.values(solution.w), task.program
     time, states, gamma = task.joined(solution.w)

@@ -1,4 +1,7 @@
-"""Targets of phases, without rows that contact nodes satisfy."""
+"""Goals and final states of contact phases.
+
+Goal rows that contact nodes satisfy anyway are omitted.
+"""
 
 from __future__ import annotations
 
@@ -34,9 +37,9 @@ def phase_problems(problem: Problem, air: Problem) -> list[Problem]:
 
 
 def find_targets(problem: Problem, parts: Sequence[Problem], scales: Scales) -> list[Target]:
-    """Find the target of each phase.
+    """Find a final state of each phase that meets its goals.
 
-    The search starts at the target of the preceding phase. Raises `InfeasibleGoalError`, which
+    The search starts at the final state of the preceding phase. Raises `InfeasibleGoalError`, which
     names the phase.
     """
     targets, near, since_start = [], problem.initial_state, set(problem.phases[0].contact_nodes)
@@ -57,9 +60,10 @@ def find_targets(problem: Problem, parts: Sequence[Problem], scales: Scales) -> 
 
 
 def join_targets(targets: Sequence[Target], ends: Array) -> Target:
-    """Join the targets of phases.
+    """Join the targets of all phases into one.
 
-    Those of intermediate phases become waypoints at the fractions `ends` of the duration.
+    A target is a final state with independent goal rows. Those of intermediate phases become
+    waypoints at the fractions `ends` of the duration.
     """
     start = targets[0].start
     on_the_way = [
@@ -75,11 +79,11 @@ def join_targets(targets: Sequence[Target], ends: Array) -> Target:
 def _without_standing(
     target: Target, part: Problem, stands: Sequence[int], since_start: Sequence[int], scales: Scales
 ) -> Target:
-    """Drop the rows that contact nodes and bars satisfy.
+    """Remove goal rows that contact nodes and bars satisfy anyway.
 
-    They are combinations of the target's rows. Contact nodes fix their velocities. Nodes in contact
-    since the start of the plan also fix their positions; other contact nodes land at positions that
-    the goals determine.
+    Contact nodes fix their velocities. Nodes in contact since the start of the plan also fix their
+    positions; other contact nodes land at positions that the goals determine. The remaining rows
+    are combinations of the target's rows.
     """
     if not target.count or not stands or target.state is None:
         return target

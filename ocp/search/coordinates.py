@@ -1,6 +1,7 @@
 """Planning in reduced coordinates for models in full coordinates.
 
-The motion does not depend on the coordinates, and methods are faster in reduced ones.
+Reduced coordinates have no joint constraints. The trajectory does not depend on the coordinates,
+and methods are faster in reduced ones.
 """
 
 from __future__ import annotations
@@ -110,9 +111,10 @@ def _in_reduced(model: Model) -> Model:
 
 
 class _Seen(Instant):
-    """Instant of the reduced model in full coordinates.
+    """Instant of a model in reduced coordinates, seen in full ones.
 
-    The state has full coordinates. Tensions and bar forces are those of the reduced model.
+    User-defined expressions receive it. The state has full coordinates. Tensions and bar forces are
+    those of the model in reduced coordinates.
     """
 
     def __init__(self, model: Model, now: Instant) -> None:
@@ -136,9 +138,9 @@ class _Seen(Instant):
 
 
 def _seen(item: Any, model: Model) -> Any:
-    """Convert a bound or cost with a user-defined expression.
+    """Adapt a user-defined bound or cost to reduced coordinates.
 
-    The expression receives instants in full coordinates. Other bounds and costs remain unchanged.
+    Its expression receives instants in full coordinates. Other bounds and costs remain unchanged.
     """
     if not isinstance(item, _OWN):
         return item

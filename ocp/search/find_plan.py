@@ -1,6 +1,6 @@
 """Search for a plan by a sequence of attempts.
 
-The acceptance test of each attempt is its replay.
+An attempt is a transcription, a solver and an initial guess. Its replay decides on acceptance.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from tenscasadi.util.troubleshooting import add_address
 
 
 class _PlanSearch(NamedTuple):
-    """Arguments of a search.
+    """Arguments that all attempts of a search share.
 
     `reduced` is None if the problem keeps its coordinates.
     """
@@ -62,7 +62,7 @@ def find_plan(
     monitor: Monitor | None = None,
     tracked: bool = False,
 ) -> PlanResult:
-    """Find a plan.
+    """Find a plan by the first attempt that succeeds.
 
     Arguments and errors are those of `ocp.solve`.
     """
@@ -93,9 +93,9 @@ def _prepare(
     tolerance: float | None,
     monitor: Monitor,
 ) -> PlanningTask:
-    """Prepare the task of a search.
+    """Check a problem and find its final state before the attempts.
 
-    It has no target if the search has to stop before. Raises InfeasibleGoalError.
+    The final state is missing if the search has to stop before. Raises InfeasibleGoalError.
     """
     scales, near = Scales.of(problem), _interpolate_guess(problem, guess)
     limit = RELIABLE * scales.length if tolerance is None else tolerance
@@ -108,9 +108,9 @@ def _prepare(
 
 
 def _interpolate_guess(problem: Problem, guess: InitialGuess | None) -> StateAt | None:
-    """Build the interpolant of a plan that is the initial guess.
+    """Build the interpolant of a plan that serves as initial guess.
 
-    Returns None for other guesses, and for plans of other states.
+    Returns None for other guesses, and for plans with other states.
     """
     if not isinstance(guess, PlanResult) or guess.model is None or problem.phases:
         return None
@@ -122,7 +122,7 @@ def _interpolate_guess(problem: Problem, guess: InitialGuess | None) -> StateAt 
 def _walk(
     search: _PlanSearch, rows: Iterator[Attempt], first: Attempt, automatic: bool
 ) -> PlanResult:
-    """Run the attempts until the first success.
+    """Run attempts until the first success.
 
     An attempt is skipped if it does not apply to the kind of the last failure. If the search has to
     stop while an attempt is being built, `first` provides the result.
@@ -165,7 +165,10 @@ def _walk(
 
 
 def _explain(task: PlanningTask, plan: PlanResult) -> str:
-    """Extend the message of a failed plan by names of members and narrow limits."""
+    """Complete the message of a failed plan.
+
+    Names of members are added, and the limits that are too narrow.
+    """
     text = add_names(plan.message, task.problem.model.scene.structure)
     if plan.duals is not None or task.monitor.status():
         return text
@@ -174,7 +177,7 @@ def _explain(task: PlanningTask, plan: PlanResult) -> str:
 
 
 def _worth(plan: PlanResult) -> tuple[bool, bool, float]:
-    """Compute the sort key of plans.
+    """Compute the key that sorts plans by quality.
 
     Criteria are success, then an optimum, then the smaller error.
     """
@@ -184,9 +187,9 @@ def _worth(plan: PlanResult) -> tuple[bool, bool, float]:
 def _try(search: _PlanSearch, attempt: Attempt) -> tuple[PlanResult, Target | None]:
     """Run one attempt and its acceptance test.
 
-    If its optimum misses dependent goals, a second run imposes the rows that are independent near
-    its end. The second run counts if it succeeds. Returns the plan, and the target from which the
-    next attempt starts.
+    Goal rows are chosen to be independent at one state. If the optimum violates the other rows, a
+    second run imposes the rows that are independent near its end. The second run counts if it
+    succeeds. Returns the plan, and the final state from which the next attempt starts.
     """
     task = search.task
     outcome, target = run_attempt(task, attempt)
@@ -220,10 +223,10 @@ def _try(search: _PlanSearch, attempt: Attempt) -> tuple[PlanResult, Target | No
 
 
 def _find_other_target(task: PlanningTask, plan: PlanResult, found: Outcome) -> Target | None:
-    """Find the target near the end of an optimum that misses dependent goals.
+    """Find independent goal rows near the end of an optimum.
 
-    The imposed rows are not the independent ones there, see `Target.dependent`. Returns None if the
-    optimum meets the goals, or if no other target is found.
+    They replace those imposed if the optimum misses goals that seemed dependent, see
+    `Target.dependent`. Returns None if the optimum meets the goals, or if no other rows are found.
     """
     target, problem, duration = task.target, task.problem, float(plan.time[-1])
     if target is None or not target.met or not found.success or found.duals is None:

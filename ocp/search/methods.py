@@ -47,10 +47,10 @@ from tenscasadi.util.validate import Array, instance
 
 
 def run_attempt(task: PlanningTask, attempt: Attempt) -> tuple[Outcome, Target | None]:
-    """Run one attempt at a planning task.
+    """Run one attempt at a planning problem.
 
-    Returns its result, and the target of its acceptance test; None if the attempt stopped before it
-    was found.
+    Returns its result, and the target of its acceptance test: final state and goal rows. The target
+    is None if the attempt stopped before it was found.
     """
     if attempt.twin is not None:
         return _plan_force_densities(task, attempt.twin, attempt)
@@ -86,7 +86,7 @@ def run_attempt(task: PlanningTask, attempt: Attempt) -> tuple[Outcome, Target |
 
 
 def _build_replay(task: PlanningTask, attempt: Attempt) -> Replay:
-    """Build the replay that decides about a motion in phases."""
+    """Build the replay function that tests plans with phases."""
     model = task.problem.model
 
     def replay(time: Array, states: Array, gamma: Array) -> Trajectory:
@@ -102,17 +102,21 @@ def _build_replay(task: PlanningTask, attempt: Attempt) -> Replay:
 def _plan_force_densities(
     task: PlanningTask, twin: PlanningTask, attempt: Attempt
 ) -> tuple[Outcome, Target | None]:
-    """Run an attempt in force densities, and convert its result to rest lengths or rates."""
+    """Run an attempt with force densities as control.
+
+    The result is converted to rest lengths or their rates.
+    """
     found, target = run_attempt(twin, attempt._replace(twin=None))
     outcome = convert_outcome(task.problem, attempt.transcription.fractions, found)
     return outcome, task.target if task.problem.model.na else target
 
 
 def plan_guess(task: PlanningTask, attempt: Attempt) -> tuple[Attempt, int]:
-    """Replace an initial guess that is an attempt in force densities by its plan.
+    """Replace a guess that is an attempt by its plan.
 
-    If there is no plan in force densities, the default guess replaces it. Limits of the other
-    control may be violated. Returns the attempt with this guess, and the number of iterations.
+    The attempt has force densities as control. If it fails, the default guess replaces it. Limits
+    of the problem's own control may be violated. Returns the attempt with this guess, and the
+    number of iterations.
     """
     first = attempt.guess
     if not isinstance(first, Attempt) or first.twin is None:
@@ -151,9 +155,9 @@ def program_of(
 
 
 def _drop_slack(problem: Problem) -> Problem:
-    """Replace the model of a problem by its smooth model.
+    """Build the problem without slackening of elastic strings.
 
-    Its elastic strings do not go slack; limits keep them in tension. See `build_smooth_model`.
+    Constraints keep the strings in tension instead. See `build_smooth_model`.
     """
     model = build_smooth_model(problem.model)
     return problem if model is problem.model else replace(problem, model=model)
@@ -191,7 +195,10 @@ def _run_solver(
     program: Program,
     monitor: Monitor,
 ) -> Corrected:
-    """Solve the program, and correct or relax it."""
+    """Solve the nonlinear program, then correct or relax it.
+
+    Deferred correction increases the accuracy. Rate limits are relaxed if they are infeasible.
+    """
     accuracy = transcription.accuracy
     if accuracy is not None:
         measure = transcription.measure_residual(program, problem.model)
@@ -211,7 +218,7 @@ def _read_outcome(
     program: Program,
     found: Corrected,
 ) -> Outcome:
-    """Read the result of a program, and diagnose a failure."""
+    """Convert a solution to a result, and diagnose a failure."""
     solution: Solution = found.solution
     states, controls, duration = (value.full() for value in program.unpack(solution.w))
     # interior-point methods violate bounds by their tolerance

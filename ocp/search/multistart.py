@@ -78,7 +78,7 @@ def find_limited_plan(
 def _vary_seeds(
     problem: Problem, guess: InitialGuess | None, solver: Any, automatic: bool, count: int
 ) -> list[tuple[Any, Any]]:
-    """List guesses and solvers with different seeds.
+    """List initial guesses and solvers with different random seeds.
 
     Raises ValueError if neither has a seed.
     """

@@ -26,10 +26,11 @@ from tenscasadi.structure.structure import Structure
 
 
 def explain_limits(task: PlanningTask) -> str:
-    """Explain which limits a failed plan needs wider, and whether more time helps.
+    """Explain which limits of a failed plan are too narrow.
 
-    Returns "" if the limits are not its cause, or the cause is unknown. The relaxed program has its
-    own local solution, so that a smaller relaxation may exist.
+    A relaxed program shows which limits must be wider, and whether a longer duration helps. Returns
+    "" if limits are not the cause, or the cause is unknown. The relaxed program has its own local
+    solution, so that a smaller relaxation may exist.
     """
     target = task.target
     if target is None or not target.met or task.problem.model.scene.grounds:
@@ -70,9 +71,10 @@ def _describe(one: WiderLimit, units: dict[str, str], structure: Structure) -> s
 
 
 def _find_duration(task: PlanningTask, longest: float, solver: Ipopt) -> float | None:
-    """Find the shortest duration within the limits.
+    """Find the shortest duration that satisfies the limits.
 
-    It is inf if the search ends without one, and None if it is not searched or not completed.
+    It is inf if there is none up to `longest`, and None if the search is impossible or not
+    completed.
     """
     problem = task.problem
     if task.monitor.status() or problem.waypoints:
@@ -92,7 +94,7 @@ def _find_duration(task: PlanningTask, longest: float, solver: Ipopt) -> float |
 
 
 def _build(task: PlanningTask, target: Target) -> Program:
-    """Build a coarse program from the default guess."""
+    """Build a coarse nonlinear program from the default guess."""
     problem = task.problem
     shape = MultipleShooting if problem.model.has_coupled_rates else Variational
     guess = evaluate_guess(InverseDynamics(noise=NOISE), problem, target, MIN_INTERVALS)

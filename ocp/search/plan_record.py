@@ -1,4 +1,4 @@
-"""Results of attempts as plans without replay errors."""
+"""Conversion of attempts' results to plans."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def record_plan(
 
 
 def _record_motion(problem: Problem, mesh: Array, found: Outcome) -> Trajectory:
-    """Record the planned motion at mesh points."""
+    """Build the planned trajectory at the mesh points."""
     controls = np.concatenate([found.force_density, found.force_density[-1:]])[: len(mesh)]
     with np.errstate(all="ignore"):
         return record_trajectory(

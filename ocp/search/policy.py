@@ -49,7 +49,7 @@ CONDENSED_BARS = 6  # number of bars from which the condensed method is faster
 
 
 class PlannedGuess(NamedTuple):
-    """Plan in force densities that is an initial guess."""
+    """Initial guess from a plan with force densities as control."""
 
     plan: TrajectoryGuess
 
@@ -59,19 +59,19 @@ class PlannedGuess(NamedTuple):
 
 
 class Attempt(NamedTuple):
-    """One attempt of the search.
+    """Transcription, solver and initial guess that a search tries.
 
     Attributes
     ----------
     transcription, solver, guess
-        The method. The guess may be the plan of another attempt, see `plan_guess`.
+        Method of solution. The guess may be another attempt, whose plan is used, see `plan_guess`.
     why : str
         Reason for the attempt.
     after : str
         Condition: the first attempt (FIRST), after an optimum with an inaccurate replay (INEXACT),
         or after a failure of the solver (FAILED).
     twin : PlanningTask, optional
-        The same task in force densities, whose plan is converted to rest lengths.
+        The same problem with force densities as control. Its plan is converted to rest lengths.
     """
 
     transcription: Transcription
@@ -82,7 +82,7 @@ class Attempt(NamedTuple):
     twin: PlanningTask | None = None
 
     def describe(self) -> str:
-        """Describe the method.
+        """Describe the transcription and the solver.
 
         An example is "Variational of 30 intervals by Ipopt".
         """
@@ -93,16 +93,16 @@ class Attempt(NamedTuple):
         return text if self.twin is None else f"{text}, in force densities"
 
     def follows(self, last: PlanResult | None) -> bool:
-        """Return whether the attempt applies after a failed plan.
+        """Return whether to run the attempt after the last plan.
 
-        None stands for no plan yet.
+        The plan has failed. None means that no attempt was made.
         """
         if last is None:
             return self.after == FIRST
         return self.after == (INEXACT if is_inexact(last) else FAILED)
 
     def refine(self, problem: Problem, plan: PlanResult) -> Attempt:
-        """Build the attempt that refines an inexact plan.
+        """Build the attempt that repeats a plan on a finer mesh.
 
         It has at least twice as many intervals, and enough to resolve the vibration of the plan.
         """
@@ -113,7 +113,7 @@ class Attempt(NamedTuple):
 
 
 class _EvaluatedGuess(NamedTuple):
-    """Initial guess whose value on some number of intervals is known."""
+    """Initial guess with a stored value for one number of intervals."""
 
     origin: InitialGuess
     known: Guess
@@ -128,7 +128,7 @@ class _EvaluatedGuess(NamedTuple):
 # No second start from another seed where limits are active: no plan of 25 gets better by more than
 # 0.01 %, in twice the time (docs/benchmarks.md); `n_starts` asks for one.
 def attempts(task: PlanningTask, guess: InitialGuess | None) -> Iterator[Attempt]:
-    """Yield the attempts at a problem in their order.
+    """Yield the attempts at a problem in order.
 
     `find_plan` runs those that apply after the last failure, and stops at the first success.
     """
@@ -189,9 +189,9 @@ def attempts(task: PlanningTask, guess: InitialGuess | None) -> Iterator[Attempt
 def build_force_density_attempt(
     task: PlanningTask, guess: Guess, solver: Method, accuracy: float, after: str
 ) -> Attempt | None:
-    """Build the attempt with force densities as controls.
+    """Build the attempt with force densities as control.
 
-    Returns None if they cannot be the controls, or if no target was found.
+    Returns None if they cannot be the control, or if no final state was found.
     """
     twin = build_force_density_task(task)
     if twin is None or twin.target is None:
@@ -204,7 +204,7 @@ def build_force_density_attempt(
 
 
 def build_force_density_task(task: PlanningTask) -> PlanningTask | None:
-    """Build the same task with force densities as controls.
+    """Build the same problem with force densities as control.
 
     Returns None if there is none, see `build_force_density_problem`.
     """
@@ -217,9 +217,9 @@ def build_force_density_task(task: PlanningTask) -> PlanningTask | None:
 
 
 def repeat_method(problem: Problem, guess: InitialGuess | None) -> Attempt | None:
-    """Build the attempt that repeats the method of a plan, with a warm start.
+    """Build the attempt that repeats a plan's method with a warm start.
 
-    Returns None if the guess is no successful plan of a nonlinear program of the controls.
+    Returns None unless the guess is a successful plan by a nonlinear program for the same control.
     """
     if not isinstance(guess, PlanResult) or not guess.success or guess.duals is None:
         return None
@@ -235,7 +235,7 @@ def repeat_method(problem: Problem, guess: InitialGuess | None) -> Attempt | Non
 
 
 def _for_sampling(problem: Problem) -> Transcription:
-    """Choose the intervals of a plan by sampling."""
+    """Choose the mesh intervals of a plan by random sampling."""
     return MultipleShooting(default_intervals(problem))
 
 
@@ -245,7 +245,7 @@ def complete(
     guess: InitialGuess | None,
     problem: Problem,
 ) -> Attempt:
-    """Build the attempt for the user's transcription and solver.
+    """Build the attempt with the user's transcription and solver.
 
     Defaults replace a missing one.
     """
@@ -265,15 +265,15 @@ def complete(
 
 
 def is_inexact(plan: PlanResult) -> bool:
-    """Return whether a failed plan is an optimum.
+    """Return whether a failed plan is an optimum of its program.
 
-    Its failure is then that of the replay.
+    Then the replay caused the failure.
     """
     return plan.duals is not None and plan.status != NOT_SETTLED
 
 
 def is_near_ground(problem: Problem, guess: Guess) -> bool:
-    """Return whether the guess comes near a ground.
+    """Return whether nodes of a guess come near a ground.
 
     Only nodes that can move count. It is also True if no node is pinned, as the structure can fall.
     """

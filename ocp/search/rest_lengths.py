@@ -1,7 +1,7 @@
-"""Plans of rest lengths by way of force densities.
+"""Plans under rest-length control by way of force densities.
 
-Force densities and rest lengths are controls of the same motions. In force densities, elastic
-vibrations of the strings do not limit the mesh.
+Both controls can produce the same trajectory. With force densities as control, elastic vibrations
+of the strings do not limit the mesh.
 """
 
 from __future__ import annotations
@@ -47,11 +47,11 @@ FORCE_ERROR = 0.1
 
 
 def build_force_density_problem(problem: Problem) -> Problem | None:
-    """Build the same problem with force densities as controls.
+    """Build the same problem with force densities as control.
 
-    Returns None if the controls are no rest lengths or their rates, if cables have one tension along
-    several strings, or if limits or costs would have other values. Under rates and motors, the
-    force densities begin at those of the initial rest lengths. Limits of motors are left out.
+    Returns None if the control is neither rest lengths nor their rates, if cables have one tension
+    along several strings, or if limits or costs would have other values. For rates and motors, the
+    initial force densities are those of the initial rest lengths. Limits of motors are omitted.
     """
     items = (*problem.bounds, *problem.costs)
     if problem.model.scene.structure.cables:
@@ -82,16 +82,16 @@ def build_force_density_problem(problem: Problem) -> Problem | None:
 
 @dataclass(frozen=True, eq=False)
 class InitialForces(PathBound):
-    """Force densities (α,) [N/m] at the beginning of a plan.
+    """Constraint on the initial force densities (α,) [N/m].
 
-    They are those of rest lengths that only change over time.
+    Rest lengths with limited rates cannot jump at the start, and neither can these forces.
     """
 
     ends: ClassVar[tuple[str, ...]] = ("first",)
     force_density: Array
 
     def limit(self, now: Instant) -> Limit:
-        """Build the force densities and their values."""
+        """Build the force densities at an instant, and their required values."""
         names = tuple(
             f"initial force density of string {k}" for k in range(len(self.force_density))
         )
@@ -99,7 +99,10 @@ class InitialForces(PathBound):
 
 
 def _initial_forces(problem: Problem) -> Array | None:
-    """Compute the initial force densities (α,) [N/m]; None if they violate limits."""
+    """Compute the initial force densities (α,) [N/m].
+
+    Returns None if they violate limits.
+    """
     model = build_smooth_model(problem.model)
     first = np.asarray(model.force_density(problem.start, np.zeros(model.nu)))
     lower, upper = problem.force_density_limits
@@ -108,9 +111,9 @@ def _initial_forces(problem: Problem) -> Array | None:
 
 
 def lock_winches(problem: Problem) -> Problem | None:
-    """Build the same problem with rest lengths in place of their rates.
+    """Build the same problem with rest lengths as control.
 
-    Returns None if the start is free.
+    They replace their rates. Returns None if the start is free.
     """
     if problem.free_start or problem.phases:
         return None
@@ -120,13 +123,19 @@ def lock_winches(problem: Problem) -> Problem | None:
 
 
 def drop_internal_states(model: Model, states: Array) -> Array:
-    """Select positions, velocities and clock of states (…, nx)."""
+    """Select positions, velocities and clock from states (…, nx).
+
+    Internal states, such as rest lengths of winches, are removed.
+    """
     parts = model.split(states)
     return np.concatenate([parts.positions, parts.velocities, parts.clock], axis=-1)
 
 
 def convert_guess(problem: Problem, guess: Guess) -> TrajectoryGuess:
-    """Convert an initial guess from rest lengths or their rates to force densities."""
+    """Convert a guess for rest lengths to force densities.
+
+    It may also be one for their rates.
+    """
     middle = (guess.states[1:] + guess.states[:-1]) / 2
     forces = forces_of(build_smooth_model(problem.model), middle, guess.force_density)
     states = drop_internal_states(problem.model, guess.states)
@@ -134,11 +143,12 @@ def convert_guess(problem: Problem, guess: Guess) -> TrajectoryGuess:
 
 
 def convert_outcome(problem: Problem, fractions: Array, found: Outcome) -> Outcome:
-    """Convert piecewise-linear force densities to rest lengths, to their rates, or to torques.
+    """Convert a result in force densities to rest-length control.
 
-    Rates are constant where rest lengths are linear, and lag behind where damping asks for more than
-    the limits. Torques follow from the motion of the motors, and their speeds jump between the
-    intervals: they are a guess. See `_convert_rest_lengths`.
+    Piecewise-linear force densities become rest lengths, their rates, or motor torques. Rates are
+    constant where rest lengths are linear. They lag behind where damping would require rates beyond
+    the limits. Torques follow from the inverse dynamics of the motors, whose speeds jump between
+    the intervals: they are only a guess. See `_convert_rest_lengths`.
     """
     locked = lock_winches(problem) if problem.model.na else problem
     if locked is None:
@@ -159,19 +169,19 @@ def convert_outcome(problem: Problem, fractions: Array, found: Outcome) -> Outco
 
 
 def _find_tensions(model: Model, states: Array, rest: Array) -> Array:
-    """Compute the tensions (K, α) [N] of rest lengths (K, α) [m]."""
+    """Compute the tensions (K, α) [N] at rest lengths (K, α) [m]."""
     lengths = distances(model.nodes(states), model.structure.strings)
     return np.asarray(forces_of(build_smooth_model(model), states, rest) * lengths)
 
 
 def _convert_rest_lengths(problem: Problem, fractions: Array, found: Outcome) -> Outcome:
-    """Convert piecewise-linear force densities to rest lengths.
+    """Convert a result in force densities to rest lengths.
 
     `fractions` are the lengths of the intervals relative to the duration. The rest lengths are
     linear on parts of the intervals, short enough that the force densities between their ends are
     nearly those of the plan. The result fails if they violate a limit of the problem. As in the
-    programs of elastic strings, strings do not go slack (see `build_smooth_model`); the description
-    of the result names those that do.
+    nonlinear programs of elastic strings, strings do not go slack (see `build_smooth_model`); the
+    description of the result names those that would.
     """
     converter = _Converter(problem, fractions, found)
     smooth = replace(problem, model=converter.model)
@@ -204,7 +214,7 @@ def _convert_rest_lengths(problem: Problem, fractions: Array, found: Outcome) ->
 
 
 class _Converter:
-    """States, force densities and rest lengths between the nodes of a plan."""
+    """Interpolated states, force densities and rest lengths of a plan."""
 
     def __init__(self, problem: Problem, fractions: Array, found: Outcome) -> None:
         self.model = build_smooth_model(problem.model)
@@ -213,13 +223,14 @@ class _Converter:
         self.state_at = build_interpolant(self.model, found.states, found.duration, fractions)
 
     def nodes(self, parts: int) -> Array:
-        """Compute the nodes of a mesh with parts of all intervals, from 0 to 1."""
+        """Divide all mesh intervals into equal parts, from 0 to 1."""
         return np.append(0.0, np.cumsum(np.repeat(self.intervals / parts, parts)))
 
     def evaluate(self, shares: Array) -> tuple[Array, Array, Array]:
-        """Compute states, planned force densities, and rest lengths.
+        """Compute states, planned force densities and rest lengths.
 
-        Force densities are linear in the rest lengths.
+        `shares` are fractions of the duration. The rest lengths are those with the planned force
+        densities, which are linear in them.
         """
         states = np.array([self.state_at(share) for share in shares])
         planned = profile_at(self.controls, self.nodes(1), shares)
@@ -229,7 +240,7 @@ class _Converter:
         return states, planned, np.clip(rest, *self.limits)
 
     def count_parts(self) -> int:
-        """Choose the number of parts of the intervals."""
+        """Choose the number of parts into which intervals are divided."""
         nodes = self.nodes(1)
         rest = self.evaluate(nodes)[2]
         states, planned, _ = self.evaluate((nodes[1:] + nodes[:-1]) / 2)

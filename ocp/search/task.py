@@ -1,4 +1,4 @@
-"""Checked planning tasks."""
+"""Validation of a problem before the search for a plan."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ Method = Solver | CondensedNewton | Sampling
 
 
 class PlanningTask(NamedTuple):
-    """Checked problem, its target, and the limits of a search.
+    """Validated problem with its final state and search limits.
 
     Attributes
     ----------
     problem : Problem
         The problem.
     target : Target or None
-        Target of its goals; None for phases, which have their own.
+        Final state and independent goal rows; None with phases, which have targets of their own.
     scales : Scales
-        Its scales.
+        Scale factors of its variables.
     tolerance : float
         Tolerance of the replay [m].
     monitor : Monitor
         Time limit, stop request and progress.
     tracked : bool
-        Whether the replay under `track` decides.
+        Whether the replay under `track` decides on success, instead of the open-loop replay.
     """
 
     problem: Problem
@@ -58,10 +58,11 @@ def prepare(
     monitor: Monitor | None = None,
     near: StateAt | None = None,
 ) -> PlanningTask:
-    """Check a problem and find its target.
+    """Check a problem and find a final state that meets its goals.
 
-    With `near`, the target is the nearest one to that motion; see `find_target`. Raises ValueError
-    for conflicting limits, and InfeasibleGoalError for infeasible goals.
+    With `near`, a trajectory as a function of time, it is the nearest one to that trajectory; see
+    `find_target`. Raises ValueError for conflicting limits, and InfeasibleGoalError for infeasible
+    goals.
     """
     check_groups(problem, control)
     monitor = Monitor() if monitor is None else monitor
@@ -76,9 +77,10 @@ def prepare(
 
 
 def check_groups(problem: Problem, profile: Profile) -> None:
-    """Check that the limits of each control group are consistent.
+    """Check that limits are consistent within each control group.
 
-    Raises ValueError if they contradict each other.
+    Strings of a group share one control value. Raises ValueError if their limits contradict each
+    other.
     """
     lower, upper = problem.control_limits
     name, unit = control_name(problem.model), control_unit(problem.model)
@@ -108,7 +110,7 @@ def check_start(problem: Problem) -> None:
 
 
 def check_end(problem: Problem, target: Target) -> None:
-    """Check that the limits permit the coordinates of the goals.
+    """Check that limits permit the coordinates prescribed by goals.
 
     Raises InfeasibleGoalError if they do not.
     """
