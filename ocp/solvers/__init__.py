@@ -1,1 +1,1 @@
-"""Solvers of nonlinear programs, and duals by name."""
+"""Solvers of the nonlinear programs, and Lagrange multipliers by name."""

@@ -1,4 +1,4 @@
-"""Protocol and results of the solvers of nonlinear programs."""
+"""Interface and results of the solvers of nonlinear programs."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from tenscasadi.util.validate import Array
 
 
 class Solution(NamedTuple):
-    """Result of a solver.
+    """Result of a solver of nonlinear programs.
 
     Attributes
     ----------
     w : ndarray, shape (n,)
-        Scaled unknowns: the optimum, or the best iterate.
+        Scaled decision variables: the optimum, or the best iterate.
     success : bool
         Whether w is optimal.
     status : str
@@ -25,7 +25,7 @@ class Solution(NamedTuple):
     iterations : int
         Number of iterations.
     multipliers : tuple of ndarray or None
-        Duals of the rows and of the limits of w.
+        Lagrange multipliers of the constraints, and of the bounds on w.
     last : ndarray or None
         Last iterate.
     """
@@ -39,7 +39,7 @@ class Solution(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """Result of a method for a problem, before its replay.
+    """Result of a planning method, before its replay.
 
     Attributes
     ----------
@@ -56,15 +56,15 @@ class Outcome(NamedTuple):
     duals : Duals or None
         Duals of an optimum.
     gap : float
-        Distance of the states from those of fine steps, with `accuracy` [m].
+        Distance of the states from an integration in fine steps [m], if `accuracy` is given.
     why : str
         Reason of a failure; "" after success.
     imposed : str
-        Description of the imposed rows.
+        Description of the goal constraints that were imposed.
     time : ndarray, shape (K + 1,), or None
-        Nodes of the mesh [s]; None if they are those of the transcription.
+        Mesh points [s]; None if they are those of the transcription.
     coarse : bool
-        Whether it fails only because the motion is less accurate than requested.
+        Whether it fails only because the states are less accurate than requested.
     """
 
     states: Array
@@ -83,24 +83,24 @@ class Outcome(NamedTuple):
 
 
 def find_best_iterate(program: Program, monitor: Monitor) -> Solution:
-    """Build the solution of a solver that was abandoned.
+    """Build the result of a solver that was stopped early.
 
-    Relaxed programs have their further unknowns at the end.
+    It is the best iterate so far. Relaxation variables at the end of its vector are removed.
     """
     count, w = monitor.iterate or (0, program.first)
     return Solution(w[: len(program.first)], False, monitor.status(), count)
 
 
 class NamedSolver(Value):
-    """Solver with a kind in files."""
+    """Base class of solvers with a name in files."""
 
 
 class Solver(Protocol):
-    """Protocol of solvers of programs."""
+    """Interface of solvers of nonlinear programs."""
 
     @property
     def tolerance(self) -> float:
         """Tolerance of scaled optimality and constraints."""
 
     def solve(self, program: Program, monitor: Monitor | None = None) -> Solution:
-        """Solve a program, until the monitor stops it."""
+        """Solve a nonlinear program, until the monitor stops it."""

@@ -20,23 +20,26 @@ TOO_COARSE = (
 
 @runtime_checkable
 class Correcting(Solver, Protocol):
-    """Solver that starts again from its own solution."""
+    """Solver that supports deferred correction.
+
+    It solves a program again from its last solution.
+    """
 
     def prepare_correction(self, program: Program) -> Callable[..., Solution]:
-        """Prepare solutions of programs with shifted rows."""
+        """Prepare repeated solutions with shifted constraint bounds."""
 
 
 class Corrected(NamedTuple):
-    """Corrected solution.
+    """Result of deferred correction.
 
     Attributes
     ----------
     solution : Solution
-        Solution with the least error.
+        Solution with the smallest error.
     states : ndarray or None
-        States (K + 1, nx) of fine steps.
+        States (K + 1, nx) from an integration in fine steps under its controls.
     error : float
-        Largest distance of its states from them [m] (speeds: m per duration).
+        Largest distance of its states from those [m]; velocities count in m per duration.
     """
 
     solution: Solution
@@ -51,12 +54,12 @@ def solve_corrected(
     accuracy: float,
     monitor: Monitor | None = None,
 ) -> Corrected:
-    """Solve a program, and correct it until errors are small.
+    """Solve a nonlinear program with deferred correction.
 
-    The limits of rows are shifted by the residual (Stetter, Numer. Math. 1978, 29, 425). Only
-    limits change, so nothing is built again. Each round leaves a share of the residual that is
-    about the relative error of the discretization. The plan is optimal for the costs of the
-    discrete rows, which are wrong by its order.
+    The discretization residual shifts the bounds of the constraints, and the program is solved
+    again (Stetter, Numer. Math. 1978, 29, 425). Only bounds change, so nothing is built again. Each
+    round leaves a fraction of the residual that is about the relative error of the discretization.
+    Costs keep the error of the discretization, so the plan is optimal only up to it.
     """
     most, left = 20, 0.7  # rounds; a round that leaves a larger share of the residual is the last
     solution = solver.solve(program, monitor)

@@ -1,4 +1,4 @@
-"""Results of attempts that stop before their solver begins."""
+"""Results of attempts that stop before the solver begins."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from ocp.transcription.mesh import Guess, on_mesh
 def stop_early(
     problem: Problem, transcription: Transcription, status: str, guess: Guess | None = None
 ) -> Outcome:
-    """Build the result of an attempt that stopped before its solver began.
+    """Build the result of an attempt without solution.
 
-    It is the initial guess. Without one, it is the start state under the nominal control.
+    It is the initial guess. Without one, it is the initial state under the nominal control.
     """
     name = "guess" if guess is not None else "start"
     if guess is None:

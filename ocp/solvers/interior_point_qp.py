@@ -10,10 +10,11 @@ NEWTON_STEPS = 30  # most programs need twenty
 
 
 def solve_qp(H: Any, g: Any, G: Any, b: Any, start: Any) -> Any:
-    """Minimize ½ xᵀH x + gᵀx over x (n,) subject to G x ≤ b (m,).
+    """Build the solution of a convex quadratic program.
 
-    H is positive definite, and b is finite. The start need not be feasible. The method is
-    Mehrotra's predictor-corrector (SIAM J. Optim. 1992, 2, 575).
+    It minimizes ½ xᵀH x + gᵀx over x (n,) subject to G x ≤ b (m,), as a CasADi expression with a
+    fixed number of iterations. H is positive definite, and b is finite. The start need not be
+    feasible. The method is Mehrotra's predictor-corrector (SIAM J. Optim. 1992, 2, 575).
     """
     step = _build_step(H.shape[0], G.sparsity())
     x = start
@@ -47,7 +48,10 @@ def _build_step(n: int, limits: ca.Sparsity) -> ca.Function:
     M = ca.densify(H + ca.mtimes(G.T, G * ca.repmat(weights, 1, n)))
 
     def direction(product: Any) -> tuple[Any, Any, Any]:
-        """Compute the Newton step towards s z = s z − `product`."""
+        """Compute the Newton step of x, slacks s and duals z.
+
+        The complementarity products s z are reduced by `product`.
+        """
         dx = ca.solve(M, -dual + ca.mtimes(G.T, product / s - weights * primal), "ldl")
         ds = -primal - ca.mtimes(G, dx)
         return dx, ds, -(product + z * ds) / s

@@ -133,7 +133,7 @@ class Ipopt(NamedSolver, kind="Ipopt", earlier="Fatrop"):
         _check_library(self.options)
 
     def solve(self, program: Program, monitor: Monitor | None = None) -> Solution:
-        """Solve a program.
+        """Solve a nonlinear program.
 
         Parameters
         ----------
@@ -161,7 +161,7 @@ class Ipopt(NamedSolver, kind="Ipopt", earlier="Fatrop"):
         return self._run(run, program, monitor)
 
     def _run(self, run: Callable[..., Solution], program: Program, monitor: Monitor) -> Solution:
-        """Solve, and again from the perturbed guess after a saddle.
+        """Solve, and solve again from a perturbed guess after a saddle.
 
         Points without derivatives, such as the center of an obstacle, count as saddles.
         """
@@ -174,7 +174,7 @@ class Ipopt(NamedSolver, kind="Ipopt", earlier="Fatrop"):
         return solution._replace(iterations=even.iterations + solution.iterations)
 
     def build(self, program: Program) -> Callable[..., Solution]:
-        """Build the solver once for several programs.
+        """Build the solver for repeated use with other bounds.
 
         Parameters
         ----------
@@ -200,7 +200,7 @@ class Ipopt(NamedSolver, kind="Ipopt", earlier="Fatrop"):
     prepared = RenamedAttribute("build")
 
     def prepare_correction(self, program: Program) -> Callable[..., Solution]:
-        """Prepare solutions of programs with shifted rows.
+        """Prepare repeated solutions with shifted constraint bounds.
 
         Parameters
         ----------
@@ -263,7 +263,7 @@ class Ipopt(NamedSolver, kind="Ipopt", earlier="Fatrop"):
 
 
 class BestIterate(ca.Callback):
-    """Callback of IPOPT that keeps the best iterate."""
+    """Callback of IPOPT that stores the best iterate."""
 
     def __init__(self, size: int, rows: int, objective: float, watch: Watcher | None) -> None:
         super().__init__()
@@ -275,7 +275,7 @@ class BestIterate(ca.Callback):
     def begin(
         self, lower: Array, upper: Array, monitor: Monitor, leaving: ca.Function | None
     ) -> None:
-        """Begin a run with these limits of rows.
+        """Prepare for a run with given constraint bounds.
 
         `leaving` is the solver if it stops at a saddle, else None.
         """
@@ -288,7 +288,7 @@ class BestIterate(ca.Callback):
         self.error: Exception | None = None
 
     def get_n_in(self) -> int:
-        """Return the number of outputs of `nlpsol`."""
+        """Return the number of inputs, the outputs of `nlpsol`."""
         return int(ca.nlpsol_n_out())
 
     def get_n_out(self) -> int:
@@ -296,19 +296,19 @@ class BestIterate(ca.Callback):
         return 1
 
     def get_name_in(self, i: int) -> str:
-        """Return the name of an output of `nlpsol`."""
+        """Return the name of input i, an output of `nlpsol`."""
         return str(ca.nlpsol_out(i))
 
     def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        """Return the sparsity of an output of `nlpsol`."""
+        """Return the sparsity of input i, an output of `nlpsol`."""
         return ca.Sparsity.dense(self._sizes[ca.nlpsol_out(i)], 1)
 
     def has_eval_buffer(self) -> bool:
-        """Return whether memory is read in place."""
+        """Return whether CasADi calls `eval_buffer`."""
         return True
 
     def eval_buffer(self, arg: Sequence[memoryview], res: Sequence[memoryview]) -> int:
-        """Write whether to stop into `res`."""
+        """Record the iterate, and write whether to stop into `res`."""
         w, f, g = (
             np.frombuffer(arg[ca.nlpsol_out().index(name)] or b"") for name in ("x", "f", "g")
         )
@@ -337,7 +337,7 @@ class BestIterate(ca.Callback):
 
 
 def _has_negative_curvature(solver: ca.Function) -> bool:
-    """Return whether the last iterations met negative curvature."""
+    """Return whether IPOPT's last iterations found negative curvature."""
     added = solver.stats()["iterations"]["regularization_size"][-BENT:]
     return len(added) == BENT and min(added) > 0.0
 

@@ -25,7 +25,7 @@ STOPPING, REPLAYING = 0.3, 0.9
 
 
 class Progress(NamedTuple):
-    """One iteration of a solver.
+    """Progress of a solver after one iteration.
 
     Attributes
     ----------
@@ -87,26 +87,29 @@ class Monitor:
         self._worker: Worker | None = None
 
     def limit(self, time_limit: float | None) -> Monitor:
-        """Build a monitor of a part of the search, with a time limit [s] of its own."""
+        """Build the monitor of a part of the search.
+
+        It has a time limit [s] of its own.
+        """
         return Monitor(time_limit, self._show, self._watch)
 
     @property
     def elapsed(self) -> float:
-        """Wall time since the begin [s]."""
+        """Wall time since the start [s]."""
         return time.perf_counter() - self.began
 
     @property
     def left(self) -> float:
-        """Wall time that is left [s], inf without a limit."""
+        """Remaining wall time [s], inf without a limit."""
         return self.deadline - time.perf_counter()
 
     @property
     def iterate(self) -> tuple[int, Array] | None:
-        """Number of the last iteration of the work in a thread, and its best iterate."""
+        """Best iterate of the work in a thread, after its iteration number."""
         return None if self._worker is None else self._worker.iterate
 
     def status(self) -> str:
-        """Return why the search has to stop, or ""."""
+        """Return the reason why the search has to stop, or ""."""
         if self.interrupted:
             return STOPPED
         return TIME_UP if self.left <= 0 else ""
@@ -117,11 +120,11 @@ class Monitor:
         otherwise: Callable[[], Result],
         share: float = STOPPING,
     ) -> Result:
-        """Run work in a thread, and abandon it if it does not stop soon.
+        """Run a function in a thread, and abandon it if it is late.
 
-        `otherwise` builds the result of abandoned work, from `iterate`. All work has the same time
-        to stop by itself, `share` of the permitted delay. Callbacks of the user run in the calling
-        thread.
+        `work` is the function; `otherwise` builds the result after it was abandoned, from
+        `iterate`. A function may return late by the fraction `share` of the permitted delay.
+        Callbacks of the user run in the calling thread.
         """
 
         def is_late() -> bool:
@@ -133,16 +136,16 @@ class Monitor:
     def ask(self, call: Callable[[], Result]) -> Result:
         """Call a function in the thread of the search.
 
-        Raises Abandoned in the thread of work that was abandoned.
+        Raises Abandoned if the calling thread was abandoned.
         """
         if self._worker is None or current_thread() is self._thread:
             return call()
         return self._worker.ask(call)
 
     def follow(self, now: Progress, iterate: Array | None = None) -> str:
-        """Show the progress of a solver, and return `status`.
+        """Report the progress of a solver, and return `status`.
 
-        `iterate` are the unknowns of the best iterate so far.
+        `iterate` are the decision variables of the best iterate so far.
         """
         worker = self._worker
         if iterate is not None and worker is not None and worker.is_here:
@@ -164,7 +167,7 @@ class Monitor:
 
     @contextmanager
     def catching_interrupts(self) -> Iterator[None]:
-        """Turn the first Ctrl-C into a stop request."""
+        """Convert the first Ctrl-C into a stop request."""
         if self._catches:  # the search within a refinement
             yield
             return
@@ -176,7 +179,7 @@ class Monitor:
             self._catches = False
 
     def stop(self) -> None:
-        """Request a stop of the search."""
+        """Request that the search stops."""
         self.interrupted, self._delay = True, DELAY
         self.deadline = min(self.deadline, time.perf_counter())
 
@@ -196,6 +199,6 @@ def build_monitor(time_limit: Any, progress: Any) -> Monitor:
 
 
 def write_line(line: str) -> None:
-    """Write a line of progress over the one before."""
+    """Write a line of progress in place of the last one."""
     sys.stderr.write(f"\r\033[K{line}")
     sys.stderr.flush()

@@ -1,4 +1,4 @@
-"""Duals of limits and goals by name, in physical units."""
+"""Lagrange multipliers of limits and goals in physical units."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Duals(Stored):
         return f"Duals({len(self.names)} duals, {len(self.point)} unknowns)"
 
     def __getitem__(self, name: str) -> Array:
-        """Return the duals of one name, in the order of time."""
+        """Return the duals of a named constraint, in the order of time."""
         instance(
             "Duals[name]", name, str, 'one of Duals.names, such as duals["tension of string 3"]'
         )
@@ -77,7 +77,7 @@ class Duals(Stored):
 
 
 def name_duals(program: Program, target: Target, w: Array, rows: Array, limits: Array) -> Duals:
-    """Convert scaled duals to physical units, by name."""
+    """Convert scaled duals to physical units, with names."""
     names, values = [], []
     for part in _find_parts(program, target):
         reduction = part.target.reduction
@@ -100,7 +100,7 @@ def name_duals(program: Program, target: Target, w: Array, rows: Array, limits: 
 
 
 def warm_start_program(program: Program, target: Target, duals: Duals) -> Program:
-    """Start a program from a solution of an equal one."""
+    """Warm-start a program from the duals of an equal program."""
     rest, parts = _find_rest(program), _find_parts(program, target)
     goals = [f"{part.label}{name}" for part in parts for name in part.target.reduction.names]
     if duals.names != (*(program.names[k] for k in rest), *goals, *program.w_names):
@@ -128,7 +128,7 @@ class _Part(NamedTuple):
 
 
 def _find_parts(program: Program, target: Target) -> list[_Part]:
-    """Find the targets of waypoints and end, with their rows."""
+    """Find the goal constraints of waypoints and end."""
     goals = [(waypoint.target, waypoint.label) for waypoint in target.waypoints] + [(target, "")]
     imposed = [(part, label) for part, label in goals if part.count]
     return [
@@ -138,7 +138,7 @@ def _find_parts(program: Program, target: Target) -> list[_Part]:
 
 
 def _find_rest(program: Program) -> Indices:
-    """Find the rows that do not belong to goals."""
+    """Find the constraints that do not belong to goals."""
     goals = [np.arange(rows.start, rows.stop) for rows in program.rows("waypoint", "end")]
     return np.setdiff1d(
         np.arange(len(program.names)), np.concatenate([np.zeros(0, dtype=np.intp), *goals])

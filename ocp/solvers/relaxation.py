@@ -1,7 +1,7 @@
 """Elastic relaxation of limits that are too narrow.
 
-Each limit gets a relaxation, by which it may be exceeded, relative to its size. The program
-minimizes the sum of the relaxations.
+Each limit has a relaxation variable, by which it may be exceeded, relative to its size. The relaxed
+program minimizes the sum of these variables.
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ OPTIONS = {"alpha_for_y": "min-dual-infeas", "mu_init": 0.1}
 
 
 class WiderLimit(NamedTuple):
-    """Limit that a relaxed motion exceeds.
+    """Limit that must be wider for a solution to exist.
 
     Attributes
     ----------
     name : str
-        Quantity and member that exceed it most, such as "tension of string 3".
+        Name of the quantity that exceeds it most, such as "tension of string 3".
     side : str
         "lower", "upper", or "both" for limits of equal size.
     limit, needed : float
-        The limit, and the value that permits the motion, in the unit of the quantity.
+        The limit, and the value that permits a solution, in the unit of the quantity.
     """
 
     name: str
@@ -55,18 +55,19 @@ class WiderLimit(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Relaxation:
-    """Program with relaxed limits.
+    """Nonlinear program with relaxed limits.
 
     Attributes
     ----------
     given, program : Program
-        The given program, and the relaxed one. The relaxations are its last unknowns.
+        The given program, and the relaxed one. The relaxation variables are its last variables.
     blocks : list of Block
-        Rows with relaxed limits, in the unknowns of the given program.
+        Constraints with relaxed limits, in the variables of the given program.
     groups : list of ndarray of int, shape (2, count, rows)
-        Number of the relaxation of each lower and upper limit of these blocks. The last one is 0.
+        Index of the relaxation variable of each lower and upper limit of these blocks. The last
+        variable is fixed at 0.
     sizes : ndarray, shape (m,)
-        Sizes of the limits of each relaxation, scaled.
+        Sizes of the limits of each relaxation variable, scaled.
     """
 
     given: Program
@@ -76,7 +77,10 @@ class Relaxation:
     sizes: Array
 
     def list_wider(self, w: Array) -> list[WiderLimit]:
-        """List the limits that the unknowns w exceed, the largest relaxations first."""
+        """List the limits that a solution w of the relaxed program exceeds.
+
+        Those with the largest relaxations come first.
+        """
         found: dict[int, tuple[float, WiderLimit]] = {}
         excesses = _find_excess(self.given, self.blocks, w)
         for block, groups, (value, both) in zip(self.blocks, self.groups, excesses, strict=True):
@@ -101,9 +105,9 @@ class Relaxation:
 def find_rate_relaxation(
     program: Program, solver: Ipopt, failed: Solution, monitor: Monitor | None
 ) -> Solution | None:
-    """Find the motion with the least relaxation of rate limits.
+    """Find a solution with minimum relaxation of the rate limits.
 
-    None if the solver did not fail for lack of a feasible point, or rate limits are not its cause.
+    Returns None if the solver failed for another reason, or if rate limits are not the cause.
     """
     stopped = (*NOWHERE, "Maximum_Iterations_Exceeded")
     if failed.success or failed.status not in stopped or not program.rows("rate"):
@@ -117,7 +121,7 @@ def find_rate_relaxation(
 
 
 def solve_relaxed(relaxed: Relaxation, solver: Ipopt, monitor: Monitor | None) -> Solution:
-    """Find the motion with the least relaxation."""
+    """Find a solution with the minimum sum of relaxations."""
     # Relaxed rates of rest lengths (test_relaxation.py) take 9 CPU s, else 13. Other limits take the
     # same time with the tolerance and the iterations of the solver.
     own = replace(
@@ -132,7 +136,7 @@ def solve_relaxed(relaxed: Relaxation, solver: Ipopt, monitor: Monitor | None) -
 
 
 def measure_relaxation(program: Program, w: Array) -> float:
-    """Measure the violation of rate limits, relative to the limits."""
+    """Compute the largest relative violation of rate limits."""
     rates = find_rate_rows(program)
     g = ca.Function("g", [program.parts.w], [program.parts.g])(w).full().ravel()[rates]
     lower, upper = program.lower[rates], program.upper[rates]
@@ -140,15 +144,16 @@ def measure_relaxation(program: Program, w: Array) -> float:
 
 
 def find_rate_rows(program: Program) -> Indices:
-    """Find the rows of g that limit rates."""
+    """Find the rows of the constraints g that limit rates."""
     return np.concatenate([np.arange(rows.start, rows.stop) for rows in program.rows("rate")])
 
 
 def relax_limits(program: Program, kinds: Sequence[Kind], controls: bool = False) -> Relaxation:
-    """Relax the limits of rows of some kinds, and those of the controls.
+    """Relax the limits of constraints of some kinds.
 
-    Equal limits of one quantity have one relaxation, as have lower and upper limits of equal size.
-    A limit 0 stays, as it stands for a sign.
+    With `controls`, limits of the controls are relaxed, too. Equal limits of one quantity share one
+    relaxation variable, as do lower and upper limits of equal size. A limit 0 is not relaxed, as it
+    defines a sign.
     """
     n, known = len(program.first), program.parts.unknowns
     given = [block for block in program.parts.rows if block.kind in kinds]
@@ -188,7 +193,7 @@ def relax_limits(program: Program, kinds: Sequence[Kind], controls: bool = False
 
 
 def _find_control_limits(program: Program) -> Block | None:
-    """Build the limits of the controls as rows."""
+    """Convert the bounds on controls to constraints."""
     known = program.parts.unknowns
     limited = np.isfinite(program.w_lower) | np.isfinite(program.w_upper)
     which = np.flatnonzero(limited & np.isfinite(known.interval))
@@ -203,7 +208,7 @@ def _find_control_limits(program: Program) -> Block | None:
 
 
 class _Relaxations(NamedTuple):
-    """Names, sizes of the limits, largest and initial values (m,) of relaxations."""
+    """Names, limit sizes, upper bounds and initial values of relaxation variables."""
 
     names: tuple[str, ...]
     size: Array
@@ -214,9 +219,10 @@ class _Relaxations(NamedTuple):
 def _find_relaxations(
     program: Program, blocks: Sequence[Block]
 ) -> tuple[_Relaxations, list[Indices]]:
-    """Find the relaxations of the limits of blocks, and their groups.
+    """Assign relaxation variables to the limits of blocks.
 
-    The last relaxation is 0, for limits that stay. A limit does not change its sign.
+    The last variable is fixed at 0, for limits that are not relaxed. A relaxed limit does not
+    change its sign.
     """
     keys: dict[tuple[str, str, float], int] = {}
     groups = [_group_limits(block, keys) for block in blocks]
@@ -234,9 +240,9 @@ def _find_relaxations(
 
 
 def _group_limits(block: Block, keys: dict[tuple[str, str, float], int]) -> Indices:
-    """Find the relaxations of the limits of a block, lower and upper.
+    """Assign relaxation variables to the limits of one block.
 
-    `keys` are the quantity, side and limit of each relaxation.
+    `keys` are the quantity, side and limit of each variable, and are extended.
     """
     lower, upper, _ = (limit.reshape(block.count, block.rows) for limit in block.limits())
     groups = np.full((2, block.count, block.rows), -1)
@@ -251,7 +257,7 @@ def _group_limits(block: Block, keys: dict[tuple[str, str, float], int]) -> Indi
 
 
 def _find_excess(program: Program, blocks: Sequence[Block], w: Array) -> list[tuple[Array, Array]]:
-    """Evaluate rows and their violations of lower and upper limits."""
+    """Evaluate constraints, and their violations of both limits."""
     known = program.parts.unknowns
     y = np.append(known.scale * w, known.constants)
     found = []
@@ -263,7 +269,10 @@ def _find_excess(program: Program, blocks: Sequence[Block], w: Array) -> list[tu
 
 
 def _add_relaxations(known: Unknowns, relaxations: _Relaxations) -> Unknowns:
-    """Append the relaxations to the unknowns, in units of their limits."""
+    """Append the relaxation variables to the decision variables.
+
+    They are in units of their limits.
+    """
     none = np.full(len(relaxations.size), np.inf)
     return Unknowns(
         (*known.names, *relaxations.names),
@@ -277,16 +286,17 @@ def _add_relaxations(known: Unknowns, relaxations: _Relaxations) -> Unknowns:
 
 
 def _build_cost(n: int, sizes: Array) -> Block:
-    """Build the sum of all relaxations."""
+    """Build the cost function, the sum of all relaxations."""
     relaxation = ca.SX.sym("relaxation", len(sizes))
     function = ca.Function("cost", [relaxation], [ca.dot(relaxation, ca.DM(1 / sizes))])
     return Block(function, np.arange(n, n + len(sizes))[None], ("cost",), kind="cost")
 
 
 def _relax(block: Block, relaxations: Indices) -> Block:
-    """Relax lower ≤ f ≤ upper to f − s ≤ upper and f + s' ≥ lower.
+    """Add relaxation variables to the constraints of a block.
 
-    The entries s' and s are those of `relaxations`.
+    lower ≤ f ≤ upper becomes f − s ≤ upper and f + s' ≥ lower. The indices of s' and s are
+    `relaxations`.
     """
     lower, upper, scale = (limit.reshape(block.count, block.rows) for limit in block.limits())
     size, rows = block.function.size1_in(0), block.rows

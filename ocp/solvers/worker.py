@@ -1,7 +1,7 @@
 """Work in a thread that a search can abandon.
 
 Compiled code, such as a factorization of IPOPT, cannot be interrupted. The calling thread waits for
-the work only as long as the search may take.
+the result only as long as the search may take.
 """
 
 from __future__ import annotations
@@ -20,14 +20,11 @@ Result = TypeVar("Result")
 
 
 class Abandoned(Exception):
-    """Raised in abandoned work that calls a function of the user."""
+    """Raised in an abandoned thread that calls a user's function."""
 
 
 class Worker:
-    """Thread that works for a waiting one.
-
-    Abandoned work goes on until it checks for a stop. Its result is lost. At exit, Python waits for
-    it: a daemon thread that returns from compiled code meanwhile would abort the process.
+    """Thread that computes while the calling thread waits.
 
     Parameters
     ----------
@@ -56,7 +53,7 @@ class Worker:
 
     @property
     def is_here(self) -> bool:
-        """Whether the present thread is that of the work."""
+        """Whether the current thread is that of the work."""
         return current_thread() is self._thread
 
     def _run(self, work: Callable[[], Any]) -> None:
@@ -68,7 +65,7 @@ class Worker:
         self._calls.put((None, self._result))
 
     def wait(self, is_late: Callable[[], bool], otherwise: Callable[[], Result]) -> Result:
-        """Wait for the result of the work.
+        """Wait for the result of the thread.
 
         Parameters
         ----------
@@ -101,9 +98,9 @@ class Worker:
         return otherwise()
 
     def ask(self, call: Callable[[], Result]) -> Result:
-        """Call a function in the waiting thread, for its result.
+        """Call a function in the waiting thread, and return its result.
 
-        Raises Abandoned if that thread no longer waits for the present one.
+        Raises Abandoned if that thread no longer waits.
         """
         if not self.is_here:  # that of earlier work, which was abandoned
             raise Abandoned

@@ -1,1 +1,1 @@
-"""Transcription of continuous-time problems to sparse nonlinear programs."""
+"""Transcription of optimal control problems to sparse nonlinear programs."""

@@ -1,4 +1,4 @@
-"""Assembly of the program of a plan from blocks."""
+"""Assembly of nonlinear programs from constraints and costs."""
 
 from __future__ import annotations
 
@@ -35,14 +35,17 @@ _Summand = tuple[Any, Any, Indices]
 
 
 class ProblemBlocks(NamedTuple):
-    """Blocks of constraints and of costs of a problem."""
+    """Constraints and costs of a problem, without its dynamics."""
 
     rows: list[Block]
     costs: list[Block]
 
 
 class Stage(NamedTuple):
-    """Variables and blocks of a plan or of a phase."""
+    """Decision variables, constraints and costs of a phase.
+
+    A plan without phases is one stage.
+    """
 
     variables: Variables
     blocks: ProblemBlocks
@@ -50,7 +53,7 @@ class Stage(NamedTuple):
 
     @property
     def rows(self) -> list[Block]:
-        """All rows, with the phase in their names."""
+        """All constraints, with the phase in their names."""
         v = self.variables
         return [
             replace(block, names=tuple(name + v.suffix for name in block.names))
@@ -58,7 +61,7 @@ class Stage(NamedTuple):
         ]
 
     def states(self, entries: Any) -> Any:
-        """Select the states (nx, K + 1) from all entries."""
+        """Select the states (nx, K + 1) from all variables."""
         if self.defects.states is None:
             return gather(entries, self.variables.states)
         return self.defects.states(entries)
@@ -76,7 +79,7 @@ def build_program(
 
 
 def build_stage(transcription: Transcription, v: Variables, *contact: Any) -> Stage:
-    """Build all blocks of a plan or phase.
+    """Build all constraints and costs of a plan or phase.
 
     `contact` is the argument of `Variational.defects`.
     """
@@ -87,9 +90,9 @@ def build_stage(transcription: Transcription, v: Variables, *contact: Any) -> St
 
 
 def assemble(stages: Sequence[Stage], linkage: Sequence[Block] = ()) -> Program:
-    """Build the program of a plan or of its phases.
+    """Build the nonlinear program of all phases of a plan.
 
-    `linkage` are rows in entries of several phases.
+    `linkage` are constraints on variables of several phases.
     """
     variables = [stage.variables for stage in stages]
     first = variables[0]
@@ -151,7 +154,10 @@ def build_path_blocks(v: Variables) -> list[Block]:
 
 
 def build_cost_blocks(v: Variables) -> list[Block]:
-    """Build all costs: integrals, differences of neighboring controls, and instants."""
+    """Build all cost terms.
+
+    They are integrals, functions of neighboring controls, and functions of one instant.
+    """
     terms = cost_terms(v.problem.costs).express(v.model)
     found = [_build_integral(v, one) for one in terms.control]
     if len(v.controls) > 1:
@@ -165,7 +171,7 @@ def build_cost_blocks(v: Variables) -> list[Block]:
 
 
 def build_start_blocks(v: Variables) -> list[Block]:
-    """Build the rows of a free start."""
+    """Build the constraints on a free initial state."""
     free = v.target.free_start
     count = 0 if free is None else free.start.size1_out(0)
     if free is None or not count:
@@ -181,9 +187,9 @@ def build_start_blocks(v: Variables) -> list[Block]:
 
 
 def build_waypoint_blocks(v: Variables) -> list[Block]:
-    """Build the rows of all waypoints.
+    """Build the constraints of all waypoints.
 
-    The state of a waypoint is interpolated between the ends of its interval.
+    The state at a waypoint is interpolated between the ends of its interval.
     """
     blocks: list[Block] = []
     nx = v.model.nx
@@ -200,7 +206,7 @@ def build_waypoint_blocks(v: Variables) -> list[Block]:
 
 
 def build_end_blocks(v: Variables) -> list[Block]:
-    """Build the rows of terminal and periodic goals."""
+    """Build the constraints of terminal and periodic goals."""
     target, free = v.target, v.target.free_start
     blocks = _build_goal_blocks(target, target.single, v.states[-1:], "goal", "end")
     if free is not None and free.reduction.names:
@@ -218,10 +224,11 @@ def build_end_blocks(v: Variables) -> list[Block]:
 def _build_goal_blocks(
     target: Target, function: ca.Function, index: Indices, name: str, kind: Kind
 ) -> list[Block]:
-    """Build the independent combinations of the rows of a target.
+    """Build the constraints of the goals at one instant.
 
-    Dependent goal rows are inequalities. Where invariants meet them, they are inactive, so that the
-    gradients of active rows remain independent.
+    They are independent combinations of the goal rows. Dependent goal rows are inequalities. Where
+    conserved quantities already satisfy them, they are inactive, so that the gradients of active
+    constraints remain independent.
     """
     blocks = []
     if target.count:
@@ -251,7 +258,7 @@ def _build_bound(v: Variables, rows: ScaledRows, end: str) -> Block:
 
 
 def _select(k: int, block: Block, count: int) -> Block:
-    """Select instance k of a block with `count` rows each."""
+    """Select instance k of a block with `count` constraints each."""
     return replace(
         block, index=block.index[k : k + 1], names=block.names[k * count : (k + 1) * count]
     )
@@ -286,7 +293,7 @@ def _build_rate_bound(v: Variables, rows: ScaledRows) -> Block:
 
 
 def _build_instant(v: Variables, share: float, expression: InstantTerm) -> _Summand:
-    """Build a term at a fraction of the duration."""
+    """Build a cost term at a fraction of the duration."""
     k, part = locate_share(v.fractions, share)
     value = ca.Function("value", (now := symbolic(v.model)).symbols, [expression(now)])
     z, (x, y, c, T, length) = split_symbol(
@@ -300,7 +307,7 @@ def _build_instant(v: Variables, share: float, expression: InstantTerm) -> _Summ
 
 
 def _build_differences(v: Variables, expression: ControlTerm) -> _Summand:
-    """Build a cost term of successive control values."""
+    """Build a cost term of neighboring control values."""
     width = v.controls.shape[1]
     z = ca.SX.sym("z", 2 * width + 2)
     pair = ca.mtimes(sparse(v.group_matrix), ca.reshape(z[: 2 * width], width, 2))

@@ -1,4 +1,4 @@
-"""Base of all transcriptions: mesh and control profile.
+"""Base class of transcriptions: mesh and control profile.
 
 A transcription is a subclass of `Transcription` that defines `defects`.
 """
@@ -30,15 +30,15 @@ from tenscasadi.util.validate import Array, Check, Positive, of_type
 
 
 class Defects(NamedTuple):
-    """Rows of the discretized equations of motion.
+    """Defect constraints: discretized equations of motion.
 
     Attributes
     ----------
     rows : list of Block
-        The blocks.
+        The constraints.
     states : callable or None
-        Function of the column of all entries (in the order of `Variables.entries`) that returns all
-        states (nx, K + 1). None if all states are unknowns.
+        Function of the vector y of all variables (see `Entries`) that returns all states (nx, K + 1).
+        None if all states are decision variables.
     """
 
     rows: list[Block]
@@ -47,7 +47,7 @@ class Defects(NamedTuple):
 
 @dataclass(frozen=True)
 class Transcription(Value):
-    """Options of all transcriptions.
+    """Base class of transcriptions, with their common options.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ class Transcription(Value):
 
     @property
     def fractions(self) -> Array:
-        """Lengths (K,) of the intervals as fractions of the duration."""
+        """Interval lengths (K,) as fractions of the duration."""
         return fractions(self.intervals)
 
     def longest_step(self, duration: float) -> float:
@@ -88,16 +88,17 @@ class Transcription(Value):
         return duration * float(self.fractions.max())
 
     def measure_residual(self, program: Program, model: Model) -> Measure:
-        """Prepare the residual of solutions against fine steps.
+        """Prepare the discretization residual for deferred correction.
 
-        The result is a function of the unknowns, and of the `MotionResidual` of a solution nearby or
-        None. It returns a `MotionResidual`.
+        The residual is the difference from an integration in fine steps. The result is a function
+        of the decision variables, and of the `MotionResidual` of a solution nearby or None. It
+        returns a `MotionResidual`.
         """
         return measure_ends(program, model, self.fractions)
 
     def defects(self, variables: Variables, used: Array) -> Defects:
-        """Build the defects, and add the unknowns that they need.
+        """Build the defect constraints and their additional variables.
 
-        `used` are the entries that limits, costs and goals depend on.
+        `used` marks the variables that limits, costs and goals depend on.
         """
         raise NotImplementedError

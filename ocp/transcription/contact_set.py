@@ -1,4 +1,4 @@
-"""Contact nodes of a phase and their reactions."""
+"""Contact nodes of a phase and their ground reactions."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from tenscasadi.util.validate import Array, Indices
 
 @dataclass(frozen=True, eq=False)
 class ContactSet:
-    """Contact nodes of a phase, and their entries.
+    """Contact nodes of a phase with the indices of their variables.
 
     Attributes
     ----------
     stands : tuple of int
         Contact nodes, which keep their positions during the phase.
     lands : bool
-        Whether some of them land at the start, in an impact without rebound.
+        Whether some of them land at the start of the phase, in an inelastic impact.
     held : ndarray of int, shape (3s,)
         Free coordinates of the contact nodes, whose velocities are zero.
     reactions : ndarray of int, shape (K + 1, 3s)
-        Entries of the ground reactions [N].
+        Indices of the ground reactions [N] among the variables.
     impulses : ndarray of int, shape (3s,) or (0,)
-        Entries of the impulses of an impact [N·s].
+        Indices of the impulses of an impact [N·s].
     arriving : ndarray of int, shape (nq,) or (0,)
-        Entries of the velocities before the impact [m/s].
+        Indices of the velocities before the impact [m/s].
     force : float
         Typical reaction [N].
     """
@@ -44,10 +44,10 @@ class ContactSet:
 
 
 def add_contacts(v: Variables, stands: Sequence[int], lands: bool, reactions: Array) -> ContactSet:
-    """Fix contact nodes, and add their reactions as unknowns.
+    """Fix contact nodes and add their reactions as variables.
 
-    Fixed coordinates are the same entries at all mesh points, so that no row has to fix them.
-    `reactions` (3s,) is the initial guess of the reactions [N].
+    Fixed coordinates are the same variables at all mesh points, so that no constraint has to fix
+    them. `reactions` (3s,) is the initial guess of the reactions [N].
     """
     nq = v.model.nq
     held = find_node_coordinates(v.model)[list(stands)].ravel()
@@ -74,7 +74,7 @@ def add_contacts(v: Variables, stands: Sequence[int], lands: bool, reactions: Ar
 
 
 def build_empty_set(v: Variables) -> ContactSet:
-    """Build the contact set without nodes."""
+    """Build the contact set of a phase without contact."""
     return add_contacts(v, (), False, np.zeros(0))
 
 

@@ -14,9 +14,9 @@ from tenscasadi.util.validate import Array, whole
 class DirectCollocation(RungeKuttaTranscription, kind="DirectCollocation", earlier="Collocation"):
     """Direct collocation at Gauss points.
 
-    The method has order 2·degree, and is stable for any interval. The motion of each interval is a
-    polynomial that satisfies the equations of motion at `degree` points. For a given accuracy, more
-    points in fewer intervals are faster than the contrary.
+    The method has order 2·degree, and is stable for intervals of any length. The states in each
+    interval are polynomials of time that satisfy the equations of motion at `degree` points. For a
+    given accuracy, more points in fewer intervals are faster than the contrary.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ class DirectCollocation(RungeKuttaTranscription, kind="DirectCollocation", earli
 
     @property
     def coefficients(self) -> tuple[Array, Array]:
-        """Coefficients of the Gauss method: A (s, s), b (s,)."""
+        """Coefficients A (s, s) and b (s,) of the Gauss method."""
         return Collocation(self.degree).coefficients
 
 

@@ -1,6 +1,6 @@
-"""Discrete Euler-Lagrange equations.
+"""Discrete Euler-Lagrange equations as constraints.
 
-Constraint forces and ground reactions are unknowns.
+Constraint forces and ground reactions are decision variables.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ EARLY, LATE = 1 / 3, 2 / 3
 
 
 class DiscreteEquations:
-    """Equations from mesh point to mesh point.
+    """Discrete Euler-Lagrange equations of all mesh points.
 
     Attributes
     ----------
     pushes : ndarray of int, shape (K + 1, c + 3s)
-        Entries of the forces of c constraints, and of the reactions on s contact nodes.
+        Variable indices of the forces of c constraints, and of the reactions on s contact nodes.
     """
 
     def __init__(self, v: Variables, used: Array, contact: ContactSet) -> None:
@@ -65,12 +65,15 @@ class DiscreteEquations:
             self.pushes_before = np.hstack([before, ground_before])
 
     def _add_forces(self, what: str, first: Array, node: int = 0) -> Indices:
-        """Add constraint forces at mesh points from `node` on."""
+        """Add the forces of constraints as variables.
+
+        They belong to the mesh points from `node` on.
+        """
         names, v = [f"{name} {what}" for name in self.kept], self.v
         return v.add_at_nodes(names, first, v.strength * v.scales.length, node)
 
     def blocks(self) -> list[Block]:
-        """Build all rows of the motion."""
+        """Build all constraints of the discrete dynamics."""
         v, nq = self.v, self.nq
         self._leaving = self._momentum_at_ends()
         result = [self._leaving]
@@ -93,8 +96,9 @@ class DiscreteEquations:
     def _momentum_at_ends(self) -> Block:
         """Build the discrete momenta at the start and the end.
 
-        At the end they are those of the motion backwards in time. The rows contain T² and fractions
-        instead of the step h, so that they are polynomials also for a free duration.
+        Those at the end follow from the same formula, backwards in time. The equations contain T²
+        and fractions of the duration T instead of the step h, so that they are polynomials also for
+        a free duration.
         """
         v, nq = self.v, self.nq
         columns = [v.states[:1, :nq], v.states[:1, nq : 2 * nq], v.states[1:2, :nq]]
@@ -117,7 +121,7 @@ class DiscreteEquations:
         )
 
     def _momentum_within(self) -> Block:
-        """Build the discrete Euler-Lagrange equations of interior mesh points."""
+        """Build the discrete Euler-Lagrange equations within the plan."""
         v, nq = self.v, self.nq
         q, own = v.states[:, :nq], v.interval_controls
         columns = [q[:-2], q[1:-1], q[2:], own[:-1], own[1:], self.pushes[1:-1]]
@@ -141,7 +145,10 @@ class DiscreteEquations:
         return self._block("middle", z, row, np.hstack(columns), names)
 
     def _lengths(self) -> Block:
-        """Build the constraints at all mesh points except the first."""
+        """Build the bar and joint constraints at mesh points.
+
+        The initial state satisfies them already.
+        """
         v, nq = self.v, self.nq
         z, (q, *when) = self._symbols(columns := self._when(v.states[1:, :nq], slice(1, None)))
         x = self._state(q, type(q).zeros(nq), ca.mtimes(*when) if when else 0)
@@ -151,7 +158,7 @@ class DiscreteEquations:
         return Block(function, np.hstack(columns), names, scale=v.scales.length)
 
     def _rates(self, points: slice) -> Block:
-        """Build the rates of the constraints at some mesh points."""
+        """Build the time derivatives of bar and joint constraints."""
         v, scale = self.v, self.v.scales.length / self.v.scales.time
         columns = self._when(v.states[points, : 2 * self.nq], points)
         z, (moving, *when) = self._symbols(columns)
@@ -165,7 +172,7 @@ class DiscreteEquations:
         return Block(function, np.hstack(columns), tuple(names), scale=scale)
 
     def _when(self, entries: Indices, points: slice) -> list[Indices]:
-        """Append the entries of times if supports move."""
+        """Append the variable indices of the times if supports move."""
         v = self.v
         if v.model.scene.supports is None:
             return [entries]
@@ -187,7 +194,7 @@ class DiscreteEquations:
         return self.model.unpack(x)[0]
 
     def _momentum(self, velocities: Any) -> Any:
-        """Compute the momenta along the free coordinates.
+        """Compute the momenta of the free coordinates.
 
         Moving supports are included.
         """
@@ -205,15 +212,16 @@ class DiscreteEquations:
     def _push(self, x: Any, pushes: Any) -> Any:
         """Compute constraint forces and ground reactions.
 
-        They are those on the free coordinates.
+        They are generalized forces on the free coordinates.
         """
         count, standing = len(self.kept), sparse(np.eye(self.nq)[:, self.contact.held])
         return self.constraints(x, pushes[:count, :])[2] + ca.mtimes(standing, pushes[count:, :])
 
     def _backwards(self, velocities: Indices, pushes: Indices, intervals: slice) -> Indices:
-        """Select the entries of the momenta at interval ends.
+        """Select the variables of the momenta at interval ends.
 
-        They are those of the motion backwards in time. `pushes` are the forces before these ends.
+        The momenta follow from the formula of interval starts, backwards in time. `pushes` are the
+        forces before these ends.
         """
         v, q = self.v, self.v.states[:, : self.nq]
         own = v.interval_controls[intervals]
@@ -223,7 +231,7 @@ class DiscreteEquations:
         return np.hstack([*columns, self.internal[1:][intervals]])
 
     def _impact(self) -> list[Block]:
-        """Build the rows of an impact without rebound.
+        """Build the equations of an inelastic impact.
 
         Constraints and ground cause the change of momentum M (v⁺ − v⁻) = Jᵀ p with impulses p, and
         J v⁺ = 0. J has the gradients of the constraints and of the contact nodes' coordinates. The
@@ -248,7 +256,10 @@ class DiscreteEquations:
         return blocks
 
     def _internal(self) -> Block:
-        """Build the changes of internal states, whose rates depend on the controls alone."""
+        """Build the equations of internal states, such as rest lengths.
+
+        Their rates depend on the controls alone.
+        """
         v = self.v
         columns = [self.internal[:-1], self.internal[1:], v.interval_controls]
         columns += [v.repeat(v.duration), v.share]
@@ -270,7 +281,7 @@ class DiscreteEquations:
         return Block(ca.Function("clock", [z], [row]), np.hstack(columns), names)
 
     def all_states(self, entries: Any) -> Any:
-        """Compute the states (nx, K + 1) from all entries."""
+        """Compute the states (nx, K + 1) from all variables."""
         v, nq = self.v, self.nq
         q, rates = (gather(entries, v.states[:, part]) for part in (slice(nq), slice(nq, 2 * nq)))
         duration = gather(entries, v.duration[:, None])

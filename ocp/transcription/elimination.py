@@ -15,9 +15,9 @@ from tenscasadi.util.validate import Array, Booleans, Indices
 class Elimination:
     """Direct solver of a sparse linear system and its transpose.
 
-    The systems are A x = b and Aᵀ x = b. The finest block triangular form of the pattern orders
-    rows and unknowns. Diagonal blocks of one pattern are inverted in one batch. Where a part of a
-    block is constant, only its Schur complement is inverted.
+    The systems are A x = b and Aᵀ x = b. A is permuted to its finest block triangular form.
+    Diagonal blocks with equal sparsity are inverted in one batch. If a part of a block is constant,
+    only its Schur complement is inverted.
 
     Parameters
     ----------
@@ -62,21 +62,21 @@ class Elimination:
         self._above = _OffDiagonal(column[rest], row[rest], rest, size)
 
     def factor(self, values: Array) -> None:
-        """Factorize A with given values of its entries."""
+        """Factorize A with new values of its nonzeros."""
         for group in self._groups:
             group.take(values)
         self._below.take(values)
         self._above.take(values)
 
     def solve(self, b: Array) -> Array:
-        """Solve A x = b in place, ordered by `by_row`."""
+        """Solve A x = b in place, with b ordered by `by_row`."""
         for step in self._steps:
             self._below.add_into(b, step)
             step.multiply(b, step.inverse())
         return b
 
     def solve_transposed(self, b: Array) -> Array:
-        """Solve Aᵀ x = b in place, ordered by `by_column`."""
+        """Solve Aᵀ x = b in place, with b ordered by `by_column`."""
         for step in reversed(self._steps):
             self._above.add_into(b, step)
             step.multiply(b, step.inverse().transpose(0, 2, 1))
@@ -90,7 +90,7 @@ class _DefectBlock(NamedTuple):
 
 
 def _find_blocks(rows: Indices, columns: Indices, size: int) -> tuple[Indices, Indices]:
-    """Find the finest block triangular form."""
+    """Find the finest block triangular form of a sparse matrix."""
     pattern = ca.Sparsity.triplet(size, size, rows.tolist(), columns.tolist())
     _, row_order, column_order, ends, column_ends, *_ = pattern.btf()
     if list(ends) != list(column_ends) or ends[-1] != size:
@@ -104,10 +104,10 @@ def _find_blocks(rows: Indices, columns: Indices, size: int) -> tuple[Indices, I
 def _order_blocks(
     rows: Indices, columns: Indices, of_row: Indices, of_column: Indices
 ) -> list[_DefectBlock]:
-    """Order the blocks by levels, and by patterns within them.
+    """Order diagonal blocks by dependence, then by sparsity.
 
-    Blocks of one level do not depend on each other. Those of one pattern become neighbors, which
-    one product of batches solves.
+    Blocks of one level do not depend on each other. Those of equal sparsity become neighbors, which
+    one batched product solves.
     """
     widths = np.bincount(of_row)
     count, ends = len(widths), np.append(0, np.cumsum(widths))
@@ -142,7 +142,7 @@ def _group_alike(
     constant: Booleans,
     sample: Array,
 ) -> list[_Group]:
-    """Collect the diagonal blocks of one pattern."""
+    """Group the diagonal blocks of equal sparsity."""
     order = entries[np.lexsort((column[entries], row[entries], own[row[entries]]))]
     alike: dict[tuple[int, bytes], tuple[Indices, list[int], list[Indices]]] = {}
     cuts = np.searchsorted(own[row[order]], np.arange(len(starts)))
@@ -159,7 +159,7 @@ def _group_alike(
 
 
 class _Step(NamedTuple):
-    """Neighboring blocks of one level and group.
+    """Neighboring diagonal blocks that one batched product solves.
 
     Attributes
     ----------
@@ -179,10 +179,7 @@ class _Step(NamedTuple):
         return self.group.inverse[self.ranks]
 
     def multiply(self, b: Array, inverse: Array) -> None:
-        """Multiply the step's rows of b by block matrices.
-
-        The operation is in place.
-        """
+        """Multiply the rows of b that belong to the blocks, in place."""
         own = b[self.start : self.end]
         shape = (len(inverse), inverse.shape[2], b.shape[1])
         own[:] = np.matmul(inverse, own.reshape(shape)).reshape(own.shape)
@@ -191,7 +188,7 @@ class _Step(NamedTuple):
 def _find_steps(levels: list[int], starts: Indices, groups: list[_Group]) -> list[_Step]:
     """Find the longest sequences of neighboring blocks.
 
-    Blocks of a sequence have the same level and group.
+    Blocks of a sequence have the same level and sparsity.
     """
     place = {k: (group, rank) for group in groups for rank, k in enumerate(group.members)}
     steps, k = [], 0
@@ -207,7 +204,7 @@ def _find_steps(levels: list[int], starts: Indices, groups: list[_Group]) -> lis
 
 
 class _OffDiagonal:
-    """Negative off-diagonal part of A or Aᵀ, by rows."""
+    """Off-diagonal part of A or Aᵀ, negated and stored by rows."""
 
     def __init__(self, row: Indices, column: Indices, entries: Indices, size: int) -> None:
         order = np.lexsort((column, row))
@@ -219,10 +216,7 @@ class _OffDiagonal:
         self.values = -values[self.entries]
 
     def add_into(self, b: Array, step: _Step) -> None:
-        """Add the product with b to the step's rows.
-
-        The operation is in place.
-        """
+        """Add the product with b to the rows of a step, in place."""
         starts, r = self.starts[step.start : step.end + 1], b.shape[1]
         if starts[0] == starts[-1]:
             return
@@ -236,7 +230,7 @@ class _OffDiagonal:
 
 
 class _Group:
-    """Diagonal blocks of one pattern, and their inverses.
+    """Diagonal blocks of equal sparsity, and their inverses.
 
     Arrays of blocks have shape (count, m, m).
     """
@@ -272,7 +266,7 @@ class _Group:
         return dense
 
     def take(self, values: Array) -> None:
-        """Invert the blocks with given values."""
+        """Invert the blocks with new values of the matrix nonzeros."""
         D = self._fill(values)
         if self.fixed is None:
             self.inverse = np.asarray(np.linalg.inv(D), dtype=float)

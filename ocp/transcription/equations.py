@@ -1,4 +1,4 @@
-"""Equations of motion in accelerations and multipliers."""
+"""Equations of motion as residuals of accelerations and multipliers."""
 
 from __future__ import annotations
 
@@ -24,10 +24,11 @@ def constraint_names(model: Model) -> tuple[str, ...]:
 
 
 def find_independent(model: Model) -> Indices:
-    """Find constraints of bars and joints that imply all others.
+    """Find the independent constraints of bars and joints.
 
-    Multipliers of dependent constraints would not be unique. A shape near the initial one decides,
-    because single shapes, such as that of a folded linkage, make further constraints dependent.
+    Multipliers of dependent constraints would not be unique. The rank is tested at a configuration
+    near the initial one, because special configurations, such as a folded linkage, make further
+    constraints dependent.
     """
     return model.keep("independent constraints", lambda: _find_independent(model))
 
@@ -53,7 +54,7 @@ def _find_independent(model: Model) -> Indices:
 
 
 def build_constraints(model: Model) -> ca.Function:
-    """Build the independent constraints, their rates and their forces.
+    """Build the independent constraints, their rates and forces.
 
     Constraints are those of bars and joints. The Function is (x, μ) → constraints [m], rates [m/s],
     Jᵀμ [N], where Jᵀμ (nq) acts on the free coordinates.
@@ -93,9 +94,10 @@ def build_residuals(model: Model) -> ca.Function:
 
 
 def evaluate_multipliers(model: Model, states: Array, controls: Array) -> Array:
-    """Compute the multipliers (n, c) [N] of states and controls.
+    """Compute the multipliers (n, c) [N] at states and controls.
 
-    Undefined multipliers are zero, such as those of a bar of zero length.
+    Multipliers of the c bar and joint constraints are zero where undefined, such as that of a bar
+    of zero length.
     """
     kind, mech = symbol_kind(model.ode), model.mechanism
     x, u = kind.sym("x", model.nx), kind.sym("u", model.nu)

@@ -1,6 +1,6 @@
-"""Residuals of a discrete motion against fine steps.
+"""Discretization residuals from an integration in fine steps.
 
-Errors do not grow along the motion: each interval starts from the planned state.
+Errors do not accumulate: each interval starts from the planned state.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from tenscasadi.util.validate import Array
 
 
 class MotionResidual(NamedTuple):
-    """Difference between a discrete solution and the continuous motion.
+    """Difference between a discrete solution and fine integration.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class MotionResidual(NamedTuple):
     size : float
         Size of the residual that corrections reduce.
     shift : ndarray, shape (m,)
-        Shift of the limits of all rows that removes the residual, to first order.
+        Shift of the bounds of all constraints that removes the residual, to first order.
     states : ndarray or None
         States (K + 1, nx) of fine steps along the whole plan.
     departure : ndarray or float
@@ -50,7 +50,7 @@ Measure = Callable[[Array, MotionResidual | None], MotionResidual]
 
 
 class FineSteps:
-    """Fine steps under planned controls, of order 8."""
+    """Integration in fine steps of order 8 under planned controls."""
 
     def __init__(self, program: Program, model: Model, fractions: Array) -> None:
         self.program, self.model, self.fractions = program, model, fractions
@@ -59,21 +59,21 @@ class FineSteps:
         self._each, self._chain = step.map(len(fractions)), step.mapaccum(len(fractions))
 
     def planned(self, w: Array) -> tuple[Array, tuple[Array, ...], float]:
-        """Unpack states, further arguments of steps, and the duration."""
+        """Unpack states, arguments of the fine steps, and the duration."""
         states, gamma, T = (one.full() for one in self.program.unpack(w))
         held = (gamma[:, :-1], gamma[:, 1:]) if self.linear else (gamma, gamma)
         duration = float(T.squeeze())
         return states.T, (*held, duration * self.fractions[None]), duration
 
     def ends(self, leaving: Array, held: tuple[Array, ...]) -> Array:
-        """Simulate all intervals from given states to their ends.
+        """Integrate each interval from a given state to its end.
 
         `leaving` are the states (K, nx) at the starts of the intervals.
         """
         return np.asarray(self._each(leaving.T, *held).full()).T
 
     def whole(self, w: Array) -> tuple[Array, float]:
-        """Simulate the whole motion in fine steps.
+        """Integrate the whole plan in fine steps.
 
         Returns its states (K + 1, nx), and the largest distance of the planned states from them
         [m]. Velocities count as velocity × duration.
@@ -104,7 +104,7 @@ def _build_step(model: Model) -> ca.Function:
 
 
 def measure_ends(program: Program, model: Model, fractions: Array) -> Measure:
-    """Prepare the residual of one-step methods."""
+    """Prepare the discretization residual of one-step methods."""
     fine, unknowns = FineSteps(program, model, fractions), program.parts.unknowns
     size = unknowns.count + len(unknowns.constants)
     node = np.full(size, -1)
@@ -133,7 +133,7 @@ def measure_ends(program: Program, model: Model, fractions: Array) -> Measure:
 
 
 def measure_jumps(program: Program, model: Model, fractions: Array) -> Measure:
-    """Prepare the residual of discrete equations of motion.
+    """Prepare the discretization residual of the variational method.
 
     Fine steps connect successive mesh points by a suitable initial velocity in each interval. The
     residual is the jump between the final velocity of an interval and the initial velocity of the
@@ -145,10 +145,11 @@ def measure_jumps(program: Program, model: Model, fractions: Array) -> Measure:
     ends, middle = (_find_rows(program, name) for name in ("ends", "middle"))
 
     def leave(leaving: Array, places: Array, held: tuple[Array, ...], lengths: Array) -> Array:
-        """Find initial velocities of intervals that connect the mesh points, in place.
+        """Find initial velocities whose trajectories end at the mesh points.
 
-        `places` are the positions at the ends of the intervals. Errors of a tenth of the largest
-        jump are left, as each correction leaves about as much. Returns the final velocities.
+        `leaving` are the initial states, changed in place, and `places` the positions at the ends
+        of the intervals. Errors of a tenth of the largest velocity jump remain, as each correction
+        leaves about as much. Returns the final velocities.
         """
         sufficient, least = 0.1, np.inf
         while True:
@@ -188,7 +189,7 @@ def _build_residual(fine: FineSteps, w: Array, shift: Array) -> MotionResidual:
 
 
 def _find_rows(program: Program, name: str) -> list[slice]:
-    """Find the rows of blocks by their Function's name."""
+    """Find the constraint rows of a named Function."""
     parts = program.parts
     return [
         rows
@@ -198,7 +199,7 @@ def _find_rows(program: Program, name: str) -> list[slice]:
 
 
 def _build_momentum(model: Model) -> ca.Function:
-    """Build the Function from velocities (nq) to momenta."""
+    """Build the Function from velocities (nq) to momenta (nq)."""
     v = ca.SX.sym("v", model.nq)
     clock = [0.0] * (model.nx - 2 * model.nq)
     _, V, _ = model.unpack(ca.vertcat(v, v, *clock))

@@ -1,4 +1,4 @@
-"""Mesh of a plan: intervals, control profiles, states between nodes."""
+"""Mesh of a plan: intervals, control profiles, interpolation."""
 
 from __future__ import annotations
 
@@ -55,15 +55,15 @@ def fractions(intervals: Intervals) -> Array:
 
 
 class Profile(Protocol):
-    """Profile of the controls over the intervals of a mesh."""
+    """Interface of control profiles over the mesh intervals."""
 
     @property
     def linear(self) -> bool:
-        """Whether controls are values at nodes, instead of in intervals."""
+        """Whether controls are values at mesh points, or in intervals."""
 
     @property
     def groups(self) -> tuple[tuple[int, ...], ...]:
-        """Groups of strings with the same control."""
+        """Groups of strings that share one control value."""
 
     @property
     def max_changes(self) -> int | None:
@@ -72,7 +72,7 @@ class Profile(Protocol):
 
 @dataclass(frozen=True)
 class NamedProfile(Value):
-    """Control profile with a kind in files."""
+    """Base class of control profiles with a name in files."""
 
     groups: Annotated[tuple[tuple[IndexOrName, ...], ...], ListOf(Members("input"))] = ()
 
@@ -151,9 +151,9 @@ class PiecewiseLinear(NamedProfile, kind="PiecewiseLinear"):
 
 
 def group_matrix(profile: Profile, strings: int) -> Array:
-    """Build the matrix (strings, groups) of control groups.
+    """Build the 0/1 matrix (strings, groups) of control groups.
 
-    A string in no group is a group. Raises ValueError for a string that does not exist.
+    A string in no group forms its own. Raises ValueError for a string that does not exist.
     """
     for k, group in enumerate(profile.groups):
         check_indices(f"{type(profile).__name__}.groups[{k}]", group, strings, "string")
@@ -164,7 +164,7 @@ def group_matrix(profile: Profile, strings: int) -> Array:
 
 
 def spans(profile: Profile, fractions: Array) -> Indices:
-    """Find the move block of each interval (K,).
+    """Find the move block to which each interval (K,) belongs.
 
     Controls are constant within a block.
     """
@@ -176,7 +176,7 @@ def spans(profile: Profile, fractions: Array) -> Indices:
 
 
 def node_values(held: Array, lengths: Array) -> Array:
-    """Compute values at nodes from those in intervals."""
+    """Interpolate interval values at the mesh points."""
     if len(held) == 1:
         return np.repeat(held, 2, axis=0)
     left, right = lengths[:-1, None], lengths[1:, None]
@@ -185,12 +185,12 @@ def node_values(held: Array, lengths: Array) -> Array:
 
 
 def held_values(values: Array, intervals: int) -> Array:
-    """Compute the mean values of a profile on its intervals."""
+    """Compute the mean control values on each interval."""
     return values if len(values) == intervals else (values[:-1] + values[1:]) / 2
 
 
 def profile_at(values: Array, nodes: Array, time: Array) -> Array:
-    """Evaluate a profile on a mesh at times."""
+    """Evaluate a control profile at given times."""
     last = len(nodes) - 2
     k = np.clip(np.searchsorted(nodes, time, side="right") - 1, 0, last)
     if len(values) == last + 1:
@@ -200,7 +200,7 @@ def profile_at(values: Array, nodes: Array, time: Array) -> Array:
 
 
 def locate_share(fractions: Array, share: float) -> tuple[int, float]:
-    """Find the interval of a fraction of the duration.
+    """Find the interval that contains a fraction of the duration.
 
     Returns its index, and the fraction of the interval.
     """
@@ -227,7 +227,7 @@ def hermite_state(model: Model, x: Any, y: Any, h: Any, share: float) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class Guess(ReadOnlyArrays):
-    """Initial guess of a motion on equal intervals.
+    """Initial guess of states and controls on equal intervals.
 
     Attributes
     ----------
@@ -238,7 +238,7 @@ class Guess(ReadOnlyArrays):
     duration : float
         Duration [s].
     noise : ndarray, shape (α,), or None
-        Change of the controls that leads away from a saddle.
+        Random change of the controls that leads away from a saddle point.
     """
 
     states: Array
@@ -247,7 +247,7 @@ class Guess(ReadOnlyArrays):
     noise: Array | None = None
 
     def perturb(self, lower: Array, upper: Array) -> Guess:
-        """Add the noise to the controls, within their limits."""
+        """Add the noise to the controls, within the given limits."""
         if self.noise is None:
             return self
         noisy = np.clip(self.force_density + self.noise, lower, upper)
@@ -271,7 +271,7 @@ def on_mesh(model: Model, guess: Guess, fractions: Array, profile: Profile) -> G
 
 
 def project_states(model: Model, states: Array, iterations: int) -> Array:
-    """Project states (P, nx) onto bars and joints."""
+    """Project states (P, nx) onto the constraints of bars and joints."""
     if not model.mechanism.constrained:
         return states
     return np.asarray(build_projection(model, iterations).map(len(states))(states.T).full()).T

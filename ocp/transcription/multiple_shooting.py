@@ -1,4 +1,4 @@
-"""Multiple shooting by the steps of a scheme."""
+"""Multiple shooting by an integration scheme."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from tenscasadi.util.validate import Array, format_value, whole
 
 @dataclass(frozen=True)
 class MultipleShooting(RungeKuttaTranscription, kind="MultipleShooting"):
-    """Multiple shooting by the steps of a scheme.
+    """Multiple shooting by the steps of an integration scheme.
 
-    Besides the states at the mesh points, the stages of all steps are unknowns ("lifted" [2]_).
-    Solutions are those of the scheme, and derivatives are small and exact. For high accuracy,
-    `DirectCollocation` has fewer unknowns.
+    Besides the states at the mesh points, the Runge-Kutta stages of all steps are decision
+    variables ("lifted" [2]_). Solutions are those of the scheme, and derivatives are small and
+    exact. For high accuracy, `DirectCollocation` has fewer variables.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ class MultipleShooting(RungeKuttaTranscription, kind="MultipleShooting"):
         return np.asarray(A, dtype=float), np.asarray(b, dtype=float)
 
     def longest_step(self, duration: float) -> float:
-        """Compute the longest step of a motion.
+        """Compute the longest integration step [s] for a duration [s].
 
         Parameters
         ----------

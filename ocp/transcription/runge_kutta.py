@@ -25,12 +25,12 @@ _Rows = tuple[Any, float, Sequence[str]]  # expressions, their scale and names
 
 
 class RungeKuttaTranscription(Transcription):
-    """Transcriptions by a Runge-Kutta method with lifted stages.
+    """Base class of transcriptions by Runge-Kutta methods.
 
-    Accelerations and multipliers of each stage are unknowns. They satisfy the equations of motion,
-    in which no matrix is inverted. At the ends of intervals, two multipliers for each bar keep its
-    length and rate, in the sense of Gear, Leimkuhler and Gupta (J. Comput. Appl. Math. 1985,
-    12-13, 77). They vanish with the interval, and the order stays.
+    Accelerations and multipliers of each stage are decision variables. They satisfy the equations
+    of motion, in which no matrix is inverted. At the ends of intervals, two multipliers for each
+    bar keep its length and rate, in the sense of Gear, Leimkuhler and Gupta (J. Comput. Appl. Math.
+    1985, 12-13, 77). They vanish with the interval, and the order of accuracy is kept.
     """
 
     @property
@@ -66,7 +66,7 @@ class RungeKuttaTranscription(Transcription):
 
 
 class _Steps:
-    """Steps of a Runge-Kutta method with s stages.
+    """Equations of the steps of an s-stage Runge-Kutta method.
 
     Each interval has `substeps` steps.
 
@@ -75,9 +75,9 @@ class _Steps:
     interval, step : ndarray of int, shape (S,)
         Interval of each step, and its number there.
     states : ndarray of int, shape (S + 1, nx)
-        Entries of the states at the ends of steps.
+        Variable indices of the states at the ends of steps.
     rates, multipliers : ndarray of int, shape (S, s, nq + na) and (S, s, c)
-        Entries of the stages: accelerations with the rates of internal states, and multipliers.
+        Variable indices of the stages: accelerations with the rates of internal states, and multipliers.
     """
 
     def __init__(self, v: Variables, A: Array, b: Array, substeps: int) -> None:
@@ -105,7 +105,7 @@ class _Steps:
         self.multipliers = self._add_stages(names, forces, force)
 
     def _add_states(self) -> Indices:
-        """Add the states within intervals as unknowns.
+        """Add the states within intervals as decision variables.
 
         Their initial guess is linear between the ends.
         """
@@ -123,9 +123,9 @@ class _Steps:
         return np.vstack([rows.reshape(-1, v.model.nx), v.states[-1:]])
 
     def _add_stages(self, names: Sequence[str], first: Array, scale: Any) -> Indices:
-        """Add unknowns of all stages.
+        """Add decision variables for all stages.
 
-        Their initial guess are values (K, n) of the intervals.
+        Their initial guesses are values (K, n) of the intervals.
         """
         stages = range(len(self.b))
         at = [f"{place}, stage {j}" for place in self._places(slice(None)) for j in stages]
@@ -139,7 +139,7 @@ class _Steps:
     def _add_moves(self, what: str, scale: float) -> Indices:
         """Add the multipliers (K, c) of the constraint projection.
 
-        They project the states at the ends of intervals onto the constraints.
+        They project the states at the ends of intervals onto the bar and joint constraints.
         """
         count = self.v.count
         return self.v.entries.unknowns(
@@ -154,7 +154,7 @@ class _Steps:
         return [f"interval {k}" + f", step {i}" * (self.substeps > 1) for k, i in pairs]
 
     def _lengths(self) -> list[Indices]:
-        """List the entries of duration and relative step lengths."""
+        """Return variable indices of the duration and relative step lengths."""
         share = self.v.fractions[self.interval, None] / self.substeps
         return [self.v.repeat(self.v.duration, len(share)), self.v.entries.constants(share)]
 
@@ -177,7 +177,7 @@ class _Steps:
         )
 
     def build_stage(self, j: int) -> Block:
-        """Build the equations of motion of a stage."""
+        """Build the equations of motion of stage j of all steps."""
         model, v, a, early = self.model, self.v, self.A[j], (self.A @ self.A)[j]
         seen = [k for k in range(len(a)) if k == j or a[k] or early[k]]
         begin = v.entries.constants(self.step[:, None] / self.substeps)
@@ -199,7 +199,10 @@ class _Steps:
         return self._block("stage", z, columns, slice(None), stage)
 
     def build_ends(self, closing: bool) -> Block:
-        """Build the ends of steps within intervals, or of intervals."""
+        """Build the equations for the states at step ends.
+
+        With `closing`, they are those at the ends of intervals, otherwise those within.
+        """
         model, v, nq, names = self.model, self.v, self.model.nq, name_states(self.model)
         steps = np.flatnonzero((self.step == self.substeps - 1) == closing)
         columns = [self.states[:-1], self.states[1:], *self._lengths()]
@@ -232,7 +235,7 @@ class _Steps:
     def _advance(
         self, x: Any, h: Any, place: float, weights: Sequence[tuple[float, float]], rates: Any
     ) -> Any:
-        """Advance the state by a fraction `place` of a step.
+        """Compute the state at a fraction `place` of a step.
 
         The accelerations of the stages have the given weights.
         """

@@ -26,18 +26,18 @@ Kind = Literal[
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
-    """Unknowns and constants of a program.
+    """Decision variables and constants of a nonlinear program.
 
-    Together they are the entries y that blocks refer to by index. Unknowns come first.
+    Together they form the vector y, to which blocks refer by index. Decision variables come first.
 
     Attributes
     ----------
     first, lower, upper : ndarray, shape (n,)
-        Initial values and limits, in physical units.
+        Initial values and bounds, in physical units.
     scale : ndarray, shape (n,)
-        Physical values are scaled unknowns w times these.
+        Factors from scaled variables w to physical values.
     interval : ndarray, shape (n,)
-        Interval of the plan; infinite if the unknown belongs to all.
+        Mesh interval of the variable; infinite if it belongs to all.
     """
 
     names: tuple[str, ...]
@@ -50,28 +50,28 @@ class Unknowns:
 
     @property
     def count(self) -> int:
-        """Number of unknowns; larger indices refer to constants."""
+        """Number of decision variables; larger indices refer to constants."""
         return len(self.names)
 
     def entries(self, w: Any) -> Any:
-        """Compute y from the scaled unknowns w."""
+        """Compute y from the scaled decision variables w."""
         return ca.vertcat(ca.DM(self.scale) * w, ca.DM(self.constants))
 
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Rows lower ≤ function(z_k) ≤ upper of `count` instances k.
+    """Constraints lower ≤ function(z_k) ≤ upper for `count` instances k.
 
-    z_k are the entries `index[k]` of unknowns and constants.
+    A block can also be a term of the cost. z_k are the variables and constants y[index[k]].
 
     Attributes
     ----------
     function : casadi.Function
         z (nz) → rows (m).
     index : ndarray of int, shape (count, nz)
-        Entries of each instance.
+        Indices of z_k in y.
     names : tuple of str
-        Names of the count·m rows, instance by instance.
+        Names of the count·m constraint rows, instance by instance.
     lower, upper : array_like, shape (count, m) or broadcast to it
         Limits of the scaled rows.
     scale : array_like, shape (count, m) or broadcast to it
@@ -79,7 +79,7 @@ class Block:
     combination : ndarray, shape (m, rows of function), or None
         Dense matrix that multiplies the rows of the function.
     kind : str
-        Origin of the rows, by which `Program.rows` finds them.
+        Kind of constraint, by which `Program.rows` finds them.
     """
 
     function: ca.Function
@@ -93,23 +93,23 @@ class Block:
 
     @property
     def count(self) -> int:
-        """Instances."""
+        """Number of instances."""
         return len(self.index)
 
     @property
     def rows(self) -> int:
-        """Rows of one instance."""
+        """Number of constraint rows of one instance."""
         return (
             int(self.function.size1_out(0)) if self.combination is None else len(self.combination)
         )
 
     @property
     def size(self) -> int:
-        """Rows of all instances."""
+        """Number of constraint rows of all instances."""
         return self.rows * self.count
 
     def value(self, z: Any) -> Any:
-        """Evaluate the rows (m, count) at z (nz, count)."""
+        """Evaluate the constraint rows (m, count) at z (nz, count)."""
         own = self.function.map(self.count)(z)
         return own if self.combination is None else ca.mtimes(ca.DM(self.combination), own)
 
@@ -121,14 +121,14 @@ class Block:
         )  # type: ignore[return-value]
 
     def relabel(self, label: Indices) -> Block:
-        """Replace each index k by label[k]."""
+        """Replace each variable index k by label[k]."""
         return replace(self, index=label[self.index])
 
 
 class Separable:
-    """Objective f(w), rows g(w), and their derivatives as CasADi Functions.
+    """Objective f(w), constraints g(w), and their derivatives.
 
-    f is the weighted sum of the cost blocks; g stacks the row blocks.
+    f is the weighted sum of the cost blocks; g stacks the constraint blocks.
     """
 
     def __init__(
@@ -156,7 +156,7 @@ class Separable:
 
     @cached_property
     def slices(self) -> tuple[slice, ...]:
-        """Slices of g with the rows of each block."""
+        """Slices of g with the constraints of each block."""
         ends = np.cumsum([block.size for block in self.rows]).tolist()
         return tuple(
             slice(end - block.size, end) for block, end in zip(self.rows, ends, strict=True)
@@ -164,7 +164,7 @@ class Separable:
 
     @cached_property
     def derivatives(self) -> dict[str, ca.Function]:
-        """Functions nlp_grad_f, nlp_jac_g and nlp_hess_l, as CasADi's solvers expect them."""
+        """Functions nlp_grad_f, nlp_jac_g and nlp_hess_l for CasADi's solvers."""
         return {
             function.name(): function
             for function in (self.gradient(), self.jacobian(), self.hessian())
@@ -195,7 +195,7 @@ class Separable:
 
     @property
     def constant_entries(self) -> Booleans:
-        """Whether each non-zero of the Jacobian is constant."""
+        """Whether each nonzero of the Jacobian is constant."""
         return self._row_derivatives.constant_entries(self.g.shape[0])
 
     @cached_property
@@ -222,7 +222,7 @@ class Separable:
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """Nonlinear program: minimize f(w) within limits of g(w) and w.
+    """Nonlinear program: minimize f(w) subject to bounds on g(w) and w.
 
     All numbers are scaled to order one.
 
@@ -231,24 +231,24 @@ class Program:
     parts : Separable
         Composition of w, f and g.
     w_lower, w_upper, first : ndarray, shape (n,)
-        Limits of w, and the initial guess.
+        Bounds on w, and the initial guess.
     lower, upper, scale : ndarray, shape (m,)
-        Limits of g, and the factors that make its rows physical. Rows of goals have no unit.
+        Bounds on g, and the factors that convert its rows to physical units. Rows of goals have no unit.
     objective : float
-        Factor that makes f physical.
+        Factor that converts f to physical units.
     unpack : casadi.Function
         w → states (nx, K + 1), controls (α, K) or (α, K + 1), durations (1, phases). Phases follow
         one another.
     states : ndarray of int, shape (K + 1, nx)
-        Entries of the states.
+        Indices of the states in y, see `Unknowns`.
     contact : bool
         Whether nodes may touch a ground.
     multipliers : tuple of ndarray or None
         Initial duals of g and of the variable bounds, for a warm start.
     noise : ndarray, shape (n,), or None
-        Change of `first` that leads away from a saddle.
+        Change of the initial guess that leads away from a saddle point.
     decided : ndarray of int
-        Unknowns that the defects leave free. They determine all others.
+        Indices of the independent variables: the defect constraints determine all others from them.
     """
 
     parts: Separable
@@ -267,10 +267,10 @@ class Program:
     decided: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
     def perturb_guess(self) -> Program:
-        """Add the noise to the initial guess, within the limits.
+        """Add the noise to the initial guess, within the bounds.
 
-        Without it, a little noise on all unknowns leads away from points without derivatives, such
-        as the center of an obstacle.
+        Without given noise, a little noise on all variables leads away from points without
+        derivatives, such as the center of an obstacle.
         """
         noise = self.noise
         if noise is None:
@@ -281,7 +281,7 @@ class Program:
 
     @property
     def problem(self) -> dict[str, Any]:
-        """w, f and g, as `casadi.nlpsol` expects them."""
+        """Expressions w, f and g, as `casadi.nlpsol` expects them."""
         return {"x": self.parts.w, "f": self.parts.f, "g": self.parts.g}
 
     @cached_property
@@ -291,16 +291,16 @@ class Program:
 
     @property
     def w_names(self) -> tuple[str, ...]:
-        """Names of the unknowns."""
+        """Names of the decision variables."""
         return self.parts.unknowns.names
 
     @property
     def w_scale(self) -> Array:
-        """Factors that make w physical."""
+        """Factors that convert w to physical units."""
         return self.parts.unknowns.scale
 
     def rows(self, *kinds: Kind) -> list[slice]:
-        """Find the rows of blocks of some kinds."""
+        """Find the constraint rows of some kinds."""
         return [
             rows
             for block, rows in zip(self.parts.rows, self.parts.slices, strict=True)
@@ -313,22 +313,19 @@ class Program:
 
     @property
     def known(self) -> Array:
-        """Mask of the state entries that are unknowns.
-
-        Its shape is (K + 1, nx).
-        """
+        """Mask (K + 1, nx) of the states that are decision variables."""
         return np.asarray(self.states < self.parts.unknowns.count)
 
     def shift_rows(
         self, shift: Array, w: Array, multipliers: tuple[Array, Array] | None
     ) -> Program:
-        """Shift the limits of rows, and set a warm start."""
+        """Shift the bounds of the constraints, and set a warm start."""
         lower, upper = self.lower + shift, self.upper + shift
         return replace(self, lower=lower, upper=upper, first=w, multipliers=multipliers)
 
 
 def gather(y: Any, index: Indices) -> Any:
-    """Gather the entries y[index] in columns.
+    """Select the entries y[index], one column per instance.
 
     The index is (count, nz), the result (nz, count).
     """
@@ -336,7 +333,7 @@ def gather(y: Any, index: Indices) -> Any:
 
 
 def expand(function: ca.Function) -> ca.Function:
-    """Expand a Function to scalar code if possible.
+    """Expand a CasADi Function to scalar operations if possible.
 
     Derivatives are then faster.
     """
@@ -347,13 +344,13 @@ def expand(function: ca.Function) -> ca.Function:
 
 
 def split_symbol(kind: Any, *sizes: int) -> tuple[Any, tuple[Any, ...]]:
-    """Create a symbol, ca.SX or ca.MX, and split it."""
+    """Create a CasADi symbol and split it into parts of given sizes."""
     z = kind.sym("z", sum(sizes))
     return z, tuple(ca.vertsplit(z, np.cumsum((0, *sizes)).tolist()))
 
 
 class _SparseMatrix:
-    """Matrix as a sum of values with rows and columns."""
+    """Sparse matrix as a sum of values with rows and columns."""
 
     def __init__(self, unknowns: Unknowns) -> None:
         self._unknowns = unknowns
@@ -414,7 +411,7 @@ class _SparseMatrix:
         self._keep(values, position, scale[row] * scale[column], [row, column])
 
     def _derivative(self, block: Block, z: Any) -> tuple[Any, Indices, Indices, Booleans]:
-        """Build the Jacobian's non-zeros, and find their indices."""
+        """Build the nonzeros of a block's Jacobian with their indices."""
         s: Any = symbol_kind(block.function).sym("z", block.function.size1_in(0))
         varied, places = self._select_unknowns(block, s)
         J = ca.jacobian(block.function(s), varied)
@@ -430,7 +427,7 @@ class _SparseMatrix:
         return function.map(block.count)(z), row, places[column], varying
 
     def _second(self, block: Block) -> tuple[Callable[[Any, Any, Indices], Any], Indices, Indices]:
-        """Build the function of Hessian non-zeros, and their indices."""
+        """Build the nonzeros of a block's Hessian with their indices."""
         s: Any = symbol_kind(block.function).sym("z", block.function.size1_in(0))
         weight = type(s).sym("weight", block.function.size1_out(0))
         varied, places = self._select_unknowns(block, s)
@@ -447,9 +444,9 @@ class _SparseMatrix:
         return values, row, column
 
     def _select_unknowns(self, block: Block, z: Any) -> tuple[Any, Indices]:
-        """Select the entries of z that are ever unknowns.
+        """Select the entries of z that are ever decision variables.
 
-        Derivatives with respect to constants would take time, and couple independent entries. All
+        Derivatives with respect to constants would take time, and couple independent variables. All
         entries of an MX are selected, as CasADi differentiates with respect to whole symbols.
         """
         if isinstance(z, ca.MX):
@@ -470,7 +467,7 @@ class _SparseMatrix:
         self._columns.append(places[1])
 
     def constant_entries(self, rows: int) -> Booleans:
-        """Find the constant entries of the matrix, in its order."""
+        """Find which nonzeros of the matrix are constant."""
         if not self._values:
             return np.zeros(0, dtype=bool)
         row, column = np.concatenate(self._rows), np.concatenate(self._columns)
@@ -481,7 +478,7 @@ class _SparseMatrix:
         return constant
 
     def assemble(self, rows: int, columns: int) -> Any:
-        """Assemble the matrix as an MX of its sparsity."""
+        """Assemble the sum as a sparse CasADi matrix."""
         if not self._values:
             return ca.MX(rows, columns)
         row, column, factors, position = (

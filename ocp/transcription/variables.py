@@ -1,4 +1,4 @@
-"""Variables of a plan: states, controls, duration, and further unknowns."""
+"""Decision variables of a plan: states, controls, duration and others."""
 
 from __future__ import annotations
 
@@ -33,9 +33,10 @@ _ENTRY = np.dtype(
 
 
 class Entries:
-    """Unknowns and constants in the order of their addition.
+    """Vector y of decision variables and constants.
 
-    `suffix` is the phase in their names; "" without phases.
+    They are in the order of their addition, and referred to by index. `suffix` is the phase in
+    their names; "" without phases.
     """
 
     def __init__(self) -> None:
@@ -45,7 +46,7 @@ class Entries:
         self.suffix = ""
 
     def begin_phase(self) -> None:
-        """Begin a phase, whose intervals and names follow the last."""
+        """Begin a phase, whose interval numbers continue the last one's."""
         interval = self._table["interval"]
         if interval.size:
             self._first_interval = 1 + int(interval[np.isfinite(interval)].max())
@@ -61,13 +62,16 @@ class Entries:
         upper: Any = np.inf,
         interval: Any = 0,
     ) -> Indices:
-        """Add unknowns; other arguments are broadcast to `first`."""
+        """Add decision variables and return their indices.
+
+        The other arguments are broadcast to the initial values `first`.
+        """
         named = [name + self.suffix for name in names]
         counted = np.add(self._first_interval, interval)
         return self._add(named, first, scale, lower, upper, counted, True)
 
     def constants(self, values: Any) -> Indices:
-        """Add constants in the shape of `values`."""
+        """Add constants and return their indices, in the shape of `values`."""
         return self._add([""] * np.size(values), values, 1.0, 0.0, 0.0, 0, False)
 
     def _add(self, names: Sequence[str], first: Any, *columns: Any) -> Indices:
@@ -80,11 +84,11 @@ class Entries:
         return np.arange(start, start + new.size).reshape(new.shape)
 
     def leave_out(self, index: Indices) -> None:
-        """Remove unknowns on which nothing depends."""
+        """Remove variables on which nothing depends."""
         self._table["unknown"][index], self._table["first"][index] = False, np.nan
 
     def find_used(self, blocks: Sequence[Block]) -> Array:
-        """Find the entries that some block depends on."""
+        """Mark the variables and constants on which some block depends."""
         used = np.zeros(len(self._table), dtype=bool)
         for block in blocks:
             columns = np.unique(
@@ -94,9 +98,9 @@ class Entries:
         return used
 
     def order(self) -> tuple[Unknowns, Indices]:
-        """Order the unknowns by intervals, for banded matrices.
+        """Order the decision variables by intervals, for banded matrices.
 
-        Returns them, and the new index of each entry.
+        Returns them, and the new index of each entry of y.
         """
         table, unknown = self._table, self._table["unknown"]
         order = np.flatnonzero(unknown)
@@ -112,22 +116,22 @@ class Entries:
         ), place
 
     def values(self, w: Array) -> Array:
-        """Compute the values of all entries from scaled unknowns."""
+        """Compute y from the scaled decision variables w."""
         unknowns, place = self.order()
         return np.concatenate([unknowns.scale * w, unknowns.constants])[place]
 
 
 class Variables:
-    """Variables of a plan on a mesh.
+    """Decision variables of a plan or phase on a mesh.
 
     Attributes
     ----------
     entries : Entries
-        Unknowns and constants.
+        Vector y of all decision variables and constants. The following are indices in it.
     states, controls, duration : ndarray of int
-        Entries (K + 1, nx), (K, m) or (K + 1, m) for m groups of strings, and (1,).
+        Indices (K + 1, nx), (K, m) or (K + 1, m) for m groups of strings, and (1,).
     share, time : ndarray of int
-        Entries (K, 1) of the lengths of intervals, and (K + 1, 1) of the mesh points, relative to
+        Indices (K, 1) of the interval lengths, and (K + 1, 1) of the mesh points, relative to
         the duration.
     guess : Guess
         Initial guess on this mesh and profile.
@@ -179,7 +183,7 @@ class Variables:
         self.time = self.entries.constants(np.append(0.0, np.cumsum(fractions))[:, None])
 
     def _add_start(self) -> Indices:
-        """Add the given start, or unknowns of a free start."""
+        """Add the given initial state, or variables for a free one."""
         size = 0 if self.target.free_start is None else 2 * self.model.nq
         names = [f"{name}, start" for name in name_states(self.model)[:size]]
         free = self.entries.unknowns(names, self.guess.states[0, :size], self.scales.state[:size])
@@ -197,7 +201,7 @@ class Variables:
         )
 
     def _add_controls(self) -> Indices:
-        """Add the controls as unknowns.
+        """Add the controls as decision variables.
 
         They belong to intervals, or to mesh points if they are piecewise linear.
         """
@@ -220,7 +224,7 @@ class Variables:
 
     @property
     def free_time(self) -> bool:
-        """Whether the duration is an unknown."""
+        """Whether the duration is a decision variable."""
         return self.problem.shortest != self.problem.longest
 
     def _add_duration(self) -> Indices:
@@ -233,7 +237,7 @@ class Variables:
 
     @property
     def interval_controls(self) -> Indices:
-        """Entries of the controls of each interval, for `gamma`."""
+        """Indices of the controls of each interval, for `gamma`."""
         return (
             np.hstack([self.controls[:-1], self.controls[1:]])
             if self.profile.linear
@@ -241,7 +245,10 @@ class Variables:
         )
 
     def gamma(self, local: Any, share: float) -> Any:
-        """Evaluate the controls (α,) at a fraction of an interval."""
+        """Evaluate the controls (α,) at a fraction of an interval.
+
+        `local` are the variables with the indices `interval_controls`.
+        """
         m = self.group_matrix.shape[1]
         held = (1 - share) * local[:m] + share * local[m:] if self.profile.linear else local
         return ca.mtimes(sparse(self.group_matrix), held)
@@ -249,23 +256,24 @@ class Variables:
     def add_at_nodes(
         self, names: Sequence[str], first: Array, scale: float, node: int = 0
     ) -> Indices:
-        """Add unknowns at the mesh points from `node` on."""
+        """Add decision variables at the mesh points from `node` on."""
         every = [f"{name}, interval {k}" for k in range(len(first)) for name in names]
         return self.entries.unknowns(
             every, first, scale, interval=node + np.arange(len(first))[:, None]
         )
 
     def repeat(self, index: Indices, count: int | None = None) -> Indices:
-        """Repeat entries (n,) for every interval, or for `count` instances."""
+        """Repeat indices (n,) for every interval, or `count` times."""
         return np.tile(index, (self.count if count is None else count, 1))
 
 
 def name_controls(
     group_matrix: Array, begins: Indices, what: str, labels: Sequence[str]
 ) -> list[str]:
-    """Name the controls that begin at intervals, interval by interval.
+    """Name the control variables, interval by interval.
 
-    `labels` name the cables and lone strings.
+    `begins` are the intervals in which their values begin. `labels` name the cables, and the
+    strings that belong to no cable.
     """
     own = []
     for column in group_matrix.T:
@@ -277,7 +285,7 @@ def name_controls(
 
 
 def name_states(model: Model) -> tuple[str, ...]:
-    """Name the entries of the state.
+    """Name the entries of the state x.
 
     An example is "node 2 z velocity".
     """
@@ -295,7 +303,7 @@ def name_states(model: Model) -> tuple[str, ...]:
 
 
 def name_intervals(count: int, rows: Sequence[str]) -> tuple[str, ...]:
-    """Name the rows of the motion."""
+    """Name the defect constraints of all intervals."""
     return tuple(f"dynamics of interval {k}, {name}" for k in range(count) for name in rows)
 
 

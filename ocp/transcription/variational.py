@@ -19,8 +19,8 @@ from tenscasadi.util.validate import Array
 class Variational(Transcription, kind="Variational"):
     """Variational transcription by a discrete principle of least action.
 
-    It has order 2, is the fastest transcription, and keeps momenta and bar lengths exactly. All
-    rows are polynomials of low degree with few non-zeros.
+    It has order 2, is the fastest transcription, and conserves momenta and bar lengths exactly. All
+    constraints are polynomials of low degree with few nonzeros.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ class Variational(Transcription, kind="Variational"):
     def defects(
         self, variables: Variables, used: Array, contact: ContactSet | None = None
     ) -> Defects:
-        """Build the discrete Euler-Lagrange equations and the constraints.
+        """Build the discrete Euler-Lagrange equations and bar constraints.
 
         Parameters
         ----------
@@ -88,7 +88,9 @@ class Variational(Transcription, kind="Variational"):
         return Defects(equations.blocks(), equations.all_states)
 
     def measure_residual(self, program: Program, model: Model) -> Measure:
-        """Prepare the residual of solutions against fine steps.
+        """Prepare the discretization residual for deferred correction.
+
+        It is the difference from an integration in fine steps.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""The condensed Newton method."""
+"""Condensed Newton method: interior-point steps with states eliminated."""
 
 from ocp.solvers.condensed_newton.method import CondensedNewton
 

@@ -1,4 +1,4 @@
-"""Variable bounds, logarithmic barriers, and the working set."""
+"""Variable bounds with logarithmic barriers, and the working set."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from tenscasadi.util.validate import LARGEST, Array, Booleans, Indices
 
 
 class VariableBounds:
-    """Limits lower ≤ w ≤ upper (n,)."""
+    """Bounds lower ≤ w ≤ upper on variables (n,)."""
 
     def __init__(self, lower: Array, upper: Array) -> None:
         self.lower, self.upper = lower, upper
@@ -16,24 +16,31 @@ class VariableBounds:
         self.below, self.above = np.isfinite(lower) & self.free, np.isfinite(upper) & self.free
 
     def gaps(self, w: Array) -> tuple[Array, Array]:
-        """Return the distances (n,) from lower and upper limits; LARGEST without one."""
+        """Compute the distances (n,) from lower and upper bounds.
+
+        Without a bound, the distance is LARGEST.
+        """
         low, high = np.full(len(w), LARGEST), np.full(len(w), LARGEST)
         low[self.below] = (w - self.lower)[self.below]
         high[self.above] = (self.upper - w)[self.above]
         return low, high
 
     def barrier(self, w: Array) -> float:
-        """Return −Σ log of the distances."""
+        """Compute the barrier function −Σ log(distance from bounds)."""
         low, high = self.gaps(w)
         return -float(np.log(low[self.below]).sum() + np.log(high[self.above]).sum())
 
     def barrier_slope(self, w: Array) -> Array:
-        """Return its gradient."""
+        """Compute the gradient of the barrier function."""
         low, high = self.gaps(w)
         return self.above / high - self.below / low
 
     def inside(self, w: Array, distance: float, share: float) -> Array:
-        """Move w inside by a distance or a share of width."""
+        """Move w to the interior of the bounds.
+
+        The minimum distance from a bound is `distance`, or the fraction `share` of the width if
+        that is less.
+        """
         width = np.where(np.isfinite(self.upper - self.lower), self.upper - self.lower, np.inf)
         least = np.minimum(distance, share * width)
         return np.clip(
@@ -43,7 +50,11 @@ class VariableBounds:
         )
 
     def cut(self, w: Array, step: Array, most: float, least: float) -> Array:
-        """Cut a step to a share of the way to limits."""
+        """Shorten a step so that it stays within the bounds.
+
+        Each component covers at most the fraction `most` of the distance to its bound, and keeps
+        the distance `least`.
+        """
         low, high = (
             np.where(gap > 2 * least, np.minimum(most * gap, gap - least), 0.5 * gap)
             for gap in self.gaps(w)
@@ -51,7 +62,10 @@ class VariableBounds:
         return np.clip(step, -low, high) * self.free
 
     def follow(self, slack: Array, step: Array, true: Array, most: float, least: float) -> Array:
-        """Move slacks by a cut step, or to `true` values."""
+        """Move slacks to the constraint values `true` within the bounds.
+
+        Those that would come too close to a bound take the shortened step instead, see `cut`.
+        """
         kept = [
             new >= (1 - most) * gap
             for gap, new in zip(self.gaps(slack), self.gaps(true), strict=True)
@@ -62,7 +76,7 @@ class VariableBounds:
 
 
 class BoundDuals:
-    """Duals (n,) of lower and upper limits."""
+    """Dual variables (n,) of lower and upper bounds."""
 
     def __init__(self, bounds: VariableBounds, w: Array, mu: float) -> None:
         low, high = bounds.gaps(w)
@@ -71,23 +85,26 @@ class BoundDuals:
 
     @property
     def net(self) -> Array:
-        """Duals with signs: positive where an upper limit is active."""
+        """Dual of the upper minus that of the lower bound."""
         return self.upper - self.lower
 
     def stiffness(self, w: Array) -> Array:
-        """Return the primal-dual second derivatives (n,) of the barrier."""
+        """Compute primal-dual second derivatives (n,) of the barrier."""
         low, high = self.bounds.gaps(w)
         return self.lower / low + self.upper / high
 
     def error(self, w: Array, mu: float) -> float:
-        """Return the largest complementarity error."""
+        """Compute the largest complementarity error at barrier parameter μ."""
         low, high = self.bounds.gaps(w)
         below = (self.lower * low - mu)[self.bounds.below]
         above = (self.upper * high - mu)[self.bounds.above]
         return float(np.abs(np.append(below, above)).max(initial=0.0))
 
     def follow(self, before: Array, after: Array, step: Array, mu: float, most: float) -> None:
-        """Take the Newton step of the duals, near μ / distance."""
+        """Take the Newton step of the duals.
+
+        They stay positive and near μ / distance.
+        """
         spread, bounds = 100.0, self.bounds  # spread: largest factor away from μ over the distance
         ways = zip(
             (self.lower, self.upper),
@@ -105,9 +122,9 @@ class BoundDuals:
 
 
 class WorkingSet:
-    """Selection of the path rows of a step.
+    """Path constraints that a step treats explicitly.
 
-    All others act through the diagonal of the metric, and through products with the second
+    The other path constraints enter by the diagonal of the metric, and by products with the second
     derivatives.
     """
 
@@ -115,12 +132,18 @@ class WorkingSet:
         self.size = 0.0  # typical compliance of a row in the metric
 
     def learn(self, sizes: Array) -> None:
-        """Remember the typical compliance of the selected rows."""
+        """Store the typical compliance of the selected constraints.
+
+        Their compliances are the entries of `sizes`.
+        """
         if len(sizes):
             self.size = float(np.median(sizes))
 
     def choose(self, stiffness: Array, left: Array) -> Indices:
-        """Select rows (p',) by barrier stiffness and violation."""
+        """Select constraints (p',) by barrier curvature and violation.
+
+        `stiffness` are the second derivatives of their barriers, `left` their violations.
+        """
         if self.size:
             felt = stiffness * self.size > 1e-2  # of the metric
         else:  # a few, from which the size is learned
@@ -129,6 +152,6 @@ class WorkingSet:
 
 
 def select_stiffest(stiffness: Array, among: Booleans) -> Indices:
-    """Select the 400 stiffest of some rows."""
+    """Select the 400 constraints with the largest barrier curvature."""
     rows = np.flatnonzero(among)
     return np.sort(rows[np.argsort(stiffness[rows], kind="stable")[::-1][:400]])

@@ -1,4 +1,7 @@
-"""Condensed program in the controls, with derivatives of first and second order."""
+"""Nonlinear program with the states eliminated.
+
+It has first and second derivatives with respect to the controls.
+"""
 
 from __future__ import annotations
 
@@ -16,11 +19,14 @@ from tenscasadi.util.validate import Array, Indices
 
 
 class UndeterminedError(ValueError):
-    """Error of defects that do not determine the other unknowns."""
+    """Error of defects that do not determine states and multipliers."""
 
 
 class Residual(NamedTuple):
-    """Violations of goals, defects, and path rows less slacks."""
+    """Violations of goals, of defects, and of path constraints.
+
+    Those of path constraints are their values minus the slacks.
+    """
 
     goals: Array
     defects: Array
@@ -28,19 +34,20 @@ class Residual(NamedTuple):
 
 
 class CondensedProgram:
-    """Program min f(u, s) in which s follows u.
+    """Nonlinear program min f(u, s) in which defects determine s.
 
-    Unknowns u are decided, s are determined by the defects. Goals are all other equations, path
-    rows all inequalities.
+    The defect constraints (discretized dynamics) determine the dependent variables s, such as
+    states and bar forces, as functions of the independent variables u, such as controls. The goals
+    are all other equality constraints, the path constraints all inequality constraints.
 
     Attributes
     ----------
     u, s : ndarray of int
-        Places of the decided and of the determined unknowns.
+        Indices of the independent and of the dependent variables.
     goal_rows, path_rows, defect_rows : ndarray of int
-        Places of the rows.
+        Indices of the constraints of each kind.
     bounds, path_bounds : VariableBounds
-        Limits of u and of the path rows.
+        Bounds on u, and on the values of the path constraints.
     everywhere : ndarray of bool
         Which entries of u belong to no interval, such as the duration.
     """
@@ -106,7 +113,7 @@ class CondensedProgram:
         self.s = determined[self.elimination.by_column]
 
     def move_rows(self, program: Program) -> None:
-        """Replace the limits of the rows."""
+        """Replace the bounds of the constraints by those of a program."""
         self.program = program
         self.path_bounds = VariableBounds(
             program.lower[self.path_rows], program.upper[self.path_rows]
@@ -114,23 +121,23 @@ class CondensedProgram:
 
     @property
     def goals(self) -> int:
-        """Number of goals that are kept."""
+        """Number of independent goal constraints."""
         return len(self.goal_rows if self.independent is None else self.independent)
 
     def keep_independent(self, expansion: Expansion) -> None:
-        """Leave combinations of goals out that u hardly moves."""
+        """Drop combinations of goal constraints that u cannot change."""
         left, sizes, _ = np.linalg.svd(expansion.jacobian, full_matrices=False)
         kept = sizes > 1e-8 * sizes.max(initial=0.0)
         self.independent = None if kept.all() else left[:, kept].T
 
     def join(self, u: Array, s: Array) -> Array:
-        """Return all unknowns."""
+        """Join u and s to the vector of all decision variables."""
         w = np.empty(len(u) + len(s))
         w[self.u], w[self.s] = u, s
         return w
 
     def values(self, u: Array, s: Array) -> tuple[float, Array, Array, Array]:
-        """Evaluate the cost, goals, defects and path rows."""
+        """Evaluate the cost, goals, defects and path constraints."""
         f, g = (one.ravel() for one in self._value(self.join(u, s)))
         goals, defects = (
             g[rows] - self.program.lower[rows] for rows in (self.goal_rows, self.defect_rows)
@@ -140,7 +147,7 @@ class CondensedProgram:
         return float(f[0]), goals, defects, g[self.path_rows]
 
     def slope(self, u: Array, s: Array) -> Array:
-        """Evaluate the gradient of the cost by all unknowns."""
+        """Evaluate the gradient of the cost with respect to (u, s)."""
         return self._slope(self.join(u, s))[1].ravel()
 
     def hessian(self, u: Array, s: Array, duals: Array | None = None) -> sp.csr_array:
@@ -150,19 +157,19 @@ class CondensedProgram:
         return self._second.at(values[self._symmetric])
 
     def jacobian_values(self, u: Array, s: Array) -> Array:
-        """Evaluate the non-zeros of the Jacobian of all rows."""
+        """Evaluate the nonzeros of the Jacobian of all constraints."""
         return self._jacobian(self.join(u, s))[1].ravel()
 
 
 class Expansion:
-    """The condensed program about a point, to second order.
+    """Derivatives of the condensed program at an iterate.
 
     Attributes
     ----------
     jacobian : ndarray, shape (m, n)
-        Derivatives of the goals by u.
+        Total derivatives of the goals with respect to u.
     slope : ndarray, shape (n,)
-        Derivatives of the cost by u.
+        Total derivatives of the cost with respect to u.
     """
 
     def __init__(self, of: CondensedProgram, u: Array, s: Array) -> None:
@@ -182,43 +189,61 @@ class Expansion:
         self.jacobian, self.slope = np.ascontiguousarray(every[:, :-1].T), every[:, -1].copy()
 
     def _reduce(self, by_s: Array, by_u: Array) -> Array:
-        """Compute total derivatives (n, r) by u; `by_s` is overwritten."""
+        """Compute total derivatives (n, r) with respect to u.
+
+        They follow from the partial ones with respect to s and u; `by_s` is overwritten.
+        """
         return np.asarray(by_u - self._by_u_T @ self._of.elimination.solve_transposed(by_s))
 
     def growth(self) -> float:
-        """Estimate how far unknowns s move with defects of one."""
+        """Estimate the change of s per unit of the defects."""
         signs = np.random.default_rng(0).choice([-1.0, 1.0], size=(len(self._s), 2))
         return float(np.abs(self._of.elimination.solve(signs)).max(initial=0.0))
 
     def of_paths(self, weights: Array) -> Array:
-        """Compute the derivatives (r, n) of combined path rows."""
+        """Compute total derivatives (r, n) of combined path constraints.
+
+        The combinations are the columns of `weights` (p, r).
+        """
         if not len(weights):
             return np.zeros((weights.shape[1], len(self._u)))
         by_s, by_u = (np.ascontiguousarray(one.T @ weights) for one in self._paths)
         return np.ascontiguousarray(self._reduce(by_s, by_u).T)
 
     def stiffness(self, of_paths: Array) -> Array:
-        """Compute the diagonal (n,) that stiff path rows add."""
+        """Compute the Hessian's diagonal (n,) from path-constraint barriers.
+
+        The barriers have the second derivatives `of_paths` (p,).
+        """
         return np.asarray(self._paths[1].power(2).T @ of_paths)
 
     def follow(self, step: Array | None, defects: Array | None) -> Array:
-        """Compute the step of s that removes defects."""
+        """Compute the linearized change of s for a step of u.
+
+        It keeps the defects, or removes the given ones.
+        """
         push = np.zeros(len(self._s)) if step is None else -(self._by_u @ step)
         if defects is not None:
             push = push - defects
         return self._of.elimination.solve(push[:, None])[:, 0]
 
     def change(self, moved: Array) -> Array:
-        """Compute the change (m,) of goals along a step."""
+        """Compute the change (m,) of the goals for a change of s."""
         return np.asarray(self._goals[0] @ moved)
 
     def path_change(self, moved: Array, step: Array | None) -> Array:
-        """Compute the change (p,) of path rows along a step."""
+        """Compute the change (p,) of path constraints along a step.
+
+        The step consists of the changes `moved` of s and `step` of u.
+        """
         own = self._paths[0] @ moved
         return np.asarray(own if step is None else own + self._paths[1] @ step)
 
     def weigh(self, goal_duals: Array, path_duals: Array, stiffness: Array) -> None:
-        """Set the duals and the barrier stiffness (p,) of `curvature`."""
+        """Set the duals and barrier curvatures that `curvature` uses.
+
+        The second derivatives of the path-constraint barriers are `stiffness` (p,).
+        """
         of = self._of
         pull = self._slope_s + self._goals[0].T @ goal_duals + self._paths[0].T @ path_duals
         self.duals = np.zeros(len(of.program.lower))
@@ -230,7 +255,10 @@ class Expansion:
         self._second, self._stiffness = of.hessian(self._u, self._s, self.duals), stiffness
 
     def curvature(self, step: Array, moved: Array) -> Array:
-        """Multiply the reduced Hessian by a step."""
+        """Multiply the Hessian with respect to u by a step.
+
+        The change `moved` of s belongs to the step.
+        """
         by_s, by_u = np.split(self._second @ np.append(moved, step), [len(moved)])
         push = self._stiffness * self.path_change(moved, step)
         by_s, by_u = by_s + self._paths[0].T @ push, by_u + self._paths[1].T @ push
@@ -238,7 +266,7 @@ class Expansion:
 
 
 class _SparseBlock:
-    """Rows and columns of a sparse matrix, from its non-zeros."""
+    """Rows and columns of a sparse matrix, built from its nonzeros."""
 
     def __init__(self, row: Indices, column: Indices, rows: Indices, columns: Indices) -> None:
         i, j = rows[row], columns[column]
@@ -254,7 +282,7 @@ class _SparseBlock:
 
 
 def _beside(matrix: sp.csr_array, column: Array) -> Array:
-    """Transpose a sparse matrix, and append a column."""
+    """Transpose a sparse matrix and append a column, as dense."""
     result = np.zeros((matrix.shape[1], matrix.shape[0] + 1))
     row = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
     result[matrix.indices, row] = matrix.data
@@ -268,7 +296,7 @@ def _places(sparsity: ca.Sparsity) -> tuple[Indices, Indices]:
 
 
 def _numbers(index: Indices, size: int) -> Indices:
-    """Invert an index; −1 for absent numbers."""
+    """Invert an index array; absent numbers become −1."""
     result = np.full(size, -1, dtype=np.intp)
     result[index] = np.arange(len(index))
     return result

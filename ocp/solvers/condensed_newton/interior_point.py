@@ -1,4 +1,4 @@
-"""Interior-point method for a condensed program."""
+"""Interior-point method for a program with the states eliminated."""
 
 from __future__ import annotations
 
@@ -18,10 +18,11 @@ SETTLED = 1e-4  # relative: smaller changes of the cost, and barriers per curvat
 
 
 class InteriorPoint:
-    """Interior-point method with a trust region and a funnel.
+    """Interior-point method with a trust region.
 
-    All lengths of steps, duals and barrier parameters are in units of `unit`, the mean curvature of
-    the cost. Where the cost has none, a small constant stands for it.
+    A funnel, a decreasing bound on the violation, replaces a filter. Step lengths, duals and
+    barrier parameters are in units of `unit`, the mean curvature of the cost. Where the cost has
+    none, a small constant replaces it.
     """
 
     def __init__(self, of: CondensedProgram, u: Array, s: Array, tolerance: float) -> None:
@@ -50,9 +51,9 @@ class InteriorPoint:
     # --- the start ---
 
     def _curvature_of_cost(self, u: Array, s: Array) -> tuple[Array, sp.csr_array | None]:
-        """Split the cost's Hessian into a positive diagonal and rest.
+        """Split the cost's Hessian into a positive diagonal and the rest.
 
-        The rest is left out where it dominates the diagonal.
+        The rest is dropped if it dominates the diagonal.
         """
         of = self.of
         H = of.hessian(u, s)[len(s) :, len(s) :]
@@ -67,9 +68,10 @@ class InteriorPoint:
         return base, None
 
     def _lift(self, u: Array, s: Array) -> Array:
-        """Move u inside the limits by the first step's length.
+        """Move the initial u to the interior of its bounds.
 
-        Fixed noise breaks symmetries, along which the method may end at a saddle.
+        The distance is about the length of the first step. Fixed noise breaks symmetries, along
+        which the method may end at a saddle.
         """
         of = self.of
         u = of.bounds.inside(u, 0.05, 0.05)
@@ -89,7 +91,7 @@ class InteriorPoint:
         return Projector(self.rows, self.give, Metric(diagonal, self.rest))
 
     def _stand(self, point: Iterate) -> None:
-        """Move to a point."""
+        """Move to an iterate and evaluate its derivatives."""
         of, free = self.of, self.of.bounds.free
         self.point, self.expansion = point, Expansion(of, point.u, point.s)
         self.slope = self.expansion.slope * free
@@ -108,7 +110,7 @@ class InteriorPoint:
                 self.duals = nearest
 
     def _stand_between(self, point: Iterate) -> None:
-        """Take the effect of path rows on u."""
+        """Evaluate the contributions of path constraints at an iterate."""
         bounds, left, free = self.of.path_bounds, point.left.paths, self.of.bounds.free
         self.path_stiffness = self.of_paths.stiffness(point.slack)
         self.chosen = self.working.choose(self.path_stiffness, left)
@@ -128,12 +130,15 @@ class InteriorPoint:
         self.others = self.expansion.stiffness(outside)
 
     def _gradient(self) -> Array:
-        """Compute the gradient of the cost with barriers."""
+        """Compute the gradient of the cost with barrier terms."""
         barriers = self.of.bounds.barrier_slope(self.point.u) + self.path_slope
         return np.asarray(self.slope + self.mu * barriers + self.path_pull)
 
     def error(self, mu: float) -> float:
-        """Measure the optimality error at μ, in units of `unit`."""
+        """Compute the optimality error at barrier parameter μ.
+
+        It is in units of `unit`.
+        """
         duals, count = self.of_bounds, self.of.goals
         gap = self.slope + self.duals @ self.rows[:count] + self.path_force + duals.net
         scale = max(1.0, float(duals.lower.mean() + duals.upper.mean()) / self.unit / 100)
@@ -144,7 +149,7 @@ class InteriorPoint:
     # --- the end ---
 
     def check_end(self) -> str:
-        """Return why the method ends here, or ""."""
+        """Return the reason why the method ends here, or ""."""
         if self.error(0.0) < self.tolerance and self.point.worst < self.tolerance:
             return "optimal"
         if self.is_still(20, 0.02):
@@ -159,12 +164,16 @@ class InteriorPoint:
         return "stuck" if self._is_stuck() else ""
 
     def is_still(self, most: int, share: float, near: float = 2 * NEARLY_MET) -> bool:
-        """Return whether the cost changed little in the last iterations."""
+        """Return whether recent iterations hardly changed the cost.
+
+        They are the last `most` ones, with violations below `near`. The relative change is at most
+        `share`.
+        """
         costs = [cost for cost, worst in self.history[-most:] if worst < near]
         return len(costs) == most and max(costs) - min(costs) <= share * abs(self.point.cost)
 
     def _is_stuck(self) -> bool:
-        """Return whether path rows keep the goals far off."""
+        """Return whether goals remain violated because of path constraints."""
         unmet = [worst for _, worst in self.history[-40:]]
         if not len(self.of.path_rows) or len(unmet) < 40:
             return False
@@ -173,7 +182,7 @@ class InteriorPoint:
     # --- steps ---
 
     def advance(self) -> bool:
-        """Take a step; return whether there was one."""
+        """Do one iteration; return whether it found a step."""
         try:
             return self._advance()
         except np.linalg.LinAlgError:  # a matrix became infinite or singular
@@ -206,7 +215,10 @@ class InteriorPoint:
         return False
 
     def _lower_barrier(self) -> None:
-        """Begin the next barrier problem if this one hardly improves."""
+        """Reduce the barrier parameter if this barrier problem is solved.
+
+        It is also reduced if the iterations hardly improve.
+        """
         error, sluggish = max(self.error(self.mu), 10 * self.point.worst), 8
         if (
             error < 10 * self.mu / self.unit
@@ -218,7 +230,10 @@ class InteriorPoint:
             self.gradient = self._gradient()
 
     def _search(self, step: TrialStep, projector: Projector) -> tuple[Iterate, float] | None:
-        """Find the first better point along a step."""
+        """Find the first better iterate by backtracking along a step.
+
+        Also returns the fraction of the step.
+        """
         of, point, share = self.of, self.point, 1.0
         slope = self.slope + self.mu * of.bounds.barrier_slope(point.u)
         of_slacks = of.path_bounds.barrier_slope(point.slack) @ step.slack
@@ -248,7 +263,7 @@ class InteriorPoint:
         )
 
     def _most(self) -> float:
-        """Compute the largest share of the way to limits."""
+        """Compute the step-to-boundary fraction."""
         return max(0.99, 1 - self.mu / self.unit)
 
     def _is_close(self, point: Iterate) -> bool:
@@ -257,7 +272,10 @@ class InteriorPoint:
         return point.worst < nearly or (halved and self.point.worst > 10 * nearly)
 
     def _is_better(self, point: Iterate, share: float, falling: float) -> bool:
-        """Return whether a point costs or violates less."""
+        """Return whether an iterate has lower cost or violation.
+
+        `share` is the fraction of the step that leads to it, `falling` the directional derivative.
+        """
         if not np.isfinite(point.total) or point.worst > self.funnel:
             return False
         if (falling < 0 and self.point.worst < 0.1 * self.funnel) or self.point.worst < 1e-7:
@@ -270,7 +288,7 @@ class InteriorPoint:
         return point.cost + self.mu * barriers
 
     def _accept(self, step: TrialStep, point: Iterate, share: float) -> None:
-        """Move to a point, and adapt trust region and funnel."""
+        """Move to an iterate, and update trust region and funnel."""
         before, most = self.point, self._most()
         if share > 0.9:
             self.radius = max(self.radius, 3 * step.tangential)

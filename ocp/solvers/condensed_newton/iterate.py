@@ -13,12 +13,12 @@ from tenscasadi.util.validate import Array, Indices
 
 
 class Iterate(NamedTuple):
-    """A point of the method.
+    """Iterate of the condensed Newton method.
 
     Attributes
     ----------
     u, s, slack : ndarray
-        Decided and determined unknowns, and slacks (p,) of the path rows.
+        Independent and dependent variables, and slacks (p,) of the path constraints.
     left : Residual
         Violations, with their sum `total` and the largest, `worst`.
     cost : float
@@ -35,7 +35,7 @@ class Iterate(NamedTuple):
 
 
 def evaluate(of: CondensedProgram, u: Array, s: Array, slack: Array) -> Iterate:
-    """Evaluate an iterate."""
+    """Evaluate cost and constraints at an iterate."""
     cost, goals, defects, paths = of.values(u, s)
     left = Residual(goals, defects, paths - slack)
     total = sum(float(np.abs(one).sum()) for one in left)
@@ -44,7 +44,10 @@ def evaluate(of: CondensedProgram, u: Array, s: Array, slack: Array) -> Iterate:
 
 
 def step_back(expansion: Expansion, projector: Projector, chosen: Indices, point: Iterate) -> Array:
-    """Compute the shortest step to goals and chosen path rows."""
+    """Compute the smallest step that removes the violations.
+
+    To first order, it satisfies goals, defects and the chosen path constraints.
+    """
     drift = expansion.follow(None, point.left.defects)
     paths = (point.left.paths + expansion.path_change(drift, None))[chosen]
     return -projector.shortest(np.append(point.left.goals + expansion.change(drift), paths))
@@ -59,10 +62,10 @@ def move(
     most: float,
     least: float,
 ) -> Iterate:
-    """Take a step of u, which s follows.
+    """Apply a step of u, and the step of s that follows from it.
 
-    The step is cut at the limits, see `VariableBounds.cut`. Slacks follow more slowly: otherwise
-    they vanish before s follows them.
+    The step of u is shortened at its bounds, see `VariableBounds.cut`. It removes the fraction
+    `share` of the defects. Slacks change more slowly: otherwise they vanish before s has followed.
     """
     left, bounds, slack = point.left, of.path_bounds, point.slack
     d = of.bounds.cut(point.u, step, most, least)
@@ -76,9 +79,9 @@ def move(
 
 
 def polish(of: CondensedProgram, point: Iterate, tolerance: float) -> Iterate:
-    """Find the nearest point that meets all rows.
+    """Find the nearest iterate that satisfies all constraints.
 
-    Distances are relative to those from the limits.
+    Changes are measured relative to the distances from the bounds.
     """
     for _ in range(12):
         if not point.worst > tolerance:
@@ -116,7 +119,7 @@ def _improve(
     chosen: Indices,
     point: Iterate,
 ) -> Iterate | None:
-    """Try shares of a step; return the first better iterate."""
+    """Try fractions of a step; return the first better iterate."""
     whole = step_back(expansion, projector, chosen, point)
     for share in (1.0, 0.5, 0.25, 0.1):
         tried = move(of, expansion, point, share * whole, share, 0.999, 0.0)

@@ -1,4 +1,4 @@
-"""Options of the condensed Newton method."""
+"""Solver `CondensedNewton` and its options."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class CondensedNewton(NamedSolver, kind="CondensedNewton"):
     verbose: Boolean = False
 
     def solve(self, program: Program, monitor: Monitor | None = None) -> Solution:
-        """Solve a program.
+        """Solve a nonlinear program.
 
         Parameters
         ----------
@@ -122,7 +122,7 @@ class CondensedNewton(NamedSolver, kind="CondensedNewton"):
             return _polished(of, search, status)
 
     def _run(self, search: InteriorPoint, monitor: Monitor) -> str:
-        """Take steps until the end, and return its status."""
+        """Iterate until the end, and return the status."""
         while True:
             if status := search.check_end():
                 return status
@@ -139,7 +139,7 @@ class CondensedNewton(NamedSolver, kind="CondensedNewton"):
                 sys.stdout.write(search.describe() + "\n")
 
     def prepare_correction(self, program: Program) -> Callable[..., Solution]:
-        """Prepare solutions of programs with shifted rows.
+        """Prepare repeated solutions with shifted constraint bounds.
 
         Parameters
         ----------
@@ -169,7 +169,7 @@ class CondensedNewton(NamedSolver, kind="CondensedNewton"):
 
 
 def _polished(of: CondensedProgram, search: InteriorPoint, status: str) -> Solution:
-    """Find the nearest point that meets all rows."""
+    """Build the solution that satisfies all constraints nearby."""
     point = polish(of, search.point, 1e-11)
     goal_duals, path_duals, bound_duals = search.prices
     expansion = Expansion(of, point.u, point.s)

@@ -1,4 +1,7 @@
-"""Metric of the condensed Newton method, and its projections."""
+"""Metric of the condensed Newton method, and its projections.
+
+The metric is a positive definite approximation of the Hessian.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ from tenscasadi.util.validate import Array
 
 
 class Metric:
-    """Positive definite matrix D: a diagonal and a sparse rest."""
+    """Positive definite matrix D, a diagonal plus a sparse rest."""
 
     def __init__(self, diagonal: Array, rest: sp.csr_array | None = None) -> None:
         self.diagonal, self.rest = diagonal, rest
@@ -19,28 +22,29 @@ class Metric:
             self._factor = scipy.sparse.linalg.splu(sp.csc_array(rest + sp.diags_array(diagonal)))
 
     def times(self, x: Array) -> Array:
-        """Return D x of x (n,)."""
+        """Compute D x for x (n,)."""
         own = self.diagonal * x
         return own if self.rest is None else own + self.rest @ x
 
     def solve(self, x: Array) -> Array:
-        """Return D⁻¹ x of x (n,) or (n, r)."""
+        """Compute D⁻¹ x for x (n,) or (n, r)."""
         if self.rest is None:
             return np.asarray((x.T / self.diagonal).T)
         return np.asarray(self._factor.solve(np.ascontiguousarray(x)))
 
 
 class Projector:
-    """Projections onto rows in a metric with soft rows.
+    """Projections onto linear constraints J d = r in a metric.
 
-    The metric is D + Bᵀ give⁻¹ B.
+    Hard constraints hold exactly. Soft constraints have the Jacobian B and are penalized. The
+    metric is D + Bᵀ give⁻¹ B.
 
     Parameters
     ----------
     jacobian : ndarray, shape (m + p, n)
-        Rows of equations, then soft rows B.
+        J, with m hard constraints, then the p soft constraints B.
     give : ndarray, shape (m + p,)
-        Compliance of each row, 0 of equations.
+        Compliance (inverse penalty) of each constraint; 0 for hard ones.
     metric : Metric
         D.
     """
@@ -67,29 +71,29 @@ class Projector:
         )
 
     def times(self, x: Array) -> Array:
-        """Return the metric times x (n,)."""
+        """Compute the product of the metric and x (n,)."""
         own = self.metric.times(x)
         return own + self.soft.T @ (self.resisting * (self.soft @ x)) if len(self.soft) else own
 
     def norm(self, x: Array) -> float:
-        """Return the square root of xᵀ times(x)."""
+        """Compute the norm of x (n,) in the metric."""
         return float(np.sqrt(np.maximum(x @ self.times(x), 0.0)))
 
     def inner(self, x: Array) -> Array:
-        """Return (J D⁻¹ Jᵀ + give)⁻¹ x of all rows."""
+        """Compute (J D⁻¹ Jᵀ + give)⁻¹ x for x (m + p,)."""
         if self._factor is None:
             return x
         return np.asarray(scipy.linalg.cho_solve(self._factor, x, check_finite=False))
 
     def shortest(self, rows: Array) -> Array:
-        """Compute the shortest step d with J d ≈ rows."""
+        """Compute the smallest step d with J d ≈ rows."""
         return np.asarray(self.spread.T @ self.inner(rows))
 
     def duals(self, force: Array) -> Array:
-        """Compute y (m,) that minimizes force + Jᵀy."""
+        """Compute duals y (m,) that minimize the norm of force + Jᵀy."""
         return -self.inner(self.spread @ force)[: self.count]
 
     def project(self, force: Array) -> Array:
-        """Project a force onto the null space of J."""
+        """Project a gradient onto the null space of J."""
         w = self.metric.solve(force)
         return w - self.spread.T @ self.inner(self.jacobian @ w)

@@ -1,4 +1,4 @@
-"""One step of the condensed Newton method."""
+"""Step of the condensed Newton method by conjugate gradients."""
 
 from __future__ import annotations
 
@@ -12,18 +12,20 @@ from tenscasadi.util.validate import Array, Indices
 
 
 class TrialStep(NamedTuple):
-    """A step d of u.
+    """Step d of the independent variables u.
 
     Attributes
     ----------
     slack : ndarray, shape (p,)
         Step of the slacks with it.
     normal, tangential : float
-        Sizes, in the metric, of the part towards the goals and of the part along them.
+        Norms, in the metric, of the part that reduces violations and of the part along the constraints.
     duals : ndarray, shape (m,)
         Duals of the goals at its end.
     at_boundary, negative_curvature : bool
-        Exits of the conjugate gradients, after `products`.
+        Whether the conjugate gradients ended at the trust region, or by negative curvature.
+    products : int
+        Number of products with second derivatives.
     """
 
     d: Array
@@ -37,16 +39,16 @@ class TrialStep(NamedTuple):
 
 
 class QuadraticModel:
-    """Quadratic model of cost and barriers about a point.
+    """Quadratic model of cost and barriers about an iterate.
 
     Parameters
     ----------
     stiffness : ndarray, shape (n,)
-        Second derivatives of the barriers before limits of u.
+        Second derivatives of the barriers of the bounds on u.
     working : ndarray of int
-        Path rows that are soft rows of the projector.
+        Path constraints that are soft constraints of the projector.
     exact : bool
-        Whether second derivatives are exact, or the metric stands for them.
+        Whether second derivatives are exact, or replaced by the metric.
     """
 
     def __init__(
@@ -62,7 +64,11 @@ class QuadraticModel:
         self.working, self.gradient, self.exact = working, gradient, exact
 
     def step(self, left: Residual, radius: float) -> TrialStep:
-        """Step to the linearized goals, then minimize within a radius."""
+        """Compute a step by normal and tangential steps.
+
+        The normal step satisfies the linearized goals. The tangential step minimizes the model
+        within a trust region of the given radius.
+        """
         expansion, projector = self.expansion, self.projector
         drift = expansion.follow(None, left.defects)
         drifted = expansion.path_change(drift, None)[self.working]
@@ -88,7 +94,7 @@ class QuadraticModel:
         )
 
     def _times(self, step: Array) -> Array:
-        """Multiply the second derivatives by a step of u."""
+        """Multiply the model's Hessian by a step of u."""
         if not self.exact:
             return self.projector.times(step)
         return self._curved(step, self.expansion.follow(step, None))
@@ -97,9 +103,10 @@ class QuadraticModel:
         return self.expansion.curvature(step, moved) + self.stiffness * step
 
     def _descend(self, force: Array, radius: float) -> tuple[Array, Array, bool, bool, int]:
-        """Run Steihaug's conjugate gradients along the rows.
+        """Minimize by Steihaug's conjugate gradients along the constraints.
 
-        Returns the step, the change of the gradient, the exits, and the number of products.
+        Returns the step, the change of the gradient, whether it ended at the trust region or by
+        negative curvature, and the number of products with the Hessian.
         """
         most = 30  # products with the second derivatives
         metric, project = self.projector, self.projector.project
