@@ -247,10 +247,7 @@ class Mpc:
 
     @property
     def first(self) -> Array:
-        """Input ``before`` (nu, intervals) of the first call of `function`.
-
-        It contains the reference control.
-        """
+        """Reference control, the input ``before`` of the first call of `function`."""
         held = self._reference(0.0)[1].full()
         return np.column_stack([held[:, :1], held[:, :-1]])
 
@@ -263,10 +260,9 @@ class Mpc:
         before: Any,
         earlier: Any,
     ) -> Any:
-        """Compute the controls of all periods of the horizon.
+        """Compute the controls (nu, intervals) of the horizon; arrays are transposed.
 
-        Symbols are (nu, intervals), arrays (intervals, nu). `before` and `earlier` are the controls
-        and the state of the previous call, or NaN.
+        `before` and `earlier` are the controls and the state of the previous call, or NaN.
         """
         shift, program = steps
         (gamma,) = shift(time, before)
@@ -275,9 +271,9 @@ class Mpc:
         return gamma
 
     def _build_shift(self) -> ca.Function:
-        """Build the Function that shifts the previous controls by a period.
+        """Build the Function (time, before) → controls γ shifted by a period.
 
-        It is (time, before) → γ (nu, intervals). In the first call, γ is the reference.
+        In the first call, γ is the reference.
         """
         time, before = ca.MX.sym("time"), ca.MX.sym("before", self.model.nu, self.intervals)
         held = self._reference(time)[1]
@@ -352,10 +348,7 @@ class Mpc:
         )
 
     def _improve(self, gamma: Array, G: Array, g: Array, a: Array, b: Array) -> Array:
-        """Solve the quadratic program by DAQP and update the controls.
-
-        Controls are (intervals, nu); they remain unchanged if the solver fails.
-        """
+        """Update the controls (intervals, nu) by DAQP, unless it fails."""
         slack = self._slack
         H, now = G @ G.T, gamma.ravel()
         H[np.diag_indices(len(H))] += self._weights
@@ -375,10 +368,7 @@ class Mpc:
         return np.clip(now + change, self._lower, self._upper).reshape(gamma.shape)
 
     def _improve_symbolically(self, gamma: Any, G: Any, g: Any, a: Any, b: Any) -> Any:
-        """Build the updated controls γ + ΔU by an interior-point method.
-
-        They are (nu, intervals). The iterations are part of the expression, for C code.
-        """
+        """Build the updated controls γ + ΔU (nu, intervals) for C code."""
         size, now = g.shape[0], ca.vec(gamma)
         H, own = G.T @ G + ca.diag(ca.DM(self._weights)), ca.DM.eye(size)
         least, most = (
@@ -436,10 +426,10 @@ def _build_reference(
 ) -> tuple[ca.Function, float]:
     """Build the reference to track, and a typical force density [N/m].
 
-    The reference is a Function of the time. It returns the scaled output (·, count) at the ends of
-    the next intervals, and the control (nu, count) in them. With a plan, it is the plan, then its
-    final equilibrium if it ends at rest. Without a plan, it is an equilibrium that meets the goals.
-    Raises ValueError, InfeasibleGoalError.
+    The Function of the time returns the scaled output (·, count) at the ends of the next intervals,
+    and the control (nu, count) in them. With a plan, it is the plan, then its final equilibrium if
+    it ends at rest. Without a plan, it is an equilibrium that meets the goals. Raises ValueError,
+    InfeasibleGoalError.
     """
     time = ca.MX.sym("time")
     if plan is None:
@@ -475,10 +465,7 @@ def _build_reference(
 
 
 def _find_goal(problem: Problem, scales: Scales) -> tuple[Array, Array, Array]:
-    """Find an equilibrium that meets the goals.
-
-    Returns its state, its control, and its force densities.
-    """
+    """Find an equilibrium at the goals: state, control, force densities."""
     asked = [
         type(part).__name__
         for part in (problem.start, *problem.goals)
