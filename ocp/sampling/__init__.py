@@ -1,1 +1,1 @@
-"""Plans and control by sampled motions, without derivatives."""
+"""Planning by random sampling of simulations, without derivatives."""

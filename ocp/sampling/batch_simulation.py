@@ -1,4 +1,4 @@
-"""Simulation of many motions at once, their costs and violations."""
+"""Batches of simulations, with their costs and constraint violations."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ COST_SHARE = 0.1  # weight of the costs against a goal that is off by its tolera
 
 
 class InstantGoals(NamedTuple):
-    """Goals of one instant.
+    """Goals at one instant of a plan.
 
     Attributes
     ----------
     interval : int
-        Interval that the instant lies in.
+        Mesh interval that contains the instant.
     rows : casadi.Function
-        (x, x⁺, h) → rows, of the states at the ends of the interval of length h [s].
+        (x, x⁺, h) → residuals of the goals, from the states at both ends of the interval of length h [s].
     speeds : ndarray of bool
-        Which rows are speeds.
+        Which residuals are velocities.
     names : tuple of str
-        Names of the rows.
+        Names of the residuals.
     """
 
     interval: int
@@ -53,7 +53,7 @@ class InstantGoals(NamedTuple):
 
 
 class BatchSimulation:
-    """Simulation of many motions of a problem on a mesh.
+    """Simulation of a batch of control sequences on a mesh.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ class BatchSimulation:
 
     @property
     def legs(self) -> list[tuple[int, int]]:
-        """Ranges of intervals from one instant with goals to the next."""
+        """Ranges of intervals between successive instants with goals."""
         ends = sorted({0, len(self.fractions), *(one.interval + 1 for one in self.asked)})
         return list(pairwise(ends))
 
@@ -152,12 +152,12 @@ class BatchSimulation:
     def roll(
         self, starts: Array, wanted: Array, duration: float, first: int = 0, finer: int = 1
     ) -> tuple[Array, Array, Array]:
-        """Simulate n motions over k intervals.
+        """Simulate n control sequences over k intervals.
 
         Returns the force densities (n, k, α), the states (n, k + 1, nx) at the ends of the
         intervals from `first` on, and the running costs (n,). `wanted` (n, k, α) are the force
-        densities without the feedback, and `finer` multiplies the number of steps. Costs are inf
-        and states NaN if a motion diverges. Ctrl-C raises KeyboardInterrupt.
+        densities without the feedback law, and `finer` multiplies the number of steps. Costs are
+        inf and states NaN if a simulation diverges. Ctrl-C raises KeyboardInterrupt.
         """
         n, count, nu = wanted.shape
         ends = duration * np.cumsum(self.fractions)[first : first + count]
@@ -191,7 +191,7 @@ class BatchSimulation:
         return controls, states, cost + self._other_costs(states, controls, first)
 
     def misses(self, states: Array, duration: float, first: int = 0, speed: float = 1.0) -> Array:
-        """Compute goal rows (n, m) in units of their tolerances.
+        """Compute goal residuals (n, m) in units of their tolerances.
 
         The tolerance of velocities is `speed` times that of positions per duration.
         """
@@ -249,7 +249,7 @@ class BatchSimulation:
         return np.maximum(np.maximum(value - rows.upper, rows.lower - value), 0.0).reshape(n, -1)
 
     def describe_worst(self, states: Array, controls: Array, duration: float) -> str:
-        """Describe the largest violation of one motion."""
+        """Describe the largest constraint violation of one trajectory."""
         missed = np.abs(self.misses(states[None], duration)[0])
         over = self.excess(states[None], controls[None], duration)[0]
         if not (np.all(np.isfinite(missed)) and np.all(np.isfinite(over))):
@@ -265,7 +265,7 @@ class BatchSimulation:
         return f"a path constraint is violated by {over.max(initial=0.0):.2g} of its scale"
 
     def objective(self, states: Array, controls: Array, duration: float) -> float:
-        """Compute the objective of one motion.
+        """Compute the objective of one trajectory.
 
         Running costs are integrated by the trapezoid rule.
         """
@@ -305,7 +305,10 @@ class BatchSimulation:
         return scaled_rows(self.problem, RateBound, self._scales, self._strength)
 
     def _other_costs(self, states: Array, controls: Array, first: int) -> Array:
-        """Compute the costs (n,) of controls, rates and instants."""
+        """Compute the costs (n,) other than running costs.
+
+        They are functions of the controls, of their rates, and of single instants.
+        """
         n, count, _ = controls.shape
         whole, total = count == len(self.fractions), np.zeros(n)
         if self._control_cost is not None:
@@ -337,7 +340,10 @@ class BatchSimulation:
 
     @cached_property
     def _instant_costs(self) -> list[tuple[int, ca.Function]]:
-        """Costs of instants: intervals before them, and Functions (x, u)."""
+        """Costs of single instants, as Functions (x, u).
+
+        Each has the number of the interval before it.
+        """
         now, found = symbolic(self.problem.model), []
         x, u, _ = now.symbols
         for share, expression in cost_terms(self.problem.costs).instants:
@@ -350,7 +356,7 @@ class BatchSimulation:
         return found
 
     def _evaluate(self, name: str, function: ca.Function, *inputs: Array) -> Array:
-        """Evaluate a Function for n rows of inputs."""
+        """Evaluate a Function for n rows of inputs in one call."""
         n = len(inputs[0])
         if (name, n) not in self._cached:
             self._cached[name, n] = ArrayFunction(function.map(n))

@@ -1,4 +1,4 @@
-"""Defaults of sampling."""
+"""Default parameters of the random search."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class SamplingDefaults(NamedTuple):
     force_density : ndarray, shape (α,)
         Initial force densities [N/m].
     spread : ndarray, shape (α,)
-        Standard deviations [N/m].
+        Standard deviations of the random changes [N/m].
     mass : float
         Effective mass of a node [kg].
     fall : float
@@ -42,17 +42,20 @@ class SamplingDefaults(NamedTuple):
         return float(self.force_density.mean())
 
     def intervals(self, problem: Problem) -> int:
-        """Choose a number of intervals, 0.6 rad of vibration each."""
+        """Choose the number of intervals.
+
+        The fastest vibration has a phase of 0.6 rad in each.
+        """
         rate = np.sqrt(count_strings_per_node(problem) * self.strength / self.mass)
         return int(np.clip(np.ceil(problem.longest * rate / 0.6), 20, 400))
 
     def knots(self, seconds: float) -> int:
-        """Choose a number of knots, three in the free-fall time."""
+        """Choose the number of spline knots, three per free-fall time."""
         return int(np.clip(np.ceil(3 * seconds / self.fall), 6, 24))
 
 
 def count_strings_per_node(problem: Problem) -> float:
-    """Count the strings at a node, on average and at least 1."""
+    """Compute the mean number of strings at a node, at least 1."""
     structure = problem.model.scene.structure
     return max(1.0, 2 * len(structure.strings) / len(structure.nodes))
 
@@ -83,7 +86,7 @@ def choose_defaults(problem: Problem) -> SamplingDefaults:
 
 
 def _find_self_stress(problem: Problem) -> Array:
-    """Find force densities (α,) of self-stress, of mean 1."""
+    """Find a self-stress as force densities (α,) with mean 1."""
     structure = problem.model.scene.structure
     nodes = problem.model.nodes(problem.initial_state)[: len(structure.nodes)]
     try:
@@ -96,7 +99,7 @@ def _find_self_stress(problem: Problem) -> Array:
 def find_symmetry_groups(problem: Problem) -> tuple[tuple[int, ...], ...]:
     """Find groups of strings by symmetry about the vertical.
 
-    The strings of a group have equal lengths at the start, and ends of equal heights.
+    The strings of a group have equal initial lengths, and ends of equal initial heights.
     """
     model, structure = problem.model, problem.model.scene.structure
     nodes = model.nodes(problem.initial_state)[: len(structure.nodes)]

@@ -1,4 +1,4 @@
-"""Gauss-Newton method with finite differences of simulated motions."""
+"""Gauss-Newton method with finite differences of simulations."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ SETTLED = 0.02  # residual in units of the tolerance below which the method ends
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """Controls of a plan and their motion.
+    """Controls of a candidate plan with their simulation.
 
     Attributes
     ----------
     wanted : ndarray, shape (K, α)
-        Force densities without the feedback [N/m].
+        Force densities without the feedback law of elastic strings [N/m].
     duration : float
         Duration [s].
     force_density : ndarray, shape (K, α)
-        Force densities [N/m].
+        Applied force densities [N/m].
     states : ndarray, shape (K + 1, nx)
         States [m, m/s].
     rows : ndarray, shape (m,)
@@ -51,10 +51,10 @@ class Candidate:
 
 
 class Descent:
-    """Gauss-Newton method in batches of motions.
+    """Gauss-Newton method whose Jacobians come from batches of simulations.
 
-    The unknowns are changes along `directions` (g, α), linear between at most 500 / g knots.
-    `finer` multiplies the number of steps.
+    The unknowns are changes of the force densities along `directions` (g, α), linear between at
+    most 500 / g knots. `finer` multiplies the number of steps.
     """
 
     def __init__(self, motions: BatchSimulation, directions: Array, finer: int = 1) -> None:
@@ -70,9 +70,10 @@ class Descent:
     def run(
         self, wanted: Array, duration: float, speed: float, iterations: int, over: Watcher
     ) -> tuple[Candidate, int]:
-        """Iterate to small residuals; return the best and the iterations.
+        """Iterate until residuals are small.
 
-        `speed` multiplies the tolerance of velocities.
+        `speed` multiplies the tolerance of velocities. Returns the best candidate and the number of
+        iterations.
         """
         self._speed = speed
         point, stalls = self._points(wanted[None], [duration])[0], 0
@@ -89,7 +90,7 @@ class Descent:
         return point, iterations
 
     def measure_finer(self, point: Candidate, finer: int) -> float:
-        """Compute the largest residual with finer steps."""
+        """Compute the largest residual in a simulation with finer steps."""
         motions = self._motions
         law, motions.law = motions.law, None
         states = motions.roll(
@@ -103,7 +104,7 @@ class Descent:
         return float(np.abs(missed).max(initial=0.0)) if np.all(np.isfinite(missed)) else np.inf
 
     def _points(self, wanted: Array, durations: list[float]) -> list[Candidate]:
-        """Simulate candidates of force densities (n, K, α)."""
+        """Simulate force densities (n, K, α) and build candidates."""
         if len(set(durations)) > 1:
             return [
                 self._points(one[None], [duration])[0]
@@ -129,7 +130,7 @@ class Descent:
         ]
 
     def _step(self, point: Candidate) -> Candidate:
-        """Try steps of ten dampings at once, and return the best."""
+        """Try steps with ten damping parameters, and return the best."""
         problem, changes = self._motions.problem, self._changes
         lower, upper = problem.force_density_limits
         room = [
@@ -171,13 +172,16 @@ class Descent:
 
     @staticmethod
     def _slopes(point: Candidate, moved: list[Candidate], by: Array) -> Array:
-        """Compute finite differences (m, n), 0 if a motion diverges."""
+        """Compute the Jacobian (m, n) by finite differences.
+
+        Columns are 0 if a simulation diverges.
+        """
         slopes = (np.array([one.rows for one in moved]) - point.rows).T / by
         return np.where(np.isfinite(slopes).all(axis=0), slopes, 0.0)
 
 
 def _find_bounded_step(J: Array, r: Array, damping: float, room: list[Array]) -> Array:
-    """Minimize |r + J d|² + damping |d|² within active limits.
+    """Minimize |r + J d|² + damping |d|² within limits of d.
 
     `room` are the distances from the upper and the lower limits.
     """

@@ -1,4 +1,4 @@
-"""Feedback of elastic, damped strings, which stabilizes sampled motions."""
+"""Feedback law of elastic, damped strings, which stabilizes simulations."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ from ocp.sampling.defaults import count_strings_per_node
 
 
 def elastic_law(problem: Problem, strength: float, mass: float, interval: float) -> ca.Function:
-    """Build the feedback x → k (1 − ℓ/s) + c ṡ/s (α,) [N/m].
+    """Build the feedback law of elastic strings for sampling.
 
-    The strings have lengths s, and ℓ at the start. Stiffness k and damping c are as large as
-    stability allows if the feedback is held over an interval.
+    The Function is x → k (1 − ℓ/s) + c ṡ/s (α,) [N/m]. The strings have lengths s, and ℓ at the
+    start. Stiffness k and damping c are as large as stability allows if the feedback is constant
+    over an interval.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Costs, goals and limits as Functions for rollouts."""
+"""Costs and constraint penalties as Functions for simulations."""
 
 from __future__ import annotations
 
@@ -23,18 +23,19 @@ OVERSTEP = 1e5
 
 
 class HorizonCosts(NamedTuple):
-    """Terms of the cost of a motion over a horizon.
+    """Terms of the cost of a trajectory over a prediction horizon.
 
     Attributes
     ----------
     stage : casadi.Function
-        (x, w) → cost per second, with w = [γ; time]; infinite if a bar has lost its length.
+        (x, w) → running cost per second, with w = [u; time] for the control u; infinite if a bar length
+        has a large error.
     final : casadi.Function
         (x, w) → terminal cost.
     control : casadi.Function or None
-        γ (α, K) → cost of the force densities alone.
+        u (nu, K) → cost of the controls alone.
     rates : casadi.Function or None
-        (x, γ, x⁺, γ⁺) → cost of violated rate limits from one period to the next.
+        (x, u, x⁺, u⁺) → cost of violated rate limits from one period to the next.
     """
 
     stage: ca.Function
@@ -87,7 +88,7 @@ def build_horizon_costs(
 def build_running_cost(
     problem: Problem, scales: Scales, length: float, strength: float, weight: float = 1.0
 ) -> ca.Function:
-    """Build the running cost per second, with penalties of limits."""
+    """Build the running cost per second, with penalties for limits."""
     now, given = _instant(problem)
     running = cost_terms(problem.costs).express(problem.model).running
     stage = weight * sum((rate(now) for rate in running), ca.DM(0))
@@ -99,13 +100,13 @@ def build_running_cost(
 
 
 def _instant(problem: Problem) -> tuple[Instant, Any]:
-    """Return a symbolic instant, and its w = [γ; time]."""
+    """Build a symbolic instant, and its input vector w = [u; time]."""
     now = symbolic(problem.model)
     return now, ca.vertcat(now.control, now.time)
 
 
 def _misses(problem: Problem, now: Instant, sizes: dict[str, float]) -> Any:
-    """Sum (row/size)² over the rows of all goals."""
+    """Sum the squared goal residuals, divided by their sizes."""
     asked = [
         type(part).__name__
         for part in (problem.start, *problem.goals)
@@ -130,7 +131,7 @@ def _misses(problem: Problem, now: Instant, sizes: dict[str, float]) -> Any:
 
 
 def _broken(now: Instant) -> Any:
-    """Return whether a bar has lost its length."""
+    """Return whether the length error of a bar is large."""
     structure = now.model.scene.structure
     if not len(structure.bars):
         return ca.DM(0)
@@ -142,13 +143,13 @@ def _broken(now: Instant) -> Any:
 
 
 def _excess(rows: ScaledRows, *given: Any) -> Any:
-    """Sum the scaled violations of limits."""
+    """Sum the scaled violations of path constraints."""
     value = rows.function(*given)
     return ca.sum1(ca.fmax(ca.fmax(value - ca.DM(rows.upper), ca.DM(rows.lower) - value), 0))
 
 
 def build_control_cost(problem: Problem, period: float, intervals: int) -> ca.Function | None:
-    """Build the Function u → cost of controls alone."""
+    """Build the Function u → cost that depends on controls alone."""
     terms = cost_terms(problem.costs).express(problem.model)
     gamma = ca.SX.sym("u", problem.model.nu, intervals)
     each = [expression(gamma, period) for expression in (*terms.control, *terms.changes)]
@@ -158,7 +159,10 @@ def build_control_cost(problem: Problem, period: float, intervals: int) -> ca.Fu
 def build_rate_cost(
     problem: Problem, scales: Scales, period: float, intervals: int, strength: float
 ) -> ca.Function | None:
-    """Build the Function (x, γ, x⁺, γ⁺) → cost of rates."""
+    """Build the Function (x, u, x⁺, u⁺) → penalty of rate limits.
+
+    The arguments are state and control in successive periods.
+    """
     limits = scaled_rows(problem, RateBound, scales, strength)
     symbols = [
         ca.MX.sym(name, size)

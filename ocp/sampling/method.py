@@ -1,4 +1,4 @@
-"""Method of `Sampling`: random search, then Gauss-Newton."""
+"""Solution by `Sampling`: random search, then Gauss-Newton."""
 
 from __future__ import annotations
 
@@ -41,7 +41,10 @@ def default_intervals(problem: Problem) -> int:
 
 
 def check_sampling(problem: Problem, transcription: Transcription, solver: Sampling) -> None:
-    """Raise ValueError if a problem or profile is unsupported."""
+    """Raise ValueError if `Sampling` cannot solve a problem.
+
+    The problem, or the control profile, is then unsupported.
+    """
     require_force_densities(problem.model, "Sampling")
     if problem.free_start:
         raise ValueError(
@@ -64,7 +67,7 @@ def solve_sampled(
     monitor: Monitor,
     tolerance: float,
 ) -> Outcome:
-    """Solve a problem by sampling.
+    """Solve a problem by random sampling.
 
     Parameters
     ----------
@@ -91,7 +94,7 @@ def solve_sampled(
 
 
 class _Method:
-    """One run."""
+    """One run of the sampling method on a problem."""
 
     def __init__(
         self,
@@ -144,7 +147,7 @@ class _Method:
         return self._outcome()
 
     def _try_all(self) -> None:
-        """Search by groups of strings, then by single strings."""
+        """Search for controls of groups of strings, then of each string."""
         motions, solver, levels = self._motions, self._solver, self._levels()
         knots = (
             self._defaults.knots(self._problem.longest / len(motions.legs))
@@ -173,7 +176,7 @@ class _Method:
                         return
 
     def _polish(self, wanted: Array, duration: float, directions: Array) -> None:
-        """Improve by Gauss-Newton in steps that become finer."""
+        """Improve force densities by Gauss-Newton with finer and finer steps."""
         misses = []
         # the first round admits ten times the final speeds
         for finer, speed in ((1, 10.0), (self._finer, 1.0), (2 * self._finer, 1.0)):
@@ -194,7 +197,10 @@ class _Method:
             self.best, self._miss = point, miss
 
     def _levels(self) -> list[Array]:
-        """Return directions (g, α) for groups, then for single strings."""
+        """Build directions (g, α) of changes of force densities.
+
+        The first change groups of strings together, the last each string separately.
+        """
         count, spread = self._problem.model.nu, self._defaults.spread
         alone = (
             tuple(
@@ -226,7 +232,7 @@ class _Method:
         return bool(self._stopped)
 
     def stop(self) -> Outcome:
-        """Return the best so far of an abandoned run."""
+        """Build the result of a run that was stopped, its best candidate."""
         self._stopped = _STOPS.get(self._monitor.status(), "")
         return self._outcome()
 
@@ -264,7 +270,7 @@ class _Method:
 
 
 def simulate_defaults(motions: BatchSimulation, given: SamplingDefaults) -> Candidate:
-    """Simulate the initial force densities."""
+    """Simulate the default initial force densities."""
     problem = motions.problem
     wanted = np.tile(given.force_density, (len(motions.fractions), 1))
     gamma, states, _ = motions.roll(problem.initial_state[None], wanted[None], problem.longest)
@@ -272,6 +278,6 @@ def simulate_defaults(motions: BatchSimulation, given: SamplingDefaults) -> Cand
 
 
 def _swing(given: SamplingDefaults, problem: Problem) -> float:
-    """Estimate the fastest vibration of nodes [rad/s]."""
+    """Estimate the fastest angular frequency of nodes [rad/s]."""
     ends = count_strings_per_node(problem)
     return float(np.sqrt(ends * (given.strength + 2 * given.spread.mean()) / given.mass))

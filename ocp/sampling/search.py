@@ -15,16 +15,18 @@ LINEAGES = 4  # parallel searches; the worse half ends half-way
 
 @dataclass(frozen=True, eq=False)
 class Lineage:
-    """Best motion of one of the parallel searches.
+    """Best trajectory so far of one of the parallel searches.
+
+    A leg is the part of a plan between two instants with goals.
 
     Attributes
     ----------
     start, end : ndarray, shape (nx,)
-        States at the start and at the end of its leg.
+        States at the start and at the end of the leg.
     past, wanted : ndarray, shape (k, α)
-        Force densities before the leg and in it, without the feedback [N/m].
+        Force densities before the leg and in it, without the feedback law [N/m].
     knots : ndarray, shape (knots, α)
-        Values of the spline of the leg [N/m].
+        Knot values of the spline of the leg [N/m].
     cost : float
         Cost with penalties of goals and limits.
     miss : float
@@ -44,7 +46,7 @@ class Lineage:
 
     @property
     def whole(self) -> Array:
-        """Force densities from the start of the plan."""
+        """Force densities from the start of the plan to the end of the leg."""
         return np.concatenate([self.past, self.wanted])
 
 
@@ -82,7 +84,10 @@ class Search:
         self._knots, self._samples, self._rounds = knots, max(4, samples // LINEAGES), rounds
 
     def run(self, over: Watcher) -> list[Lineage]:
-        """Search leg by leg; return the final lineages, the best first."""
+        """Search leg by leg, from one instant with goals to the next.
+
+        Returns the best trajectories of all parallel searches, the best first.
+        """
         problem, none = self._motions.problem, np.zeros((0, len(self._nominal)))
         span = problem.shortest, problem.longest
         start = problem.initial_state
@@ -95,7 +100,7 @@ class Search:
         return found
 
     def _leg(self, lineages: list[Lineage], first: int, last: int, over: Watcher) -> list[Lineage]:
-        """Search a leg that begins at the ends of these lineages."""
+        """Search a leg that begins at the ends of given trajectories."""
         basis = SplineNoise(1.0, self._knots).basis(last - first)
         knots, wanted = (
             np.zeros((basis.shape[1], len(self._nominal))),
@@ -132,7 +137,7 @@ class Search:
         return found
 
     def _improve(self, one: Lineage, first: int, basis: Array, scale: float) -> Lineage:
-        """Return the best of samples about a lineage, itself included."""
+        """Return the best of random changes of a trajectory, or itself."""
         sizes = scale * SplineNoise(1.0, min_scale=0.03).sizes(self._samples)
         noise = self._random.standard_normal((self._samples, basis.shape[1], len(self._directions)))
         tried = one.knots + sizes[:, None, None] * (noise @ self._directions)

@@ -1,4 +1,4 @@
-"""Options of sampling."""
+"""Solver `Sampling` and its options."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tenscasadi.util.validate import MAX_ENTRIES, Boolean, IndexOrName, of_type,
 class Sampling(NamedSolver, kind="Sampling"):
     """Random search on simulated motions, then Gauss-Newton.
 
-    Use it for motions through contact, where derivatives are of little use. The plan satisfies
+    Use it for plans with contact, where derivatives are of little use. The plan satisfies
     goals and limits; its cost is low, but not optimal.
 
     Parameters
@@ -101,7 +101,10 @@ class Sampling(NamedSolver, kind="Sampling"):
 
 
 def read_groups(field: str, groups: Any) -> tuple[tuple[int, ...], ...]:
-    """Read groups of strings. Raises TypeError, ValueError."""
+    """Read groups of strings that share a control.
+
+    Raises TypeError, ValueError.
+    """
     try:
         return tuple(map(tuple, SplineNoise(1.0, groups=groups).groups or ()))
     except (TypeError, ValueError) as error:

@@ -1,4 +1,4 @@
-"""Smooth noise: splines through random knots, in groups of strings."""
+"""Smooth random noise: splines through random knots."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ class SplineNoise(Value, kind="SplineNoise"):
             object.__setattr__(self, "groups", groups)
 
     def sizes(self, samples: int) -> Array:
-        """Compute the sizes of the changes of the samples.
+        """Compute the relative size of each sample's changes.
 
         Parameters
         ----------
@@ -106,7 +106,7 @@ class SplineNoise(Value, kind="SplineNoise"):
         return np.concatenate([[0.0], np.geomspace(self.min_scale, 1.0, samples - 1)[::-1]])
 
     def directions(self, count: int) -> Array:
-        """Compute the changes of strings by deviations of groups.
+        """Compute the change of each string per unit change of each group.
 
         Parameters
         ----------

@@ -1,1 +1,1 @@
-"""Target states of goals, and the constraints that impose them."""
+"""Final states that meet the goals, and independent goal constraints."""

@@ -1,9 +1,10 @@
-"""Infeasibility certificates by Lagrangian relaxation.
+"""Proofs that goals are infeasible, by Lagrangian relaxation.
 
-The proofs show that rows, which are quadratic in the state, have no common zero. Let μ be the
-residuals at a local minimum of their sum of squares. The function μᵀ rows is stationary there and
-has the value |μ|² > 0. If it is convex, this is its minimum, so that no state satisfies all rows.
-Affine rows are satisfied exactly: convexity is needed on their solutions only.
+The proofs show that constraints which are quadratic in the state have no common solution. Let μ be
+the residuals at a local minimum of their sum of squares. The function μᵀ residuals is stationary
+there and has the value |μ|² > 0. If it is convex, this is its minimum, so that no state satisfies
+all constraints. Affine constraints are satisfied exactly: convexity is needed on their solutions
+only.
 """
 
 from __future__ import annotations
@@ -24,18 +25,18 @@ from tenscasadi.util.validate import Array, Indices
 
 
 class QuadraticRows(NamedTuple):
-    """Quadratic rows of scaled unknowns.
+    """Residuals that are quadratic in scaled variables z.
 
-    The rows are c + A z + ½ zᵀ Q z in the unknowns z.
+    They are c + A z + ½ zᵀ Q z.
 
     Attributes
     ----------
     names : list of str
-        Names of the m rows.
+        Names of the m residuals.
     c, A : ndarray, shape (m,) and (m, n)
         Constant and linear parts.
     row, one, other, value : ndarray
-        Entries of Q by row and unknowns.
+        Values of the nonzeros of Q, with their residual and the two variables.
     """
 
     names: list[str]
@@ -47,7 +48,7 @@ class QuadraticRows(NamedTuple):
     value: Array
 
     def select(self, kept: Indices) -> QuadraticRows:
-        """Select some rows."""
+        """Select some of the residuals."""
         place = np.full(len(self.c), -1)
         place[kept] = np.arange(len(kept))
         own = place[self.row] >= 0
@@ -57,25 +58,25 @@ class QuadraticRows(NamedTuple):
 
     @property
     def affine(self) -> Any:
-        """Whether each row (m,) is affine."""
+        """Whether each residual (m,) is affine."""
         return ~np.isin(np.arange(len(self.c)), self.row[self.value != 0])
 
     def hessian(self, multipliers: Array) -> sp.csr_array:
-        """Compute the Hessian (n, n) of multipliersᵀ rows."""
+        """Compute the Hessian (n, n) of multipliersᵀ residuals."""
         entries = multipliers[self.row] * self.value, (self.one, self.other)
         return sp.csr_array(sp.coo_array(entries, shape=(self.A.shape[1],) * 2))
 
     def at(self, z: Array) -> tuple[Array, Array]:
-        """Compute the rows (m,) and their gradient (m, n)."""
+        """Compute the residuals (m,) and their Jacobian (m, n)."""
         entries = self.value * z[self.other], (self.row, self.one)
         J = self.A + sp.coo_array(entries, shape=self.A.shape).toarray()
         return self.c + (self.A + J) @ z / 2, J
 
 
 def read_quadratic(rows: RowFunction, names: Sequence[str]) -> QuadraticRows:
-    """Select the quadratic rows.
+    """Select the residuals that are quadratic.
 
-    Other rows are left out. A proof with fewer rows is still valid.
+    The others are dropped. A proof with fewer constraints is still valid.
     """
     zero = np.zeros(len(rows.scale))
     c, A = rows(zero)
@@ -89,11 +90,10 @@ def read_quadratic(rows: RowFunction, names: Sequence[str]) -> QuadraticRows:
 def prove_infeasible(
     rows: QuadraticRows, z: Array, box: Array, tolerance: float
 ) -> Certificate | None:
-    """Prove that no state satisfies all rows.
+    """Prove that no state satisfies all constraints.
 
     Returns None if the proof fails. The search for multipliers starts at the scaled state z (n,),
-    whose entries are within a box (2, n). Rows with smaller residuals than the tolerance count as
-    satisfied.
+    whose entries are within a box (2, n). Residuals below the tolerance count as zero.
     """
     linear = rows.select(np.flatnonzero(rows.affine))
     known = solve_affine(linear, box)
@@ -131,7 +131,7 @@ def prove_infeasible(
 
 
 def solve_affine(rows: QuadraticRows, box: Array) -> Array:
-    """Solve affine rows by least squares within a box.
+    """Minimize affine residuals by least squares within a box.
 
     The unknown is the scaled state.
     """

@@ -1,7 +1,7 @@
-"""Distance rows in place of singular length rows.
+"""Distances between nodes that replace singular length constraints.
 
-At a prestressed equilibrium, lengths determine the shape only to second order. Other distances
-determine it to first order.
+At a prestressed equilibrium, string lengths determine the shape only to second order. Other
+distances determine it to first order.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from tenscasadi.util.validate import Array, Indices
 
 
 def list_neighbors(structure: Structure) -> Indices:
-    """List the pairs (m, 2) of nodes within two members."""
+    """List the pairs (m, 2) of nodes connected by up to two members."""
     n, members = len(structure.nodes), connected_pairs(structure)
     one = sp.coo_array((np.ones(len(members)), (members[:, 0], members[:, 1])), shape=(n, n))
     steps = sp.csr_array(one + one.T)
@@ -38,11 +38,11 @@ def squared_distances(nodes: Any, pairs: Indices) -> Any:
 def find_distance_rows(
     nodes: Array, moves: sp.csr_array, directions: Array, pairs: Indices
 ) -> tuple[Array, Array, Indices]:
-    """Find distance rows that change along directions (ny, k).
+    """Find distances that change along given directions (ny, k).
 
-    The rows are invariant to rigid motions. They use pairs (m, 2), or all nodes if these are not
-    sufficient. `moves` is the derivative (3n, ny) of the nodes (n, 3). Returns combinations (j, m)
-    of squared distances, their gradients (j, ny), and the pairs.
+    Distances are invariant to rigid-body motions. They are those of pairs (m, 2) of nodes, or of
+    all pairs if these are not sufficient. `moves` is the Jacobian (3n, ny) of the nodes (n, 3).
+    Returns combinations (j, m) of squared distances, their gradients (j, ny), and the pairs.
     """
     moved = (moves @ directions).reshape(len(nodes), 3, -1)
     every = np.column_stack(np.triu_indices(len(nodes), 1))

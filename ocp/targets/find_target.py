@@ -1,7 +1,8 @@
-"""Search for the target state and its independent goal rows.
+"""Search for a final state that meets the goals.
 
-The search precedes planning. The target state determines the initial guess, and its gradients
-determine the independent rows. Goals that are proven infeasible are rejected by name.
+The search precedes planning. The state determines the initial guess. The gradients of the goals
+there determine which goal rows are independent. Goals that are proven infeasible are rejected by
+name.
 """
 
 from __future__ import annotations
@@ -46,11 +47,11 @@ RIGID = ("bar", "joint", "clock")
 def find_target(
     problem: Problem, scales: Scales, near: Callable[[float], Array] | None = None
 ) -> Target:
-    """Find the target of a problem.
+    """Find states that meet the terminal goals and the waypoints.
 
-    It is the state that meets the goals, nearest to the initial state or to `near` at the same
-    fraction of the duration. Raises `InfeasibleGoalError` for goals that are proven infeasible,
-    and warns if no state was found.
+    They are the nearest ones to the initial state, or to `near` at the same fraction of the
+    duration. Raises `InfeasibleGoalError` for goals that are proven infeasible, and warns if no
+    state was found.
     """
 
     def find(share: float, goals: tuple[Goal, ...], label: str = "") -> Target:
@@ -76,9 +77,9 @@ def _find_end(
     near: Array,
     label: str,
 ) -> Target:
-    """Find the target of goals at one instant.
+    """Find a state that meets the goals at one instant.
 
-    `share` is its fraction of the duration. A free start may be at any time of the motion.
+    `share` is its fraction of the duration. A free initial state may be at any time of the plan.
     """
     search = _TargetSearch(problem, goals, share or 1.0, scales)
     if not search.goals.names:
@@ -92,9 +93,9 @@ def _find_end(
 
 
 class _TargetSearch:
-    """Search for the state and duration that meet all goals.
+    """Search for a state and duration that meet all goals.
 
-    The unknown is y = (x, duration). It also satisfies the invariants of the motion.
+    The unknown is y = (x, duration). It also satisfies the conserved quantities (invariants).
     """
 
     def __init__(
@@ -116,7 +117,8 @@ class _TargetSearch:
     def _invariants(self, time: Any, half_square: Any) -> list[Rows]:
         """Build the invariants of the motion after `time`.
 
-        A free start can have any momentum, so that only bars, joints and clock remain.
+        They are bar lengths, joints, clock and conserved momenta. A free initial state can have any
+        momentum, so that momenta are then omitted.
         """
         start = self.problem.initial_state
         return [
@@ -132,9 +134,9 @@ class _TargetSearch:
     # --- the state ---
 
     def run(self, near: Array) -> Target:
-        """Find the target.
+        """Find the final state and its independent goal rows.
 
-        The search starts near the given state, then at states that fit the goals.
+        The search starts near the given state, then at states that approximately meet the goals.
         """
         best, least = np.append(near, self.typical), np.inf
         for start in self._starts(near):
@@ -154,8 +156,8 @@ class _TargetSearch:
     def _starts(self, near: Array) -> Iterator[Array]:
         """Yield the starting points of the search.
 
-        They are the given state, the initial state, and states that fit the goals, each at several
-        durations, then random changes of the given state.
+        They are the given state, the initial state, and states that approximately meet the goals,
+        each at several durations, then random changes of the given state.
         """
         problem = self.problem
         times = [self.typical]
@@ -180,7 +182,7 @@ class _TargetSearch:
             yield y
 
     def _find_nearest(self, y: Array) -> Array:
-        """Minimize the violation of goals from y.
+        """Minimize the goal residuals, starting from y.
 
         The first pass has the constraints of bars, joints and clock only, the second one all
         invariants.
@@ -197,7 +199,7 @@ class _TargetSearch:
         return np.append(y[:-1], np.clip(y[-1], self.shortest, self.longest))
 
     def _deforming(self, step: Array) -> Array:
-        """Remove the rigid translation from a change of y.
+        """Remove the rigid-body translation from a change of y.
 
         Structures with pinned nodes have none.
         """
@@ -208,9 +210,9 @@ class _TargetSearch:
         return result
 
     def _straighten(self, y: Array) -> Array | None:
-        """Move nodes inside strings to the line between the ends.
+        """Move nodes inside strings to the straight line between the ends.
 
-        Returns None if there are none.
+        Strings that are modeled in segments have such nodes. Returns None if there are none.
         """
         model, s = self.problem.model, self.problem.model.structure
         parent = s.string_parent
@@ -229,7 +231,10 @@ class _TargetSearch:
         return np.append(x, y[-1])
 
     def _reject(self, y: Array) -> None:
-        """Raise InfeasibleGoalError if the goals are proven infeasible; else warn."""
+        """Raise InfeasibleGoalError if the goals are proven infeasible.
+
+        Otherwise warn that no state was found.
+        """
         values = self.goal(y)[0]
         # the first of equal violations
         worst = int(np.argmax(np.abs(values) > (1 - 1e-6) * np.abs(values).max()))
@@ -296,10 +301,10 @@ class _TargetSearch:
     # --- the rows ---
 
     def impose(self, y: Array, met: bool) -> Target:
-        """Build the target at y from independent rows.
+        """Select independent goal rows at y, and build the target.
 
-        If y meets the goals, these are adjusted to it within rounding; otherwise they remain as
-        given.
+        If y meets the goals, their values are adjusted to it within rounding; otherwise they remain
+        as given.
         """
         values, H = self.goal(y)
         adjusted = float(np.abs(values).max(initial=0.0)) * self.scales.length if met else 0.0
@@ -334,9 +339,10 @@ class _TargetSearch:
         )
 
     def _find_shape_rows(self, y: Array, directions: Array) -> tuple[Array, Array, Indices]:
-        """Find rows that depend on directions, not rigid motions.
+        """Find distances that change along directions.
 
-        Returns combinations (k, m) of m squared distances, their gradients, and the pairs (m, 2).
+        They do not change with rigid-body motions. Returns combinations (k, m) of m squared
+        distances, their gradients, and the pairs (m, 2).
         """
         structure = self.problem.model.scene.structure
         count = len(structure.nodes)
@@ -353,7 +359,7 @@ class _TargetSearch:
         )
 
     def _squared(self, pairs: Indices) -> Any:
-        """Compute the scaled squared distances of pairs (m, 2).
+        """Build the squared distances of node pairs (m, 2).
 
         They are relative to the structure's size squared.
         """
@@ -362,10 +368,10 @@ class _TargetSearch:
 
 
 def _metric(model: Model) -> Array:
-    """Compute the mass metric on positions and velocities.
+    """Compute the metric of state changes from the mass matrix.
 
-    It is relative to the typical mass, and 1 for the clock, the duration, and pinned nodes without
-    mass. Masses far from the typical one are limited.
+    Positions and velocities have the mass relative to a typical one. The clock, the duration, and
+    pinned nodes without mass have 1. Masses far from the typical one are limited.
     """
     mass = model.mechanism.free_mass.toarray()
     own = np.diag(mass)

@@ -1,8 +1,8 @@
-"""Rows of a free start and of a periodic motion.
+"""Constraints on a free initial state and on periodicity.
 
-The dynamics preserve bar lengths, so their rows are imposed at the start only. If both ends satisfy
-them, and the invariants agree, the rows of "end = start" are redundant. With Z a basis of the
-directions that bars and momenta leave free, only Zᵀ (x − x₀) is imposed.
+The dynamics preserve bar lengths, so they are imposed at the start only. If both ends satisfy them,
+and the invariants agree, some of the constraints "end = start" are redundant. With Z a basis of the
+directions that bars and momenta leave free, only Zᵀ (x − x₀) = 0 is imposed.
 """
 
 from __future__ import annotations
@@ -24,11 +24,10 @@ from tenscasadi.util.validate import Array
 
 
 def find_free_start(problem: Problem, scales: Scales) -> FreeStartRows | None:
-    """Build the rows of a free start.
+    """Build the constraints on a free initial state.
 
-    Returns None if the start is fixed.
-
-    Raises `InfeasibleGoalError` if the motion cannot be periodic, as in free fall.
+    Returns None if it is fixed. Raises `InfeasibleGoalError` if the plan cannot be periodic, as in
+    free fall.
     """
     if not problem.free_start:
         return None
@@ -78,7 +77,10 @@ def _combined(reduction: Reduction, rows: Rows, scales: Scales) -> Any:
 
 
 def _check_momentum(momentum: Rows, x: Any, near: Array, scales: Scales) -> None:
-    """Reject periodic motions with momentum changes that strings cannot prevent."""
+    """Reject periodic plans whose momentum must change.
+
+    Strings cannot prevent such changes, such as those by gravity.
+    """
     scaled = momentum.value / ca.DM(momentum.sizes(scales.units))
     change = np.abs(ca.Function("change", [x], [scaled])(near).full().ravel())
     if change.max(initial=0.0) > 1e-6:  # relative to typical momenta: above rounding errors

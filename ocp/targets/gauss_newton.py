@@ -1,4 +1,4 @@
-"""Gauss-Newton search for the nearest state that meets the goals.
+"""Gauss-Newton search for the nearest state that meets goals.
 
 A quadratic equation replaces the linear one if gradients vanish.
 """
@@ -31,12 +31,12 @@ STARTS = 8  # starting points of a local search
 
 
 class GaussNewton:
-    """Gauss-Newton method with the smallest steps in a metric.
+    """Gauss-Newton method with minimum-norm steps in a metric.
 
-    The metric (ny, ny) applies to scaled unknowns. With the mass matrix, steps neither rotate nor
-    translate a free structure. `allowed` projects y onto the admissible values. `deforming` keeps
-    the part of a scaled step that moves nodes relative to each other. Rows are nearly linear in the
-    rest, so that steps may be long there.
+    The metric (ny, ny) applies to scaled unknowns y. With the mass matrix, steps neither rotate nor
+    translate an unsupported structure. `allowed` projects y onto the admissible values. `deforming`
+    selects the part of a scaled step that moves nodes relative to each other; steps along the rest
+    may be long, as residuals are nearly linear in it.
     """
 
     def __init__(
@@ -52,9 +52,9 @@ class GaussNewton:
         ).T  # columns of unit length in the metric
 
     def find_nearest(self, rows: RowFunction, goals: int, y: Array) -> Array:
-        """Find y with the smallest goal rows.
+        """Minimize the goal residuals subject to the other residuals.
 
-        The first `goals` rows are minimized; the others are zero at y.
+        The first `goals` residuals are minimized; the others are zero at the resulting y.
         """
         crawling = 0
         for _ in range(MAX_ITERATIONS):
@@ -82,7 +82,7 @@ class GaussNewton:
         return y
 
     def _trials(self, rows: RowFunction, y: Array) -> Iterator[Array]:
-        """Yield shortened steps that reduce the rows.
+        """Yield shortened steps that reduce the residuals.
 
         They are along regular directions, along all directions, and along those of second order.
         """
@@ -93,10 +93,9 @@ class GaussNewton:
             yield from self._shortened(rows, y, soft, follow=True)
 
     def _shortened(self, rows: RowFunction, y: Array, step: Array, follow: bool) -> Iterator[Array]:
-        """Yield y after the largest successful of step, step/2, ….
+        """Yield y after the first of step, step/2, … that reduces the residuals.
 
-        A step is successful if it reduces the rows. With `follow`, regular directions are corrected
-        first.
+        With `follow`, a Gauss-Newton step along regular directions corrects each trial first.
         """
         size = rows.size(y)
         for halvings in range(8):
@@ -111,9 +110,9 @@ class GaussNewton:
         return next(self._steps(rows, y, rank_tolerance))
 
     def _steps(self, rows: RowFunction, y: Array, *rank_tolerances: float) -> Iterator[Array]:
-        """Yield −J⁺ r in scaled unknowns for each rank tolerance.
+        """Yield the Gauss-Newton step −J⁺ r for each rank tolerance.
 
-        More singular directions are omitted.
+        It is in scaled unknowns. Singular values of J below the tolerance are omitted.
         """
         r, J = rows(y)
         inverse = self._pseudoinverse(J)
@@ -128,12 +127,11 @@ class GaussNewton:
             yield self._strided(step)
 
     def _pseudoinverse(self, J: Array) -> Callable[[Array, float], Array]:
-        """Build the pseudoinverse in the metric.
+        """Build the pseudoinverse of J in the metric.
 
-        It is (r, tolerance) → J⁺ r, with the shortest result.
-
-        Singular values below the tolerance times the largest are dropped. The smaller of A Aᵀ and
-        Aᵀ A is decomposed, because tolerances are far above the square root of rounding.
+        It is (r, tolerance) → J⁺ r, with minimum norm. Singular values below the tolerance times
+        the largest are dropped. The smaller of A Aᵀ and Aᵀ A is decomposed, because tolerances are
+        far above the square root of rounding.
         """
         A = np.asarray(sp.csr_array(J) @ self._basis)
         parts = []
@@ -161,9 +159,10 @@ class GaussNewton:
         return solve
 
     def _soft_step(self, rows: RowFunction, y: Array) -> Array | None:
-        """Compute a second-order step d.
+        """Compute a step d from second derivatives.
 
-        It solves c + b d + ½ dᵀ K d = 0 for the combinations of rows with (nearly) zero gradient.
+        It solves c + b d + ½ dᵀ K d = 0 for the combinations of residuals with (nearly) zero
+        gradient.
         """
         directions, W, K = soft_directions(rows, y, NEARLY_SINGULAR)
         if not directions.shape[1]:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 
 class Certificate(NamedTuple):
-    """Proof that some constraints have no common solution.
+    """Proof that constraints have no common solution.
 
     The weighted sum of the constraint residuals is at least `bound` > 0 for every state. A common
     solution of all constraints would make it zero.

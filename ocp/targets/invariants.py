@@ -1,8 +1,8 @@
-"""Invariants of a model: bar lengths, joints, momenta, plane.
+"""Quantities that no string force changes, as constraints.
 
-No string force changes them. Goal rows that repeat them have gradients that depend linearly on
-those of the dynamics, so that no solver can impose them. Such rows are dropped
-(`ocp.targets.row_reduction`) after a check that they are satisfied.
+They are bar lengths, joints, momenta, and the plane of a flat structure. Goal rows that repeat them
+have gradients that depend linearly on those of the dynamics, so that no solver can impose them.
+Such rows are dropped (`ocp.targets.row_reduction`) after a check that they are satisfied.
 """
 
 from __future__ import annotations
@@ -29,10 +29,11 @@ AXES = "xyz"
 def invariants(
     model: Model, start: Array, x: Any, time: Any, half_square: Any = None
 ) -> list[Rows]:
-    """Build the rows that vanish in every motion, by kind.
+    """Build residuals of the conserved quantities, by kind.
 
-    They are functions of the symbolic state x (nx), `time` seconds after `start` (nx,), and of
-    time²/2. Kinds are "bar", "joint", "clock", "momentum" and "plane", if the model has them.
+    They vanish at all states that a plan can reach. They are functions of the symbolic state x
+    (nx), `time` seconds after `start` (nx,), and of time²/2. Kinds are "bar", "joint", "clock",
+    "momentum" and "plane", if the model has them.
     """
     half_square = time**2 / 2 if half_square is None else half_square
     N, V, clock = model.unpack(x)
@@ -60,9 +61,10 @@ def invariants(
 
 
 def _exchange_momentum(scene: Scene) -> bool:
-    """Return whether bars in contact exchange momentum with others, or with fixed ones.
+    """Return whether contact between bars changes conserved momenta.
 
-    Friction of bars has no couple about their axes, so it changes the angular momentum.
+    It does so if bars of different parts touch, or fixed bars. Friction of bars has no couple about
+    their axes, so it changes the angular momentum.
     """
     if scene.bar_contact is None:
         return False
@@ -75,7 +77,7 @@ def _exchange_momentum(scene: Scene) -> bool:
 
 
 def _numbers(model: Model, start: Array) -> tuple[Array, Array]:
-    """Compute N and V as rows."""
+    """Evaluate the node matrices N and V at a state, one row per node."""
     x = ca.SX.sym("x", model.nx)
     N, V, _ = model.unpack(x)
     values = ca.Function("columns", [x], [N, V])(start)
@@ -83,7 +85,7 @@ def _numbers(model: Model, start: Array) -> tuple[Array, Array]:
 
 
 def rigid_rows(model: Model, x: Any) -> list[Rows]:
-    """Build the rows of bars and joints.
+    """Build the constraint residuals of bars and joints.
 
     They are functions of the symbolic state x (nx).
     """
@@ -117,7 +119,7 @@ def rigid_rows(model: Model, x: Any) -> list[Rows]:
 
 
 def _plane(N: Any, V: Any, N0: Array, V0: Array, gravity: Array) -> list[Rows]:
-    """Build rows that keep a flat structure in its plane.
+    """Build constraints that keep a flat structure in its plane.
 
     They apply if all forces act along members or gravity. A straight structure is kept on its line.
     """
@@ -144,7 +146,8 @@ def _plane(N: Any, V: Any, N0: Array, V0: Array, gravity: Array) -> list[Rows]:
 class Body:
     """Part of the structure without forces from other parts.
 
-    It has its moving nodes and its free motions, see `free_motions`.
+    It has its moving nodes and its translations and rotations with conserved momentum, see
+    `free_motions`.
     """
 
     nodes: Indices
@@ -154,7 +157,7 @@ class Body:
 
 
 def bodies(structure: Structure, gravity: Array) -> list[Body]:
-    """Find the parts connected by members.
+    """Find the parts of the structure that members connect.
 
     Members that meet in a pinned node are not connected there.
     """
@@ -179,7 +182,7 @@ def bodies(structure: Structure, gravity: Array) -> list[Body]:
 def free_motions(
     nodes: Array, fixed: Booleans, gravity: Array
 ) -> tuple[Booleans, list[tuple[Array, Array]]]:
-    """Find the free translations and conserved rotations of a body.
+    """Find translations and rotations of a body with conserved momentum.
 
     Returns the free axes (3,) of its nodes (n, 3), and the rotations (t, ω) with conserved
     momentum. A rotation moves node r by t + ω×(r − c), with c the center of mass along the free
@@ -226,10 +229,10 @@ def _momentum_rows(
     gravity: Array,
     times: tuple[Any, Any],
 ) -> tuple[Any, tuple[str, ...], tuple[str, ...]]:
-    """Build the rows of linear and angular momentum per mass.
+    """Build residuals of linear and angular momentum per mass.
 
-    They include the path of the center of mass. `now` is N and V (3×n) as expressions of the state
-    x (nx), `times` are T and T²/2 after its start (nx,).
+    They include the trajectory of the center of mass. `now` is N and V (3×n) as expressions of the
+    state x (nx), `times` are T and T²/2 after its start (nx,).
     """
     time, half_square = times
     c, v, spin = _momenta(body, mech, *now)
@@ -255,7 +258,7 @@ def _momentum_rows(
 def _momenta(body: Body, mech: Mechanism, N: Any, V: Any) -> tuple[Any, Any, Any]:
     """Compute center of mass, its velocity, and angular momenta.
 
-    Momenta are per mass. Pinned nodes are excluded.
+    Momenta are divided by the mass. Pinned nodes are excluded.
     """
     own = np.isin(mech.physical, body.nodes)
     weight = np.asarray(mech.M.sum(axis=1)).ravel() * own

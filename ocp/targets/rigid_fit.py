@@ -1,4 +1,4 @@
-"""Starting points of the target search that fit position goals."""
+"""Starting points of the target search by rigid-body fits."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from tenscasadi.util.validate import Array
 
 
 def fit_start(model: Model, goals: Iterable[Any], state: Array) -> Iterator[Array]:
-    """Yield states that fit the goals better than `state`.
+    """Yield states that meet the goals better than `state`.
 
-    The first states are rigid motions of the whole structure that fit the goals best. In the last
-    one, each node is at its own goal, irrespective of bar lengths.
+    The first states are rigid-body motions of the whole structure that fit the goals best. In the
+    last one, each node is at its goal position, irrespective of bar lengths.
     """
     structure, own = model.structure, list(goals)
     nodes, velocities = model.nodes(state), model.velocities(state)
@@ -37,7 +37,7 @@ def fit_start(model: Model, goals: Iterable[Any], state: Array) -> Iterator[Arra
 def _fit_turns(
     nodes: Array, fixed: Any, places: list[tuple[int, int, float]]
 ) -> list[tuple[Array, Array, Array]]:
-    """Fit rigid motions of nodes (n, 3) to goal positions.
+    """Fit rigid-body motions of nodes (n, 3) to goal positions.
 
     Returns center, rotation and translation of up to two different fits. A pinned node is the
     center, and there is no translation then.

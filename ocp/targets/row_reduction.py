@@ -1,10 +1,10 @@
 """Selection of independent goal rows that a solver can impose.
 
-Let A be the gradients of the invariants at the target and Z a basis of null(A). A goal with
+Let A be the gradients of the invariants at the final state and Z a basis of null(A). A goal with
 gradient H can be changed in range(H Z) only. If the other combinations of its rows are imposed, the
 constraint gradients of the optimal control problem are linearly dependent and solvers fail. Near
-the target the motion itself satisfies these combinations; elsewhere it need not, so that goals in
-them are also inequalities (`Target.dependent`). Singular lengths are replaced by rows of the shape.
+that state the dynamics itself satisfies these combinations; elsewhere it need not, so that goals in
+them are also inequalities (`Target.dependent`). Singular lengths are replaced by other distances.
 """
 
 from __future__ import annotations
@@ -27,10 +27,11 @@ from tenscasadi.util.validate import Array, Indices
 
 
 class RowFunction:
-    """CasADi rows of y with numerical values, gradients and curvatures.
+    """Residuals of y with numerical values, Jacobians and Hessians.
 
-    Rows and unknowns are scaled. Groups of rows are differentiated one by one, because a few rows
-    that depend on all unknowns would slow down the derivatives of the others.
+    They are CasADi expressions. Residuals and unknowns are scaled. Groups of residuals are
+    differentiated one by one, because a few that depend on all unknowns would slow down the
+    derivatives of the others.
     """
 
     def __init__(self, y: Any, groups: Sequence[Any], row_scale: Array, scale: Array) -> None:
@@ -46,24 +47,24 @@ class RowFunction:
         )
 
     def select(self, rows: slice) -> RowFunction:
-        """Select some of all rows, with shared code."""
+        """Select some of the residuals, without building new code."""
         part = copy.copy(self)
         part.row_scale, part._rows = self.row_scale[rows], rows
         return part
 
     def __call__(self, y: Array) -> tuple[Array, Array]:
-        """Compute scaled rows (m,) and their gradient (m, ny)."""
+        """Compute scaled residuals (m,) and their Jacobian (m, ny)."""
         value, gradient = self._code.first(y)
         return value.ravel()[self._rows], gradient.T[self._rows] * self.scale
 
     def size(self, y: Array) -> float:
-        """Compute the norm of the scaled rows."""
+        """Compute the norm of the scaled residuals."""
         return float(np.linalg.norm(self._code.value(y)[0].ravel()[self._rows]))
 
     def second_derivatives(self, y: Array) -> tuple[Indices, Indices, Indices, Array]:
-        """Compute the second derivatives of all rows.
+        """Compute the nonzero second derivatives of all residuals.
 
-        Returns the row and the two unknowns of each entry, and its scaled value.
+        Returns the residual and the two unknowns of each, and its scaled value.
         """
         code = self._code.second
         entry = np.repeat(np.arange(len(code.row)), np.diff(code.pointers))
@@ -72,10 +73,10 @@ class RowFunction:
         return code.row[entry], one, other, values * self.scale[one] * self.scale[other]
 
     def curvatures(self, y: Array, weights: Array, basis: Array) -> Array:
-        """Compute second derivatives (j, k, k) of combinations of rows.
+        """Compute second derivatives (j, k, k) of combined residuals.
 
-        They are those of wᵀ rows along scaled directions (ny, k), for each column w of `weights`
-        (m, j).
+        They are those of wᵀ residuals along scaled directions (ny, k), for each column w of
+        `weights` (m, j).
         """
         code, k = self._code.second, basis.shape[1]
         entries = code.function(y)[0].ravel()[code.order] * self.scale[code.other]
@@ -96,11 +97,11 @@ class RowFunction:
 
 
 class _Curvature(NamedTuple):
-    """Sparse second derivatives of rows.
+    """Sparse second derivatives of residuals as a CasADi Function.
 
-    The Function y → entries gives, in the given order, a sparse matrix. It has a row for each entry
-    of the rows' gradient, that of `row` with respect to the unknown `one`, and a column for each
-    unknown.
+    The Function y → entries gives, in the given order, the nonzeros of a sparse matrix. It has a
+    row for each nonzero of the residuals' Jacobian, that of residual `row` with respect to the
+    unknown `one`, and a column for each unknown.
     """
 
     function: ArrayFunction
@@ -112,7 +113,7 @@ class _Curvature(NamedTuple):
 
 
 class _Code:
-    """Scaled rows of y as CasADi Functions."""
+    """Scaled residuals of y as CasADi Functions."""
 
     def __init__(self, y: Any, groups: list[Any]) -> None:
         self._y, scaled = y, ca.vertcat(*groups)
@@ -125,7 +126,7 @@ class _Code:
 
     @cached_property
     def second(self) -> _Curvature:
-        """Second derivatives."""
+        """Second derivatives of the residuals."""
         jacobian = ca.vertcat(*self._slopes).T  # by rows
         curvature = ca.vertcat(
             *(ca.jacobian(ca.densify(slopes.T.nz[:]), self._y) for slopes in self._slopes)
@@ -142,16 +143,18 @@ class _Code:
 
 @dataclass(frozen=True, eq=False)
 class Reduction:
-    """Independent combinations (rank, m) of m named rows.
+    """Independent combinations of goal rows.
+
+    There are m rows and `rank` combinations.
 
     Attributes
     ----------
     combinations : ndarray, shape (rank, m)
-        The combinations of rows divided by their sizes.
+        Coefficients of the rows in each combination, after division by their sizes.
     names : tuple of str
         Names of the rows.
     sizes : ndarray, shape (m,)
-        Sizes of the rows [m or m/s], 1 for shape rows.
+        Typical sizes of the rows [m or m/s], 1 for distances that replace singular lengths.
     repeated : dict of str to int
         Number of dropped combinations by reason: a kind of invariant, or "another" row.
     """
@@ -162,7 +165,10 @@ class Reduction:
     repeated: dict[str, int] = field(default_factory=dict)
 
     def keep(self, kept: Array, reason: str) -> Reduction:
-        """Keep the combinations `kept` (k, rank), and count the others."""
+        """Reduce to the combinations `kept` (k, rank) of the present ones.
+
+        The number of the dropped ones is stored by reason.
+        """
         missing = len(self.combinations) - len(kept)
         return replace(
             self, combinations=kept @ self.combinations, repeated={**self.repeated, reason: missing}
@@ -185,9 +191,10 @@ def reduce_rows(
     names: tuple[str, ...] = (),
     sizes: Array | None = None,
 ) -> Reduction:
-    """Find independent combinations of rows with gradient H (m, ny).
+    """Find independent combinations of rows with Jacobian H (m, ny).
 
-    The gradients of the invariants are given by kind, each (·, ny).
+    `groups` are the gradients of the invariants by kind, each (·, ny). Combinations do not depend
+    on them either.
     """
     norms = np.linalg.norm(H, axis=1)
     rows = H / np.maximum(norms, 1e-12)[:, None]
@@ -208,12 +215,12 @@ def reduce_rows(
 def soft_directions(
     rows: RowFunction, y: Array, rank_tolerance: float = RESOLUTION
 ) -> tuple[Array, Array, Array]:
-    """Find directions that the rows constrain only to second order.
+    """Find directions constrained only to second order.
 
-    At a prestressed equilibrium, lengths determine the shape but their gradients do not. Returns
-    scaled unit directions D (ny, k) outside the range of the gradients. Some combination of rows
-    with zero gradient (W (m, j)) has curvature along each of them. Also returns the curvatures (j,
-    k, k) of these combinations on D.
+    At a prestressed equilibrium, string lengths determine the shape but their gradients do not.
+    Returns scaled unit directions D (ny, k) outside the range of the gradients. Some combination of
+    residuals with zero gradient (W (m, j)) has curvature along each of them. Also returns the
+    curvatures (j, k, k) of these combinations on D.
     """
     _, J = rows(y)
     norms = np.linalg.norm(J, axis=1)

@@ -1,4 +1,4 @@
-"""Target state of the goals, and its rows."""
+"""Final state that meets the goals, and its constraints."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ StateAt = Callable[[float], Array]  # fraction of the duration → state (nx,), 
 
 
 class GoalResiduals(NamedTuple):
-    """Absolute residuals of the user's goals in n motions.
+    """Absolute residuals of the user's goals in n trajectories.
 
     Attributes
     ----------
@@ -37,13 +37,14 @@ class GoalResiduals(NamedTuple):
         return self.values[:, [own == unit for own in self.units]]
 
     def distances(self, duration: float) -> Array:
-        """Compute the residuals [m]; velocities are multiplied by the duration."""
+        """Compute the residuals [m], with velocities times the duration."""
         return self.values * [duration if unit == "m/s" else 1.0 for unit in self.units]
 
     def find_worst(self, duration: float) -> tuple[str, float, str]:
-        """Find the largest residual of the first motion.
+        """Find the largest residual of the first trajectory.
 
-        Returns its name, value and unit. Velocities count as the distance over the duration.
+        Returns its name, value and unit. Velocities are multiplied by the duration for the
+        comparison.
         """
         k = int(np.argmax(self.distances(duration)[0]))
         return self.names[k], float(self.values[0, k]), self.units[k]
@@ -51,7 +52,7 @@ class GoalResiduals(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """Target state of the goals, and its rows.
+    """Final state that meets the goals, and the goal constraints.
 
     Attributes
     ----------
@@ -60,17 +61,17 @@ class Target:
     state : ndarray, shape (nx,), or None
         State nearest to the goals; None without goals.
     single : casadi.Function
-        x → m rows, all zero at the goal. Their derivatives are sparse.
+        x → m residuals (goal rows), all zero if the goals are met. Their derivatives are sparse.
     weights : ndarray, shape (count, m)
-        Independent combinations of these rows, dense.
+        Independent combinations of these residuals, dense.
     misfit : casadi.Function
         x → residuals of the user's goals.
     names, units : tuple of str
-        Names and units of these goals.
+        Names and units of the user's goals.
     reduction : Reduction
-        Composition of the rows.
+        Composition of the independent combinations.
     shape : int
-        Number of rows that replace singular string lengths.
+        Number of distances that replace singular string lengths.
     adjusted : float
         Adjustment of goals to the bar lengths [m].
     met : bool
@@ -78,7 +79,7 @@ class Target:
     waypoints : tuple of WaypointTarget
         Targets of waypoints.
     free_start : FreeStartRows or None
-        Rows of a free start, near which `start` is.
+        Constraints on a free initial state, near which `start` is.
     residual : float
         Permitted residual of dependent goal rows, relative to their scale.
     """
@@ -100,20 +101,20 @@ class Target:
 
     @property
     def count(self) -> int:
-        """Number of imposed rows."""
+        """Number of imposed independent goal constraints."""
         return len(self.weights)
 
     @property
     def instants(self) -> list[tuple[float, Target, str]]:
         """Fractions of the duration, targets and name prefixes.
 
-        The first entry is the end.
+        The first entry is the end of the plan, the others are the waypoints.
         """
         return [(1.0, self, ""), *((one.share, one.target, one.label) for one in self.waypoints)]
 
     @property
     def rows(self) -> ca.Function:
-        """Function x → imposed rows, zero at the goal."""
+        """Function x → imposed goal residuals, zero if they are met."""
         x = ca.MX.sym("x", self.single.size1_in(0))
         return ca.Function(
             "goal", [x], [ca.mtimes(ca.DM(self.weights), self.single(x))], ["x"], ["rows"]
@@ -121,9 +122,9 @@ class Target:
 
     @property
     def dependent(self) -> Indices:
-        """Goal rows that the imposed combinations do not determine.
+        """Indices of goal rows that the imposed combinations do not determine.
 
-        Near the target the invariants of the motion meet them. Elsewhere they need not: a bar
+        Near the target the conserved quantities satisfy them. Elsewhere they need not: a bar
         perpendicular to its direction at the target can still rotate.
         """
         basis = np.linalg.qr(self.weights.T)[0][: len(self.names)]
@@ -131,7 +132,7 @@ class Target:
         return np.flatnonzero(1.0 - (basis * basis).sum(axis=1) > TOLERANCE)
 
     def measure(self, state_at: StateAt) -> GoalResiduals:
-        """Compute the residuals of goals and waypoints.
+        """Compute the residuals of goals and waypoints of trajectories.
 
         Those of waypoints are at their fractions of the duration.
         """
@@ -148,24 +149,27 @@ class Target:
         return GoalResiduals(np.hstack([one for one in values if len(one) == count]), names, units)
 
     def keep(self, kept: Array, reason: str) -> Target:
-        """Keep the combinations `kept` (k, count) of rows.
+        """Reduce to the combinations `kept` (k, count) of the present ones.
 
-        The others are counted with a reason.
+        The number of the dropped ones is stored by reason.
         """
         return replace(
             self, weights=kept @ self.weights, reduction=self.reduction.keep(kept, reason)
         )
 
     def permit(self, residual: float) -> Target:
-        """Limit the residual of dependent goal rows, also of waypoints."""
+        """Set the permitted residual of dependent goal rows.
+
+        It also applies to waypoints.
+        """
         own = float(np.clip(residual, TOLERANCE, MAX_RESIDUAL))
         waypoints = tuple(one._replace(target=one.target.permit(own)) for one in self.waypoints)
         return replace(self, residual=own, waypoints=waypoints)
 
     def begin_at(self, start: Array) -> Target:
-        """Build the target for a given start.
+        """Build the target for a given initial state.
 
-        Its goals include those of a periodic motion.
+        Its goals then include periodicity.
         """
         free = self.free_start
         if free is None:
@@ -184,9 +188,9 @@ class Target:
         )
 
     def describe(self) -> str:
-        """Describe the rows in one line.
+        """Describe the number of goal rows in one line.
 
-        An example is "36 → 21 rows: 6 bar, 9 momentum".
+        An example is "36 → 21 rows: 6 bar, 9 momentum", with the reasons of the dropped rows.
         """
         waypoints = [one.label + one.target.describe() for one in self.waypoints]
         given = len(self.reduction.names) - self.shape
@@ -203,29 +207,29 @@ class Target:
 
 
 class WaypointTarget(NamedTuple):
-    """Target of a waypoint, at a fraction of the duration."""
+    """State that meets the goals of a waypoint, and their constraints."""
 
     share: float
     target: Target
 
     @property
     def label(self) -> str:
-        """Prefix of the names of its goals."""
+        """Prefix of the names of the waypoint's goals."""
         return f"waypoint at {self.share:.3g} of the duration, "
 
 
 @dataclass(frozen=True, eq=False)
 class FreeStartRows:
-    """Rows of a free start x₀ and end x.
+    """Constraints on a free initial state x₀ and the final state x.
 
     Attributes
     ----------
     start : casadi.Function
-        x₀ → independent rows of bars and initial goals.
+        x₀ → independent residuals of bars and initial goals.
     repeats : casadi.Function
-        (x₀, x) → independent rows, zero if the end repeats the start.
+        (x₀, x) → independent residuals, zero if the final state equals the initial one.
     misfit : casadi.Function
-        (x₀, x) → residual of each goal row.
+        (x₀, x) → residual of each periodic goal.
     units : tuple of str
         Units of these residuals.
     reduction : Reduction
