@@ -18,8 +18,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
-import platformdirs
-
 T = TypeVar("T")
 log = logging.getLogger(__name__)
 
@@ -99,6 +97,8 @@ def cache_folder() -> Path:
 def _choose_folder() -> Path:
     if named := os.environ.get("TENSCASADI_CACHE"):
         return Path(named).absolute()
+    import platformdirs  # needed once in a process
+
     return platformdirs.user_cache_path("tenscasadi", appauthor=False, opinion=False).absolute()
 
 

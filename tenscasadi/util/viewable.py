@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from base64 import b64encode
-from html import escape
 from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
@@ -44,6 +43,8 @@ class Viewable:
 
     def _repr_html_(self) -> str:
         """Draw a small picture with a caption for a notebook."""
+        from html import escape  # loads the names of 2000 characters
+
         from tenscasadi.plots.figures import structure  # matplotlib is slow to import
 
         file = BytesIO()

@@ -6,7 +6,6 @@ import errno
 import os
 import shutil
 import time
-import uuid
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -41,7 +40,7 @@ def whole_path(path: FilePath) -> Iterator[Path]:
             os.fspath(path),
         )
     _clean(whole.parent)
-    part = whole.with_name(f"{_UNFINISHED}{uuid.uuid4().hex}{whole.suffix}")
+    part = whole.with_name(f"{_UNFINISHED}{os.urandom(16).hex()}{whole.suffix}")
     try:
         yield part
         with open(part, "rb+") as file:
