@@ -22,7 +22,7 @@ from ocp.problem.bounds.string_bounds import (
 )
 from ocp.problem.constraints import build_constraint
 from ocp.problem.control import controls_force_densities, has_elastic_strings
-from ocp.problem.instant import symbolic
+from ocp.problem.instant import Instant, symbolic
 from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.strings import ForceDensity, RestLength, Tension
 from tenscasadi.scene.winches import RestLengthRate, Winch
@@ -63,7 +63,8 @@ def path_constraints(
     times = Counter(name for one in found.values() for name in set(one.names))
     own = []
     if kind is PathBound and not controls_force_densities(problem.model):
-        own = _limit_force_densities(problem) + _limit_internal_states(problem)
+        now = symbolic(problem.model)
+        own = _limit_force_densities(problem, now) + _limit_internal_states(problem, now)
     for k, one in found.items():
         names = tuple(f"{name} (bounds[{k}])" if times[name] > 1 else name for name in one.names)
         own += [replace(one, names=names)] if names else []
@@ -87,13 +88,13 @@ def _build_constraints(
             yield k, build_constraint(own, model)
 
 
-def _limit_force_densities(problem: Problem) -> list[PathConstraint]:
+def _limit_force_densities(problem: Problem, now: Instant) -> list[PathConstraint]:
     """Build the limits of force densities that are not controls.
 
     Strings carry no compression, so that lower limits are at least 0. A cable needs one such
     constraint. If tensions are the control, none is needed.
     """
-    now, (lower, upper) = symbolic(problem.model), problem.force_density_limits
+    lower, upper = problem.force_density_limits
     own = (lower > 0) | np.isfinite(upper)
     if has_elastic_strings(problem.model):
         own[select_first(problem.model.scene.structure.cable_of)] = True
@@ -106,14 +107,14 @@ def _limit_force_densities(problem: Problem) -> list[PathConstraint]:
     return [PathConstraint(value, *limits, names, "N/m", now.symbols, PathBound.ends)]
 
 
-def _limit_internal_states(problem: Problem) -> list[PathConstraint]:
+def _limit_internal_states(problem: Problem, now: Instant) -> list[PathConstraint]:
     """Build the limits of winches' rest lengths and motor speeds.
 
     Both are states of the model.
     """
     if not problem.model.na:
         return []
-    now, scene = symbolic(problem.model), problem.model.scene
+    scene = problem.model.scene
     inputs, least = name_inputs(scene.structure), problem.rest_length_limits[0]
     value, none = now.rest_lengths(scene.structure.stiffness), np.full(len(inputs), np.inf)
     names = tuple(f"rest length of {name}" for name in inputs)

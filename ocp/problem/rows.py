@@ -57,6 +57,10 @@ class Rows:
         """Return the scale (m,) of each row by its unit."""
         return np.array([units[unit] for unit in self.units], dtype=float)
 
+    def scale(self, units: Mapping[str, float]) -> Any:
+        """Divide the residuals by the scales of their units."""
+        return self.value / ca.DM(self.sizes(units))
+
 
 def stack(rows: Iterable[Rows]) -> Rows:
     """Stack the residuals of several goals, positions before velocities."""

@@ -122,11 +122,7 @@ def _misses(problem: Problem, now: Instant, sizes: dict[str, float]) -> Any:
     model = problem.model
     x = ca.SX.sym("x", model.nx)
     rows = goal_rows(problem.terminal_goals, model, x)
-    misses = (
-        ca.Function("misses", [x], [ca.sumsqr(rows.value / ca.DM(rows.sizes(sizes)))])
-        if rows.names
-        else None
-    )
+    misses = ca.Function("misses", [x], [ca.sumsqr(rows.scale(sizes))]) if rows.names else None
     return misses(now.state) if misses is not None else ca.DM(0)
 
 

@@ -107,9 +107,10 @@ class _TargetSearch:
         self.x, duration = ca.SX.sym("x", model.nx), ca.SX.sym("T")
         self.y, self.scale = ca.vertcat(self.x, duration), np.append(scales.state, scales.time)
         self.goals = goal_rows(goals, model, self.x)
+        self.sizes = self.goals.sizes(scales.units)
         self.invariants = self._invariants(duration, duration**2 / 2)
         every = [self.goals, *self.invariants]
-        self.rows = self._functions(every, self.y, self.scale)
+        self.rows = RowFunction(self.y, [rows.scale(scales.units) for rows in every], self.scale)
         ends = np.cumsum([0, *(len(rows.units) for rows in every)]).tolist()
         self.goal, *self.kept = [self.rows.select(slice(a, b)) for a, b in pairwise(ends)]
         self.search = GaussNewton(self.scale, _metric(model), self._allowed, self._deforming)
@@ -126,10 +127,6 @@ class _TargetSearch:
             for rows in invariants(self.problem.model, start, self.x, time, half_square)
             if rows.kind in RIGID or not self.problem.free_start
         ]
-
-    def _functions(self, rows: list[Rows], y: Any, scale: Array) -> RowFunction:
-        sizes = np.concatenate([part.sizes(self.scales.units) for part in rows])
-        return RowFunction(y, [part.value for part in rows], sizes, scale)
 
     # --- the state ---
 
@@ -190,7 +187,7 @@ class _TargetSearch:
         goals = len(self.goals.names)
         rigid = sum(len(rows.units) for rows in self.invariants if rows.kind in RIGID)
         y = self.search.find_nearest(self.rows.select(slice(goals + rigid)), goals, y)
-        if goals + rigid < len(self.rows.row_scale):
+        if goals + rigid < self.rows.count:
             y = self.search.find_nearest(self.rows, goals, y)
         return y
 
@@ -238,7 +235,7 @@ class _TargetSearch:
         values = self.goal(y)[0]
         # the first of equal violations
         worst = int(np.argmax(np.abs(values) > (1 - 1e-6) * np.abs(values).max()))
-        size = abs(values[worst]) * self.goal.row_scale[worst]
+        size = abs(values[worst]) * self.sizes[worst]
         proof = self._prove(y)
         if proof is None:
             text = (
@@ -252,7 +249,7 @@ class _TargetSearch:
         named = [name for name in self.goals.names if weights.get(name)]
         if named:
             worst = self.goals.names.index(max(named, key=lambda name: abs(weights[name])))
-            size = abs(values[worst]) * self.goal.row_scale[worst]
+            size = abs(values[worst]) * self.sizes[worst]
         reasons = {name: rows.kind for rows in self.invariants for name in rows.names}
         least = TOLERANCE * max(map(abs, weights.values()), default=0.0)  # the solver's errors
         held = [name for name in reasons if abs(weights.get(name, 0.0)) > least]
@@ -294,7 +291,8 @@ class _TargetSearch:
                 replace(rows, value=ca.substitute(rows.value, self.x[-1], clock)) for rows in every
             ]
         names = [name for rows in every for name in rows.names]
-        rows = read_quadratic(self._functions(every, ca.vertcat(*columns), scale), names)
+        scaled = [rows.scale(self.scales.units) for rows in every]
+        rows = read_quadratic(RowFunction(ca.vertcat(*columns), scaled, scale), names)
         z = np.append(y[:-1], [y[-1], y[-1] ** 2 / 2] if free else []) / scale
         return prove_infeasible(rows, z, box, ROUNDED)
 
@@ -318,11 +316,11 @@ class _TargetSearch:
         if self.shortest == self.longest:
             H, groups = H[:, :-1], [(kind, A[:, :-1]) for kind, A in groups]
         names = (*self.goals.names, *(f"shape, combination {k}" for k in range(len(weights))))
-        sizes = np.append(self.goal.row_scale, np.ones(len(weights)))
+        sizes = np.append(self.sizes, np.ones(len(weights)))
         reduction = reduce_rows(H, groups, names, sizes)
         squared = self._squared(pairs)
         at_target = ca.Function("squared", [self.x], [squared])(y[:-1])
-        scaled = self.goals.value / ca.DM(self.goal.row_scale) - ca.DM(values)
+        scaled = self.goals.scale(self.scales.units) - ca.DM(values)
         every, own = reduction.combinations, len(values)
         return Target(
             start=self.problem.initial_state,

@@ -34,12 +34,18 @@ def find_free_start(problem: Problem, scales: Scales) -> FreeStartRows | None:
     model, near, structure = problem.model, problem.initial_state, problem.model.scene.structure
     first, last = ca.SX.sym("x0", model.nx), ca.SX.sym("x", model.nx)
     kept = {rows.kind: rows for rows in invariants(model, near, first, ca.SX(problem.shortest))}
+    met = goal_rows(problem.initial_goals, model, first)
+    before = tuple(
+        moving(first)[: len(structure.nodes), :] for moving in (model.nodes, model.velocities)
+    )
+    periodic = [replace(goal, start=before) for goal in problem.periodic_goals]
+    repeats = goal_rows(periodic, model, last)
+    at_near = replace(repeats, value=ca.substitute(repeats.value, first, ca.DM(near)))
     known: list[tuple[str, Array]] = []
     imposed = []
     if "bar" in kept:
         known.append(("bar", _gradient(kept["bar"], first, near, scales)))
         imposed.append(_combined(reduce_rows(known[0][1], []), kept["bar"], scales))
-    met = goal_rows(problem.initial_goals, model, first)
     if met.names:
         imposed.append(
             _combined(reduce_rows(_gradient(met, first, near, scales), known), met, scales)
@@ -50,12 +56,6 @@ def find_free_start(problem: Problem, scales: Scales) -> FreeStartRows | None:
         )  # the path of the center of mass follows from its initial velocity
         _check_momentum(momentum, first, near, scales)
         known.append(("momentum", _gradient(momentum, first, near, scales)))
-    before = tuple(
-        moving(first)[: len(structure.nodes), :] for moving in (model.nodes, model.velocities)
-    )
-    periodic = [replace(goal, start=before) for goal in problem.periodic_goals]
-    repeats = goal_rows(periodic, model, last)
-    at_near = replace(repeats, value=ca.substitute(repeats.value, first, ca.DM(near)))
     reduction = reduce_rows(
         _gradient(at_near, last, near, scales), known, repeats.names, repeats.sizes(scales.units)
     )
@@ -69,11 +69,11 @@ def find_free_start(problem: Problem, scales: Scales) -> FreeStartRows | None:
 
 
 def _gradient(rows: Rows, x: Any, at: Array, scales: Scales) -> Array:
-    return RowFunction(x, [rows.value], rows.sizes(scales.units), scales.state)(at)[1]
+    return RowFunction(x, [rows.scale(scales.units)], scales.state)(at)[1]
 
 
 def _combined(reduction: Reduction, rows: Rows, scales: Scales) -> Any:
-    return ca.mtimes(ca.DM(reduction.combinations), rows.value / ca.DM(rows.sizes(scales.units)))
+    return ca.mtimes(ca.DM(reduction.combinations), rows.scale(scales.units))
 
 
 def _check_momentum(momentum: Rows, x: Any, near: Array, scales: Scales) -> None:
@@ -81,8 +81,8 @@ def _check_momentum(momentum: Rows, x: Any, near: Array, scales: Scales) -> None
 
     Strings cannot prevent such changes, such as those by gravity.
     """
-    scaled = momentum.value / ca.DM(momentum.sizes(scales.units))
-    change = np.abs(ca.Function("change", [x], [scaled])(near).full().ravel())
+    scaled = ca.Function("change", [x], [momentum.scale(scales.units)])
+    change = np.abs(scaled(near).full().ravel())
     if change.max(initial=0.0) > 1e-6:  # relative to typical momenta: above rounding errors
         k = int(np.argmax(change))
         name = momentum.names[k]

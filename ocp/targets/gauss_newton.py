@@ -71,7 +71,7 @@ class GaussNewton:
                 break
             crawling = crawling + 1 if least > CRAWL * rows.size(y) else 0
             y = best
-        kept, before = rows.select(slice(goals, len(rows.row_scale))), np.inf
+        kept, before = rows.select(slice(goals, rows.count)), np.inf
         for _ in range(
             MAX_ITERATIONS
         ):  # rigid rows come last, so that the goal's residual shows the violation

@@ -34,22 +34,18 @@ class RowFunction:
     derivatives of the others.
     """
 
-    def __init__(self, y: Any, groups: Sequence[Any], row_scale: Array, scale: Array) -> None:
-        self.row_scale, self.scale = row_scale, scale
-        self._rows: slice = slice(None)
-        ends = np.cumsum([0, *(group.shape[0] for group in groups)])
-        self._code = _Code(
-            y,
-            [
-                group / ca.DM(row_scale[a:b])
-                for group, a, b in zip(groups, ends[:-1], ends[1:], strict=True)
-            ],
-        )
+    def __init__(self, y: Any, groups: Sequence[Any], scale: Array) -> None:
+        self.scale, self._code, self._rows = scale, _Code(y, groups), slice(None)
+
+    @property
+    def count(self) -> int:
+        """Number of selected rows."""
+        return len(range(self._code.count)[self._rows])
 
     def select(self, rows: slice) -> RowFunction:
         """Select some of the residuals, without building new code."""
         part = copy.copy(self)
-        part.row_scale, part._rows = self.row_scale[rows], rows
+        part._rows = rows
         return part
 
     def __call__(self, y: Array) -> tuple[Array, Array]:
@@ -115,7 +111,7 @@ class _Curvature(NamedTuple):
 class _Code:
     """Scaled residuals of y as CasADi Functions."""
 
-    def __init__(self, y: Any, groups: list[Any]) -> None:
+    def __init__(self, y: Any, groups: Sequence[Any]) -> None:
         self._y, scaled = y, ca.vertcat(*groups)
         self._slopes = [ca.jacobian(group, y) for group in groups]
         self.count = int(scaled.shape[0])

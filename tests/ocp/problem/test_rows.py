@@ -21,6 +21,8 @@ def test_places_come_before_speeds():
         2,
     ]
     assert found.sizes({"m": 2.0, "m/s": 0.5}) == pytest.approx([2.0, 2.0, 0.5, 0.5])
+    scaled = ca.Function("scaled", [x], [found.scale({"m": 2.0, "m/s": 0.5})])
+    assert scaled([0, 1, 2, 3]).full().ravel() == pytest.approx([0.5, 1.5, 0.0, 4.0])
 
 
 @pytest.mark.parametrize("size", [0, 1, 3])
