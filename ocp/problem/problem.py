@@ -272,7 +272,7 @@ class Problem(Value, kind="Problem"):
         Returns
         -------
         lower : numpy.ndarray, shape (α,) or (nu,)
-            Lower limits of strings, or of cables and lone strings; −inf if there are none.
+            Lower limits of strings, or of cables and strings in no cable; −inf if there are none.
         upper : numpy.ndarray, shape (α,) or (nu,)
             Upper limits; inf if there are none.
         """

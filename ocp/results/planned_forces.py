@@ -174,7 +174,7 @@ class PlannedForces(Tabular):
         Returns
         -------
         ndarray, shape (K, nu) or (K + 1, nu)
-            Rest lengths [m] of cables and lone strings at the start of each interval, or at all
+            Rest lengths [m] of cables and strings in no cable at the start of each interval, or at all
             mesh points if force densities are piecewise linear.
 
         Raises

@@ -39,7 +39,7 @@ class TangentStiffness:
     lengths : ndarray (μ,)
         Lengths of members [m]: α strings, β bars, and the bars of bodies.
     unit : ndarray of int (μ,)
-        Unit of each member: cables and lone strings, bars, and the bars of bodies.
+        Unit of each member: cables and strings in no cable, bars, and the bars of bodies.
     stiffness : ndarray (units,)
         Stiffness k of units [N/m]; 0 for rigid bars, which are constraints J v = 0.
     elongation : csr_array (μ, free coordinates)

@@ -167,7 +167,7 @@ class StringForces(ForceElement):
 
     @property
     def switch_count(self) -> int:  # type: ignore[override]
-        """Number of cables and lone strings with slack events."""
+        """Number of cables and strings in no cable with slack events."""
         return len(self.scene.switching_inputs)
 
     def force_density(self, N: Any, V: Any) -> tuple[Any, Any]:
@@ -305,7 +305,7 @@ class StringForces(ForceElement):
 
     @property
     def _members(self) -> Indices:
-        """Input of each cable and modeled lone string."""
+        """Input of each cable and of each modeled string in no cable."""
         return np.asarray(self.scene.structure.cable_of[self._inputs.string_parent])
 
     @property
@@ -318,7 +318,7 @@ class StringForces(ForceElement):
         return self._law.command(self.control, self._own_states[0])
 
     def excess_lengths(self, squared: Any, rate: Any = None) -> Any:
-        """Compute the switching functions (1×k) [m] of cables and lone strings.
+        """Compute the switching functions (1×k) [m] of cables and strings in no cable.
 
         `squared` are squared lengths of strings [m²], and `rate` is c sᵀṡ [N·m].
         """
@@ -329,7 +329,7 @@ class StringForces(ForceElement):
         return self._by_law(gap, squared, rate, switching=True)
 
     def _rate(self, S: Any, V: Any) -> Any:
-        """Compute c sᵀṡ (1×m) of cables and lone strings (Eq. 98), None without damping."""
+        """Compute c sᵀṡ (1×m) of cables and strings in no cable (Eq. 98), None without damping."""
         if not self.damped or not is_damped(self.scene):
             return None
         rates = ca.sum1(S * ca.mtimes(V, sparse(self.mech.C_s.T)))
@@ -345,7 +345,7 @@ class StringForces(ForceElement):
 
     @cached_property
     def _inputs(self) -> Any:
-        """Constants of cables and lone strings, under the names of `Structure`."""
+        """Constants of cables and strings in no cable, under the names of `Structure`."""
         return self.scene.modelled if self._cables is None else self._cables.constants()
 
     def _by_law(
@@ -376,7 +376,7 @@ class StringForces(ForceElement):
         return ca.horzcat(*parts)[:, place.tolist()]
 
     def _per_segment(self, factor: Array) -> Any:
-        """Expand the control to cables and modeled lone strings, times `factor`."""
+        """Expand the control to cables and modeled strings in no cable, times `factor`."""
         parent, u = self._members, self._command
         row = u.T if len(parent) == u.shape[0] else u[parent.tolist(), :].T
         return row if np.all(factor == 1) else row * ca.DM(factor).T

@@ -101,7 +101,7 @@ def count_switches(model: Model) -> int:
 
 
 def count_breakable(model: Model) -> int:
-    """Count the inputs, of cables and lone strings, that can break."""
+    """Count the inputs (cables and strings in no cable), that can break."""
     return len(model.scene.breakable_inputs)
 
 

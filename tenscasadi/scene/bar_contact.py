@@ -25,7 +25,7 @@ from tenscasadi.util.validate import (
 
 @dataclass(frozen=True)
 class BarContact(Value, kind="BarContact"):
-    """Penalty contact of bars with each other, as capsules of their `bar_radius`.
+    """Penalty contact between bars as capsules of radius `bar_radius`.
 
     Two bars push each other apart at the closest points of their axes with the force k d − c v, at
     least 0. The depth d is the sum of their radii less the distance, and v the rate at which the
@@ -56,11 +56,11 @@ class BarContact(Value, kind="BarContact"):
     Notes
     -----
     The force is the gradient of the energy k d²/2, because the distance does not change to first
-    order with the closest points. Parallel bars touch at one point, which jumps as they turn.
+    order with the closest points. Parallel bars touch at one point, which jumps as they rotate.
     Keep depths below the sum of the radii: the direction of the force is lost where axes cross.
 
     Friction acts in the middle of the overlap, and thus has a couple about each bar. A bar of Eq. 19
-    does not turn about its own axis: the part of the couple about it is left out.
+    does not rotate about its own axis: the part of the couple about it is omitted.
 
     Examples
     --------

@@ -12,9 +12,10 @@ from tenscasadi.util.validate import Array, Indices
 
 
 class CapsulePoints(NamedTuple):
-    """Centers of spheres on the axes of bars.
+    """Centers of spheres on the axes of bars, for contact with a ground.
 
-    The weights of a bar add up to 2, those of its two ends on a plane.
+    A sphere's contact force has a weight. The weights of a bar add up to 2, which is two ends on a
+    plane.
     """
 
     bars: Indices  # (m,)
@@ -25,9 +26,9 @@ class CapsulePoints(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class BarPoints:
-    """Points that move with bars.
+    """Points that move with bars, at which contact forces act.
 
-    A bar does not turn about its axis, and no force has a moment about it.
+    A bar does not rotate about its axis, and no force has a moment about it.
 
     Attributes
     ----------
@@ -46,11 +47,11 @@ class BarPoints:
 
     @property
     def columns(self) -> list[int]:
-        """Columns of all starts, then of all ends."""
+        """Node columns of all bar starts, then of all bar ends."""
         return [*self.starts, *self.ends]
 
     def place(self, N: Any) -> Any:
-        """Interpolate a row of columns N (3×n) on the axes."""
+        """Interpolate node columns N (3×n) at the points on the axes."""
         first, second = N[:, self.starts], N[:, self.ends]
         return times(first, 1 - self.fractions) + times(second, self.fractions)
 
@@ -65,7 +66,10 @@ class BarPoints:
         return moves + times(turning, along / squared) - times(axis, across / squared)
 
     def end_forces(self, N: Any, F: Any) -> Any:
-        """Convert forces (3×m) [N] at the points to forces (3×2m) at `columns`."""
+        """Distribute forces (3×m) [N] at the points to the bar ends.
+
+        The result (3×2m) belongs to the nodes `columns`.
+        """
         first, second = times(F, 1 - self.fractions), times(F, self.fractions)
         if self.offsets is not None:  # the couple d × F across the axis
             axis, along, squared = self._axes(N)
@@ -81,23 +85,23 @@ class BarPoints:
 
 @dataclass(frozen=True, eq=False)
 class NodePoints:
-    """Nodes that contact forces act on."""
+    """Nodes at which contact forces act."""
 
     columns: list[int]
 
     def velocities(self, N: Any, V: Any) -> Any:
-        """Select the velocities (3×m) [m/s]."""
+        """Select the velocities (3×m) [m/s] of these nodes."""
         return V[:, self.columns]
 
     def end_forces(self, N: Any, F: Any) -> Any:
-        """Return forces F (3×m) [N] at `columns`."""
+        """Return the forces F (3×m) [N], which act at these nodes."""
         return F
 
 
 def press_spheres(
     surface: Any, capsules: CapsulePoints, ends: Indices, N: Any
 ) -> tuple[Any, BarPoints]:
-    """Find the contact of spheres on the axes of bars with a ground.
+    """Compute the contact of spheres on bar axes with a ground.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Substitution of the parameters of a scene."""
+"""Substitution of parameters in the fields of a scene."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ _LOADS = ("gravity", "pressure", "forces")
 
 
 def with_fields(value: Value, **fields: Any) -> Value:
-    """Copy a frozen value with other fields, without checks.
+    """Copy a frozen object with other field values, without checks.
 
-    The fields can be CasADi expressions.
+    The values can be CasADi expressions.
     """
     new = copy.copy(value)
     vars(new).update(fields)
@@ -35,7 +35,7 @@ def with_fields(value: Value, **fields: Any) -> Value:
 
 
 def bind(scene: Any, w: Any) -> tuple[Any, Any, Any]:
-    """Replace constants of a scene by expressions of parameters.
+    """Replace constants of a scene by expressions of the parameters.
 
     Parameters
     ----------
@@ -96,15 +96,18 @@ def bind(scene: Any, w: Any) -> tuple[Any, Any, Any]:
 
 
 def sets_rest_lengths(scene: Any) -> bool:
-    """Return whether inputs set rest lengths, at once or over time."""
+    """Return whether the control determines rest lengths.
+
+    It prescribes them, or their rates of change.
+    """
     return scene.control is not None and scene.control.sets_rest_lengths
 
 
 def initial_control(scene: Any, p: Array) -> Array:
-    """Compute the control (nu,) that keeps the rest lengths.
+    """Compute the control (nu,) in the initial state.
 
-    It consists of rest lengths [m], or of the corresponding force densities [N/m] or tensions [N],
-    or it keeps winches at rest.
+    It consists of the rest lengths [m] of the structure, or of the corresponding force densities
+    [N/m] or tensions [N], or it keeps winches at rest.
     """
     s, layout = scene.structure, scene.layout
     if scene.control is None:
@@ -123,7 +126,10 @@ def initial_control(scene: Any, p: Array) -> Array:
 
 
 def declare_internal_states(scene: Any, p: Array) -> tuple[InternalStates, ...]:
-    """Declare the internal states of a scene with parameters (np,)."""
+    """List the internal states of a scene with parameters (np,).
+
+    They are states besides positions and velocities, such as rest lengths of winches.
+    """
     if scene.control is None:
         return declare_strength(scene)
     s = scene.structure
@@ -133,7 +139,7 @@ def declare_internal_states(scene: Any, p: Array) -> tuple[InternalStates, ...]:
 
 
 def fix(scene: Any, p: Array) -> Any:
-    """Replace the constants of a scene by checked parameters (np,)."""
+    """Replace constants of a scene by numerical parameters (np,)."""
     if scene.parameters is None:
         return scene
     items = {name: affine.numbers(p) for name, affine in scene.layout.quantities.items()}
@@ -184,7 +190,7 @@ def _fix_bodies(bodies: Any, mass: Array | None, moments: Array | None) -> list[
 
 
 def _own_entries(ground: Any, k: int, values: dict[str, Any]) -> dict[str, Any]:
-    """Select the parameters of ground k."""
+    """Select the parameter values that belong to ground k."""
     given = {name: value for name, value in values.items() if getattr(ground, name) is not None}
     return {name: value[k] for name, value in given.items()}
 
@@ -197,7 +203,10 @@ def _fix_contact(law: Any, values: dict[str, Any]) -> Any:
 
 
 def _scale(function: Any, factor: float, time: Any) -> Any:
-    """Multiply a function of time, which can return nested sequences."""
+    """Multiply the result of a function of time by a factor.
+
+    The result can be a nested sequence.
+    """
     return _multiply(function(time), factor)
 
 

@@ -27,16 +27,16 @@ from tenscasadi.util.validate import (
 
 
 class Strength(Value, implied="Breaking"):
-    """Failure of strings at a tension.
+    """Base class of the failure of strings at a given tension.
 
     Attributes
     ----------
     verb : str
-        Failure in messages, "breaks" or "yields".
+        Verb for the failure in messages, "breaks" or "yields".
     breaks : bool
-        Whether a string fails at an instant, and for good.
+        Whether a string fails suddenly and permanently.
     force, margin
-        Fields of the members.
+        Fields of the subclasses.
     """
 
     verb: ClassVar[str]
@@ -66,7 +66,7 @@ class Strength(Value, implied="Breaking"):
         object.__setattr__(self, "force", own)
 
     def check(self, strings: int) -> None:
-        """Check that the forces fit the strings.
+        """Check that the forces are given for the number of strings.
 
         Parameters
         ----------
@@ -81,7 +81,7 @@ class Strength(Value, implied="Breaking"):
         self.list_forces(strings)
 
     def list_forces(self, strings: int) -> Array:
-        """List the force of each string.
+        """Return the tension at failure of each string (α,) [N].
 
         Parameters
         ----------
@@ -116,7 +116,7 @@ class Strength(Value, implied="Breaking"):
 
 @dataclass(frozen=True)
 class Breaking(Strength, kind="Breaking"):
-    """Strings that break where their tension reaches a force.
+    """Strings that break when their tension reaches a given force.
 
     A broken string exerts no force for the rest of the run. A cable breaks as a whole, and so does
     a string that is divided into segments.
@@ -141,7 +141,7 @@ class Breaking(Strength, kind="Breaking"):
 
     Notes
     -----
-    Each input whose strings can break has two internal states: 1 while it is intact and 0 when it
+    Each cable, and each string in no cable, that can break has two internal states: 1 while it is intact and 0 when it
     is broken, and the time for which it has been intact [s]. The tension includes damping. The
     elastic energy of a string that breaks is lost; the energy balance includes it.
 
@@ -169,7 +169,7 @@ class Breaking(Strength, kind="Breaking"):
 
 @dataclass(frozen=True)
 class Yielding(Strength, kind="Yielding"):
-    """Strings that yield where their tension exceeds a force.
+    """Strings that yield while their tension exceeds a given force.
 
     The rest length of a string grows at the rate (t − F)/η while its tension t exceeds its force F,
     with the viscosity η. The tension then stays near F, and the elongation remains. A cable

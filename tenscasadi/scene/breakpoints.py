@@ -1,4 +1,4 @@
-"""Breakpoints: times at which integration steps must end."""
+"""Times at which integration steps must end, such as jumps of loads."""
 
 from __future__ import annotations
 
@@ -29,8 +29,9 @@ def probe_times(first: float, last: float) -> Array:
 def sample_times(first: float, last: float) -> Array:
     """Return 65 equidistant times of a run [s].
 
-    They show the largest values of a control or load, and are the ends of the first pieces of an
-    interpolant, which halves them as needed. Narrow features need breakpoints.
+    A control or load is evaluated there to find its largest values. The times are also the first
+    ends of the pieces of an interpolant, which are halved as needed. Narrow features need
+    breakpoints.
     """
     return np.linspace(first, last, 65)
 
@@ -64,7 +65,7 @@ def find_breakpoints(function: ca.Function, first: float, last: float) -> Array:
 
 
 def expand(function: ca.Function, t: ca.SX) -> ca.SX | None:
-    """Expand the outputs of a function as scalars.
+    """Expand the outputs of a function of time t to scalar expressions.
 
     Returns None if CasADi cannot expand the function.
     """
@@ -75,7 +76,7 @@ def expand(function: ca.Function, t: ca.SX) -> ca.SX | None:
 
 
 def _find_switches(values: ca.SX) -> Iterator[ca.SX]:
-    """Find expressions that change sign where values switch or end."""
+    """Find expressions whose sign changes are jumps of the values."""
     waiting, seen = [values[k] for k in range(values.numel())], set()
     while waiting:
         item = waiting.pop()
@@ -102,10 +103,10 @@ def _is_whole(exponent: ca.SX) -> bool:
 
 
 def add_guard_times(times: Array) -> Array:
-    """Add times beside very short pieces of a table.
+    """Add times beside very short intervals of a table.
 
-    Each added time is as far from the piece as the piece is long. By rounding of the clock, a step
-    that ends where a steep piece begins may see its slope. A short step limits the effect.
+    Each added time is as far from the interval as the interval is long. By rounding of the clock, a
+    step that ends where a steep interval begins may see its slope. A short step limits the effect.
     """
     inner, before, after = times[1:-1], np.diff(times)[:-1], np.diff(times)[1:]
     late, early = after > 100 * before, before > 100 * after
@@ -115,5 +116,5 @@ def add_guard_times(times: Array) -> Array:
 
 
 def clock_error(first: float, last: float, steps: int) -> float:
-    """Bound the rounding error [s] of a summed clock."""
+    """Bound the rounding error [s] of a clock that adds up steps."""
     return 4.0 * (steps + 1) * float(np.spacing(max(abs(first), abs(last))))

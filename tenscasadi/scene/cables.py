@@ -1,8 +1,8 @@
-"""Cables: one tension along strings that slide over nodes.
+"""Cables: several strings with one tension that slide over nodes.
 
-A cable is one string law of the length L = Σ |s_i|, with the rest length Σ ρ_i and the compliance
-Σ 1/k_i. Its force densities are γ_i = T/|s_i|. An *input* is a cable or a lone string, because
-each of them has one control.
+A cable is one string law of the length L = Σ |s_i|, with the rest length Σ ρ_i and the compliance Σ
+1/k_i. The force densities of its strings are γ_i = T/|s_i|. A *control input* is a cable, or a
+string that is not part of a cable, because each of them has one control.
 """
 
 from __future__ import annotations
@@ -22,7 +22,9 @@ SLIP_SPEED = 1e-3
 
 
 class CableRows:
-    """Conversion between rows of strings (1×α) and of inputs (1×m).
+    """Conversion between strings (1×α) and control inputs (1×m).
+
+    A control input is a cable, or a string that is not part of a cable. Quantities are row vectors.
 
     Parameters
     ----------
@@ -44,7 +46,10 @@ class CableRows:
     # --- constants of inputs ---
 
     def constants(self) -> Any:
-        """Compute the constants (m,) or (1×m) of inputs, under the names of `Structure`."""
+        """Compute the constants (m,) or (1×m) of control inputs.
+
+        They are stiffness, damping and rest length, under the names of `Structure`.
+        """
         s = self.structure
         first = select_first(s.cable_of)
         return SimpleNamespace(
@@ -56,7 +61,10 @@ class CableRows:
         )
 
     def _constants(self, values: Any, series: bool = False) -> Any:
-        """Add the values of strings, or their inverses if in `series`."""
+        """Add the values of strings in each cable.
+
+        If in `series`, as for stiffness, their inverses are added.
+        """
         if is_expression(values):
             row = ca.repmat(values, 1, len(self.structure.strings) // values.shape[1])
             return self._join(
@@ -72,15 +80,21 @@ class CableRows:
     # --- rows of inputs ---
 
     def sum(self, row: Any) -> Any:
-        """Add a row of strings over each input."""
+        """Add a row of string values over each control input."""
         return self._join(row[:, self.lone], self._add(row[:, self.cabled]))
 
     def squared_lengths(self, squared: Any) -> Any:
-        """Compute the squared lengths (1×m) [m²] from those of strings."""
+        """Compute squared lengths (1×m) [m²] of control inputs.
+
+        `squared` (1×α) are those of the strings.
+        """
         return self._join(squared[:, self.lone], self._add(self._lengths(squared)) ** 2)
 
     def rates(self, squared: Any, rates: Any) -> Any:
-        """Compute L dL/dt (1×m) [m²/s] from sᵀṡ of strings."""
+        """Compute L dL/dt (1×m) [m²/s] of control inputs of length L.
+
+        `rates` (1×α) are sᵀṡ of the string vectors s, `squared` their squared lengths.
+        """
         lengths = self._lengths(squared)
         speeds = rates[:, self.cabled] / lengths
         return self._join(rates[:, self.lone], self._add(lengths) * self._add(speeds))
@@ -88,7 +102,10 @@ class CableRows:
     # --- rows of strings ---
 
     def force_densities(self, gamma: Any, squared: Any) -> Any:
-        """Compute γ (1×α) of strings from T/L (1×m) of inputs [N/m]."""
+        """Compute γ (1×α) of strings from T/L (1×m) of inputs [N/m].
+
+        T is the tension of a control input, L its length.
+        """
         inverse = np.argsort(self.order).tolist()
         own = gamma[:, inverse]
         lone, cables = own[:, : len(self.lone)], own[:, len(self.lone) :]
@@ -97,7 +114,7 @@ class CableRows:
         return ca.horzcat(lone, tension / lengths)[:, self.strings]
 
     def friction_ratios(self, S: Any, V: Any, driven: bool) -> Any:
-        """Compute the tension of each string over that without friction.
+        """Compute each string's tension relative to that without friction.
 
         Parameters
         ----------
@@ -139,9 +156,9 @@ class CableRows:
         return ca.horzcat(*ratios)
 
     def _lengths(self, squared: Any) -> Any:
-        """Compute the lengths (1×·) of strings in cables [m].
+        """Compute the lengths of the strings in cables [m], as a row.
 
-        They are regularized like those of string laws.
+        They are regularized at zero like those of string laws.
         """
         unit = constant_row(self.structure.rest_length)
         if unit.shape[1] > 1:
@@ -158,9 +175,9 @@ class CableRows:
 def _tension_ratios(
     friction: float, lengths: Any, speeds: Any, directions: Any, driven: bool
 ) -> Any:
-    """Compute the ratios (1×q) of tensions along one cable.
+    """Compute tension ratios (1×q) along a cable of q strings.
 
-    Lengths (1×q) [m], their rates (1×q) [m/s] and unit directions of travel (3×q) are given.
+    Lengths (1×q) [m], their rates (1×q) [m/s] and unit vectors along the strings (3×q) are given.
     """
     count = lengths.shape[1]
     share = lengths / ca.sum2(lengths)

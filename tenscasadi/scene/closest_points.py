@@ -23,7 +23,8 @@ def find_closest_points(at: Segments) -> tuple[Any, Any]:
     """Find the closest points of segments a–b and c–d.
 
     Returns their positions (1×m) along both segments, from 0 at a and c to 1 at b and d. The first
-    one is that of the lines, clamped. The others follow from it one after the other, clamped.
+    point is that of the infinite lines, clamped to its segment. The others follow one after the
+    other, each clamped.
     """
     first, second, between = at.b - at.a, at.d - at.c, at.a - at.c
     A, E, B = (ca.sum1(x * y) for x, y in ((first, first), (second, second), (first, second)))
@@ -35,7 +36,9 @@ def find_closest_points(at: Segments) -> tuple[Any, Any]:
 
 
 def find_contact(at: Segments, radii: Any) -> tuple[Contact, tuple[Any, Any]]:
-    """Find depths and directions of the forces on the first bars.
+    """Compute penetration depths and force directions of bars.
+
+    The directions are those of the forces on the first bar of each pair.
 
     Parameters
     ----------

@@ -19,7 +19,8 @@ class Contact(NamedTuple):
 def press(law: Any, contact: Contact, V: Any, touching: Any = None) -> Any:
     """Compute the normal forces w (k d − c v) (1×n) [N], at least 0.
 
-    w are the weights of the contact. `law` has stiffness and damping, and V (3×n) [m/s] are relative velocities.
+    w are the weights of the contact points, d the depths and v the normal velocities. `law` has
+    stiffness k and damping c, and V (3×n) [m/s] are relative velocities.
     """
     depth, outward = contact.depth, contact.outward
     push = law.stiffness * depth
@@ -32,10 +33,10 @@ def press(law: Any, contact: Contact, V: Any, touching: Any = None) -> Any:
 
 
 def compute_forces(law: Any, contact: Contact, V: Any, touching: Any = None) -> Any:
-    """Compute the forces of a contact (3×n) [N], normal and of friction.
+    """Compute contact forces (3×n) [N] with normal and friction parts.
 
-    V (3×n) [m/s] are relative velocities of the touching surfaces. Coulomb's friction is
-    μ f v_t/√(v_t² + v_s²).
+    V (3×n) [m/s] are relative velocities v of the touching surfaces. Coulomb's friction is μ f
+    v_t/√(v_t² + v_s²) for the normal force f, with a regularizing velocity v_s.
     """
     push = press(law, contact, V, touching)
     W = times(contact.outward, push)
@@ -48,7 +49,7 @@ def compute_forces(law: Any, contact: Contact, V: Any, touching: Any = None) -> 
 
 
 def find_switching(law: Any, contact: Contact, V: Any) -> Any:
-    """Compute the switching functions (1×n) of a contact [m], positive in contact."""
+    """Compute functions (1×n) [m] that are positive in contact."""
     depth = contact.depth
     return ca.fmin(depth, depth - law.damping / law.stiffness * along(contact.outward, V))
 
@@ -59,14 +60,14 @@ def along(outward: Any, V: Any) -> Any:
 
 
 def times(outward: Any, row: Any) -> Any:
-    """Multiply columns of `outward` by a row (1×n)."""
+    """Multiply the columns of `outward` by the entries of a row (1×n)."""
     return ca.mtimes(outward, row) if outward.shape[1] == 1 else outward * ca.repmat(row, 3, 1)
 
 
 def compute_slip(contact: Contact, V: Any) -> tuple[Any, Any]:
     """Compute the slip velocities (3×n) along a surface [m/s].
 
-    Also return the ratio (1×n) of the normal force to k d − c v, None if it is 1.
+    Also returns the ratio (1×n) of the normal force to k d − c v, None if it is 1.
     """
     outward, steepness = contact.outward, contact.steepness
     if steepness is None:

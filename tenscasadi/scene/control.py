@@ -1,4 +1,4 @@
-"""Base class of the controls of strings."""
+"""Base class of kinds of control, such as rest-length control."""
 
 from __future__ import annotations
 
@@ -12,16 +12,18 @@ from tenscasadi.util.validate import Array
 
 
 class Control(Value):
-    """Kind of control, the input of a scene's strings.
+    """Kind of control: the quantity that actuates the strings.
+
+    A control has one input for each string, or for each cable and each string in no cable.
 
     Attributes
     ----------
     name, quantity, unit : str
-        Name of an input and of all of them in messages, and their unit.
+        Names of one input and of all inputs in messages, and their unit.
     attribute : str
         Attribute of plans that holds the inputs.
     commands_forces : bool
-        Whether the inputs are forces, so that strings have no law.
+        Whether the inputs are forces, so that strings have no stiffness.
     commands_densities : bool
         Whether these forces are force densities, one for each string.
     sets_rest_lengths : bool
@@ -37,10 +39,15 @@ class Control(Value):
     sets_rest_lengths: ClassVar[bool] = False
 
     def check(self, count: int) -> None:
-        """Check that the fields fit `count` cables and lone strings."""
+        """Check that the fields have `count` entries, one per input.
+
+        The inputs belong to cables, and to strings in no cable.
+        """
 
     def internal_states(self, rest: Array) -> tuple[InternalStates, ...]:
-        """Declare the internal states of cables and lone strings.
+        """Return the internal states of the control.
+
+        `rest` are initial rest lengths of cables and of strings in no cable [m].
 
         Parameters
         ----------
@@ -56,7 +63,7 @@ class Control(Value):
 
     @property
     def locked(self) -> Control:
-        """Control of statics, in which internal states are inputs."""
+        """Control for statics, in which internal states become inputs."""
         return self
 
     def initial_inputs(self, rest: Array, tension: Array) -> Array:
@@ -65,7 +72,7 @@ class Control(Value):
         Parameters
         ----------
         rest, tension : ndarray, shape (nu,)
-            Initial rest lengths [m] and tensions [N] of cables and lone strings.
+            Initial rest lengths [m] and tensions [N] of cables and strings in no cable.
 
         Returns
         -------
@@ -75,7 +82,10 @@ class Control(Value):
         raise NotImplementedError
 
     def command(self, u: Any, internal: Any) -> Any:
-        """Select the forces or rest lengths (nu,) from inputs and internal states."""
+        """Return string forces or rest lengths (nu,) from inputs and states.
+
+        `internal` are the internal states of the control.
+        """
         return u
 
     def internal_rates(self, u: Any, internal: Any, tension: Any) -> Any:
@@ -100,7 +110,9 @@ class Control(Value):
     def follow(
         self, rest: Array, tension: Array, interval: Any, limits: tuple[Array, Array]
     ) -> tuple[Array, Array]:
-        """Compute internal states and inputs that nearly follow given rest lengths.
+        """Compute inputs and internal states for desired rest lengths.
+
+        The rest lengths are approximated within the limits.
 
         Parameters
         ----------
@@ -121,5 +133,5 @@ class Control(Value):
         raise NotImplementedError
 
     def kinetic_energy(self, internal: Any) -> Any:
-        """Build the kinetic energy [J] of the internal states."""
+        """Build the kinetic energy [J] stored in the internal states."""
         return ca.DM(0)

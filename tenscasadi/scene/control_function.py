@@ -88,7 +88,7 @@ class ControlSchedule:
     field: str = "control"
 
     def check_run(self, first: float, last: float) -> None:
-        """Do nothing, because `build_schedule` checks the values."""
+        """Do nothing, because `build_schedule` has checked the values."""
 
     def find_breakpoints(self, first: float, last: float) -> Array:
         """Find the jumps and kinks of the control.
@@ -122,7 +122,7 @@ class ControlSchedule:
         return values_at(self.at, sample_times(first, last))
 
     def changing(self) -> ca.Function:
-        """Return the function of time that integration steps must resolve.
+        """Return the function of time that the steps must resolve.
 
         Returns
         -------
@@ -192,7 +192,7 @@ def _check_positive(values: Array, positive: bool, time: float) -> Array:
 def read_controls_at(
     function: Callable[[Any], Any], nu: int, positive: bool
 ) -> Callable[[float], Array]:
-    """Wrap a control function in checks of its results."""
+    """Wrap a control function so that its results are checked."""
     sample = read_function("control", function, (nu,))
     return lambda time: _check_positive(sample(time), positive, time)
 
@@ -200,9 +200,9 @@ def read_controls_at(
 def _trace(
     function: Callable[[Any], Any], known: dict[float, Array], nu: int
 ) -> ca.Function | None:
-    """Trace a function by CasADi.
+    """Convert a Python function to a CasADi Function by tracing.
 
-    Returns None if that fails, or the expression differs from the function's numbers.
+    Returns None if that fails, or if the expression differs from the function's numbers.
     """
     t = ca.MX.sym("t")
     try:

@@ -12,7 +12,7 @@ from tenscasadi.util.casadi_tools import is_expression
 def is_damped(scene: Any) -> bool:
     """Return whether any string has damping.
 
-    Strings have none if forces are commanded.
+    Strings have none if the control prescribes forces.
     """
     if scene.commands_forces:
         return False

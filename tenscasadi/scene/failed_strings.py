@@ -1,4 +1,4 @@
-"""Names of strings that can fail, overloads, and the check that none has failed."""
+"""Strings that can fail: their names, overloads, and intactness."""
 
 from __future__ import annotations
 
@@ -28,9 +28,10 @@ def name_limited(scene: Any) -> list[str]:
 
 
 def describe_overload(scene: Any, tension: Array) -> str:
-    """Describe the string or cable whose tension exceeds its strength most; "" if there is none.
+    """Describe the string whose tension exceeds its strength most.
 
-    `tension` (α,) [N] is that of the modeled strings.
+    It can be a cable. Returns "" if there is none. `tension` (α,) [N] is that of the modeled
+    strings.
     """
     strength = list_strengths(scene)[scene.modelled.string_parent]
     fraction = tension / strength
@@ -45,9 +46,9 @@ def describe_overload(scene: Any, tension: Array) -> str:
 
 
 def find_failed(scene: Any, internal: Array) -> Any:
-    """Find the strings and cables (..., m) that have failed, of those that can.
+    """Return which strings and cables (..., m) have failed.
 
-    `internal` (..., na) are internal states.
+    They are those that can fail. `internal` (..., na) are internal states.
     """
     count, initial = len(find_limited(scene)), join_initial(declare_strength(scene))
     own = internal[..., internal.shape[-1] - len(initial) :]
@@ -55,9 +56,9 @@ def find_failed(scene: Any, internal: Array) -> Any:
 
 
 def require_intact(name: str, scene: Any, states: Array) -> None:
-    """Raise ValueError if a string has broken or yielded in internal states (na,).
+    """Raise ValueError if a string has broken or yielded.
 
-    `name` is that of the state in messages.
+    `states` (na,) are internal states, and `name` is that of the state in messages.
     """
     for k in np.flatnonzero(find_failed(scene, states))[:1]:
         kind, cure = "yielded", "give a structure with its new rest length"

@@ -1,4 +1,4 @@
-"""Planes with penalty contact and friction, and the base of all grounds."""
+"""Planes with penalty contact and friction, and the base class of grounds."""
 
 from __future__ import annotations
 
@@ -32,9 +32,10 @@ BARS = Either((str,), Word(("all",)), Members("bar"))
 
 
 class Surface(Value, ABC, implied="Ground"):
-    """Base of grounds with penalty contact.
+    """Base class of grounds with penalty contact.
 
-    The normal force on a node at penetration depth d is k d − c v, and at least 0.
+    The normal force on a node at penetration depth d with normal velocity v is k d − c v, and at
+    least 0.
     """
 
     stiffness: float
@@ -73,7 +74,7 @@ class Surface(Value, ABC, implied="Ground"):
         check_indices(f"{name}.bars", self._list_bars(structure), count, "bar")
 
     def select_nodes(self, structure: Any) -> Indices:
-        """Select the nodes that touch as points.
+        """Select the nodes that contact the ground as points.
 
         Parameters
         ----------
@@ -91,7 +92,9 @@ class Surface(Value, ABC, implied="Ground"):
         return np.setdiff1d(np.arange(len(structure.nodes)), ends)
 
     def select_bar_points(self, structure: Any) -> CapsulePoints:
-        """Select the points on the axes of `bars` that touch with the radius of their bar.
+        """Select points on bar axes that contact with the bar radius.
+
+        The bars are those of the field `bars`.
 
         Parameters
         ----------
@@ -113,7 +116,7 @@ class Surface(Value, ABC, implied="Ground"):
         return CapsulePoints(which, fractions, structure.bar_radius[which], weights)
 
     def find_depths(self, structure: Any, nodes: Array) -> tuple[Array, Array]:
-        """Compute penetration depths of all nodes and bars that can touch.
+        """Compute penetration depths of all nodes and bars.
 
         Parameters
         ----------
@@ -144,7 +147,7 @@ class Surface(Value, ABC, implied="Ground"):
         return sorted(self.bars or ())
 
     def _count_points(self, length: float) -> int:
-        """Count the equally spaced points on a bar of a length [m]."""
+        """Return the number of contact points on a bar of a length [m]."""
         return 2
 
     def forces(self, N: Any, V: Any, touching: Any = None) -> Any:
@@ -198,7 +201,7 @@ class Surface(Value, ABC, implied="Ground"):
         return self.contact(N).depth
 
     def switching(self, N: Any, V: Any) -> Any:
-        """Build the switching functions (1×n) [m], positive in contact.
+        """Build functions (1×n) [m] that are positive in contact.
 
         Nodes N and velocities V are 3×n.
         """
@@ -303,7 +306,7 @@ class Ground(Surface, kind="Ground"):
         object.__setattr__(self, "normal", tuple(float(v) for v in normal))
 
     def contact(self, N: Any) -> Contact:
-        """Compute the penetration depths of nodes.
+        """Compute penetration depths and force directions of nodes (3×n).
 
         Parameters
         ----------
@@ -323,7 +326,7 @@ Grounds = Surface | Sequence[Surface] | None
 
 
 def read_grounds(value: Any, field: str = "Scene.ground") -> tuple[Surface, ...]:
-    """Convert the field `ground` to a tuple.
+    """Convert the field `Scene.ground` to a tuple of grounds.
 
     Raises TypeError.
     """

@@ -1,4 +1,4 @@
-"""Internal states of a scene, such as rest lengths under winding speeds."""
+"""States besides positions and velocities, such as rest lengths of winches."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ if TYPE_CHECKING:
 
 
 class InternalStates(NamedTuple):
-    """Internal states of one kind, one for each cable or lone string.
+    """Internal states of one kind, such as rest lengths.
+
+    They have an entry for each cable and for each string that is not part of a cable.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Functions of time as interpolants, and as calls of Python."""
+"""Functions of time as interpolants, or as calls of Python."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class VectorFunction:
         return ca.reshape(values, *self.shape[::-1]).T if len(self.shape) == 2 else values
 
     def check_run(self, field: str, first: float, last: float) -> None:
-        """Check that a run [s] is within the span.
+        """Check that a run [s] is within the span of the interpolant.
 
         Raises ValueError.
         """
@@ -101,7 +101,7 @@ class Samples(Value, kind="Samples"):
 
 
 class PythonFunction(ca.Callback):
-    """Python function of time in CasADi's virtual machine.
+    """Python function of time, callable from CasADi's virtual machine.
 
     Its derivatives are finite differences.
     """
@@ -138,7 +138,10 @@ def is_traceable(field: str, function: Callable[[Any], Any]) -> bool:
 
 
 def call_python(field: str, function: Callable[[Any], Any], shape: tuple[int, ...]) -> Any:
-    """Wrap a function that cannot be traced, for evaluations outside runs."""
+    """Wrap a function that CasADi cannot trace, for single evaluations.
+
+    Runs use interpolants instead.
+    """
     sample = read_function(field, function, shape)
     python = PythonFunction(sample, sample(0.0).size)
     # CasADi's Functions do not keep it alive, and outlive scene and model.
@@ -149,7 +152,7 @@ def call_python(field: str, function: Callable[[Any], Any], shape: tuple[int, ..
 def read_function(
     field: str, function: Callable[[Any], Any], shape: tuple[int, ...]
 ) -> Callable[[float], Array]:
-    """Wrap a function in checks of its results, which become vectors."""
+    """Wrap a function so that its results are checked vectors."""
     wanted = f"({', '.join(map(str, shape))}{',' * (len(shape) == 1)})" if shape else "one number"
     hint = f"give a function of time [s] that returns {wanted}"
 
@@ -264,7 +267,7 @@ def interpolate_function(
 
 
 def _find_corners(pieces: list[tuple[float, float, Array]], largest: float) -> list[float]:
-    """Find the ends of pieces at which the velocity jumps."""
+    """Find the ends of polynomial pieces at which the velocity jumps."""
     lengths = np.array([high - low for low, high, _ in pieces])[:, None]
     begin, end = (
         PATH * np.array([bezier[k + 1] - bezier[k] for *_, bezier in pieces]) / lengths
@@ -278,9 +281,9 @@ def _find_corners(pieces: list[tuple[float, float, Array]], largest: float) -> l
 
 @cache
 def _piece(degree: int) -> tuple[Array, Array, Array]:
-    """Compute nodes of a piece, times between them, and a matrix.
+    """Compute interpolation nodes, times between them, and a matrix.
 
-    It converts values at nodes to Bernstein form.
+    The matrix converts values at the nodes to Bernstein form.
     """
     nodes: Array = (1 - np.cos(np.pi * np.arange(degree + 1) / degree)) / 2
     between = (nodes[1:] + nodes[:-1]) / 2
@@ -293,7 +296,7 @@ def _bernstein(degree: int, s: Array) -> Array:
 
 
 def _spline(pieces: list[tuple[float, float, Array]], degree: int) -> ca.Function:
-    """Join polynomials in Bernstein form to a Function of time.
+    """Join polynomial pieces in Bernstein form to a Function of time.
 
     The first and the last piece extend by a hundredth of their length, because rounding may take a
     clock past the end.

@@ -70,7 +70,7 @@ class Gravity(OverTime, kind="Gravity", short="acceleration"):
         _freeze(self, "acceleration")
 
     def forces(self, node_weight: Any, time: Any = 0) -> Any:
-        """Compute the weights of nodes.
+        """Compute the weights of nodes (3×n) [N].
 
         Parameters
         ----------
@@ -179,7 +179,7 @@ class Pressure(OverTime, kind="Pressure"):
                 node_index(f"Pressure.faces[{k}]", node, nodes)
 
     def forces(self, N: Any, time: Any = 0) -> Any:
-        """Build the forces on nodes.
+        """Build the pressure forces on nodes (3×n) [N].
 
         Parameters
         ----------
@@ -327,7 +327,7 @@ class NodalForce(OverTime, ReadOnlyArrays, kind="NodalForce"):
 
 
 def _freeze(load: OverTime, quantity: str) -> None:
-    """Convert arrays of a load to hashable tuples."""
+    """Convert array fields of a load to hashable tuples."""
     for name in (quantity, "times", "breakpoints"):
         value = getattr(load, name)
         if isinstance(value, np.ndarray):

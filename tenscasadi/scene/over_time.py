@@ -34,7 +34,7 @@ Load = TypeVar("Load", bound="OverTime")
 
 
 class OverTime(Value):
-    """Base of loads with a quantity that can vary over time.
+    """Base class of loads with a quantity that can vary over time.
 
     The quantity is constant, a table or a function of time. A table is linear between its times and
     constant outside. A function becomes a CasADi expression, or else an interpolant over a run.
@@ -64,7 +64,7 @@ class OverTime(Value):
 
     @property
     def quantity(self) -> Any:
-        """The given constant, table or function."""
+        """Constant, table or function of time of the load."""
         return getattr(self, self._quantity)
 
     @property
@@ -78,7 +78,7 @@ class OverTime(Value):
         return f"{type(self).__name__}.{self._quantity}"
 
     def _read(self, shape: tuple[int | None, ...]) -> None:
-        """Convert the fields to checked arrays.
+        """Convert the fields to arrays and check them.
 
         `shape` is that of the quantity at each time.
         """
@@ -102,7 +102,10 @@ class OverTime(Value):
         vars(self).update(checked)
 
     def _read_values(self, value: Any, shape: tuple[int | None, ...]) -> Any:
-        """Read a constant or a table of the quantity. Raises TypeError, ValueError."""
+        """Read a constant or a table of the quantity.
+
+        Raises TypeError, ValueError.
+        """
         return finite_array(self.field, value, shape)
 
     def _check_function(self, shape: tuple[int, ...]) -> None:
@@ -155,9 +158,9 @@ class OverTime(Value):
         return value if self.factor is None else self.factor * value
 
     def _call_python(self, time: Any) -> tuple[Any, Any]:
-        """Prepare the call of a function that CasADi cannot trace.
+        """Wrap a function that CasADi cannot trace for a call at `time`.
 
-        Returns the function, or a CasADi Function of it for a symbol, and the time.
+        Returns the function, or for a symbol a CasADi Function of it, and the time.
         """
         if not isinstance(time, (ca.SX, ca.MX)):
             return self.quantity, float(time)
@@ -166,7 +169,7 @@ class OverTime(Value):
 
     @property
     def _shape(self) -> tuple[int, ...]:
-        """Shape of a function's results."""
+        """Shape of the function's results."""
         return np.shape(as_numbers(self.quantity(0.0)))
 
     def interpolate(self: Load, first: float, last: float) -> Load:
@@ -215,7 +218,7 @@ class OverTime(Value):
             check_over_run(self.field, self.quantity, trace(self.at), first, last)
 
     def find_breakpoints(self, first: float, last: float) -> Array:
-        """Find times of a table, or jumps of a function.
+        """Find the times of a table, or the jumps of a function.
 
         Parameters
         ----------
@@ -235,7 +238,7 @@ class OverTime(Value):
         return np.unique(np.concatenate(found))
 
     def changing(self) -> ca.Function | None:
-        """Build the quantity that integration steps must resolve over time.
+        """Build the function of time that the steps must resolve.
 
         It is None for tables, as steps end at their times.
         """

@@ -39,7 +39,10 @@ if TYPE_CHECKING:
 
 
 class Affine(NamedTuple):
-    """Values constant + matrix · p of items."""
+    """Affine function constant + matrix · p of the parameters p.
+
+    Its k values belong to items, such as the k strings.
+    """
 
     constant: Array  # (k,)
     matrix: sp.csr_array  # k×np
@@ -163,7 +166,9 @@ class ParameterLayout(ReadOnlyArrays):
         return p
 
     def item_values(self, name: str, p: Array, constant: Array) -> Array:
-        """Compute the values of the items of a quantity.
+        """Compute the values of a quantity for all items.
+
+        Items are, for example, strings. The values are `constant` if the quantity is no parameter.
 
         Parameters
         ----------
@@ -182,7 +187,7 @@ class ParameterLayout(ReadOnlyArrays):
         return self.quantities[name].numbers(p) if name in self.quantities else constant.copy()
 
     def check(self, p: Array) -> None:
-        """Check that parameters are physically possible.
+        """Check that parameter values are physically possible.
 
         Parameters
         ----------
@@ -231,7 +236,7 @@ EMPTY = ParameterLayout((), (), np.zeros(0), {}, {}, {})
 
 
 class _ParameterBlock(NamedTuple):
-    """Entries of p for one quantity.
+    """Entries of p that belong to one quantity.
 
     The value of items[j] is weights[j] times the entry with this number; other items are constant.
     """
@@ -313,7 +318,7 @@ def _build_block(scene: Any, parameters: Parameters, name: str) -> _ParameterBlo
 def _find_members(
     parameters: Parameters, name: str, labels: list[Any]
 ) -> tuple[list[Indices], list[str]]:
-    """Find the items and name suffix of each entry."""
+    """Find the items, such as strings, and the name of each entry of p."""
     groups, count = dict(parameters.groups).get(name), len(labels)
     if groups == ((),) or labels == [""] or (groups is None and name in parameters.scale):
         return [np.arange(count)], [""]
@@ -326,7 +331,7 @@ def _find_members(
 
 
 def _read_items(scene: Any, parameters: Parameters, name: str) -> tuple[Array, list[Any]]:
-    """Read values and item labels of a quantity."""
+    """Read the values of a quantity, and the labels of its items."""
     part = QUANTITIES[name].part
     source = getattr(scene, part)
     missing = "" if source is not None else f"Scene.{part} is None: give one"
@@ -371,7 +376,10 @@ def _plural(name: str) -> str:
 
 
 def _reject_flat(structure: Any) -> None:
-    """Reject single moments of bodies without thickness, whose moments are not independent."""
+    """Reject single inertia parameters of flat bodies.
+
+    The moments of inertia of bodies without thickness are not independent.
+    """
     inertia = build_inertia(read_values(structure, "body_inertia").reshape(-1, 6))
     for k, moments in enumerate(find_second_moments(inertia)):
         if moments[0] < NEGLIGIBLE * moments.sum():
@@ -382,7 +390,7 @@ def _reject_flat(structure: Any) -> None:
 
 
 def _find_strict(scene: Any, name: str, count: int) -> Any:
-    """Find the items (count,) that must be greater than 0."""
+    """Find which items (count,) must be greater than 0."""
     s = scene.structure
     if name == "node_mass":  # nodes without mass of bars or strings
         bare = ~s.fixed.all(axis=1)

@@ -1,4 +1,4 @@
-"""Parameters: quantities whose values each run can set."""
+"""Parameters: quantities of a scene that can differ between runs."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ Groups = tuple[tuple[str, tuple[tuple[int, ...], ...]], ...]
 
 @dataclass(frozen=True, init=False)
 class Parameters(Value, kind="Parameters"):
-    """Quantities of a scene whose values each run can set.
+    """Quantities of a scene whose values can differ between runs.
 
     They form the parameter vector p of the model. One compiled code is used for all their values.
     Other quantities are constants of the equations. Strings are parent strings, before they are

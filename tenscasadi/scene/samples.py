@@ -1,4 +1,7 @@
-"""Functions of time of a scene: samples for files, interpolants for runs."""
+"""Conversion of functions of time to samples and interpolants.
+
+Files of results contain samples, and runs use interpolants.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ from tenscasadi.util.validate import Array
 def sample_functions(scene: Scene, times: Array) -> tuple[Scene, tuple[str, ...]]:
     """Replace functions of time by samples at times (K,) [s].
 
-    Formulas stay, because files can store them. Returns the scene and the names of the sampled
+    Formulas remain, because files can store them. Returns the scene and the names of the sampled
     fields. Raises ValueError.
     """
     times = np.unique([0.0, *times])
@@ -48,7 +51,7 @@ def sample_functions(scene: Scene, times: Array) -> tuple[Scene, tuple[str, ...]
 
 
 def interpolate_functions(scene: Scene, first: float, last: float) -> Scene:
-    """Interpolate the functions of time of a scene that CasADi cannot trace.
+    """Interpolate a scene's functions of time that CasADi cannot trace.
 
     Parameters
     ----------

@@ -181,9 +181,9 @@ class Scene(Value, Viewable, kind="Scene"):
                 )
 
     def to_fields(self) -> dict[str, Any]:
-        """Return the fields, with string laws by string.
+        """Return the fields as a dictionary, with string laws by string.
 
-        Strings with `Clip()` are left out.
+        Strings with the default law `Clip()` are omitted.
         """
         own = {name: getattr(self, name) for name in self.__dataclass_fields__}
         if isinstance(self.slack, tuple):
@@ -192,12 +192,12 @@ class Scene(Value, Viewable, kind="Scene"):
 
     @cached_property
     def modelled(self) -> Structure:
-        """Modeled structure, whose strings are divided into segments."""
+        """Structure of the model, whose strings are divided into segments."""
         return self.structure.subdivide(self.segments, self.ends, self.fractions)
 
     @cached_property
     def segment_fractions(self) -> tuple[Array, ...]:
-        """Fractions of each string's length that its segments have."""
+        """Segment lengths of each string as fractions of its length."""
         counts = segment_counts(self.segments, len(self.structure.strings))
         shares: tuple[Array, ...] = read_only(
             tuple(segment_shares(count, self.fractions) for count in counts)
@@ -206,12 +206,18 @@ class Scene(Value, Viewable, kind="Scene"):
 
     @cached_property
     def first_strings(self) -> Indices:
-        """One modeled string of each cable and lone string, in their order."""
+        """First modeled string of each cable and of strings in no cable.
+
+        The order is that of the control inputs.
+        """
         return select_first(self.modelled.cable_of)
 
     @property
     def winch_strings(self) -> Indices:
-        """Modeled string (nu,) at the winch of each input: the first one of a cable."""
+        """Index of the modeled string (nu,) at each control input's winch.
+
+        In a cable it is the first string.
+        """
         first = select_first(self.input_of)
         for own in self.modelled.cables:
             first[self.input_of[own[0]]] = own[0]
@@ -219,12 +225,12 @@ class Scene(Value, Viewable, kind="Scene"):
 
     @property
     def input_of(self) -> Indices:
-        """Input (α,) of each modeled string."""
+        """Index of the control input (α,) that acts on each modeled string."""
         return self.structure.cable_of[self.modelled.string_parent]
 
     @property
     def rest_shares(self) -> Array:
-        """Fraction (α,) of each modeled string in its cable's rest length."""
+        """Fraction (α,) of its cable's rest length in each modeled string."""
         s = self.modelled
         shares = s.string_fraction.copy()
         for cable in map(list, s.cables):
@@ -233,9 +239,9 @@ class Scene(Value, Viewable, kind="Scene"):
 
     @cached_property
     def string_laws(self) -> list[tuple[StringLaw, Indices]]:
-        """String laws, each with indices of modeled strings.
+        """String laws, each with the indices of its modeled strings.
 
-        It is empty if forces are commanded.
+        The list is empty if the control prescribes forces.
         """
         count = len(self.modelled.strings)
         if self.commands_forces:
@@ -257,23 +263,26 @@ class Scene(Value, Viewable, kind="Scene"):
 
     @property
     def input_laws(self) -> list[tuple[StringLaw, Indices]]:
-        """String laws, each with indices of its cables and lone strings."""
+        """String laws, each with the indices of its cables.
+
+        Strings that belong to no cable are counted as cables of one string.
+        """
         of = self.modelled.cable_of
         return [(law, np.unique(of[which])) for law, which in self.string_laws]
 
     @property
     def switching_inputs(self) -> Indices:
-        """Indices of cables and lone strings that can go slack."""
+        """Indices of cables, and of strings in no cable, that can go slack."""
         return np.unique(self.modelled.cable_of[self.switching_strings])
 
     @property
     def switching_strings(self) -> Indices:
-        """Indices of the strings of `modelled` with slack events."""
+        """Indices of the modeled strings that can go slack."""
         return self._strings_with("switches")
 
     @property
     def clamped_strings(self) -> Indices:
-        """Indices of the strings of `modelled` with clamped damping.
+        """Indices of the modeled strings with clamped damping.
 
         Damping cannot make their tension negative.
         """
@@ -281,7 +290,7 @@ class Scene(Value, Viewable, kind="Scene"):
 
     @property
     def compression_strings(self) -> Indices:
-        """Indices of the strings of `modelled` that can carry compression."""
+        """Indices of the modeled strings that can carry compression."""
         return self._strings_with("pushes")
 
     pushing_strings = RenamedAttribute("compression_strings")
@@ -298,7 +307,10 @@ class Scene(Value, Viewable, kind="Scene"):
 
     @cached_property
     def locked(self) -> Scene:
-        """Scene of statics without internal states: winches are locked, no string fails."""
+        """Scene for statics, without internal states.
+
+        Winches are locked, and no string fails.
+        """
         control = self.control and self.control.locked
         if control is self.control and self.strength is None:
             return self
@@ -321,19 +333,22 @@ class Scene(Value, Viewable, kind="Scene"):
 
     @cached_property
     def limited_inputs(self) -> Indices:
-        """Inputs, of cables and lone strings, that can break or yield."""
+        """Indices of cables, and of strings in no cable, that can fail.
+
+        They can break or yield.
+        """
         found: Indices = read_only(find_limited(self))
         return found
 
     @property
     def breakable_inputs(self) -> Indices:
-        """Indices of cables and lone strings that can break."""
+        """Indices of cables, and of strings in no cable, that can break."""
         breaks = self.strength is not None and self.strength.breaks
         return self.limited_inputs if breaks else self.limited_inputs[:0]
 
     @property
     def nu(self) -> int:
-        """Size of the control."""
+        """Number of control inputs."""
         return 0 if self.control is None else len(select_first(self.structure.cable_of))
 
     @property
@@ -343,7 +358,7 @@ class Scene(Value, Viewable, kind="Scene"):
 
     @property
     def contact_laws(self) -> tuple[Surface | BarContact, ...]:
-        """Laws of all contacts: grounds, then that of bars."""
+        """Contact laws: those of the grounds, then that of bar contact."""
         return (*self.grounds, *([] if self.bar_contact is None else [self.bar_contact]))
 
     @property

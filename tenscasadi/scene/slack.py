@@ -10,7 +10,7 @@ from tenscasadi.util.validate import as_tuple, instance, node_index
 
 
 def read_slack(given: Any, strings: int) -> StringLaw | tuple[StringLaw, ...]:
-    """Convert the field `slack` to one law or several.
+    """Convert the field `Scene.slack` to one string law or several.
 
     Strings that a mapping does not name have `Clip()`. Raises TypeError or ValueError.
     """

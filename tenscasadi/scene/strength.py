@@ -18,7 +18,7 @@ STATES = INTACT, TIME_INTACT, PLASTIC
 
 
 def list_strengths(scene: Any) -> Array:
-    """List the tensions (α,) of the scene's strings at which they fail [N]."""
+    """Return the tensions at which the scene's strings fail (α,) [N]."""
     strings = len(scene.structure.strings)
     if scene.strength is None:
         return np.full(strings, np.inf)
@@ -26,14 +26,14 @@ def list_strengths(scene: Any) -> Array:
 
 
 def find_limited(scene: Any) -> Indices:
-    """Find the inputs, of cables and lone strings, that can break or yield."""
+    """Find cables, and strings in no cable, that can break or yield."""
     return np.unique(scene.structure.cable_of[np.isfinite(list_strengths(scene))])
 
 
 def limit_tensions(structure: Any, strength: Any) -> Array:
-    """Compute the tensions (m,) of inputs, of cables and lone strings, that plans stay below [N].
+    """Compute tension limits (m,) [N] for plans from the strength.
 
-    They are inf for inputs without a strength.
+    There is one for each cable and each string in no cable. It is inf for those without a strength.
     """
     cable_of = structure.cable_of
     found = np.full(int(cable_of.max(initial=-1)) + 1, np.inf)
@@ -65,19 +65,26 @@ def count_states(scene: Any) -> int:
 
 
 def drop_states(scene: Any, state: Array) -> Array:
-    """Remove the internal states of the strength from a state (nx,)."""
+    """Remove the internal states of string failure from a state (nx,)."""
     end = len(state) - int(scene.has_clock)
     return np.delete(state, np.arange(end - count_states(scene), end))
 
 
 def insert_states(scene: Any, state: Array) -> Array:
-    """Insert the internal states of intact strings into a state (nx,) without them."""
+    """Insert the internal states of intact strings into a state.
+
+    The state is that of a model without strength.
+    """
     end = len(state) - int(scene.has_clock)
     return np.insert(state, end, join_initial(declare_strength(scene)))
 
 
 def spread_states(scene: Any, own: Any, inputs: Indices, default: float) -> Any:
-    """Select the states (m,) of given inputs, a row; `default` for those without a strength."""
+    """Select the failure states (m,) of given cables, as a row.
+
+    Those without a strength have `default`. `inputs` are indices of cables and of strings in no
+    cable.
+    """
     limited = scene.limited_inputs
     place = np.minimum(np.searchsorted(limited, inputs), len(limited) - 1)
     place = np.where(limited[place] == inputs, place, len(limited))
@@ -85,9 +92,10 @@ def spread_states(scene: Any, own: Any, inputs: Indices, default: float) -> Any:
 
 
 def compute_reserves(scene: Any, tension: Any) -> Any:
-    """Compute the least difference (1×m) between strength and tension in each input [N].
+    """Compute the smallest margin (1×m) to failure of each cable [N].
 
-    `tension` (1×α) [N] is that of the modeled strings.
+    It is strength minus tension, also for strings in no cable. `tension` (1×α) [N] is that of the
+    modeled strings.
     """
     strength = list_strengths(scene)[scene.modelled.string_parent]
     left = ca.DM(strength).T - tension

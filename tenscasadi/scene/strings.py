@@ -36,10 +36,11 @@ class ForceDensity(Control, kind="ForceDensity"):
 
 @dataclass(frozen=True)
 class Tension(Control, kind="Tension"):
-    """Control by tensions T [N] of cables and of parent strings that are in no cable.
+    """Control by tensions T [N] of cables and single strings.
 
-    Strings then have neither stiffness nor damping nor slack. In a cable with friction, T is the
-    tension of its first string.
+    There is one input for each cable and each string that is not part of a cable. Strings then have
+    neither stiffness nor damping nor slack. In a cable with friction, T is the tension of its first
+    string.
 
     Examples
     --------
@@ -57,12 +58,12 @@ class Tension(Control, kind="Tension"):
     commands_forces: ClassVar[bool] = True
 
     def initial_inputs(self, rest: Array, tension: Array) -> Array:
-        """Return the tensions.
+        """Return the initial tensions [N].
 
         Parameters
         ----------
         rest, tension : ndarray, shape (nu,)
-            Initial rest lengths [m] and tensions [N] of cables and lone strings.
+            Initial rest lengths [m] and tensions [N] of cables and strings in no cable.
 
         Returns
         -------
@@ -74,10 +75,10 @@ class Tension(Control, kind="Tension"):
 
 @dataclass(frozen=True)
 class RestLength(Control, kind="RestLength"):
-    """Control by rest lengths ρ [m] of cables and of parent strings that are in no cable.
+    """Control by rest lengths ρ [m] of cables and single strings.
 
-    Rest lengths are greater than 0. The string law (`Clip`, `Smooth` or `Linear`) converts them to
-    force densities.
+    There is one input for each cable and each string that is not part of a cable. Rest lengths are
+    greater than 0. The string law (`Clip`, `Smooth` or `Linear`) converts them to force densities.
 
     Examples
     --------
@@ -94,12 +95,12 @@ class RestLength(Control, kind="RestLength"):
     sets_rest_lengths: ClassVar[bool] = True
 
     def initial_inputs(self, rest: Array, tension: Array) -> Array:
-        """Return the rest lengths.
+        """Return the initial rest lengths [m].
 
         Parameters
         ----------
         rest, tension : ndarray, shape (nu,)
-            Initial rest lengths [m] and tensions [N] of cables and lone strings.
+            Initial rest lengths [m] and tensions [N] of cables and strings in no cable.
 
         Returns
         -------
@@ -110,7 +111,7 @@ class RestLength(Control, kind="RestLength"):
 
 
 class StringLaw(Value):
-    """Law of force density and energy of a string."""
+    """Base class of laws of force density and elastic energy of strings."""
 
     switches: ClassVar[bool]  # between taut and slack, as an event
     pushes: ClassVar[bool]  # compression-capable
@@ -123,11 +124,11 @@ class StringLaw(Value):
     def force_density(
         self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any, taut: Any = None
     ) -> Any:
-        """Build the force densities, see `Clip.force_density`."""
+        """Build the force densities of strings, see `Clip.force_density`."""
         raise NotImplementedError
 
     def energy(self, squared: Any, rest: Any, stiffness: Any, unit: Any) -> Any:
-        """Build the elastic energy, see `Clip.energy`."""
+        """Build the elastic energy of strings, see `Clip.energy`."""
         raise NotImplementedError
 
 
@@ -174,7 +175,8 @@ class Clip(StringLaw, kind="Clip"):
     ) -> Any:
         """Build the force densities of strings (Eq. 99).
 
-        They are γ = k (s − ρ)/s + c sᵀṡ/s² of taut strings, and 0 of slack ones.
+        They are γ = k (s − ρ)/s + c sᵀṡ/s² of taut strings, and 0 of slack ones, for length s, rest
+        length ρ, stiffness k and damping c.
 
         Parameters
         ----------
@@ -286,7 +288,7 @@ class Smooth(StringLaw, kind="Smooth"):
     def force_density(
         self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any, taut: Any = None
     ) -> Any:
-        """Build the force densities t/s with the smooth tension t.
+        """Build the force densities t/s with the smoothed tension t.
 
         Parameters
         ----------
@@ -364,9 +366,9 @@ class Linear(StringLaw, kind="Linear"):
     def force_density(
         self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any, taut: Any = None
     ) -> Any:
-        """Build the force densities of strings.
+        """Build the force densities of linear springs and dampers.
 
-        They are γ = k (s − ρ)/s + c sᵀṡ/s².
+        They are γ = k (s − ρ)/s + c sᵀṡ/s² for length s, rest length ρ, stiffness k and damping c.
 
         Parameters
         ----------
@@ -394,7 +396,7 @@ class Linear(StringLaw, kind="Linear"):
         return gamma if rate is None else gamma + rate / safe
 
     def energy(self, squared: Any, rest: Any, stiffness: Any, unit: Any) -> Any:
-        """Build the elastic energy ½ k (s − ρ)².
+        """Build the elastic energy ½ k (s − ρ)² of strings.
 
         Parameters
         ----------
@@ -417,9 +419,9 @@ class Linear(StringLaw, kind="Linear"):
 
 
 def rest_length(force_density: Array, length: Array, stiffness: Array) -> Array:
-    """Compute the rest lengths of force densities (Eq. 99).
+    """Compute rest lengths ρ = s (1 − γ/k) (Eq. 99) [m].
 
-    They are ρ = s (1 − γ/k).
+    Strings have lengths s, force densities γ and stiffness k.
 
     Parameters
     ----------

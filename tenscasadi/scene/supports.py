@@ -105,7 +105,7 @@ class SupportMotion(Value, kind="SupportMotion"):
 
     @property
     def nodes(self) -> list[int]:
-        """The moved nodes."""
+        """Indices of the nodes with prescribed motion."""
         return list(self.positions)
 
     def check(self, structure: Structure) -> None:
@@ -149,7 +149,7 @@ class SupportMotion(Value, kind="SupportMotion"):
 
     @property
     def _python_functions(self) -> dict[int, Any]:
-        """Calls of the functions that CasADi cannot trace, by node."""
+        """Wrapped functions that CasADi cannot trace, by node."""
 
         def build() -> dict[int, Any]:
             names = {node: f"SupportMotion.positions[{node}]" for node in self.positions}
@@ -203,7 +203,7 @@ class SupportMotion(Value, kind="SupportMotion"):
         return replace(self, positions=positions)
 
     def check_run(self, first: float, last: float) -> None:
-        """Check the motion over a run.
+        """Check the prescribed motion over a run.
 
         Parameters
         ----------
@@ -243,7 +243,7 @@ class SupportMotion(Value, kind="SupportMotion"):
                         )
 
     def check_bodies(self, structure: Structure, first: float, last: float) -> None:
-        """Check that the supports of each body keep their distances over a run.
+        """Check that support motions keep bodies rigid over a run.
 
         Parameters
         ----------
@@ -291,7 +291,7 @@ class SupportMotion(Value, kind="SupportMotion"):
         return np.unique(np.concatenate(found))
 
     def changing(self) -> ca.Function:
-        """Build the quantity that integration steps must resolve over time.
+        """Build the function of time that the steps must resolve.
 
         Returns
         -------

@@ -117,7 +117,7 @@ class Terrain(ReadOnlyArrays, Surface, kind="Terrain"):
             )
 
     def _count_points(self, length: float) -> int:
-        """Count the equally spaced points on a bar of a length [m]."""
+        """Return the number of contact points on a bar of a length [m]."""
         # Each point is computed in each step, and terrain is mostly smooth over 1 % of a bar.
         return self.bar_points or int(np.ceil(min(2 * length / self.spacing.min(), 100.0))) + 1
 
@@ -127,7 +127,9 @@ class Terrain(ReadOnlyArrays, Surface, kind="Terrain"):
         return np.asarray(np.subtract(self.upper, self.lower) / np.subtract(self.heights.shape, 1))
 
     def contact(self, N: Any) -> Contact:
-        """Compute penetration depths and their negative gradients.
+        """Compute penetration depths and force directions of nodes (3×n).
+
+        The directions are the negative gradients of the depths.
 
         Parameters
         ----------
@@ -163,7 +165,7 @@ class Terrain(ReadOnlyArrays, Surface, kind="Terrain"):
 
     @cached_property
     def _corners(self) -> ca.Function:
-        """Function that looks up heights and cosines at corners.
+        """Function that returns heights and slope cosines at cell corners.
 
         The input is the number of a cell. The result is (8,): heights, then cosines of the slope,
         in the order 00, 10, 01, 11. The grid is extended by a cell on each side.

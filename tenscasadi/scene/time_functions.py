@@ -1,4 +1,4 @@
-"""User-defined functions of time, as CasADi expressions with checks."""
+"""Checks of user-defined functions of time, and their CasADi expressions."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ CURE = "write it with NumPy's or CasADi's mathematics, without math, float() and
 
 
 def express(field: str, function: Callable[[Any], Any], time: Any) -> Any:
-    """Evaluate a user's function at a CasADi time.
+    """Evaluate a user's function of time at a CasADi symbol.
 
     The function can return a matrix, a vector or a sequence of rows. Raises ValueError naming
     `field`.
@@ -77,7 +77,7 @@ def as_numbers(value: Any) -> Any:
 def check_over_run(
     field: str, function: Callable[[Any], Any], traced: ca.Function, first: float, last: float
 ) -> None:
-    """Check values and tracing of a function of time.
+    """Check the values of a function of time, and its tracing.
 
     `math` and `float` convert a CasADi time to a constant. A comparison of numbers and symbols
     finds that.
@@ -133,7 +133,7 @@ def is_same(number: Array, value: Array) -> bool:
 
 
 def values_at(traced: ca.Function, times: Array, output: int = 0) -> Array:
-    """Evaluate an output of a function at times (K,).
+    """Evaluate one output of a CasADi Function at times (K,).
 
     The result is (K, entries).
     """

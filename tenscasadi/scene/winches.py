@@ -1,4 +1,4 @@
-"""Winches: rest lengths that change over time by winding speeds."""
+"""Winches: rest lengths as states, driven by rates or motor torques."""
 
 from __future__ import annotations
 
@@ -22,10 +22,11 @@ from tenscasadi.util.validate import (
 
 @dataclass(frozen=True)
 class RestLengthRate(Control, kind="RestLengthRate"):
-    """Control by rest-length rates [m/s] of cables and of parent strings that are in no cable.
+    """Control by rest-length rates [m/s] of cables and single strings.
 
-    Rest lengths are internal states, which begin at those of the structure. A negative rate shortens
-    the string. The initial control is zero.
+    There is one input for each cable and each string that is not part of a cable. Rest lengths are
+    internal states, which begin at those of the structure. A negative rate shortens the string. The
+    initial control is zero.
 
     Notes
     -----
@@ -53,7 +54,7 @@ class RestLengthRate(Control, kind="RestLengthRate"):
 
     @property
     def locked(self) -> Control:
-        """Control by the rest lengths."""
+        """Control for statics, by rest lengths."""
         return RestLength()
 
     def initial_inputs(self, rest: Array, tension: Array) -> Array:
@@ -72,7 +73,7 @@ class RestLengthRate(Control, kind="RestLengthRate"):
         return np.zeros(len(rest))
 
     def internal_states(self, rest: Array) -> tuple[InternalStates, ...]:
-        """Declare the rest lengths.
+        """Return the rest lengths as internal states.
 
         Parameters
         ----------
@@ -87,7 +88,7 @@ class RestLengthRate(Control, kind="RestLengthRate"):
         return (InternalStates("rest length", "m", rest, rest, 0.0),)
 
     def command(self, u: Any, internal: Any) -> Any:
-        """Select the rest lengths.
+        """Return the rest lengths, which are the internal states.
 
         Parameters
         ----------
@@ -125,7 +126,9 @@ class RestLengthRate(Control, kind="RestLengthRate"):
     def follow(
         self, rest: Array, tension: Array, interval: Any, limits: tuple[Array, Array]
     ) -> tuple[Array, Array]:
-        """Compute rest lengths and rates within the limits.
+        """Compute rates, within limits, for desired rest lengths.
+
+        Also returns the resulting rest lengths.
 
         Parameters
         ----------
@@ -153,11 +156,11 @@ class RestLengthRate(Control, kind="RestLengthRate"):
 
 @dataclass(frozen=True, eq=False)
 class Winch(Control, kind="Winch"):
-    """Control by motor torques of winches [N·m].
+    """Control by motor torques [N·m] of winches.
 
-    There is a winch for each cable and each string in no cable. Rest lengths ρ and winding speeds ω
-    are internal states. They begin at the rest lengths of the structure, at rest. A positive speed
-    shortens the string. The initial control holds the drums.
+    There is a winch for each cable and each string in no cable. Rest lengths ρ and angular speeds ω
+    of the drums are internal states. They begin at the rest lengths of the structure, at rest. A
+    positive speed shortens the string. The initial control keeps the drums at rest.
 
     Parameters
     ----------
@@ -210,11 +213,11 @@ class Winch(Control, kind="Winch"):
 
     @property
     def locked(self) -> Control:
-        """Control by the rest lengths."""
+        """Control for statics, by rest lengths."""
         return RestLength()
 
     def check(self, count: int) -> None:
-        """Check that the values fit `count` inputs.
+        """Check that the fields have values for `count` winches.
 
         Parameters
         ----------
@@ -232,7 +235,9 @@ class Winch(Control, kind="Winch"):
         self.limits("speed", count)
 
     def limits(self, name: str, count: int) -> Array:
-        """Compute the largest torques or speeds (count,), inf if there are none.
+        """Return the limits (count,) of torques or speeds.
+
+        They are inf if there are none.
 
         Parameters
         ----------
@@ -258,7 +263,7 @@ class Winch(Control, kind="Winch"):
         return np.broadcast_to(array, (count,))
 
     def initial_inputs(self, rest: Array, tension: Array) -> Array:
-        """Compute the torques that hold the tensions.
+        """Compute the torques [N·m] that balance the tensions.
 
         Parameters
         ----------
@@ -273,7 +278,7 @@ class Winch(Control, kind="Winch"):
         return np.asarray(self._values("radius", len(rest)) * tension)
 
     def internal_states(self, rest: Array) -> tuple[InternalStates, ...]:
-        """Declare rest lengths and winding speeds.
+        """Return rest lengths and drum speeds as internal states.
 
         Parameters
         ----------
@@ -292,7 +297,7 @@ class Winch(Control, kind="Winch"):
         )
 
     def command(self, u: Any, internal: Any) -> Any:
-        """Select the rest lengths.
+        """Return the rest lengths from the internal states.
 
         Parameters
         ----------
@@ -309,7 +314,7 @@ class Winch(Control, kind="Winch"):
         return internal[: u.shape[0]]
 
     def internal_rates(self, u: Any, internal: Any, tension: Any) -> Any:
-        """Build the rates of rest lengths and winding speeds.
+        """Build the rates of rest lengths and drum speeds.
 
         Parameters
         ----------
@@ -335,7 +340,9 @@ class Winch(Control, kind="Winch"):
     def follow(
         self, rest: Array, tension: Array, interval: Any, limits: tuple[Array, Array]
     ) -> tuple[Array, Array]:
-        """Compute rest lengths, winding speeds and torques within the limits.
+        """Compute torques, within limits, for desired rest lengths.
+
+        Also returns the resulting rest lengths and drum speeds.
 
         Parameters
         ----------

@@ -27,7 +27,7 @@ from tenscasadi.util.validate import (
 )
 
 T = TypeVar("T")
-# members: strings, then bars; inputs: cables and lone strings
+# members: strings, then bars; inputs: cables and strings in no cable
 ItemKind = Literal["node", "bar", "string", "member", "input"]
 
 
@@ -88,7 +88,7 @@ class Names:
     named: Mapping[ItemKind, Mapping[str, Sequence[int]]] = field(default_factory=dict)
 
     def add_inputs(self, cable_of: Indices) -> Names:
-        """Add the inputs, of cables and lone strings, by the names of their strings."""
+        """Add the inputs (cables and strings in no cable), by the names of their strings."""
         inputs = cable_of.tolist()
         own = {
             name: sorted({inputs[string] for string in strings})

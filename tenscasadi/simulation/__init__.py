@@ -1,1 +1,1 @@
-"""Simulation of a model to a trajectory with errors."""
+"""Simulation of models, with estimates of numerical errors."""

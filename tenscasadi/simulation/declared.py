@@ -1,4 +1,4 @@
-"""Declared simulations: scene, start and integration options."""
+"""Simulations as data: scene, initial state and options."""
 
 from __future__ import annotations
 
@@ -172,9 +172,9 @@ class Simulation:
         return np.array(state)
 
     def check(self) -> None:
-        """Build the model and check the values against it.
+        """Check initial state, control and parameters against the model.
 
-        Raises TypeError or ValueError unless start, control and parameters fit the model.
+        Raises TypeError or ValueError.
         """
         if len(self.start) != self.model.nx:
             raise ValueError(
@@ -197,7 +197,7 @@ class Simulation:
             )
 
     def run(self, progress: bool = False, compiled: Compiled = None) -> Trajectory:
-        """Simulate.
+        """Simulate the scene with the stored options.
 
         Parameters
         ----------
@@ -232,7 +232,7 @@ class Simulation:
         )
 
     def _rows(self, name: str) -> Array:
-        """Select positions or velocities of given or modeled nodes."""
+        """Read positions or velocities of all nodes."""
         rows = finite_array(f"Simulation.{name}", getattr(self, name), (None, 3))
         counts = {len(self.scene.structure.nodes), len(self.scene.modelled.nodes)}
         if len(rows) not in counts:
@@ -242,9 +242,9 @@ class Simulation:
         return rows
 
     def _interpolate_rows(self, rows: Array) -> Array:
-        """Interpolate rows for all modeled nodes.
+        """Interpolate positions or velocities of nodes inside strings.
 
-        Inner nodes of subdivided strings are interpolated linearly between the ends of the string.
+        They are linear between the ends of a string that is divided into segments.
         """
         structure = self.scene.structure
         if len(rows) == len(self.scene.modelled.nodes):

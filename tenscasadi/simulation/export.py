@@ -123,7 +123,10 @@ def export_c(
 
 
 def _check_functions(model: Model, t_end: float) -> Model:
-    """Check functions of time up to `t_end`, and interpolate those that CasADi cannot trace."""
+    """Check functions of time up to `t_end`.
+
+    Those that CasADi cannot trace are replaced by interpolants.
+    """
     found = model.interpolate_functions(0.0, t_end)
     for part in found.over_time:
         part.check_run(0.0, t_end)
@@ -131,7 +134,7 @@ def _check_functions(model: Model, t_end: float) -> Model:
 
 
 def _jacobian(model: Model) -> ca.Function:
-    """Write dense derivatives in C.
+    """Write the Jacobian of the equations of motion in C.
 
     A loop over the directions evaluates one directional derivative, so that code and compile time
     stay small.

@@ -1,4 +1,4 @@
-"""Results of rollouts, with errors, in .npz files."""
+"""Results of rollouts (batches of runs), with errors, in .npz files."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from tenscasadi.util.viewable import Viewable
 
 @dataclass(frozen=True, eq=False)
 class Rollouts(Viewable, SceneResult, form="tenscasadi rollouts 1", title="file of rollouts"):
-    """Rollouts of one model at T saved times.
+    """Results of a batch of n runs (rollouts) of one model.
 
-    `rollouts` returns n of them. All arrays are read-only.
+    `rollouts` returns them at T saved times. All arrays are read-only.
 
     Attributes
     ----------
@@ -146,7 +146,7 @@ class Rollouts(Viewable, SceneResult, form="tenscasadi rollouts 1", title="file 
 
     @property
     def breaks(self) -> list[tuple[StringBreak, ...]]:
-        """Strings and cables that break in each run, in the order of time; see `Breaking`."""
+        """Strings and cables that break in each run, by time; see `Breaking`."""
         if self.scene is None:
             return [()] * len(self.states)
         good: Any = np.isfinite(self.states).all(axis=2)
@@ -156,7 +156,7 @@ class Rollouts(Viewable, SceneResult, form="tenscasadi rollouts 1", title="file 
 
     @property
     def yields(self) -> list[tuple[StringYield, ...]]:
-        """Strings and cables that yield in each run, in the order of time; see `Yielding`."""
+        """Strings and cables that yield in each run, by time; see `Yielding`."""
         if self.scene is None:
             return [()] * len(self.states)
         good: Any = np.isfinite(self.states).all(axis=2)

@@ -148,7 +148,7 @@ def rollouts(  # noqa: PLR0913  the options of a batch
 
 
 def _record(model: Model, runs: Runs, verify: bool) -> Rollouts:
-    """Convert runs to rollouts with their verdicts."""
+    """Convert computed runs to rollouts with acceptance tests."""
     request, rolled = runs.request, runs.rolled
     grid, steps = request.inputs.grid, request.inputs.grid.steps
     saved = np.append(np.arange(0, steps, request.every), steps)
@@ -194,7 +194,10 @@ def _record(model: Model, runs: Runs, verify: bool) -> Rollouts:
 
 
 def _find_weights(mech: Mechanism) -> Array:
-    """Find dependent nodes with their independent nodes and weights (w, 3)."""
+    """Find nodes that are affine combinations of others, with weights.
+
+    The result (w, 3) has the dependent node, an independent node, and its weight in each row.
+    """
     if mech.spread is None:
         return np.zeros((0, 3))
     weights = mech.spread.tocoo()
@@ -203,10 +206,10 @@ def _find_weights(mech: Mechanism) -> Array:
 
 
 def _find_places(model: Model, clock: Array) -> tuple[Any, Array]:
-    """Find the state entries and prescribed values of node coordinates.
+    """Find where each node coordinate is in the state.
 
     `clock` (T,) contains the times of the rows [s]. Entries (N, 3) are -1 for coordinates that are
-    not in the state. Prescribed coordinates (T, N, 3) are NaN for those in the state.
+    not in the state. Also returns the prescribed coordinates (T, N, 3), NaN for those in the state.
     """
     place = model.entries
     probes = np.zeros((len(clock), model.nx))

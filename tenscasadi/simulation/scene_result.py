@@ -22,7 +22,7 @@ Own = TypeVar("Own", bound="SceneResult")
 
 
 class SceneResult(Stored):
-    """Base class of results with a scene.
+    """Base class of results that contain their scene.
 
     Files contain its functions of time as samples.
 

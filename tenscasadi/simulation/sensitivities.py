@@ -1,6 +1,6 @@
-"""Exact derivatives of the outputs of a run.
+"""Exact derivatives of a run's outputs.
 
-They are taken with respect to the start, the control or the parameters.
+They are taken with respect to the initial state, the control or the parameters.
 """
 
 from __future__ import annotations
@@ -254,7 +254,10 @@ def _prepare_pass(
     over: str,
     by: str,
 ) -> tuple[PassSetup, ca.Function]:
-    """Prepare the derivatives of a run, and the output with the schedule of its control."""
+    """Prepare a run's derivatives, and the output function.
+
+    The output includes a control that is a function of time.
+    """
     inputs = read_inputs(
         model,
         request.t_end,
@@ -279,7 +282,7 @@ def _prepare_pass(
 
 
 class _RunArguments(NamedTuple):
-    """Arguments of the run.
+    """Arguments of the run that is differentiated.
 
     `last` is the final state of a given trajectory, else None.
     """
@@ -394,7 +397,7 @@ def _read_output(model: Model, output: Any) -> ca.Function:
 
 
 def _owners(control: Any, inputs: RunInputs) -> Indices:
-    """Find the control interval of each step.
+    """Find the control interval to which each step belongs.
 
     The interval is that of a table or a profile, or the step itself.
     """
@@ -469,9 +472,9 @@ def _differentiate(
 def _loop(
     task: PassSetup, forward: bool, width: int, compiled: bool | None
 ) -> tuple[ca.Function, bool, str]:
-    """Build the Function of a pass, cached by the model.
+    """Build the Function of a tangent or adjoint pass.
 
-    Also returns whether it is machine code, and the reason if not.
+    The model caches it. Also returns whether it is machine code, and the reason if not.
     """
     steps, held = task.steps, task.entries is None
     known, key = steps.model.functions, ("derivatives", *steps[1:], forward, width, held, compiled)

@@ -205,7 +205,7 @@ def check_options(
 
 
 def record_run(model: Model, runs: Runs, verdict: Verdict) -> Trajectory:
-    """Convert a run to a trajectory with its verdict."""
+    """Convert a computed run to a trajectory with its acceptance test."""
     request, rolled, steps = runs.request, runs.rolled, runs.saved_steps(0)
     inputs, scheme, count = request.inputs, request.scheme, len(steps)
     given, model = model, inputs.base

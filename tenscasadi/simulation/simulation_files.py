@@ -1,4 +1,4 @@
-"""Simulations in scene files: sections [start] and [simulation]."""
+"""Simulations in scene files: tables [start] and [simulation]."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _ROWS = for_items("node", VECTOR, POINTS)
 
 @dataclass(frozen=True)
 class StartSection:
-    """Initial positions and velocities.
+    """Initial positions and velocities in a scene file.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class StartSection:
                 raise ValueError(f"{name} is given beside state, which defines it, too: {cure}")
 
     def options(self, scene: Scene) -> dict[str, Any]:
-        """Convert to the fields of `Simulation`."""
+        """Convert the table to the fields of `Simulation`."""
         rest = scene.structure.nodes
         nodes = _fill_rows(self.nodes, rest)
         velocities = _fill_rows(self.velocities, np.zeros_like(rest))
@@ -134,7 +134,7 @@ def load_simulation(path: FilePath) -> Simulation:
 
 
 def read_simulation(document: Document, scene: Scene) -> Simulation:
-    """Read [start] and [simulation].
+    """Read the tables [start] and [simulation] of a scene file.
 
     Raises SceneFileError.
     """
@@ -160,7 +160,7 @@ def read_simulation(document: Document, scene: Scene) -> Simulation:
 
 @write_tables.register
 def write_simulation(simulation: Simulation) -> dict[str, Any]:
-    """Write the sections of a simulation.
+    """Convert a simulation to the tables of a scene file.
 
     Raises NotWritten.
     """

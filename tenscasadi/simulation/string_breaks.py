@@ -1,4 +1,4 @@
-"""Strings that break or yield in a run, found in its states."""
+"""Strings that break or yield during a run."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class StringBreak(NamedTuple):
     time : float
         Time of the break since the start of the run [s].
     force : float
-        Its strength [N], the least one in a cable.
+        Strength of the string, or the smallest one in the cable [N].
     """
 
     member: str
@@ -51,7 +51,7 @@ class StringYield(NamedTuple):
     time : float
         Time of the last saved row before it yields [s].
     force : float
-        Force at which it yields [N], the least one in a cable.
+        Force at which it yields [N]; in a cable, the smallest one of its strings.
     elongation : float
         Plastic elongation during the run [m].
     """
@@ -68,7 +68,7 @@ class StringYield(NamedTuple):
 
 
 def find_breaks(scene: Scene, states: Array) -> tuple[StringBreak, ...]:
-    """Find the strings that break in a run.
+    """Find the strings that break, from the states of a run.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def find_breaks(scene: Scene, states: Array) -> tuple[StringBreak, ...]:
 
 
 def find_yields(scene: Scene, time: Array, states: Array) -> tuple[StringYield, ...]:
-    """Find the strings that yield in a run.
+    """Find the strings that yield, from the states of a run.
 
     Parameters
     ----------
@@ -134,7 +134,10 @@ def find_yields(scene: Scene, time: Array, states: Array) -> tuple[StringYield, 
 
 
 def hide_broken(scene: Scene | None, states: Array, values: Array) -> Array:
-    """Replace values (T, α) of broken strings by NaN, at states (T, nx)."""
+    """Replace values (T, α) of broken strings by NaN.
+
+    The states of the run are (T, nx).
+    """
     if scene is None or not len(scene.breakable_inputs):
         return values
     inputs = int(scene.structure.cable_of.max()) + 1
@@ -144,15 +147,19 @@ def hide_broken(scene: Scene | None, states: Array, values: Array) -> Array:
 
 
 def _select_states(scene: Scene, states: Array) -> tuple[Array, Array]:
-    """Select the internal states (T, m) of the strength: 1 if intact, and times [s]."""
+    """Select the states (T, m) that record intact strings.
+
+    The first ones are 1 if intact, the second ones the times for which they have been intact [s].
+    """
     count, end = len(scene.breakable_inputs), states.shape[1] - int(scene.has_clock)
     return states[:, end - 2 * count : end - count], states[:, end - count : end]
 
 
 def describe_failures(scene: Scene, time: Array, states: Array) -> str:
-    """Describe the first string that breaks or yields, and count the others; "" if there is none.
+    """Describe the first string that breaks or yields.
 
-    `time` (T,) [s] and `states` (T, nx) are those of a run.
+    The text also counts the others; it is "" if there are none. `time` (T,) [s] and `states` (T,
+    nx) are those of a run.
     """
     found = [*find_breaks(scene, states), *find_yields(scene, time, states)]
     if not found:

@@ -1,7 +1,4 @@
-"""Time loop with tangents and adjoints as CasADi Functions.
-
-A call takes many steps.
-"""
+"""Tangent and adjoint recursions of many steps, as CasADi Functions."""
 
 from __future__ import annotations
 
@@ -21,9 +18,9 @@ CHUNK = 256  # steps per call, between saved states
 
 
 class TangentSteps(NamedTuple):
-    """Steps to differentiate.
+    """Model, scheme and correction of the steps to differentiate.
 
-    With `running` (x, w) → (1), the last entry of z is its integral over time.
+    With a Function `running` (x, w) → (1), the last entry of z is its integral over time.
     """
 
     model: Model
@@ -33,7 +30,7 @@ class TangentSteps(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Number of entries of z."""
+        """Number of entries of z, the state and a running integral."""
         return self.model.nx + (self.running is not None)
 
 
@@ -49,7 +46,7 @@ def choose_width(model: Model, directions: int) -> int:
 
 
 def tangent_function(steps: TangentSteps, width: int, held: bool) -> ca.Function:
-    """Build CHUNK steps with `width` tangents.
+    """Build CHUNK steps of a run with `width` tangents.
 
     Function "tangent" (y, v (·, CHUNK), grid (2, CHUNK)) → final y. The state y = [z; vec S]
     contains the tangents S (nz, width). The input is v = [w], or [w; vec W] with the tangents W
@@ -79,11 +76,12 @@ def tangent_function(steps: TangentSteps, width: int, held: bool) -> ca.Function
 
 
 def gradient_function(steps: TangentSteps, width: int) -> ca.Function:
-    """Build the adjoint of CHUNK steps with `width` gradients.
+    """Build the adjoint of CHUNK steps of a run, for `width` outputs.
 
     Function "gradient" (z, vec L, w (nw, CHUNK), grid (2, CHUNK)) → final z, initial vec L,
-    gradients (nw · width, CHUNK) by w. L (nz, width) holds gradients by the final z, then by the
-    initial one. See `tangent_function` for the grid. The states in between are computed again.
+    gradients (nw · width, CHUNK) with respect to w. L (nz, width) holds gradients with respect to
+    the final z, then to the initial one. See `tangent_function` for the grid. The states in between
+    are computed again.
     """
     nz, nw = steps.size, steps.model.nw
     one = _step(steps)
@@ -116,7 +114,7 @@ def _reverse(columns: Any) -> Any:
 
 
 def _step(steps: TangentSteps) -> ca.Function:
-    """Build one step: Function (z, w, grid (2)) → z_next."""
+    """Build one step with correction: Function (z, w, grid (2)) → z_next."""
     z, w, grid = ca.MX.sym("z", steps.size), ca.MX.sym("w", steps.model.nw), ca.MX.sym("grid", 2)
     follow = _build_correction(steps)
     end = _plain(steps)(z, w, grid[0])
@@ -136,7 +134,7 @@ def _plain(steps: TangentSteps) -> ca.Function:
 
 
 def _build_correction(steps: TangentSteps) -> ca.Function | None:
-    """Build the correction after a step.
+    """Build the constraint correction after a step.
 
     Function (z, w, flag) → z, corrected for flag > 0. None without constraints or correction.
     """
@@ -160,7 +158,7 @@ def _build_correction(steps: TangentSteps) -> ca.Function | None:
 def _push_tangents(
     function: ca.Function, inputs: list[Any], tangents: list[Any]
 ) -> tuple[Any, Any]:
-    """Build a Function's value and its tangents."""
+    """Build a Function's value and the tangents of its result."""
     value = function(*inputs)
     return value, function.forward(tangents[0].shape[1])(*inputs, value, *tangents)
 

@@ -1,6 +1,6 @@
 """Tangent and adjoint passes over a run.
 
-Tangents of inputs go forward, gradients of outputs backward.
+Tangents of inputs are propagated forward, gradients of outputs backward.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from tenscasadi.util.validate import Array, Indices
 
 
 class PassSetup(NamedTuple):
-    """Derivatives to compute over a run.
+    """Run and inputs of a tangent or adjoint pass.
 
     `states` (C, nx) are CHUNK steps apart. `entries` selects the entries of w in each interval;
     `owner` (steps,) is the interval of each step. None selects the initial state.
@@ -40,10 +40,10 @@ class PassSetup(NamedTuple):
 
 
 class PassResult(NamedTuple):
-    """Derivatives and checks of a pass.
+    """Derivatives from a pass, with a check of its states.
 
     `integral` is the time integral of a running output. `apart` is the largest difference between
-    the final state of a chunk and the run.
+    the states that the pass recomputes and those of the run.
     """
 
     jacobian: Array
@@ -52,7 +52,7 @@ class PassResult(NamedTuple):
 
 
 class _Chunk(NamedTuple):
-    """Chunk of a run.
+    """CHUNK successive steps of a run.
 
     It has the initial z, the inputs w (CHUNK, nw), the lengths and correction flags of the steps
     (CHUNK, 2), and their intervals (≤ CHUNK,).
@@ -83,9 +83,9 @@ def _chunk(task: PassSetup, number: int) -> _Chunk:
 
 
 def run_forward(task: PassSetup, tangent: ArrayFunction, width: int, by_z: Array) -> PassResult:
-    """Propagate tangents of the inputs, `width` at a time.
+    """Propagate tangents of the inputs forward, `width` at a time.
 
-    Each starts with the chunk where its input begins to act.
+    Each starts with the chunk of steps where its input begins to act.
     """
     nz, columns = task.steps.size, int(np.prod(task.shape))
     jacobian, found = np.zeros((len(by_z), columns)), PassResult(np.zeros(0), 0.0, 0.0)
@@ -132,7 +132,7 @@ def run_adjoint(task: PassSetup, gradient: ArrayFunction, width: int, by_z: Arra
 
 
 def _with_tangents(task: PassSetup, chunk: _Chunk, inputs: Indices, width: int) -> Array:
-    """Append tangents to the inputs w of a chunk.
+    """Append tangents to the inputs w of a chunk of steps.
 
     The result is (CHUNK, ·). A tangent is 1 in the entry of its input during its interval.
     """
@@ -146,9 +146,9 @@ def _with_tangents(task: PassSetup, chunk: _Chunk, inputs: Indices, width: int) 
 
 
 def _follow(task: PassSetup, number: int, end: Array, found: PassResult) -> PassResult:
-    """Add a chunk to the result.
+    """Add the integral of a chunk of steps, and compare its final state.
 
-    Accumulates the integral and compares the final state with that of the run.
+    The comparison is with the final state in the run.
     """
     nx = task.steps.model.nx
     apart = float(np.abs(end[:nx] - task.states[number + 1]).max(initial=0.0))

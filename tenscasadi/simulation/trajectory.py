@@ -177,7 +177,10 @@ class Trajectory(
 
     @property
     def breaks(self) -> tuple[StringBreak, ...]:
-        """Strings and cables that break, in the order of time; see `Breaking`."""
+        """Strings and cables that break, in the order of time.
+
+        See `Breaking`.
+        """
         return () if self.scene is None else find_breaks(self.scene, self.states)
 
     @property
@@ -318,7 +321,7 @@ def observe_states(model: Model, states: Array, controls: Array) -> dict[str, Ar
 
 
 def name_measures(model: Model, states: Array, measures: Array) -> dict[str, Array]:
-    """Name the columns that a kernel measures.
+    """Convert the time loop's columns of errors and energies to a dictionary.
 
     `measures` (T, 5 + 2α) give the result of `observe_states` at states (T, nx).
     """
@@ -343,7 +346,7 @@ def record_trajectory(
     observed: dict[str, Array] | None = None,
     **others: Any,
 ) -> Trajectory:
-    """Compute a trajectory from states and controls.
+    """Build a trajectory, with forces and energies, from states.
 
     The states are (T, nx) at `time` (T,). The controls (T, nw) are followed by the parameters.
     `observed` is the result of `observe_states`, if it is known. Other fields of `Trajectory` may

@@ -58,7 +58,7 @@ def self_stress(structure: Structure) -> Array:
 def mechanisms(structure: Structure) -> Array:
     """Compute a basis of the infinitesimal mechanisms.
 
-    No bar, cable or lone string lengthens to first order, rigid or elastic. Supports do not move. Rigid-body motions
+    No bar, cable or string in no cable lengthens to first order, rigid or elastic. Supports do not move. Rigid-body motions
     that the supports allow are left out.
 
     Parameters

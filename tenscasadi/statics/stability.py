@@ -97,7 +97,7 @@ class Stability(ReadOnlyArrays):
     def mechanisms(self) -> Array:
         """Orthonormal infinitesimal mechanisms (k, n, 3).
 
-        No bar, cable or lone string lengthens to first order, rigid or elastic.
+        No bar, cable or string in no cable lengthens to first order, rigid or elastic.
         """
         return mechanisms(self.structure)
 

@@ -110,7 +110,7 @@ def wrap_angles(structure: Any, cable: Sequence[int], nodes: Array | None = None
 
 
 def name_inputs(structure: Any) -> list[str]:
-    """Name the inputs of cables and lone strings, such as "cable 0" and "string 3"."""
+    """Name the inputs of cables and strings in no cable, such as "cable 0" and "string 3"."""
     names = [f"string {string}" for string in select_first(structure.cable_of)]
     for k, cable in enumerate(structure.cables):
         names[structure.cable_of[cable[0]]] = f"cable {k}"
@@ -118,7 +118,7 @@ def name_inputs(structure: Any) -> list[str]:
 
 
 def select_first(cable_of: Indices) -> Indices:
-    """Select one string for each input: lone strings, and one of each cable."""
+    """Select one string for each input: strings in no cable, and one of each cable."""
     return np.unique(cable_of, return_index=True)[1].astype(np.intp)
 
 
@@ -131,7 +131,7 @@ def add_compliances(cable_of: Indices, stiffness: Array) -> Array:
 def find_units(structure: Any) -> Indices:
     """Find the unit of each string and bar (α + β,).
 
-    Units are the cables and lone strings as in `Structure.cable_of`, then the bars.
+    Units are the cables and strings in no cable as in `Structure.cable_of`, then the bars.
     """
     inputs = int(structure.cable_of.max(initial=-1)) + 1
     return np.append(structure.cable_of, inputs + np.arange(len(structure.bars)))
@@ -149,7 +149,7 @@ def density_basis(structure: Any) -> Any:
     Returns
     -------
     csc_array, shape (α + β, m + β)
-        Orthonormal columns, one for each cable and lone string, then for each bar. The strings of a
+        Orthonormal columns, one for each cable and each string in no cable, then for each bar. The strings of a
         cable have one tension without friction, so that their force densities are inverse to their
         lengths.
     """

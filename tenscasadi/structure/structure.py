@@ -109,7 +109,7 @@ class Structure(ReadOnlyArrays, Value, Viewable, kind="Structure"):
     elastic : ndarray of bool, shape (β,)
         Whether a bar is elastic.
     cable_of : ndarray of int, shape (α,)
-        Index of the input of each string: one input for each cable and lone string, in order.
+        Index of the input of each string: one input for each cable and each string in no cable, in order.
     bar_inertia : ndarray, shape (β,)
         J of each bar [kg] (Eq. 19).
     string_parent : ndarray of int, shape (α,)

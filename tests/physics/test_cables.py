@@ -52,7 +52,7 @@ def sliding(**options: object) -> tc.Structure:
 
 
 def pulleys(**options: object) -> tc.Structure:
-    """Three masses on one cable of four strings, and a lone string."""
+    """Three masses on one cable of four strings, and a string in no cable."""
     return tc.Structure(
         [(-1, 0, 0), (-0.5, 0.2, -0.6), (0.1, -0.1, -0.2), (0.6, 0.1, -0.7), (1, 0, 0)],
         strings=[(0, 1), (2, 1), (1, 3), (2, 3), (3, 4)],

@@ -41,7 +41,7 @@ class Material(Value, kind="Material"):
 class Sections(NamedTuple):
     """Material and shape of the sections of all units.
 
-    Cables and lone strings come first, then bars. A cable has one section.
+    Cables and strings in no cable come first, then bars. A cable has one section.
 
     Attributes
     ----------

@@ -61,14 +61,14 @@ class SizedForces(NamedTuple):
 class SizingProgram:
     """Linear program of a structure under load cases.
 
-    The members are the cables and lone strings, then the bars.
+    The members are the cables and strings in no cable, then the bars.
 
     Attributes
     ----------
     sections : Sections
         Sections of the members.
     strings, members : int
-        Number of cables and lone strings, and of members.
+        Number of cables and strings in no cable, and of members.
     balance : csc_array (free coordinates, members)
         Nodal loads that balance a unit tension of each member.
     end_weights : csc_array (3n, members)

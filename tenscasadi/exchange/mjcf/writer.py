@@ -59,7 +59,7 @@ class SpatialTendon(NamedTuple):
 
 
 def list_tendons(scene: Scene) -> list[SpatialTendon]:
-    """List the cables and lone strings of a scene, in the order of their inputs."""
+    """List the cables and strings in no cable of a scene, in the order of their inputs."""
     if scene.strength is not None:
         raise ValueError(
             f"scene.strength is {scene.strength}, which MJCF files cannot hold: "

@@ -1,1 +1,1 @@
-"""Integration loop in machine code, CasADi's virtual machine, or SUNDIALS."""
+"""Time loop in machine code, CasADi's virtual machine, or SUNDIALS."""

@@ -1,4 +1,4 @@
-"""Kernels of a model, cached by it."""
+"""Construction of a model's time loop, which the model caches."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def build_kernel(
     lazily: bool = False,
     companions: bool = False,
 ) -> Kernel:
-    """Build the kernel of a model.
+    """Build the time loop (kernel) of a model.
 
     The model caches it.
 
@@ -168,7 +168,10 @@ def _build(model: Model, options: _Options) -> Kernel:
 
 
 def check_single(scheme: Scheme) -> None:
-    """Raise ValueError for tolerances below single precision."""
+    """Check that tolerances are possible in single precision.
+
+    Raises ValueError otherwise.
+    """
     least = 1e-6  # about ten times the rounding error of float, as 1e-15 of double
     for name in ("rtol", "tolerance"):
         given = getattr(scheme, name, None)

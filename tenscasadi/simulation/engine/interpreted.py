@@ -1,6 +1,6 @@
-"""Integration loop of `engine.hpp` in Python and CasADi's virtual machine.
+"""Time loop in Python and CasADi's virtual machine.
 
-Its results equal those of the compiled loop to the last bit.
+Its results equal those of the compiled loop `engine.hpp` to the last bit.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ Values = Mapping[str, Any]
 
 
 class StepRows(NamedTuple):
-    """Results of k steps of n runs.
+    """Results of k time steps of n runs.
 
     Attributes
     ----------
     z : ndarray, shape (k, n, nz)
         States and external work after each step.
     effects : ndarray, shape (k, n, 2), or None
-        Effects of corrections; None without corrections.
+        Displacement [m] and energy [J] of each constraint correction; None without.
     code : int
-        The reason if a step failed.
+        Code of the reason if a step failed.
     """
 
     z: Array
@@ -51,7 +51,7 @@ class StepRows(NamedTuple):
 
 
 class Interpreted:
-    """Backend that calls CasADi's virtual machine.
+    """Backend that evaluates steps in CasADi's virtual machine.
 
     A call of the step Function takes up to `chunk` steps of one run, or one step of several.
     """
@@ -84,13 +84,14 @@ class Interpreted:
                 Loop(self, values, np.arange(begin, min(begin + together, last))).roll()
 
     def has(self, name: str) -> bool:
-        """Return whether the kernel has the Function `name`."""
+        """Return whether the model has the Function `name`, such as "step"."""
         return name in self._functions
 
     def evaluate(self, name: str, *inputs: Array, steps: int = 1) -> list[Array]:
-        """Evaluate a Function at rows of inputs (n, size).
+        """Evaluate a Function for each row of its inputs (n, size).
 
-        With several `steps`, the first input starts a recursion, and rows belong to steps.
+        With several `steps`, the first input is a start value of a recursion, and rows belong to
+        steps.
         """
         key = name, len(inputs[-1]), steps
         if key not in self._mapped:
@@ -100,7 +101,7 @@ class Interpreted:
         return self._mapped[key](*inputs)
 
     def take(self, loop: Loop, length: float, most: int) -> StepRows:
-        """Take up to `most` steps of `length` s."""
+        """Advance the runs by up to `most` steps of `length` s."""
         if self.has("attempt"):
             code = self._control_error(loop, length)
             return StepRows(loop.z[None], None, code)
@@ -116,9 +117,9 @@ class Interpreted:
         return StepRows(z.reshape(steps, n, -1), effects.reshape(steps, n, 2) if every else None)
 
     def _control_error(self, loop: Loop, length: float) -> int:
-        """Take trial steps to the end of a grid step.
+        """Take steps with error control up to the next output time.
 
-        A failure leaves z at the start of the grid step.
+        A failure leaves z at the last output time.
         """
         q, z, memory = loop.q, loop.z, loop.memory
         memory[0, _REST] = length
@@ -141,9 +142,9 @@ class Interpreted:
 
 
 class Loop:
-    """Integration loop over a block of runs.
+    """Time loop over a block of runs.
 
-    `backend.take` computes z, the states (n, nx) and the work, after the next steps.
+    `backend.take` computes z, the states (n, nx) and the external work, after the next steps.
     """
 
     def __init__(self, backend: Any, q: Values, motions: Any) -> None:
@@ -168,9 +169,9 @@ class Loop:
         self.pending = self._find_pending()
 
     def _find_pending(self) -> int | None:
-        """Find the saved row that awaits its correction.
+        """Find the saved row whose next correction is still to come.
 
-        It was saved in an earlier request.
+        Its effect is recorded with the row, also if the row was saved in an earlier time slice.
         """
         every, saved = self.q["correct_every"], self.q["save_every"]
         if not (self.step and every and saved):
@@ -224,7 +225,7 @@ class Loop:
             self.step, self.z, left = self.step + len(rows.z), rows.z[-1], left - len(rows.z)
 
     def _record_effects(self, rows: StepRows) -> None:
-        """Store the effects of corrections after saved rows.
+        """Record the effects of constraint corrections with saved rows.
 
         Only the first correction after each row counts.
         """
@@ -254,14 +255,14 @@ class Loop:
             self.jumped += (self.backend.evaluate("energy", x, self.w)[0] - before)[:, 0]
 
     def _end(self, code: int) -> None:
-        """End all runs before the next step."""
+        """End all runs before the next step with a failure code."""
         self.fault[self.status == FINISHED] = self.step
         self.status[self.status == FINISHED] = code
 
     def _observe(self, z: Array, end: bool = False) -> None:
-        """Measure and save states (k, n, nz) before k steps.
+        """Measure errors and energies, and save states (k, n, nz).
 
-        With `end`, they are the final states.
+        They are the states before k steps, or with `end`, the final states.
         """
         q, steps = self.q, self.step + np.arange(len(z))
         saved = (steps % q["save_every"] == 0) | end if q["save_every"] else steps < 0
@@ -295,7 +296,7 @@ class Loop:
             self.step = int(self.fault.max())
 
     def _measure(self, z: Array) -> Array:
-        """Measure states (k, n, nz)."""
+        """Compute errors and energies of states (k, n, nz)."""
         shape = z.shape[:2]
         if not self.measures:
             return np.zeros((*shape, 0))
@@ -305,7 +306,10 @@ class Loop:
         return np.asarray(found.reshape(*shape, -1))
 
     def _find_faults(self, z: Array, measure: Array, steps: Indices) -> Any:
-        """Find the failure codes (k, n) of states before steps."""
+        """Find the failure codes (k, n) of states before each step.
+
+        A run fails if it is not finite or if its bars have large length errors.
+        """
         q, x = self.q, z[:, :, : self.sizes["nx"]]
         codes = np.full(x.shape[:2], FINISHED)
         if self.measures:
@@ -319,9 +323,9 @@ class Loop:
         return codes
 
     def weigh(self, z: Array) -> None:
-        """Update the extremes of measures at substep states.
+        """Update the largest errors and energies within a time step.
 
-        The states (n, nz) lie within a grid step.
+        The states (n, nz) are those of substeps.
         """
         if self.measures:
             self._update_extremes(self._measure(z[None]), z[None], (self.status == FINISHED)[None])
@@ -361,14 +365,11 @@ class Loop:
         q["carry"][motions] = np.hstack([head, self.memory, self.w])
 
     def _x(self, z: Array) -> Array:
-        """Select the states (n, nx)."""
+        """Select the states (n, nx) from z."""
         return np.ascontiguousarray(z[:, : self.sizes["nx"]])
 
     def _energy(self, measure: Array) -> Array:
-        """Compute the stored energy (…, n) [J].
-
-        External work changes this energy.
-        """
+        """Compute the total energy (…, n) [J] that external work changes."""
         return np.asarray(measure[..., 2 : 5 if self.sizes["potential"] else 3].sum(axis=-1))
 
     def _supplied(self, z: Array) -> Array:
@@ -378,7 +379,7 @@ class Loop:
 
 
 def _append_correction(functions: Mapping[str, ca.Function]) -> ca.Function:
-    """Build a step with its correction.
+    """Build a step that is followed by a constraint correction.
 
     Function (z, w, h, numbers, flag) → z, effect (2). It corrects z if the flag is 1.
     """

@@ -1,4 +1,4 @@
-"""Execution of runs: result arrays, time slices, threads, backend."""
+"""Execution of runs in time slices, threads, and by different backends."""
 
 from __future__ import annotations
 
@@ -30,10 +30,11 @@ WORTH_COMPILING = 0.1  # s in CasADi's virtual machine after which the compiler 
 
 
 class Backend(Protocol):
-    """Interface of objects that take the steps.
+    """Interface of objects that compute time steps.
 
     `lanes` is the number of runs per instruction, 0 without machine code. Time slices are multiples
-    of `chunk` steps. `companions` tells whether a run can have companions with longer steps.
+    of `chunk` steps. `companions` tells whether a run can be accompanied by runs with longer steps,
+    for its error estimate.
     """
 
     lanes: int
@@ -62,10 +63,10 @@ NOBODY = Watch()
 
 
 class SchemeNumbers(NamedTuple):
-    """Numbers of a scheme that its code receives as input.
+    """Options of a scheme that its compiled code receives as input.
 
-    `values` are tolerances. `trials` is the largest number of trial steps in a grid step, 0 without
-    error control. Corrections follow each `correct_every`-th step.
+    `values` are tolerances. `trials` is the largest number of trial steps in a time step, 0 without
+    error control. Constraint corrections follow each `correct_every`-th step.
     """
 
     values: Array
@@ -74,7 +75,7 @@ class SchemeNumbers(NamedTuple):
 
 
 class _KernelArrays(NamedTuple):
-    """Arrays and intervals of n runs.
+    """Input and result arrays of n runs, with their time intervals.
 
     The names of arrays are those of `engine.hpp`.
     """
@@ -93,7 +94,7 @@ class _Threads(NamedTuple):
 
 @contextlib.contextmanager
 def _start_threads(count: int, always: bool = False) -> Iterator[_Threads | None]:
-    """Start threads if there are several, or `always`."""
+    """Start a pool of threads if there are several, or `always`."""
     if count == 1 and not always:
         yield None
         return
@@ -102,12 +103,12 @@ def _start_threads(count: int, always: bool = False) -> Iterator[_Threads | None
 
 
 class Kernel:
-    """Integrator of one or many runs of a model.
+    """Compiled or interpreted time loop of a model.
 
-    `build_kernel` builds it. `lanes` is the number of runs that one instruction advances, 0 for code
-    that is not compiled. `note` gives the reason if code cannot be compiled, or has one lane only.
-    With `codes`, the compiler starts once this saves wall time. Runs continue with the compiled
-    code as soon as it is available.
+    `build_kernel` builds it. `lanes` is the number of runs that one instruction advances, 0 for
+    code that is not compiled. `note` gives the reason if code cannot be compiled, or has one lane
+    only. With `codes`, the compiler starts once this saves wall time. Runs continue with the
+    compiled code as soon as it is available.
     """
 
     def __init__(
@@ -131,7 +132,7 @@ class Kernel:
 
     @property
     def trials(self) -> int:
-        """Largest number of trial steps in a grid step."""
+        """Largest number of trial steps in a time step."""
         return self._numbers.trials
 
     def __call__(
@@ -326,9 +327,10 @@ class Kernel:
     # --- compilation once it pays ---
 
     def prepare(self, seconds: float) -> None:
-        """Start the compiler, or adopt compiled code.
+        """Start the compiler, or switch to the compiled code.
 
-        The compiler starts if a wall time of `seconds` without machine code justifies it.
+        The compiler starts if the remaining wall time without machine code, `seconds`, justifies
+        it.
         """
         if self._compilation is None:
             if self._codes and seconds > WORTH_COMPILING and Compilation.is_possible():
@@ -358,7 +360,7 @@ class Kernel:
 class _March:
     """Execution of runs in blocks and time slices.
 
-    Each takes about `SLICE` s.
+    Each slice takes about `SLICE` s of wall time.
     """
 
     def __init__(
@@ -423,7 +425,7 @@ class _March:
 
 
 def _select(work: _KernelArrays, steps: tuple[int, int]) -> dict[str, Any]:
-    """Collect the arrays for a range of steps."""
+    """Select the part of the arrays for a range of steps."""
     values, whole = work.values, work.intervals
     part = whole if steps[1] - steps[0] == whole.steps.sum() else whole.slice(*steps)
     given = values | {

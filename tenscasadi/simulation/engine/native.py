@@ -1,4 +1,4 @@
-"""Integration loop of `engine.hpp` as machine code.
+"""Time loop `engine.hpp` as machine code.
 
 For one run, a library is the loop of all models, another one the Functions of the model. With
 several runs in lanes, both are one library.
@@ -47,7 +47,7 @@ _STRUCT = struct.Struct("".join(kind * len(names) for kind, *names in _FIELDS))
 
 
 def _pack_request(values: Mapping[str, Any]) -> bytes:
-    """Pack the C struct of a request.
+    """Pack the C struct with the arguments of the time loop.
 
     Values are numbers and C-contiguous arrays, which must outlive the struct. Missing values and
     None are 0. Unknown names are ignored.
@@ -62,7 +62,7 @@ def _pack_request(values: Mapping[str, Any]) -> bytes:
 
 
 class ModelStruct(ctypes.Structure):
-    """Model of `engine.hpp`: sizes, and addresses of the Functions."""
+    """C struct of a model: sizes, and addresses of its Functions."""
 
     _fields_ = [
         *((name, ctypes.c_int64) for name in MODEL_SIZES),
@@ -74,10 +74,11 @@ COMPANION_LANES = 4  # a run, its companions in steps of 2 h and 4 h, and one to
 
 
 class NativeCode:
-    """Source code of a backend, before compilation.
+    """Source code of the machine-code backend, before compilation.
 
-    `lanes` None fills the registers of the processor. `single` selects single precision. With
-    `companions`, lanes hold one run and its companions.
+    With `lanes` None, their number fills the registers of the processor. `single` selects single
+    precision. With `companions`, lanes hold one run and its copies with longer steps, for the error
+    estimate.
     """
 
     def __init__(
@@ -108,7 +109,7 @@ class NativeCode:
 
 
 class Native:
-    """Backend in machine code: the libraries of `NativeCode`."""
+    """Machine-code backend, loaded from the libraries of `NativeCode`."""
 
     chunk = 1
 
@@ -143,7 +144,7 @@ def _address(library: ctypes.CDLL, name: str) -> int | None:
 
 
 class Compilation:
-    """Compilation in a separate thread, one at a time.
+    """Compilation in a thread of its own, one at a time.
 
     `found` contains the backend, or the reason if compilation failed.
     """
@@ -188,7 +189,7 @@ def compile_first(codes: list[NativeCode], build: bool = True) -> tuple[Native |
 
 
 def _reason(error: CompileError) -> str:
-    """Extract the error line from a compiler's output."""
+    """Extract the first error line from a compiler's output."""
     lines, found = str(error).splitlines(), find_compiler()
     for line in lines:
         if "error: " in line:

@@ -1,4 +1,4 @@
-"""Input and result arrays of an integration loop."""
+"""Input and result arrays of the time loop."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ CARRIED = ("energy", "bars", "work", "jumps", *Memory._fields)  # then the stack
 
 
 class Intervals(NamedTuple):
-    """Time intervals with constant input.
+    """Time intervals with constant control, in arrays (K,).
 
-    Entries (K,): row of the inputs, number of steps, and length of a step [s]. The clock of the
-    model starts at `clock` [s], without the rounding of the steps before; it continues if that is
-    None or NaN.
+    They have the row of the control, the number of steps, and the length of a step [s]. The clock
+    of the model starts at `clock` [s], without the rounding of the steps before; it continues if
+    that is None or NaN.
     """
 
     row: Integers
@@ -53,7 +53,7 @@ class Intervals(NamedTuple):
 
 
 class Rolled(NamedTuple):
-    """Results of n runs.
+    """Arrays that the time loop returns for n runs.
 
     A run that fails ends in NaN and costs inf. A field that was not requested is None.
 
@@ -70,11 +70,11 @@ class Rolled(NamedTuple):
     fault, good : ndarray, shape (n,)
         Step at which the failure was detected, and the last good one before.
     measured, worst, carry : ndarray, shapes (n, T, M + 1), (n, 8), (n, ·)
-        Measures of the saved rows and the external work [J]; columns as in `WORST` and `CARRIED`.
+        Errors and energies of the saved rows, with the external work [J]; columns as in `WORST` and `CARRIED`.
     corrected : ndarray, shape (n, T, 2) or None
         Movement of a node [m] and energy [J] by the first correction after each saved row.
     compared : ndarray, shape (T, 3, nx) or None
-        States of one run and its companions in steps of 2 h and 4 h, every `compare_every`-th step.
+        States of one run and of its copies with steps of 2 h and 4 h, every `compare_every`-th step.
     """
 
     states: Array
@@ -96,13 +96,13 @@ class Rolled(NamedTuple):
         return np.asarray(work + jumps)
 
     def memory(self, k: int) -> Memory:
-        """State of the step-size control of run k."""
+        """Return the state of run k's step-size control."""
         first = CARRIED.index(Memory._fields[0])
         return Memory(*self.carry[k, first : len(CARRIED)].tolist())
 
 
 def count_runs(joiner: str = ", ", /, **rows: int) -> int:
-    """Find the number of runs from the rows of arrays.
+    """Find the number of runs from the row counts of arrays.
 
     All runs share an array with one row. Raises ValueError.
     """

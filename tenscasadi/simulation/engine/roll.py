@@ -1,4 +1,4 @@
-"""Runs of a model through the engine."""
+"""Computation of runs, from checked inputs to result arrays."""
 
 from __future__ import annotations
 
@@ -24,11 +24,12 @@ COMPARED = 64  # least number of compared rows
 
 
 class Request(NamedTuple):
-    """Runs and their options.
+    """Inputs and options of runs.
 
-    Every `every`-th step is saved. `measured` selects the measures of saved rows, and `account` the
-    energies to integrate. The `deadline` is a time of `time.monotonic`, `time_limit` seconds after
-    the call. With `compare`, companions take longer steps in spare lanes where the code has them.
+    Every `every`-th step is saved. `measured` selects the errors and energies of saved rows, and
+    `account` the energies to integrate. The `deadline` is a time of `time.monotonic`, `time_limit`
+    seconds after the call. With `compare`, copies of a run take longer steps in unused lanes where
+    the code has them.
     """
 
     inputs: RunInputs
@@ -46,7 +47,10 @@ class Request(NamedTuple):
 
     @property
     def compare_every(self) -> int:
-        """Steps between comparisons with companions of longer steps, 0 for none."""
+        """Number of steps between comparisons with longer steps.
+
+        It is 0 if no copies of the run with longer steps are computed.
+        """
         grid = self.inputs.grid
         if not self.compare or (grid.counts % 4).any() or self.inputs.feedback is not None:
             return 0
@@ -60,14 +64,14 @@ class Request(NamedTuple):
 
     @property
     def balanced(self) -> bool:
-        """Whether the account includes all energies that the run exchanges."""
+        """Whether the energy balance includes all exchanged energies."""
         model, feedback = self.inputs.model, self.inputs.feedback
         varies = self.inputs.controls.shape[1] > 1 or feedback is not None
         return (self.account.power or model.power is None) and (self.account.jumps or not varies)
 
 
 class Runs(NamedTuple):
-    """Result of a request.
+    """Result of computed runs, with their request.
 
     `kernel` has computed it in `seconds` of wall time. `late` means that the deadline stopped it.
     """
@@ -87,7 +91,7 @@ class Runs(NamedTuple):
 
     @property
     def measured(self) -> Array:
-        """Measures of saved rows (n, T, M + 1).
+        """Errors and energies of the saved rows (n, T, M + 1).
 
         The last column is the external work [J].
         """
@@ -101,13 +105,13 @@ class Runs(NamedTuple):
         return bool(np.any(self.rolled.status == STOPPED))
 
     def last_step(self, k: int) -> int:
-        """Return the last good step of run k."""
+        """Return the number of the last valid step of run k."""
         rolled, total = self.rolled, self.request.inputs.grid.steps
         status = rolled.status[k]
         return int(total if not status else rolled.good[k] if status < STOPPED else rolled.fault[k])
 
     def saved_steps(self, k: int) -> Indices:
-        """Find the steps of the good rows of run k."""
+        """Find the step numbers of the valid saved rows of run k."""
         last, every = self.last_step(k), self.request.every
         lost = 0 < self.rolled.status[k] < STOPPED
         steps = np.arange(0, last + 1, every)
@@ -189,7 +193,7 @@ def _free_memory() -> float:
 
 
 def make_kernel(request: Request) -> Kernel:
-    """Build the kernel of a request.
+    """Build the time loop (kernel) for a request.
 
     Raises CompileError, ValueError.
     """
@@ -209,8 +213,8 @@ def make_kernel(request: Request) -> Kernel:
 def _feedback_arrays(inputs: RunInputs) -> dict[str, Any]:
     """Collect the arrays of state feedback, if there is any.
 
-    Their names are those of `engine.hpp`. After the end of the plan, the last gain regulates the
-    last state.
+    Their names are those of `engine.hpp`. After the end of the plan, the last gain acts on
+    deviations from the last state.
     """
     plan, rows = inputs.feedback, inputs.grid.rows
     if plan is None:

@@ -1,4 +1,4 @@
-"""Generated code of a kernel in CasADi, C and C++.
+"""Generation of the time loop's code in CasADi, C and C++.
 
 The Functions have the names that `engine.hpp` expects.
 """
@@ -73,9 +73,10 @@ _WIDEST = """
 
 
 class KernelFunctions(NamedTuple):
-    """Functions and sizes of a model for `engine.hpp`.
+    """CasADi Functions and sizes of a model for `engine.hpp`.
 
-    With a `tableau` the loop steps `ode` itself. Otherwise it calls a Function "step".
+    With a Runge-Kutta `tableau` the loop evaluates the stages of "ode" itself. Otherwise it calls a
+    Function "step".
     """
 
     functions: dict[str, ca.Function]
@@ -84,12 +85,12 @@ class KernelFunctions(NamedTuple):
 
     @property
     def adaptive(self) -> bool:
-        """Whether the scheme controls its error."""
+        """Whether the scheme has error control."""
         return "decide" in self.functions
 
 
 class Account(NamedTuple):
-    """Energies that a run integrates.
+    """Energies that a run integrates for its energy balance.
 
     *power*: work of nonconservative forces. *jumps*: energy jumps at changes of the control.
     """
@@ -106,9 +107,9 @@ def write_program(
     measured: Measured = "nothing",
     costs: tuple[ca.Function | None, ca.Function | None] = (None, None),
 ) -> KernelFunctions:
-    """Build the Functions of a kernel.
+    """Build the CasADi Functions that a time loop calls.
 
-    `costs` are the stage and the terminal cost.
+    `costs` are the running and the terminal cost.
     """
     power = (
         model.with_stacked_input(model.power) if account.power and model.power is not None else None
@@ -137,7 +138,7 @@ def write_program(
 
 
 def write_observer(model: Model, account: Account, measured: Measured) -> KernelFunctions:
-    """Build the Functions that measure a run of SUNDIALS."""
+    """Build the Functions that measure errors of SUNDIALS runs."""
     functions = _observing(model, account, measured)
     sizes = dict.fromkeys(_OWN, 0) | {"nx": model.nx, "nu": model.nu, "nw": model.nw}
     sizes |= {"work": int(account.power and model.power is not None), "jumps": int(account.jumps)}
@@ -229,7 +230,7 @@ def _widen(function: ca.Function, own: int, nw: int) -> ca.Function:
 
 
 def _rename(name: str, function: ca.Function) -> ca.Function:
-    """Rename a Function, with dense outputs.
+    """Rename a Function, and make its outputs dense.
 
     Its graph is inlined if possible, since a nested call would copy the outputs.
     """
@@ -243,7 +244,7 @@ def _rename(name: str, function: ca.Function) -> ca.Function:
 
 
 def room_sizes(program: KernelFunctions) -> dict[str, int]:
-    """Return the workspace sizes of the Functions."""
+    """Return the sizes of the Functions' work arrays."""
     functions = program.functions.values()
     return {
         "size_arg": max(10, *(f.sz_arg() for f in functions)),  # `decide` has 10 inputs
@@ -264,24 +265,27 @@ def write_model(program: KernelFunctions, single: bool = False) -> str:
 
 
 def write_lane_model(program: KernelFunctions, lanes: int) -> str:
-    """Generate the C++ code of the Functions in lanes."""
+    """Generate C++ code that evaluates the Functions for several runs.
+
+    Each of the `lanes` of a SIMD register holds one run.
+    """
     code = _replace_branches(write_model(program))
     return "\n".join([f"#define LANES {lanes}", _text("lanes.hpp"), 'extern "C" {', code, "}"])
 
 
 def write_engine(program: KernelFunctions, single: bool = False, lanes: int = 1) -> str:
-    """Generate the C++ loop for Functions in another library.
+    """Generate the C++ time loop for Functions in another library.
 
-    It serves all models with this tableau.
+    It is used for all models with this Runge-Kutta tableau.
     """
     head = ["#define SINGLE"] if single else []
     return "\n".join([*head, f"#define LANES {lanes}", _text("lanes.hpp"), *_engine(program)])
 
 
 def write_lanes(program: KernelFunctions, lanes: int | None, single: bool = False) -> str:
-    """Generate C++ code of model and loop with several lanes.
+    """Generate C++ code of model and time loop for several SIMD lanes.
 
-    `lanes` None fills the processor's registers, `single` with floats.
+    With `lanes` None, their number fills the processor's registers; `single` uses single precision.
     """
     sizes = program.sizes | room_sizes(program)
     calls = [f"motion_{name}" if name in program.functions else "0" for name in CALLS]
@@ -317,7 +321,7 @@ _SLOPE = "  if (evaluate(room, MODEL.ode, {{{at}, room.{held}}}, {{k{i}}})) retu
 
 
 def _write_stages(tableau: Tableau, stages: set[int], held: str, end: str = "  return 0;") -> str:
-    """Write the stages of a Runge-Kutta step.
+    """Write C++ code for the stages of a Runge-Kutta step.
 
     Each takes one pass over the state; CasADi would take one for each term. Rounding is that of
     `runge_kutta.build_step`.
@@ -336,7 +340,10 @@ def _write_stages(tableau: Tableau, stages: set[int], held: str, end: str = "  r
 
 
 def _write_trial(tableau: Tableau) -> str:
-    """Write a step with error estimates, as `runge_kutta.build_trial`."""
+    """Write C++ code for a Runge-Kutta step with error estimates.
+
+    It corresponds to `runge_kutta.build_trial`.
+    """
     count = len(tableau.b)
     lines = [
         _pass(f"room.errors[{j} * n + i]", row, "lanes(0.0)")
@@ -354,7 +361,7 @@ def _write_trial(tableau: Tableau) -> str:
 
 
 def _pass(target: str, weights: tuple[float, ...], base: str = "x[i]") -> str:
-    """Write target = base + h Σ weight · slope.
+    """Write C++ code for target = base + h Σ weight · slope.
 
     Terms are in the order of `runge_kutta`, for equal rounding.
     """
@@ -377,9 +384,9 @@ def _pass(target: str, weights: tuple[float, ...], base: str = "x[i]") -> str:
 
 
 def _replace_branches(source: str) -> str:
-    """Replace conditional expressions by functions of lanes.
+    """Replace conditional expressions in C code by SIMD selections.
 
-    Other branches do not compile as lanes.
+    Other branches do not compile for lanes.
     """
     source = _CONDITION.sub(r"select(\1, \2)", _tables_lane_by_lane(_COMMENT.sub("", source)))
     return _SIGN.sub(
@@ -388,9 +395,9 @@ def _replace_branches(source: str) -> str:
 
 
 def _tables_lane_by_lane(source: str) -> str:
-    """Evaluate tables lane by lane with CasADi's own code.
+    """Evaluate look-up tables separately for each SIMD lane.
 
-    That code branches on numbers, so it works on one double at a time.
+    CasADi's code for tables branches on numbers, so it works on one double at a time.
     """
     used = _LOOK_UP.findall(source)
     if not used:

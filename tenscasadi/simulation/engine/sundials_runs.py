@@ -25,15 +25,15 @@ from tenscasadi.util.validate import Array
 
 
 class Stopped(Exception):
-    """Stop of a run within a grid step."""
+    """Raised to stop a run within a time step."""
 
 
 class SundialsRuns(Interpreted):
     """Backend that calls an integrator of SUNDIALS.
 
-    A call of the integrator takes up to 50 grid steps, since each call restarts at low order.
-    Corrections change the saved states; the integrator continues from a corrected state only at
-    its next call.
+    A call of the integrator takes up to 50 time steps, since each call restarts at low order.
+    Constraint corrections change the saved states; the integrator continues from a corrected state
+    only at its next call.
     """
 
     def __init__(
@@ -78,7 +78,7 @@ class SundialsRuns(Interpreted):
 
     @property
     def located(self) -> tuple[int, int]:
-        """Number of located events, and of the trials for them."""
+        """Numbers of located events, and of integrations to locate them."""
         return (0, 0) if self._events is None else (self._events.events, self._events.trials)
 
     def __call__(self, values: Values, first: int, last: int) -> None:
@@ -96,7 +96,7 @@ class SundialsRuns(Interpreted):
             raise Stopped
 
     def take(self, loop: Loop, length: float, most: int) -> StepRows:
-        """Take up to `most` steps of `length` s."""
+        """Advance the run by up to `most` steps of `length` s."""
         count = min(most, self.chunk - loop.step % self.chunk)
         try:
             rows = self._take(loop.z[0], loop.w[0], length, count)
@@ -110,7 +110,7 @@ class SundialsRuns(Interpreted):
         return StepRows(rows[:, None])
 
     def _take(self, z: Array, w: Array, length: float, count: int) -> Array:
-        """Compute z after each of the next steps (count, nz)."""
+        """Compute z = (state, work) after each of the next steps (count, nz)."""
         if self._events is not None:
             return self._events(z, w, np.full(count, length))
         if count == 1:
@@ -124,7 +124,7 @@ class SundialsRuns(Interpreted):
         return np.array(self._integrators[key](x0=z, u=held, **guess)["xf"].full()).T
 
     def _correct(self, rows: Array, w: Array, which: Any) -> None:
-        """Correct states (k, nz) in place."""
+        """Project states (k, nz) onto the constraints, in place."""
         if self._project is not None and which.any():
             held = np.tile(w[:, None], int(which.sum()))
             states = self._project(rows[which, : self._nx].T, held).full().T

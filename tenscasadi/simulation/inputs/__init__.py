@@ -1,1 +1,1 @@
-"""Inputs of runs: starts, parameters, controls and time steps."""
+"""Inputs of runs: initial states, parameters, controls and time steps."""

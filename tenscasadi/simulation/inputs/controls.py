@@ -68,9 +68,9 @@ class Controls(NamedTuple):
     feedback: Feedback | None = None
 
     def hold(self, grid: Grid) -> tuple[Grid, Array]:
-        """Replace a linear control by its mean in each step.
+        """Replace piecewise-linear controls by their mean in each step.
 
-        Returns the grid and the control of its rows.
+        Returns the time grid and the control of its rows.
         """
         if not self.linear:
             return grid, self.values
@@ -134,9 +134,9 @@ def read_controls(
 
 
 def drive_model(model: Model, control: Any, first: float, t_end: float) -> Model:
-    """Build or reuse the model with a given control function.
+    """Build the model in which a control is a function of time.
 
-    `first` is the time of its clock at the start [s]. Raises ValueError.
+    The model caches it. `first` is the time of its clock at the start [s]. Raises ValueError.
     """
     if not isinstance(control, ControlFunction):
         control = ControlFunction(control)
@@ -160,7 +160,7 @@ def _find_initial(model: Model, p: Array) -> Array:
 def _read_table(controls: Any, nu: int, field: str, shapes: Sequence[str]) -> tuple[Array, str]:
     """Read a table of controls (n or 1, K, nu).
 
-    Also return the letters of its original shape.
+    Also returns the letters that name the axes of its original shape.
     """
     try:
         shape = np.shape(controls)

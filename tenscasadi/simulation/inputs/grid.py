@@ -36,7 +36,7 @@ class Changing(Protocol):
         """Find the times of jumps and kinks [s]."""
 
     def changing(self) -> ca.Function | None:
-        """Build the function of time, or return None.
+        """Build the function of time that steps must resolve, or None.
 
         Steps end at jumps of its first output, and must resolve all outputs.
         """
@@ -44,9 +44,7 @@ class Changing(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Time grid of a run.
-
-    Steps are equal within each of K intervals.
+    """Time grid of a run, with equal steps in each of K intervals.
 
     Attributes
     ----------
@@ -96,7 +94,7 @@ class Grid:
 
     @property
     def intervals(self) -> Intervals:
-        """Intervals of the engine."""
+        """Intervals of the grid in the form that the time loop takes."""
         return Intervals(self.rows, self.counts, self.lengths)
 
     def times(self, steps: Indices) -> Array:
@@ -119,9 +117,9 @@ class Grid:
         return np.searchsorted(np.cumsum(self.counts), np.minimum(steps, self.steps - 1), "right")
 
     def scale_steps(self, factor: float) -> Grid:
-        """Scale the steps by about a factor.
+        """Change the step lengths by about a factor.
 
-        First, neighboring intervals with the same control and about equal steps are merged.
+        Before, neighboring intervals with the same control and about equal steps are merged.
         """
         if factor < 1:
             return Grid(self.edges, _divide(self.counts, factor), self.rows, self.early)
@@ -188,7 +186,7 @@ def build_grid(
 def _add_cuts(edges: Array, cuts: Array, error: float) -> Array:
     """Add breakpoints to the ends of intervals.
 
-    Breakpoints that equal other ends within rounding error are left out.
+    Breakpoints that equal other ends within rounding error are omitted.
     """
     t_end = float(edges[-1])
     inner = cuts[(cuts > 0) & (cuts < t_end)]
@@ -202,8 +200,8 @@ def _add_cuts(edges: Array, cuts: Array, error: float) -> Array:
 def _find_cuts(part: Changing, first: float, last: float, error: float) -> Array:
     """Find the times at which steps must end.
 
-    A jump lies between two of them, so that no stage evaluates it. `error` is the rounding error of
-    the clock [s].
+    Each jump lies within a very short step of its own, so that no Runge-Kutta stage evaluates it.
+    `error` is the rounding error of the clock [s].
     """
     times, function = part.find_breakpoints(first, last), part.changing()
     if function is None or not len(times):

@@ -1,4 +1,4 @@
-"""Resolution of functions of time by the time steps."""
+"""Check that time steps resolve functions of time."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ def describe_unresolved(
     """Describe functions of time that the steps do not resolve.
 
     Each function is sampled at eight points of each step, or of its parts if there are few steps.
-    Their quadrature is compared with one that has as many points as the stages of a scheme of this
-    order.
+    The integral by these points is compared with one by as many points as the stages of a scheme of
+    this order.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def describe_unresolved(
 
 
 def _refine(ends: Array, step: float) -> Array:
-    """Divide steps longer than `step` s."""
+    """Divide intervals longer than `step` s."""
     parts = np.maximum(1, np.ceil(np.diff(ends) / step - 1e-9)).astype(int)
     owner = np.repeat(np.arange(len(parts)), parts)
     share = (np.arange(len(owner)) - np.repeat(np.cumsum(parts) - parts, parts)) / parts[owner]

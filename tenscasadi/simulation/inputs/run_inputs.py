@@ -1,4 +1,4 @@
-"""Inputs of runs: starts, parameters, controls and steps."""
+"""Checked inputs of runs: initial states, parameters, controls, steps."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from tenscasadi.util.validate import (
 
 
 class RunInputs(NamedTuple):
-    """Inputs of n runs of a model.
+    """Checked inputs of n runs of a model.
 
     All runs share an array with one row.
 
@@ -76,9 +76,9 @@ class RunInputs(NamedTuple):
         return self._replace(starts=starts, controls=controls, parameters=p)
 
     def stack(self, k: int, steps: Indices) -> Array:
-        """Stack control and parameters (T, nw) of run k.
+        """Stack control and parameters of run k at the start of steps.
 
-        They are those at the start of steps. A control function is not included.
+        The result is (T, nw). A control that is a function of time is not included.
         """
         controls = self.controls[k if len(self.controls) > 1 else 0]
         p = self.parameters[k if len(self.parameters) > 1 else 0]
@@ -86,7 +86,10 @@ class RunInputs(NamedTuple):
         return np.hstack([held, np.broadcast_to(p, (len(held), len(p)))])
 
     def sample_controls(self) -> Array:
-        """Sample the controls (n or 1, K, nu) that the runs can take."""
+        """Sample the controls (n or 1, K, nu) of the runs.
+
+        With feedback, they are its reference controls.
+        """
         if self.feedback is not None:
             return np.asarray(self.feedback.controls[None])
         if self.model.schedule is None:
@@ -96,7 +99,7 @@ class RunInputs(NamedTuple):
         ]
 
     def add_schedule(self, w: Array, time: Array) -> Array:
-        """Add the control function to inputs (T, nw).
+        """Add a control that is a function of time to inputs (T, nw).
 
         `time` is the time since the start [s].
         """
@@ -108,7 +111,7 @@ class RunInputs(NamedTuple):
         return total
 
     def append_clock(self, time: Array, states: Array) -> Array:
-        """Append the clock of the control function to states.
+        """Append the clock to states if the control depends on time.
 
         `time` [s] counts from the start.
         """
@@ -117,7 +120,7 @@ class RunInputs(NamedTuple):
         return np.column_stack([states, self.first + time])
 
     def include_schedule(self, function: ca.Function) -> ca.Function:
-        """Add the control function to the inputs of a Function.
+        """Add the control function of time to a Function's input w.
 
         The Function has the arguments (x, w).
         """
@@ -216,7 +219,7 @@ def _read_starts(model: Model, states: Any, p: Array, many: bool) -> Array:
 
 
 def _stack_rows(rows: list[Array], size: int) -> Array:
-    """Stack rows; one row if all are the same object."""
+    """Stack arrays as rows; one row if all are the same object."""
     kept = rows[:1] if all(row is rows[0] for row in rows) else rows
     return np.array(kept).reshape(len(kept), size)
 

@@ -1,4 +1,4 @@
-"""Messages on ended runs: steps, causes of failures, cures."""
+"""Messages about the end of runs: steps, causes of failures, cures."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ FAULTS = {
 
 
 class StepSummary(NamedTuple):
-    """Summary of the steps of a run.
+    """Description and number of the steps of a run.
 
     Attributes
     ----------
@@ -134,9 +134,9 @@ def _explain_loss(runs: Runs, k: int) -> str:
 
 
 class RunSamples(NamedTuple):
-    """Samples of a run at a few rows.
+    """Times, states and inputs of a run at a few instants.
 
-    They are times [s], states and stacked inputs.
+    The times are in seconds, the inputs are control and parameters.
     """
 
     times: Array
@@ -145,7 +145,7 @@ class RunSamples(NamedTuple):
 
 
 def sample_run(runs: Runs, k: int) -> RunSamples:
-    """Select a few rows of run k."""
+    """Select about nine saved states of run k."""
     inputs, steps = runs.request.inputs, runs.saved_steps(k)
     rows = np.unique(np.linspace(0, len(steps) - 1, 9).astype(int))
     return RunSamples(runs.times(steps[rows]), runs.saved[k, rows], inputs.stack(k, steps[rows]))
@@ -154,7 +154,7 @@ def sample_run(runs: Runs, k: int) -> RunSamples:
 def explain_loss(model: Model, scheme: Scheme, step: float, samples: RunSamples) -> str:
     """Explain the cause of a divergence, with a cure.
 
-    Causes are found from the start and the linearized motion.
+    Causes are found from the initial state and the linearized dynamics.
     """
     name = type(scheme).__name__
     violation = constraint_violation(model, samples.states[0])
@@ -180,9 +180,10 @@ def explain_loss(model: Model, scheme: Scheme, step: float, samples: RunSamples)
 def find_stable_step(
     model: Model, scheme: Scheme, samples: RunSamples, step: float = 0.0
 ) -> tuple[float, float]:
-    """Find the smallest stability limit at some rows [s].
+    """Find the smallest stability limit of the step along a run [s].
 
-    Also return its time [s]. Rows after the first one with a limit below `step` are not examined.
+    Also returns its time [s]. Samples after the first one with a limit below `step` are not
+    examined.
     """
     limits: list[float] = []
     for x, w in zip(samples.states, samples.inputs, strict=True):

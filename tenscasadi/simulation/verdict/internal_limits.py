@@ -1,4 +1,4 @@
-"""Limits of internal states, and of the motors that drive them."""
+"""Limits of internal states, and of the motors of winches."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
 
 def check_internal_states(runs: Runs) -> Doubts:
-    """Find the runs whose internal states fall below their lower limits.
+    """Find runs with internal states below their lower limits.
 
-    An example is a rest length that is wound up completely.
+    An example is a rest length that becomes negative.
     """
     model, n = runs.request.inputs.model, len(runs.rolled.status)
     text, failed = [""] * n, np.zeros(n, dtype=bool)
@@ -52,9 +52,9 @@ def check_internal_states(runs: Runs) -> Doubts:
 
 
 def describe_motor_overload(runs: Runs, k: int) -> str:
-    """Describe the motor that exceeds a limit of its `Winch` most; "" if none does.
+    """Describe the motor that exceeds a limit of its `Winch` most.
 
-    Torques of a feedback are not known, and it has limits of its own.
+    Returns "" if none does. Torques by feedback are not known, as it has limits of its own.
     """
     inputs = runs.request.inputs
     model, steps = inputs.model, runs.saved_steps(k)

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 
 class Verdict(NamedTuple):
-    """Results of the acceptance test of n runs.
+    """Result of the acceptance test of n runs.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class Verdict(NamedTuple):
     error : ndarray, shape (n,)
         Estimated errors of the node positions [m], NaN if unknown.
     finer : ndarray, shape (n,)
-        Refinement factors of the steps for small errors; 1 if errors are small or unknown.
+        Factors by which the steps should be refined; 1 if errors are small or unknown.
     """
 
     success: Booleans
@@ -107,7 +107,7 @@ def judge(runs: Runs, found: StepErrors | None) -> Verdict:
 
 
 class Measures(NamedTuple):
-    """Errors and exchanged energies of n runs.
+    """Numerical errors and exchanged energies of n runs.
 
     Attributes
     ----------
@@ -125,7 +125,7 @@ class Measures(NamedTuple):
 
 
 def find_doubts(measures: Measures) -> Doubts:
-    """Compare measures of runs with the thresholds."""
+    """Compare the errors of runs with the thresholds."""
     start, bars, error, moved = measures
     work = start > THRESHOLDS["start"].reported  # by constraints that are violated
     lost = np.where(work, 0.0, error / np.maximum(moved, 1e-300))
@@ -149,7 +149,7 @@ def _describe_doubt(name: str, share: float, error: float, moved: float) -> str:
 
 
 def measure_trajectory(model: Model, trajectory: Trajectory) -> Measures:
-    """Measure a recorded trajectory."""
+    """Compute the errors of a recorded trajectory."""
     parts = trajectory.energy_parts
     moved = parts[:, 0].max() + np.ptp(parts[:, 1:], axis=0).sum()
     error = np.nan_to_num(np.abs(trajectory.energy_error)).max()
@@ -205,7 +205,7 @@ def _rounding_energy(model: Model, size: Any, t_end: float, single: bool = False
 def _check_errors(runs: Runs, found: StepErrors) -> tuple[Doubts, Array]:
     """Compare the step-size errors with the thresholds.
 
-    The text gives the cause and the cure of the largest error. Also return the refinement factors
+    The text gives the cause and the cure of the largest error. Also returns the refinement factors
     (n,) of the steps that would be sufficient.
     """
     least = runs.request.rounding

@@ -1,7 +1,8 @@
 """Step-size error of runs, estimated by repeating them.
 
-Runs with fixed steps h are repeated with 2 h and 4 h, where the engine has not done it in spare
-lanes. If those differ too much, they are repeated with h/2. Schemes with error control repeat with another tolerance if it sets their steps.
+Runs with fixed steps h are repeated with 2 h and 4 h, unless the time loop has already computed
+them in unused SIMD lanes. If those differ too much, they are repeated with h/2. Runs with error
+control are repeated with another tolerance if it determines their steps.
 """
 
 from __future__ import annotations
@@ -21,14 +22,14 @@ CLEAR = 0.3  # × reported error: larger differences need finer steps for an est
 
 
 class StepErrors(NamedTuple):
-    """Estimated errors of n runs.
+    """Estimated step-size errors of n runs.
 
     Attributes
     ----------
     error : ndarray, shape (n,)
-        Largest error of the node positions [m]; NaN if unknown, inf without any agreement.
+        Largest error of the node positions [m]; NaN if unknown, inf if the repetitions do not agree at all.
     motion : ndarray, shape (n,)
-        Largest movement of a coordinate [m].
+        Largest displacement of a coordinate during the run [m].
     factor : ndarray, shape (n,)
         Factor by which half the step reduces the error, from 2 to 2^order.
     """
@@ -38,10 +39,10 @@ class StepErrors(NamedTuple):
     factor: Array
 
     def refinement(self, share: float) -> Array:
-        """Compute the refinement (n,) required for a relative error.
+        """Compute the step refinement (n,) required for a relative error.
 
-        The error is relative to the motion. The factors are between 1 and 1000. They are those of
-        the step, or of the tolerance for schemes with error control.
+        The error `share` is relative to the displacements. The factors are between 1 and 1000. They
+        are those of the step, or of the tolerance for schemes with error control.
         """
         excess = self.error / (share * np.maximum(self.motion, 1e-300))
         return np.asarray(np.clip(excess, 1.0, 1e3) ** (1 / np.log2(self.factor)))
@@ -84,7 +85,7 @@ def _from_steps(again: _Repetition, least: Array) -> tuple[Array, Array]:
 def _from_tolerances(again: _Repetition, least: Array) -> tuple[Array, Array]:
     """Estimate errors and factors (m,) from runs with other tolerances.
 
-    If another tolerance leaves a run as it is, the grid sets its steps.
+    If another tolerance does not change a run, its output times determine the steps.
     """
     looser = 10.0
     largest = _largest(again.compare_tolerance(looser))

@@ -1,4 +1,4 @@
-"""Thresholds of the acceptance test."""
+"""Error thresholds of the acceptance test of runs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tenscasadi.util.validate import Booleans
 
 
 class Threshold(NamedTuple):
-    """Thresholds of a relative error.
+    """Relative errors at which a run is reported or fails.
 
     Attributes
     ----------
@@ -25,7 +25,7 @@ class Threshold(NamedTuple):
 
 
 class Doubts(NamedTuple):
-    """Reasons not to trust n runs.
+    """Reasons not to trust runs, after comparison with thresholds.
 
     Attributes
     ----------

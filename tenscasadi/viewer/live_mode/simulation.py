@@ -158,7 +158,7 @@ class LiveSimulation:
         Parameters
         ----------
         strings : sequence of int or str
-            Strings of the structure, or cables and lone strings, by index or name.
+            Strings of the structure, or cables and strings in no cable, by index or name.
         value : float
             Rest length [m] or force density [N/m] of each.
 

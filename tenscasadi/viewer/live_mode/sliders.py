@@ -155,7 +155,7 @@ def choose_sliders(simulation: LiveSimulation, groups: Groups = None) -> list[Sl
 
 
 def _list_names(simulation: LiveSimulation) -> tuple[str, ...]:
-    """List the names of lone strings and cables."""
+    """List the names of cables and of strings in no cable."""
     structure = simulation.model.scene.structure
     strings = list_names(structure, "string", len(structure.strings))
     inputs = zip(name_inputs(structure), select_first(structure.cable_of), strict=True)

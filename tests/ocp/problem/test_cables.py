@@ -11,7 +11,7 @@ from ocp.problem.control import build_force_density_model
 
 
 def hung(control: tc.RestLength | tc.Tension, **options: object) -> tc.Model:
-    """A mass of 2 kg on a cable between (±1, 0, 0), and on a lone string to (0, 0, −2)."""
+    """A mass of 2 kg on a cable between (±1, 0, 0), and on a string to (0, 0, −2)."""
     s = tc.Structure(
         [(-1, 0, 0), (0, 0, -0.8), (1, 0, 0), (0, 0, -2)],
         strings=[(0, 1), (1, 3), (2, 1)],
