@@ -12,12 +12,12 @@ from dataclasses import replace
 import numpy as np
 
 from ocp.results.refinement import CAUTION
+from ocp.results.result import Replayed
 from ocp.solvers.base import Solution
 from ocp.solvers.ipopt import Ipopt
 from ocp.solvers.monitor import Monitor
 from ocp.targets.target import Target
 from ocp.transcription.sparse_nlp import Program
-from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import Array
 
 MOST_ROUNDS = 8
@@ -26,7 +26,7 @@ MOST_LEFT = 0.7  # ratio of successive errors above which a round counts as inef
 Read = Callable[
     [Array], tuple[Array, Array, Array]
 ]  # w → time (K + 1,), states (K + 1, nx), force densities (K, α)
-Replay = Callable[[Array, Array, Array], Trajectory]  # of the values that `Read` returns
+Replay = Callable[[Array, Array, Array], Replayed]  # of the values that `Read` returns
 
 
 def correct(
@@ -93,12 +93,10 @@ def _measure_replay(
     as velocity × duration. The largest residual is inf if the replay diverges or cannot be tracked.
     """
     count = len(gamma) // len(targets)
-    try:
-        motion = replay(time, states, gamma)
-    except ValueError:  # the deviations grow too fast for gains
+    found = replay(time, states, gamma)
+    if found.failure:
         return np.inf, np.zeros(0)
-    if not motion.success:
-        return np.inf, np.zeros(0)
+    motion = found.motions[-1]
     ends = [
         np.array([np.interp(time[k * count], motion.time, column) for column in motion.states.T])
         for k in range(1, len(targets) + 1)

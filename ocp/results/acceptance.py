@@ -16,7 +16,7 @@ from ocp.problem.scaling import Scales
 from ocp.results.diagnosis import find_long_steps, interpolate_plan
 from ocp.results.error_growth import UNSTABLE
 from ocp.results.report import report_of, violated_limits
-from ocp.results.result import PlanResult
+from ocp.results.result import PlanResult, Replayed
 from ocp.results.terminal_limits import measure_terminal_limits
 from ocp.solvers.base import Outcome
 from ocp.targets.target import StateAt, Target
@@ -27,7 +27,7 @@ from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import Array
 
 # of a plan, in open loop or under `track`; None if the search stopped before
-Replay = Callable[[PlanResult, bool], Trajectory | None]
+Replay = Callable[[PlanResult, bool], Replayed | None]
 
 RELIABLE = 1e-2  # × the structure's size: default tolerance of replays
 UNFINISHED = "its replay was not finished in time"
@@ -96,7 +96,7 @@ class _Verified(NamedTuple):
     motion : Trajectory or None
         The replay; None if it failed.
     position, velocity : float
-        Largest residuals of the goals [m and m/s]; NaN if the replay failed.
+        Largest residuals of the goals [m and m/s], over all replays; NaN if the replay failed.
     note : str
         Cause of a failure, or the violated terminal limit; "" without either.
     goal : str
@@ -119,7 +119,7 @@ class _Verified(NamedTuple):
     def describe(self, name: str, success: bool) -> str:
         """Describe the final errors of the replay for a message."""
         if np.isnan(self.position):
-            return self.note or f"its {name} diverges"
+            return self.note
         text = f"its {name} ends {self.position:.2g} m and {self.velocity:.2g} m/s from the goals"
         if self.note:
             return f"{text}, and there {self.note}"
@@ -148,7 +148,9 @@ def assess_plan(
     duration = float(plan.time[-1])
     whole = np.all(np.isfinite(plan.force_density)) and duration > 0
     open_loop = counts = (
-        _verify(plan, target, replay, False) if whole else _Verified(None, np.nan, np.nan)
+        _verify(plan, target, replay, False)
+        if whole
+        else _Verified(None, np.nan, np.nan, "its force densities are not finite")
     )
     missed = find_missed_goal(plan, target, tolerance) if whole else ""
     growth = ""
@@ -193,16 +195,17 @@ def _verify(plan: PlanResult, target: Target, replay: Replay, tracked: bool) -> 
 
     Errors are the distances from the goals, and from states within the terminal limits.
     """
-    try:
-        motion = replay(plan, tracked)
-    except ValueError as error:
-        if not tracked:
-            raise
-        return _Verified(None, np.nan, np.nan, f"ocp.track does not keep to it: {error}")
-    if motion is None:
-        return _Verified(None, np.nan, np.nan, UNFINISHED)
-    if not motion.success:
-        return _Verified(None, np.nan, np.nan)
+    found = replay(plan, tracked)
+    failure = UNFINISHED if found is None else found.failure
+    if found is None or failure:
+        return _Verified(None, np.nan, np.nan, failure)
+    measured = [_measure(plan, target, motion) for motion in found.motions]
+    worst = max(measured, key=lambda one: one.worst(float(plan.time[-1])))
+    return worst._replace(motion=found.motions[0])
+
+
+def _measure(plan: PlanResult, target: Target, motion: Trajectory) -> _Verified:
+    """Compute the terminal errors of one replay."""
     errors = measure_errors(plan, target, interpolate_replays(motion.time, motion.states[None]))
     position, velocity = float(errors.position[0]), float(errors.velocity[0])
     if plan.problem is None:

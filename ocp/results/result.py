@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -168,3 +168,18 @@ class PlanResult(PlannedForces, Stored):
             intervals,
             float(self.time[-1]),
         )
+
+
+class Replayed(NamedTuple):
+    """Replays that decide about a plan.
+
+    Attributes
+    ----------
+    motions : tuple of Trajectory
+        The replay. If its step check fails, it is repeated in half the steps, and both count.
+    failure : str
+        Reason why the replay does not count; "" if it does.
+    """
+
+    motions: tuple[Trajectory, ...]
+    failure: str = ""

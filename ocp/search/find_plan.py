@@ -12,19 +12,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ocp.control.lqr import replay_tracked
 from ocp.guess.initial_guess import InitialGuess
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.results.acceptance import RELIABLE, assess_plan
 from ocp.results.diagnosis import interpolate_plan
-from ocp.results.replay import replay_open
-from ocp.results.result import PlanResult
+from ocp.results.result import PlanResult, Replayed
 from ocp.search.coordinates import ReducedCoordinates, reduce_coordinates
 from ocp.search.methods import plan_guess, run_attempt
 from ocp.search.narrow_limits import explain_limits
 from ocp.search.plan_record import record_plan
 from ocp.search.policy import INEXACT, Attempt, attempts, complete, is_inexact
+from ocp.search.replays import replay_plan
 from ocp.search.task import Method, PlanningTask, prepare
 from ocp.solvers.base import Outcome
 from ocp.solvers.monitor import REPLAYING, Monitor
@@ -35,7 +34,6 @@ from ocp.targets.target import StateAt, Target
 from ocp.transcription.base import Transcription
 from ocp.transcription.mesh import Profile
 from ocp.transcription.multiple_shooting import MultipleShooting
-from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.names import add_names
 from tenscasadi.util.processes import one_blas_thread
 from tenscasadi.util.troubleshooting import add_address
@@ -206,16 +204,13 @@ def _try(search: _PlanSearch, attempt: Attempt) -> tuple[PlanResult, Target | No
         outcome = outcome._replace(iterations=count)
         plan = record_plan(task, attempt.transcription, attempt.solver, outcome)
 
-    def replay(plan: PlanResult, tracked: bool) -> Trajectory | None:
-        given = plan if search.reduced is None else search.reduced.restore(plan)
-
-        def simulate() -> Trajectory | None:
-            if tracked:
-                return replay_tracked(given)
-            return replay_open(given, given.require_model("replay"), None, None)
-
-        motion = task.monitor.run(simulate, lambda: None, REPLAYING)
-        return motion if motion is None or search.reduced is None else search.reduced.lower(motion)
+    def replay(plan: PlanResult, tracked: bool) -> Replayed | None:
+        reduced = search.reduced
+        given = plan if reduced is None else reduced.restore(plan)
+        found = task.monitor.run(lambda: replay_plan(given, tracked), lambda: None, REPLAYING)
+        if found is None or reduced is None:
+            return found
+        return found._replace(motions=tuple(reduced.lower(motion) for motion in found.motions))
 
     given = task.problem if search.reduced is None else search.reduced.given
     plan = assess_plan(plan, target, outcome, task.tolerance, replay, task.tracked, given.scene)

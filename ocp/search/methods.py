@@ -7,7 +7,6 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from ocp.control.lqr import replay_tracked
 from ocp.guess.initial_guess import InitialGuess, TrajectoryGuess, evaluate_guess
 from ocp.phases.correction import Replay
 from ocp.phases.method import solve_phased
@@ -16,12 +15,12 @@ from ocp.problem.phase import reject_phases
 from ocp.problem.problem import Problem
 from ocp.results.acceptance import describe_growth
 from ocp.results.diagnosis import build_interpolant, explain_failure
-from ocp.results.replay import replay_open
-from ocp.results.result import PlanResult
+from ocp.results.result import PlanResult, Replayed
 from ocp.sampling.method import solve_sampled
 from ocp.sampling.solver import Sampling
 from ocp.search.plan_record import record_plan
 from ocp.search.policy import Attempt, PlannedGuess
+from ocp.search.replays import replay_plan
 from ocp.search.rest_lengths import convert_outcome
 from ocp.search.task import PlanningTask, prepare
 from ocp.solvers.base import Outcome, Solution, Solver, find_best_iterate
@@ -42,7 +41,6 @@ from ocp.transcription.base import Transcription
 from ocp.transcription.mesh import Guess, held_values
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.schema.definitions import resolve_names
-from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import Array, instance
 
 
@@ -87,14 +85,11 @@ def run_attempt(task: PlanningTask, attempt: Attempt) -> tuple[Outcome, Target |
 
 def _build_replay(task: PlanningTask, attempt: Attempt) -> Replay:
     """Build the replay function that tests plans with phases."""
-    model = task.problem.model
 
-    def replay(time: Array, states: Array, gamma: Array) -> Trajectory:
+    def replay(time: Array, states: Array, gamma: Array) -> Replayed:
         found = Outcome(states, gamma, float(time[-1]), np.nan, True, "", 0, time=time)
         plan = record_plan(task, attempt.transcription, attempt.solver, found)
-        if task.tracked or describe_growth(plan, task.tolerance):
-            return replay_tracked(plan)
-        return replay_open(plan, model, None, None)
+        return replay_plan(plan, task.tracked or bool(describe_growth(plan, task.tolerance)))
 
     return replay
 

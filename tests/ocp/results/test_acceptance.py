@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,8 @@ import ocp
 from ocp.problem.scaling import Scales
 from ocp.results.acceptance import assess_plan, find_missed_goal
 from ocp.results.diagnosis import interpolate_plan
+from ocp.results.replay import replay_in_doubt
+from ocp.results.result import Replayed
 from ocp.solvers.base import Outcome
 from ocp.targets.find_target import find_target
 
@@ -44,7 +47,13 @@ def test_message_names_the_goal_that_the_planned_motion_misses(plan):
     states, gamma = plan.trajectory.states, plan.force_density
     found = Outcome(states, gamma, float(plan.time[-1]), plan.objective, True, "", 1)
     judged = assess_plan(
-        plan, far, found, 1e-3, lambda plan, tracked: plan.replay(), False, plan.model.scene
+        plan,
+        far,
+        found,
+        1e-3,
+        lambda plan, tracked: Replayed((plan.replay(),)),
+        False,
+        plan.model.scene,
     )
     assert not judged.success
     assert f"node {node} z: give another guess" in judged.message
@@ -61,3 +70,45 @@ def test_message_says_that_time_was_up_before_the_replay(plan):
     assert not judged.success
     assert "the plan after 7 iterations is unchecked: increase time_limit" in judged.message
     assert "misses" not in judged.message
+
+
+def test_goals_decide_where_the_step_check_fails(plan, monkeypatch):
+    """The step check fails in a run that ends at the goals: so does the one in half the steps."""
+    module = sys.modules["ocp.results.replay"]
+    simulated, steps = module.replay_open, []
+
+    def doubted(plan, model, scheme, step, verify=True):
+        motion = simulated(plan, model, scheme, step, verify)
+        steps.append(motion.step)
+        return replace(motion, success=motion.success and not verify)
+
+    monkeypatch.setattr(module, "replay_open", doubted)
+    found = replay_in_doubt(plan, plan.model)
+    assert found.failure == ""
+    assert steps == pytest.approx([steps[0], steps[0], steps[0] / 2])
+    assert [motion.step for motion in found.motions] == steps[1:]
+
+
+def test_the_worst_of_repeated_replays_counts(plan):
+    target = find_target(plan.problem, Scales.of(plan.problem))
+    states, gamma = plan.trajectory.states, plan.force_density
+    found = Outcome(states, gamma, float(plan.time[-1]), plan.objective, True, "", 1)
+    motion = plan.replay()
+    moved = motion.states.copy()
+    moved[-1, : plan.model.nq] *= 1.05
+    both = Replayed((motion, replace(motion, states=moved)))
+    scene = plan.model.scene
+    judged = assess_plan(plan, target, found, 1e-2, lambda plan, tracked: both, False, scene)
+    assert not judged.success
+    assert judged.replay_error > 0.01
+
+
+def test_message_quotes_the_failure_of_the_replay(plan):
+    target = find_target(plan.problem, Scales.of(plan.problem))
+    states, gamma = plan.trajectory.states, plan.force_density
+    found = Outcome(states, gamma, float(plan.time[-1]), plan.objective, True, "", 1)
+    failed = Replayed((), "its replay diverged at 0.2 s")
+    scene = plan.model.scene
+    judged = assess_plan(plan, target, found, 1e-2, lambda plan, tracked: failed, False, scene)
+    assert not judged.success
+    assert judged.message.endswith("its replay diverged at 0.2 s")

@@ -202,18 +202,18 @@ def test_guesses_are_of_the_given_model(arm):
 def test_success_is_what_the_given_model_does(arm, monkeypatch):
     """Where its motion were another one, the plan would be no success, whatever the twin does."""
     problem, _ = arm
-    find_plan = sys.modules["ocp.search.find_plan"]
-    replay = find_plan.replay_open
+    replays = sys.modules["ocp.results.replay"]
+    replay = replays.replay_open
 
-    def pushed(plan, model, scheme, step):
-        motion = replay(plan, model, scheme, step)
+    def pushed(plan, model, *given, **options):
+        motion = replay(plan, model, *given, **options)
         if model.coordinates == "reduced":
             return motion
         states = motion.states.copy()
         states[-1, : model.nq] += 0.05
         return tc.Trajectory(**{**vars(motion), "states": states})
 
-    monkeypatch.setattr(find_plan, "replay_open", pushed)
+    monkeypatch.setattr(replays, "replay_open", pushed)
     plan = ocp.solve(problem, ocp.Variational(30))
     assert not plan.success
     assert plan.replay_error == pytest.approx(0.05, rel=0.1)
