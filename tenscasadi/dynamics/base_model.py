@@ -1,4 +1,4 @@
-"""Base class of models, for modules that use models but make none."""
+"""Base class of `Model`, for modules that must not import it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from tenscasadi.util.validate import instance
 
 
 class BaseModel:
-    """Base class of `Model`."""
+    """Base class of `Model`, for type checks."""
 
 
 def check_model(model: Any, field: str = "model") -> None:

@@ -12,16 +12,16 @@ from tenscasadi.util.validate import NEGLIGIBLE, Array, whole_number
 
 
 class BodyFrame(NamedTuple):
-    """Frame of a body, a constant combination of its nodes.
+    """Constant linear combination of a body's nodes that is its frame.
 
     Attributes
     ----------
     nodes : list of int
         Nodes of the body.
     weights : ndarray, shape (k, d)
-        Weights of the nodes on the directions, which are 2 in a plane, else 3.
+        Weights of the nodes for each direction; d is 2 for nodes in a plane, else 3.
     directions : ndarray, shape (3, 3)
-        Directions in the structure's nodes, as columns.
+        Directions in the initial configuration, as columns.
     """
 
     nodes: list[int]
@@ -29,7 +29,7 @@ class BodyFrame(NamedTuple):
     directions: Array
 
     def rotation(self, nodes: Any) -> Any:
-        """Compute the rotation (3×3) in nodes (3×n)."""
+        """Compute the rotation matrix (3×3) of the body from nodes (3×n)."""
         F = ca.mtimes(nodes[:, self.nodes], ca.DM(self.weights))
         if F.shape[1] == 2:
             F = ca.horzcat(F, ca.cross(F[:, 0], F[:, 1]))
@@ -53,7 +53,7 @@ class BodyFrame(NamedTuple):
 def find_body(structure: Any, body: Any) -> Any:
     """Return a body of a structure by its index.
 
-    Raises TypeError, or ValueError if there is none or its nodes lie on a line.
+    Raises TypeError, or ValueError if it does not exist or its nodes lie on a line.
     """
     count = len(structure.bodies)
     if not count:
@@ -97,7 +97,7 @@ def body_frame(structure: Any, body: Any) -> BodyFrame:
 
 
 def body_orientation(structure: Any, body: Any, nodes: Array) -> Array:
-    """Compute the orientation of a body in given nodes.
+    """Compute a body's rotation matrix from node positions.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def body_orientation(structure: Any, body: Any, nodes: Array) -> Array:
 
 
 def body_angular_velocity(structure: Any, body: Any, nodes: Array, velocities: Array) -> Array:
-    """Compute the angular velocity of a body.
+    """Compute a body's angular velocity from node velocities.
 
     Parameters
     ----------

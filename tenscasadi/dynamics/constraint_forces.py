@@ -40,15 +40,15 @@ if TYPE_CHECKING:
 
 
 class RedundantConstraints(UserWarning):
-    """Redundant constraints of bars and joints in the initial shape.
+    """Warning of redundant bar and joint constraints at the start.
 
-    `Model` warns of them. The motion is exact if the constraints remain consistent, but their
+    `Model` issues it. The motion is exact if the constraints remain consistent, but their
     multipliers are not unique. The message names the bars or joints.
     """
 
 
 def residuals(mech: Mechanism, N: Any, B: Any, D: Any) -> tuple[Any, Any]:
-    """Compute the residuals of bars and joints.
+    """Compute the constraint residuals of bars and joints.
 
     They are ½(bᵀb − l²) (1×β) [m²] and N P − D (3×c) [m].
     """
@@ -56,7 +56,7 @@ def residuals(mech: Mechanism, N: Any, B: Any, D: Any) -> tuple[Any, Any]:
 
 
 def residual_rates(mech: Mechanism, V: Any, B: Any, Dd: Any) -> tuple[Any, Any]:
-    """Compute the rates of `residuals`.
+    """Compute the time derivatives of the constraint residuals.
 
     They are bᵀḃ (1×β) [m²/s] and V P − Ḋ (3×c) [m/s].
     """
@@ -67,9 +67,10 @@ def residual_rates(mech: Mechanism, V: Any, B: Any, Dd: Any) -> tuple[Any, Any]:
 
 
 def assemble_system(mech: Mechanism, B: Any, r: Any, R: Any) -> tuple[Any, Any]:
-    """Assemble the symmetric linear system of the multipliers.
+    """Assemble the symmetric linear system for the multipliers.
 
-    The matrix is that of Eq. 103, or (BᵀB) ∘ G. Returns matrix and right-hand side.
+    r (1×β) and R (3×c) are the residuals of bars and joints. The matrix is that of Eq. 103, or
+    (BᵀB) ∘ G. Returns matrix and right-hand side.
     """
     if not mech.joints:
         return _bar_matrix(mech, B), -r.T
@@ -84,9 +85,9 @@ def assemble_system(mech: Mechanism, B: Any, r: Any, R: Any) -> tuple[Any, Any]:
 
 
 def recover_multipliers(mech: Mechanism, B: Any, r: Any, solution: Any) -> tuple[Any, Any]:
-    """Compute λ (1×β) and Ω (3×c) from the system's solution.
+    """Compute λ (1×β) and Ω (3×c) from the linear system's solution.
 
-    Uncoupled bars are solved one by one (Eq. 87).
+    Bars that are not coupled with others are solved one by one (Eq. 87).
     """
     if mech.joints:
         Omega = ca.reshape(
@@ -100,9 +101,9 @@ def recover_multipliers(mech: Mechanism, B: Any, r: Any, solution: Any) -> tuple
 
 
 def nodal_forces(mech: Mechanism, B: Any, lam: Any, Omega: Any = None) -> Any:
-    """Compute B λ̂ C_b + Ω Pᵀ (3×n).
+    """Compute the constraint forces B λ̂ C_b + Ω Pᵀ (3×n) on nodes.
 
-    These are the forces of bars and, with Ω, of joints on the nodes.
+    These are the forces of bars and, with Ω, of joints.
     """
     force = scale_and_multiply(B, lam, mech.C_b)
     return force if Omega is None or not mech.joints else force + ca.mtimes(Omega, sparse(mech.P.T))
@@ -125,7 +126,7 @@ def remove_residuals(mech: Mechanism, Z: Any, B: Any, r: Any, R: Any) -> Any:
 def call_weighted(
     mech: Mechanism, function: Callable[..., tuple[Any, ...]], *arguments: Any
 ) -> tuple[Any, ...]:
-    """Call function(mech, *arguments) as `call_as_sx` does.
+    """Call function(mech, *arguments) as scalar code, see `call_as_sx`.
 
     Masses of `mech` are among the arguments if they are expressions.
     """
@@ -156,15 +157,16 @@ def project_velocities(mech: Mechanism, N: Any, V: Any, Dd: Any) -> Any:
 
 
 def stretch_bars(mech: Mechanism, N: Any, B: Any, nu: Any) -> Any:
-    """Scale uncoupled bars by impulses along them.
+    """Change the lengths of bars by displacements along them.
 
-    A bar b becomes b + ν b, where ν is 1×β. Returns the nodes N.
+    The bars are not coupled with each other. A bar vector b becomes b + ν b, where ν is 1×β.
+    Returns the nodes N.
     """
     return N + mech.with_inverse(nodal_forces(mech, B, nu / diagonal_row(mech.G[0])))
 
 
 def bar_scale(mech: Mechanism, B: Any) -> Any:
-    """Compute h = bᵀb G_ii (1×β) of uncoupled bars.
+    """Compute h = bᵀb G_ii (1×β) of bars that are not coupled.
 
     With the paper's constant length, it is l² G_ii.
     """
@@ -173,9 +175,10 @@ def bar_scale(mech: Mechanism, B: Any) -> Any:
 
 
 def _bar_matrix(mech: Mechanism, B: Any) -> Any:
-    """Compute Σ over axes of (b bᵀ) ∘ G (β×β).
+    """Compute the matrix (BᵀB) ∘ G (β×β) of the bar multipliers.
 
-    It has the sparsity of G.
+    With different masses along x, y and z, it is Σ over axes of (b bᵀ) ∘ G. It has the sparsity of
+    G.
     """
     G = mech.G
     pattern = sp.coo_array(sum(abs(number_nonzeros(g)) for g in G) + sp.eye_array(mech.bars))
@@ -235,9 +238,10 @@ def _joint_matrix(mech: Mechanism, unit: Any) -> Any:
 
 
 def find_redundancy(mech: Mechanism) -> str | None:
-    """Describe redundant constraints of the initial shape, or return None.
+    """Describe redundant constraints of the initial configuration.
 
-    The system of the multipliers is scaled to unit diagonal and limited to 600 unknowns.
+    Returns None without them. The system of the multipliers is scaled to unit diagonal and limited
+    to 600 unknowns.
     """
     size = mech.system_size
     if not 0 < size <= 600:  # a dense eigenvalue problem

@@ -1,4 +1,4 @@
-"""Forces of contacts: nodes and bars with grounds, and bars with each other."""
+"""Contact forces of nodes and bars with grounds, and between bars."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class TouchingPoints(NamedTuple):
-    """Contact of points with a surface, or with opposite points."""
+    """Points in contact with a surface, or with opposite points."""
 
     contact: Contact
     points: NodePoints | BarPoints
@@ -36,7 +36,7 @@ class TouchingPoints(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ContactElement(ForceElement):
-    """Contact law between pairs of points.
+    """Force element of a contact law between pairs of points.
 
     Attributes
     ----------
@@ -52,11 +52,14 @@ class ContactElement(ForceElement):
     mode: Any = None
 
     def locate_contact(self, N: Any) -> TouchingPoints:
-        """Find the contact of the columns N (3×n) [m]."""
+        """Compute the contact points at nodes N (3×n) [m]."""
         raise NotImplementedError
 
     def assemble(self, touch: TouchingPoints, N: Any, F: Any) -> Any:
-        """Assemble forces (3×m) [N] on the points, and the opposite ones, to 3×n."""
+        """Assemble contact-point forces (3×m) [N] to node forces (3×n).
+
+        Opposite points have the opposite forces.
+        """
         W, columns = touch.points.end_forces(N, F), touch.points.columns
         if touch.opposite is not None:
             W = ca.horzcat(W, touch.opposite.end_forces(N, -F))
@@ -78,7 +81,7 @@ class ContactElement(ForceElement):
         return self.surface.stiffness * ca.sum2(squared) / 2
 
     def switches(self, at: NodeMotion) -> Any:
-        """Compute the switching functions [m], positive in contact."""
+        """Compute functions [m] that are positive in contact."""
         touch = self.locate_contact(at.N)
         return find_switching(self.surface, touch.contact, touch.velocities(at.N, at.V))
 
@@ -92,7 +95,7 @@ class NodeContacts(ContactElement):
 
     @cached_property
     def columns(self) -> list[int]:
-        """Columns of N that the ground acts on."""
+        """Columns of N (nodes) on which the ground acts."""
         return self.mech.first[self.surface.select_nodes(self.structure)].tolist()  # type: ignore[no-any-return]
 
     @property
@@ -101,7 +104,7 @@ class NodeContacts(ContactElement):
         return len(self.columns)
 
     def locate_contact(self, N: Any) -> TouchingPoints:
-        """Find the contact of the columns N (3×n) [m]."""
+        """Compute the contact points at nodes N (3×n) [m]."""
         return TouchingPoints(self.surface.contact(N[:, self.columns]), NodePoints(self.columns))
 
 
@@ -122,7 +125,7 @@ class CapsuleContacts(ContactElement):
         return len(self._points.bars)
 
     def locate_contact(self, N: Any) -> TouchingPoints:
-        """Find the contact of the columns N (3×n) [m]."""
+        """Compute the contact points at nodes N (3×n) [m]."""
         ends = self.mech.bar_ends[self._points.bars]
         return TouchingPoints(*press_spheres(self.surface, self._points, ends, N))
 
@@ -144,7 +147,7 @@ class BarContacts(ContactElement):
         return len(self._pairs)
 
     def locate_contact(self, N: Any) -> TouchingPoints:
-        """Find the contact of the columns N (3×n) [m]."""
+        """Compute the contact points at nodes N (3×n) [m]."""
         ends = self.mech.bar_ends[self._pairs]
         columns = [ends[:, bar, end].tolist() for bar in (0, 1) for end in (0, 1)]
         radii = [ca.DM(self.structure.bar_radius[self._pairs[:, bar]]).T for bar in (0, 1)]

@@ -1,4 +1,7 @@
-"""Mechanisms in reduced and full coordinates, and their selection."""
+"""Constant matrices in reduced and full coordinates, and their selection.
+
+Full coordinates have separate nodes for each bar and joint constraints; reduced ones share nodes.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,10 @@ from tenscasadi.util.validate import Array, Indices
 def scene_mechanism(
     scene: Scene, coordinates: Coordinates, bar_length: BarLength = "current"
 ) -> Mechanism:
-    """Build the mechanism of a scene, with parametric masses."""
+    """Build the constant matrices of a scene's mechanism.
+
+    Masses may be parameters.
+    """
     mechanism = build_mechanism(scene.modelled, coordinates, bar_length)
     layout = scene.modelled._layout if coordinates == "full" else None
     if mechanism.turn is not None and _has_open_masses(scene):
@@ -40,9 +46,10 @@ def scene_mechanism(
 def choose_coordinates(scene: Scene, bar_length: BarLength = "current") -> Coordinates:
     """Choose the coordinates whose equations cost fewer operations.
 
-    In reduced coordinates the multipliers of all connected bars are coupled, because the inverse
-    mass matrix of a long chain is full. In full coordinates each joint is coupled only to its
-    neighbors. Reduced coordinates are also rejected if they do not support the scene.
+    In reduced coordinates (shared nodes) the multipliers of all connected bars are coupled, because
+    the inverse mass matrix of a long chain is full. In full coordinates (separate nodes with joint
+    constraints) each joint is coupled only to its neighbors. Reduced coordinates are also rejected
+    if they do not support the scene.
     """
     structure = scene.modelled
     if structure.coupled_mass.any() or structure.bodies:
@@ -55,7 +62,7 @@ def choose_coordinates(scene: Scene, bar_length: BarLength = "current") -> Coord
 
 
 def is_full_cheaper(structure: Structure) -> bool:
-    """Return whether full coordinates are four times cheaper.
+    """Return whether full coordinates need four times fewer operations.
 
     In chains of 40 to 400 bars, an operation in full coordinates takes up to three times as long,
     because sparse routines perform it.
@@ -82,9 +89,9 @@ def compare_coordinates(structure: Structure, coordinates: Coordinates) -> str:
 def build_mechanism(
     structure: Structure, coordinates: Coordinates, bar_length: BarLength = "current"
 ) -> Mechanism:
-    """Build the mechanism of a structure.
+    """Build the constant matrices of a structure's mechanism.
 
-    `bar_length` selects the denominator of λ̂.
+    `bar_length` selects the length in the denominator of λ̂, current or constant.
     """
     build = _build_reduced if coordinates == "reduced" else _build_full
     return build(structure, bar_length == "constant")
@@ -129,9 +136,9 @@ def _build_reduced(structure: Structure, constant_length: bool) -> Mechanism:
 def _add_auxiliary_columns(
     bodies: BodyAssembly, free: Any, turn: sp.csr_array | None
 ) -> tuple[Any, sp.csr_array | None]:
-    """Add auxiliary nodes to the free coordinates and frames.
+    """Add auxiliary nodes of rigid bodies to the free coordinates.
 
-    Dependent nodes are not free.
+    Nodes that are combinations of other nodes of their body are not free.
     """
     count = len(bodies.hosts)
     free = np.concatenate([free, np.ones((count, 3), dtype=bool)])
@@ -142,7 +149,7 @@ def _add_auxiliary_columns(
 
 
 def _add_bodies(bodies: BodyAssembly, own: dict[str, Any]) -> dict[str, Any]:
-    """Add auxiliary nodes and the bars of bodies to the fields of a mechanism."""
+    """Add bodies, as auxiliary nodes and bars, to a mechanism's fields."""
     more, size = len(bodies.hosts), len(bodies.nodes)
     widths = {
         name: sp.csr_array(
@@ -209,9 +216,9 @@ def _build_full(structure: Structure, constant_length: bool) -> Mechanism:
 
 
 def _split_bars(structure: Structure, C_b: sp.csr_array, ends: Indices) -> dict[str, Any]:
-    """Divide bars into rigid and elastic ones.
+    """Separate rigid from elastic bars.
 
-    C_b is their connectivity (bars × n), with the given end columns.
+    C_b is the connectivity (bars × n) of all bars, with the given end columns.
     """
     rigid = np.flatnonzero(~structure.elastic)
     return {
@@ -228,7 +235,7 @@ def _has_open_masses(scene: Scene) -> bool:
 
 
 def _count_operations(mech: Mechanism) -> int:
-    """Count the multiplications of the multipliers and of M⁻."""
+    """Count the multiplications for the multipliers and for M⁻."""
     if not mech.system_size:
         return 0
     B = mech.bar_vectors(ca.DM(mech.N))
@@ -239,7 +246,7 @@ def _count_operations(mech: Mechanism) -> int:
 
 
 def _build_local_coordinates(structure: Structure) -> tuple[Any, sp.csr_array]:
-    """Build the local coordinates of inclined rollers.
+    """Build coordinates along the directions of inclined rollers.
 
     Returns the mask (n, 3) of free coordinates, which are along rollers, and `Mechanism.turn`.
     """
@@ -250,7 +257,10 @@ def _build_local_coordinates(structure: Structure) -> tuple[Any, sp.csr_array]:
 
 
 def _invert_masses(M: Any, turn: sp.csr_array, index: Indices) -> tuple[sp.csr_array, ...]:
-    """Compute M⁻ of free local coordinates by pairs of axes."""
+    """Compute the inverse mass matrix M⁻ for inclined rollers.
+
+    It has a block (n, n) for each pair of axes.
+    """
     free = sp.csr_array(turn[:, index])
     inner = block_inverse(free_mass_matrix(M, turn, index), np.ones(len(index), bool))
     wide = drop_rounding(free @ inner @ free.T)
@@ -258,6 +268,6 @@ def _invert_masses(M: Any, turn: sp.csr_array, index: Indices) -> tuple[sp.csr_a
 
 
 def _frame(normals: Normals) -> Array:
-    """Complete orthonormal directions to a basis of columns."""
+    """Complete orthonormal directions to a basis, as columns."""
     directions = np.array(normals)
     return np.column_stack([*directions, *np.linalg.svd(directions)[2][len(directions) :]])

@@ -60,9 +60,10 @@ def forward_dynamics(
 def _assemble(
     space: StateSpace, mode: Any, mech: Mechanism, N: Any, V: Any, u: Any, time: Any
 ) -> tuple[Any, ...]:
-    """Compute F, B, the bar residuals, and the linear system.
+    """Compute forces F, bar vectors B, and the multipliers' linear system.
 
-    The residuals r are those without constraint forces. The system is absent if it has no unknowns.
+    The bar residuals r are those without constraint forces. The system is absent if it has no
+    unknowns.
     """
     F, moved = compute_forces(space, N, V, u, time, mode, mech)  # 3×n, Eq. 67
     B, Bd = mech.bar_vectors(N), mech.bar_vectors(V)  # 3×β
@@ -78,7 +79,7 @@ def _assemble(
 def _recover(
     space: StateSpace, mech: Mechanism, F: Any, B: Any, r: Any, solution: Any, time: Any
 ) -> tuple[Any, ...]:
-    """Compute N̈, λ and Ω from the linear system's solution."""
+    """Compute N̈, λ and Ω from the solution of the linear system."""
     lam, Omega = recover_multipliers(mech, B, r, solution)  # 1×β, Eq. 87; 3×c, Eq. 103
     return _accelerations(space, mech, F, B, lam, Omega, time), lam, Omega
 
@@ -86,7 +87,7 @@ def _recover(
 def _accelerations(
     space: StateSpace, mech: Mechanism, F: Any, B: Any, lam: Any, Omega: Any, time: Any
 ) -> Any:
-    """Compute N̈ (3×n), Eqs. 85-86."""
+    """Compute the accelerations N̈ (3×n) from the multipliers, Eqs. 85-86."""
     return mech.with_inverse(F + nodal_forces(mech, B, lam, Omega)) + space.support_accelerations(
         time
     )
@@ -116,10 +117,10 @@ def compute_forces(
 def joint_forces(
     space: StateSpace, full: Mechanism, N: Any, V: Any, A: Any, lam: Any, u: Any, time: Any
 ) -> Any:
-    """Compute Ω (3×c) in reduced coordinates.
+    """Compute joint forces Ω (3×c) in reduced coordinates.
 
-    These are the joint forces of Eq. 85 for the given accelerations A of the class-one nodes.
-    `full` is the mechanism in full coordinates.
+    They are those of Eq. 85 for the given accelerations A of nodes that bars do not share (class
+    one). `full` is the mechanism in full coordinates.
     """
     if not full.joints:
         return ca.DM.zeros(3, 0)

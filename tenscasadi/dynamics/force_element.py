@@ -1,4 +1,4 @@
-"""Base of features that exert forces on nodes."""
+"""Base class of scene features that exert forces on nodes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 class NodeMotion(NamedTuple):
-    """Motion of the columns of a mechanism at an instant."""
+    """Positions N, velocities V (3×n) and time of nodes."""
 
     N: Any  # 3×n [m]
     V: Any  # 3×n [m/s]
@@ -19,7 +19,7 @@ class NodeMotion(NamedTuple):
 
 
 class ForceElement:
-    """Feature of a scene that exerts forces on nodes.
+    """Base class of scene features that exert forces on nodes.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class ForceElement:
     def power(self, at: NodeMotion, stored: bool) -> Any:
         """Compute the power of the forces [W].
 
-        If `stored`, the rate of change of `energy` is left out.
+        If `stored`, the rate of change of `energy` is excluded.
         """
         power = ca.sum2(ca.sum1(self.forces(at) * at.V))
         if not stored:
@@ -53,15 +53,21 @@ class ForceElement:
         return power + ca.substitute(ca.jtimes(self.energy(n), n, at.V), n, at.N)
 
     def switches(self, at: NodeMotion) -> Any:
-        """Compute switching functions (1×k) [m], positive in mode 1."""
+        """Compute functions (1×k) [m] that are positive in mode 1.
+
+        A mode is 1 for a taut string or a contact, else 0.
+        """
         return ca.DM(1, 0)
 
     def margins(self, at: NodeMotion) -> Any:
-        """Compute the elongations (1×m) [m] that members bear before they break."""
+        """Compute the elongations (1×m) [m] of members until they break."""
         return ca.DM(1, 0)
 
     def internal_rates(self, at: NodeMotion) -> Any:
-        """Compute the rates of the element's internal states, a column."""
+        """Compute time derivatives of the element's internal states.
+
+        They form a column. Internal states are, for example, rest lengths of winches.
+        """
         return ca.DM(0, 1)
 
     def internal_kinetic_energy(self) -> Any:
@@ -70,7 +76,7 @@ class ForceElement:
 
 
 def spread(mech: Mechanism, W: Any, columns: list[int]) -> Any:
-    """Assign forces (3×m) on some columns to 3×n."""
+    """Build node forces (3×n) from forces (3×m) on some nodes."""
     count, n = len(columns), mech.N.shape[1]
     if columns == list(range(n)):
         return W

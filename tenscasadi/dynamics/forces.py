@@ -89,19 +89,22 @@ def build_elements(scene: Scene, mech: Mechanism, w: Any, mode: Any = None) -> l
 
 
 def internal_rates(elements: list[ForceElement], at: NodeMotion) -> Any:
-    """Compute the rates (na,) of all internal states, in the order of elements."""
+    """Compute the time derivatives (na,) of all internal states.
+
+    Internal states are, for example, rest lengths of winches. They are in the order of elements.
+    """
     return ca.vertcat(*(element.internal_rates(at) for element in elements))
 
 
 def sum_forces(elements: list[ForceElement], mech: Mechanism, at: NodeMotion) -> Any:
-    """Compute F (3×n) [N]."""
+    """Compute the sum F (3×n) of the elements' forces [N]."""
     return sum((element.forces(at) for element in elements), start=ca.DM.zeros(*mech.N.shape))
 
 
 def total(
     scene: Scene, mech: Mechanism, N: Any, V: Any, w: Any, time: Any, mode: Any = None
 ) -> Any:
-    """Compute the sum F (3×n) of all forces [N]."""
+    """Compute the sum F (3×n) of all forces of a scene [N]."""
     return sum_forces(build_elements(scene, mech, w, mode), mech, NodeMotion(N, V, time))
 
 
@@ -120,7 +123,7 @@ def potential_energy(scene: Scene, mech: Mechanism, N: Any, w: Any) -> tuple[Any
 
 
 def string_force_density(scene: Scene, mech: Mechanism, N: Any, V: Any, w: Any) -> tuple[Any, Any]:
-    """Compute γ (1×α) [N/m] and string vectors S (3×α) [m]."""
+    """Compute force densities γ (1×α) [N/m] and string vectors S (3×α)."""
     scene, u, internal = bind(scene, w)
     return StringForces(scene, mech, u, internal).force_density(N, V)
 
@@ -128,7 +131,7 @@ def string_force_density(scene: Scene, mech: Mechanism, N: Any, V: Any, w: Any) 
 def bar_force_density(scene: Scene, mech: Mechanism, N: Any, w: Any, lam: Any) -> Any:
     """Compute λ (1×bars) of rigid and elastic bars [N/m].
 
-    It is positive in compression. Bars of bodies are left out.
+    It is positive in compression. The massless bars that represent rigid bodies are omitted.
     """
     lam = lam[:, : mech.bars - len(mech.body_of_bar)]
     if not mech.C_e.shape[0]:
@@ -140,16 +143,16 @@ def bar_force_density(scene: Scene, mech: Mechanism, N: Any, w: Any, lam: Any) -
 
 @dataclass(frozen=True, eq=False)
 class StringForces(ForceElement):
-    """Strings of a scene whose constants may be expressions.
+    """Force element of the strings, whose constants may be expressions.
 
     Attributes
     ----------
     control : casadi column
-        Inputs (nu).
+        Control inputs (nu).
     internal : casadi column
         Internal states (na).
     mode : casadi row or None
-        1 for taut strings, of those that switch.
+        1 for each taut string; only strings that can go slack have an entry.
     damped : bool
         Whether damping acts.
     longest : casadi row or None
@@ -167,11 +170,14 @@ class StringForces(ForceElement):
 
     @property
     def switch_count(self) -> int:  # type: ignore[override]
-        """Number of cables and strings in no cable with slack events."""
+        """Number of cables, and of strings in no cable, that can go slack."""
         return len(self.scene.switching_inputs)
 
     def force_density(self, N: Any, V: Any) -> tuple[Any, Any]:
-        """Compute γ (1×α) [N/m] and S (3×α) [m] (Eq. 66)."""
+        """Compute force densities γ (1×α) [N/m] and string vectors S (3×α).
+
+        See Eq. 66.
+        """
         S = ca.mtimes(N, sparse(self.mech.C_s.T))
         gamma = self.law_density(ca.sum1(S * S), self._rate(S, V))
         if self.damped and self._cables is not None and has_cable_friction(self.scene):
@@ -183,10 +189,10 @@ class StringForces(ForceElement):
         return gamma, S
 
     def law_density(self, squared: Any, rate: Any = None) -> Any:
-        """Compute γ (1×α) from the string laws (Eqs. 98, 99).
+        """Compute force densities γ (1×α) from the string laws (Eqs. 98, 99).
 
-        `squared` are squared lengths [m²] of strings, and `rate` is c sᵀṡ [N·m] of cables and lone
-        strings. Cables have no friction.
+        `squared` are squared lengths [m²] of strings, and `rate` is c sᵀṡ [N·m] of cables and of
+        strings in no cable, for damping c. Cables have no friction.
         """
         gamma = self._intact_density(squared, rate)
         if not len(self.scene.breakable_inputs):
@@ -194,7 +200,7 @@ class StringForces(ForceElement):
         return gamma * spread_states(self.scene, self._own_states[1], self.scene.input_of, 1)
 
     def _intact_density(self, squared: Any, rate: Any) -> Any:
-        """Compute γ (1×α) of strings that are not broken."""
+        """Compute force densities γ (1×α) as if no string were broken."""
         scene = self.scene
         if isinstance(scene.control, ForceDensity):  # tension is constant along a parent string
             return self._per_segment(1 / scene.modelled.string_fraction)
@@ -249,9 +255,9 @@ class StringForces(ForceElement):
         return ca.sum2(energies)
 
     def margins(self, at: NodeMotion) -> Any:
-        """Compute the elongations (1×m) that breakable inputs bear before they break [m].
+        """Compute the elongations (1×m) [m] of strings until they break.
 
-        They compare with slack events.
+        Cables and strings in no cable have one each. They compare with those of slack events.
         """
         s, breakable = self.scene.modelled, self.scene.breakable_inputs
         if not len(breakable):
@@ -262,17 +268,26 @@ class StringForces(ForceElement):
         return self._reserves(at) / unit[:, first.tolist()]
 
     def _reserves(self, at: NodeMotion) -> Any:
-        """Compute strength less tension (1×m) of inputs that can break or yield [N]."""
+        """Compute strength minus tension (1×m) of strings that can fail [N].
+
+        Cables have one entry each.
+        """
         gamma, S = self.force_density(at.N, at.V)
         return compute_reserves(self.scene, gamma * ca.sqrt(ca.sum1(S * S)))
 
     def switches(self, at: NodeMotion) -> Any:
-        """Compute the switching functions of cables and strings with slack events."""
+        """Compute functions (1×k) [m] that are positive for taut strings.
+
+        Only cables, and strings in no cable, that can go slack have one.
+        """
         S = ca.mtimes(at.N, sparse(self.mech.C_s.T))
         return self.excess_lengths(ca.sum1(S * S), self._rate(S, at.V))
 
     def internal_rates(self, at: NodeMotion) -> Any:
-        """Compute the rates of the internal states of the control, then of the strength."""
+        """Compute time derivatives of the strings' internal states.
+
+        Those of the control come first, then those of string failure.
+        """
         strength, own = self.scene.strength, self._own_states[1]
         rates = [self._control_rates(at)]
         if len(self.scene.breakable_inputs):
@@ -298,14 +313,14 @@ class StringForces(ForceElement):
 
     @property
     def _own_states(self) -> tuple[Any, Any]:
-        """Internal states of the control, and the first ones of strings that can fail."""
+        """Internal states of the control, then those of string failure."""
         count = len(self.scene.limited_inputs)
         end = self.internal.shape[0] - count_states(self.scene)
         return self.internal[:end, :], self.internal[end : end + count, :]
 
     @property
     def _members(self) -> Indices:
-        """Input of each cable and of each modeled string in no cable."""
+        """Index of the control input for each cable and string in no cable."""
         return np.asarray(self.scene.structure.cable_of[self._inputs.string_parent])
 
     @property
@@ -314,13 +329,14 @@ class StringForces(ForceElement):
 
     @property
     def _command(self) -> Any:
-        """Forces or rest lengths (nu,) that the control sets."""
+        """Forces or rest lengths (nu,) that the control prescribes."""
         return self._law.command(self.control, self._own_states[0])
 
     def excess_lengths(self, squared: Any, rate: Any = None) -> Any:
-        """Compute the switching functions (1×k) [m] of cables and strings in no cable.
+        """Compute functions (1×k) [m] that are positive for taut strings.
 
-        `squared` are squared lengths of strings [m²], and `rate` is c sᵀṡ [N·m].
+        Only cables, and strings in no cable, that can go slack have one. `squared` are squared
+        lengths of strings [m²], and `rate` is c sᵀṡ [N·m] for damping c.
         """
 
         def gap(law: Any, _: Indices, squared: Any, rest: Any, k: Any, unit: Any, rate: Any) -> Any:
@@ -329,7 +345,11 @@ class StringForces(ForceElement):
         return self._by_law(gap, squared, rate, switching=True)
 
     def _rate(self, S: Any, V: Any) -> Any:
-        """Compute c sᵀṡ (1×m) of cables and strings in no cable (Eq. 98), None without damping."""
+        """Compute c sᵀṡ (1×m) of damped strings (Eq. 98).
+
+        c is the damping and s the vector of a string or the length of a cable. Returns None without
+        damping.
+        """
         if not self.damped or not is_damped(self.scene):
             return None
         rates = ca.sum1(S * ca.mtimes(V, sparse(self.mech.C_s.T)))
@@ -345,15 +365,19 @@ class StringForces(ForceElement):
 
     @cached_property
     def _inputs(self) -> Any:
-        """Constants of cables and strings in no cable, under the names of `Structure`."""
+        """Stiffness, damping and rest lengths of cables.
+
+        Strings that belong to no cable count as cables of one string. Names are those of
+        `Structure`.
+        """
         return self.scene.modelled if self._cables is None else self._cables.constants()
 
     def _by_law(
         self, evaluate: Callable[..., Any], squared: Any, rate: Any, switching: bool = False
     ) -> Any:
-        """Evaluate a function of each law and join rows.
+        """Evaluate a function for each string law, and join the results.
 
-        If `switching`, only laws with slack events are evaluated.
+        If `switching`, only laws with slack are evaluated.
         """
         s, laws = self._inputs, self.scene.input_laws
         if self._cables is not None:
@@ -376,7 +400,10 @@ class StringForces(ForceElement):
         return ca.horzcat(*parts)[:, place.tolist()]
 
     def _per_segment(self, factor: Array) -> Any:
-        """Expand the control to cables and modeled strings in no cable, times `factor`."""
+        """Assign control values to modeled strings, multiplied by `factor`.
+
+        A string that is divided into segments has several modeled strings; a cable has one value.
+        """
         parent, u = self._members, self._command
         row = u.T if len(parent) == u.shape[0] else u[parent.tolist(), :].T
         return row if np.all(factor == 1) else row * ca.DM(factor).T
@@ -384,33 +411,33 @@ class StringForces(ForceElement):
 
 @dataclass(frozen=True, eq=False)
 class ElasticBars(ForceElement):
-    """Elastic bars with the tension k (l − ρ)."""
+    """Force element of elastic bars with the tension k (l − ρ)."""
 
     name: ClassVar[str] = "elastic bars"
     scene: Scene
     mech: Mechanism
 
     def law_density(self, squared: Any) -> Any:
-        """Compute γ (1×bars) [N/m] from squared lengths [m²].
+        """Compute force densities (1×bars) [N/m] from squared lengths [m²].
 
-        It is positive in tension.
+        They are positive in tension.
         """
         stiffness, rest = self._constants()
         return Linear().force_density(squared, rest, stiffness, None, rest)
 
     def forces(self, at: NodeMotion) -> Any:
-        """Compute the forces (3×n) [N]."""
+        """Compute the forces of elastic bars on nodes (3×n) [N]."""
         E = ca.mtimes(at.N, sparse(self.mech.C_e.T))
         return scale_and_multiply(E, self.law_density(ca.sum1(E * E)), -self.mech.C_e)
 
     def energy(self, N: Any) -> Any:
-        """Compute the elastic energy [J]."""
+        """Compute the elastic energy of the bars [J]."""
         E = ca.mtimes(N, sparse(self.mech.C_e.T))
         stiffness, rest = self._constants()
         return ca.sum2(Linear().energy(ca.sum1(E * E), rest, stiffness, rest))
 
     def _constants(self) -> list[Any]:
-        """Select stiffness and rest lengths (1×bars)."""
+        """Select stiffness and rest lengths (1×bars) of elastic bars."""
         s = self.scene.modelled
         which = np.flatnonzero(s.elastic)
         return [
@@ -421,7 +448,7 @@ class ElasticBars(ForceElement):
 
 @dataclass(frozen=True, eq=False)
 class Weights(ForceElement):
-    """Gravity on the columns."""
+    """Force element of gravity on nodes."""
 
     name: ClassVar[str] = "gravity"
     gravity: Gravity
@@ -438,7 +465,7 @@ class Weights(ForceElement):
 
 @dataclass(frozen=True, eq=False)
 class PressureForces(ForceElement):
-    """Pressure on triangles of nodes."""
+    """Force element of pressure on triangles of nodes."""
 
     name: ClassVar[str] = "pressure"
     pressure: Pressure
@@ -452,7 +479,7 @@ class PressureForces(ForceElement):
 
 @dataclass(frozen=True, eq=False)
 class NodalForces(ForceElement):
-    """Forces on nodes, or on the ends of given bars."""
+    """Force element of given forces on nodes, or on ends of given bars."""
 
     name: ClassVar[str] = "nodal forces"
     load: NodalForce

@@ -1,4 +1,4 @@
-"""Linear steps along a trajectory, and LQR gains for them."""
+"""Linearized time steps along a trajectory, and LQR gains for them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ linalg = lazy_module("scipy.linalg")
 def linear_steps(
     model: Model, starts: Array, ends: Array, controls: Array, lengths: Array
 ) -> Iterator[tuple[Array, Array]]:
-    """Yield linearized steps of K intervals.
+    """Yield linearized time steps of K intervals.
 
     A step is L δx⁺ = R (δx, δu), with L (nx, nx) and R (nx, nx + nu). Intervals run from states
     `starts` (K, nx) to `ends` (K, nx) under controls (K, nu) in `lengths` (K,) [s]. Each is
@@ -36,7 +36,7 @@ def linear_steps(
 def transitions(
     model: Model, starts: Array, ends: Array, controls: Array, lengths: Array, substeps: int = 1
 ) -> tuple[Array, Array]:
-    """Compute the state-transition matrices of K spans.
+    """Compute state-transition and input matrices of K time spans.
 
     They are ∂x⁺/∂x (K, nx, nx) and ∂x⁺/∂u (K, nx, nu), from `substeps` linear steps each. The
     control is constant in a span.

@@ -1,6 +1,6 @@
-"""First derivatives of the equation of motion.
+"""First derivatives of the equations of motion.
 
-The equation is M q̈ = F + Jᵀ μ, J q̈ + c = 0.
+The equations are M q̈ = F + Jᵀ μ, J q̈ + c = 0.
 """
 
 from __future__ import annotations
@@ -28,24 +28,26 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class LinearDynamics:
-    """First-order dynamics at K states.
+    """Linearized dynamics at K states.
+
+    The equations are M q̈ = F + Jᵀ μ, J q̈ + c = 0.
 
     Attributes
     ----------
     model : Model
         Model with nx states, nq coordinates and nw = nu + np inputs.
     rates : ndarray (K, nx)
-        Rates of the states.
+        Time derivatives ẋ of the states.
     inverse_mass : array (nq, nq)
         M⁻¹, dense or sparse.
     weighted, inverse : ndarray (K, c, nq), (K, c, c)
         J M⁻¹ and (J M⁻¹ Jᵀ)⁻¹, by which accelerations depend on forces.
     slopes : ndarray (K, ·)
-        Entries of the derivatives of F + Jᵀ μ − M q̈ and J q̈ + c, at constant q̈ and μ.
+        Nonzero derivatives of F + Jᵀ μ − M q̈ and J q̈ + c, at constant q̈ and μ.
     pattern : sparse array (nx + nw, nq + c)
         Sparsity of these entries, row by row. The methods write into its data.
     internal : ndarray (K, na, nx + nw)
-        Derivatives of the rates of the internal states.
+        Derivatives of the internal states' time derivatives.
     """
 
     model: Model
@@ -58,9 +60,9 @@ class LinearDynamics:
     internal: Array
 
     def tangent(self, k: int, changes: Array) -> Array:
-        """Compute changes (nx, m) of the rates.
+        """Compute changes (nx, m) of ẋ for changes of state and input.
 
-        The changes (nx + nw, m) are those of state and input.
+        The latter are (nx + nw, m).
         """
         nq, result = self.model.nq, np.zeros((self.model.nx, changes.shape[1]))
         self.pattern.data = self.slopes[k]
@@ -73,9 +75,9 @@ class LinearDynamics:
         return result
 
     def adjoint(self, k: int, weights: Array) -> Array:
-        """Compute gradients (nx + nw, m) of weighted rates.
+        """Compute gradients (nx + nw, m) of weightsᵀ ẋ.
 
-        The weights are (nx, m).
+        They are with respect to state and input. The weights are (nx, m).
         """
         nq, forces = self.model.nq, weights[self.model.nq : 2 * self.model.nq]
         back = self.inverse[k] @ (self.weighted[k] @ forces)
@@ -88,7 +90,7 @@ class LinearDynamics:
         return np.asarray(result)
 
     def jacobian(self, k: int) -> Array:
-        """Compute the Jacobian (nx, nx + nw) of the rates.
+        """Compute the Jacobian (nx, nx + nw) of ẋ.
 
         The derivatives are with respect to state and input.
         """
@@ -103,10 +105,10 @@ class LinearDynamics:
 
 
 class EquationDerivatives:
-    """Equation of motion of a model and its first derivatives.
+    """Equations of motion of a model and their first derivatives.
 
-    The system of the multipliers is solved in numbers, because expressions of the derivatives of
-    accelerations would be dense.
+    The equations are M q̈ = F + Jᵀ μ, J q̈ + c = 0. The system of the multipliers μ is solved in
+    numbers, because expressions of the derivatives of accelerations would be dense.
     """
 
     def __init__(self, model: Model) -> None:
@@ -148,7 +150,7 @@ class EquationDerivatives:
 
     @staticmethod
     def of(model: Model) -> EquationDerivatives:
-        """Return the derivatives of a model, built once."""
+        """Return the derivatives of a model, which caches them."""
         return model.keep("equation derivatives", lambda: EquationDerivatives(model))
 
     def at(self, states: Array, controls: Array, parameters: Any = None) -> LinearDynamics:
@@ -193,7 +195,7 @@ class EquationDerivatives:
         return self.mass(inputs[self.model.nu :]), J, force, bias
 
     def slopes_at(self, state: Array, inputs: Array, mu: Array, accelerations: Array) -> Any:
-        """Compute the sparse derivative of the equations.
+        """Compute the sparse Jacobian of the equations at constant q̈ and μ.
 
         It is the derivative (nq + c, nx + nw) of F + Jᵀ μ − M q̈ and J q̈ + c.
         """
@@ -247,7 +249,7 @@ def _free_directions(J: Array) -> Array:
 
 
 def _constraint_jacobian(model: Model, state: Array) -> Array:
-    """Compute the Jacobian of all constraints.
+    """Compute the Jacobian of all constraints with respect to the state.
 
     Its rows are bars, joints, their rates, and the clock.
     """
@@ -269,9 +271,9 @@ def _symbol_kind(model: Model) -> Any:
 
 
 def _compute_length_error(model: Model, N: Any, w: Any) -> Any:
-    """Compute (bᵀb − l²)/l² G, or 0.
+    """Compute (bᵀb − l²)/l² · diag(G), or 0.
 
-    It is the constraint violation of λ̂ with constant lengths.
+    It is the error of the bar constraints if λ̂ is computed with constant lengths.
     """
     mech, count = model.mechanism, model.mechanism.bars
     none = type(N).zeros(int(mech.active.sum()), 1)

@@ -1,4 +1,4 @@
-"""Parametric masses: M and its inverse as expressions of p."""
+"""Mass matrix M and its inverse as functions of the parameters p."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ UNROLL_SOLVE = 6
 
 @dataclass(frozen=True, eq=False)
 class Masses(ReadOnlyArrays):
-    """Dependence of M and M⁻ on the parameters.
+    """Mass matrix M and its inverse M⁻ as functions of the parameters.
 
     Attributes
     ----------
     entries : Affine
-        Entries of M, column by column.
+        Nonzeros of M, column by column.
     pattern : casadi.Sparsity, (n, n)
         Sparsity of M.
     free : tuple of ndarray of bool (n,)
@@ -38,7 +38,7 @@ class Masses(ReadOnlyArrays):
     held : ndarray (n,)
         Constant inverse mass of columns that never move [1/kg]; 0 for others.
     spread : csr_array (n, n), optional
-        Weights of independent columns on all, see `Mechanism`; None: identity.
+        Weights of independent nodes on all nodes, see `Mechanism`; None: identity.
     """
 
     entries: Affine
@@ -48,13 +48,13 @@ class Masses(ReadOnlyArrays):
     spread: sp.csr_array | None = None
 
     def weigh(self, p: Any) -> Any:
-        """Compute entries of M and M⁻ as a CasADi column."""
+        """Compute the nonzeros of M and M⁻ for parameters p, as a column."""
         entries = self.entries.expression(p, full=True)
         inverse = self._unrolled if isinstance(p, ca.SX) else self._inverse
         return ca.vertcat(entries, *inverse.call([entries]))
 
     def matrices(self, weights: Any) -> tuple[Any, tuple[Any, ...]]:
-        """Build M and M⁻ (n×n) from their entries.
+        """Build M and M⁻ (n×n) from their nonzeros.
 
         There is one M⁻ for all axes or one for each.
         """
@@ -64,7 +64,7 @@ class Masses(ReadOnlyArrays):
         return M, tuple(inverses)
 
     def mass_matrix(self, p: Any) -> Any:
-        """Build M only."""
+        """Build the mass matrix M for parameters p."""
         return matrix_with_pattern(self.pattern, self.entries.expression(p, full=True))
 
     @cached_property
@@ -82,7 +82,7 @@ class Masses(ReadOnlyArrays):
         return found
 
     def _expand(self, inner: sp.csr_array) -> sp.csr_array:
-        """Find the pattern of S M⁻ Sᵀ from that of M⁻."""
+        """Find the sparsity of S M⁻ Sᵀ from that of M⁻."""
         weights = abs(sp.csr_array(self.spread)).sign()
         return sp.csr_array(weights @ inner @ weights.T)
 
@@ -103,13 +103,13 @@ class Masses(ReadOnlyArrays):
 
     @cached_property
     def _inverse(self) -> ca.Function:
-        """Function from the entries of M to those of M⁻."""
+        """Function from the nonzeros of M to those of M⁻."""
         small = all(len(block) <= UNROLL_SOLVE for blocks in self._blocks for block in blocks)
         return self._unrolled if small else self._write_inverse(ca.MX)
 
     @cached_property
     def _unrolled(self) -> ca.Function:
-        """`_inverse` as scalar code for all block sizes."""
+        """`_inverse` as scalar code, for all block sizes."""
         return self._write_inverse(ca.SX)
 
     def _write_inverse(self, kind: Any) -> ca.Function:
@@ -131,7 +131,7 @@ class Masses(ReadOnlyArrays):
 
 
 def _invert(block: Any, held: Array) -> Any:
-    """Invert a symmetric positive definite matrix.
+    """Invert a symmetric positive definite block of M.
 
     The inverse of a single pinned node is given by `held`.
     """
@@ -215,7 +215,7 @@ def read_masses(
 
 
 class _BodyEntries(NamedTuple):
-    """Entries of the mass matrix of bodies."""
+    """Nonzeros of the mass matrix of rigid bodies."""
 
     row: Indices
     column: Indices
@@ -223,7 +223,7 @@ class _BodyEntries(NamedTuple):
 
 
 def _body_masses(scene: Any, bodies: BodyAssembly) -> _BodyEntries:
-    """Compute the entries of the mass matrix of bodies.
+    """Compute the nonzeros of the mass matrix of rigid bodies.
 
     They are linear in the masses and moments of inertia, m w wᵀ + W (½ tr(I) E − I) Wᵀ.
     """
@@ -283,7 +283,7 @@ def node_weights(scene: Any) -> Affine:
 
 
 def _node_masses(scene: Any) -> Affine:
-    """Compute the point masses of modeled nodes."""
+    """Compute the point masses of modeled nodes as functions of p."""
     s = scene.structure
     on_ends = scene.ends != "interior"
     spread = cut_strings(s.nodes, s.strings, scene.segment_fractions, on_ends)[2]
@@ -293,7 +293,7 @@ def _node_masses(scene: Any) -> Affine:
 
 
 def _compute_coupled_masses(scene: Any) -> Affine:
-    """Compute the consistent masses of segments."""
+    """Compute the consistent masses of string segments as functions of p."""
     s = scene.modelled
     count = len(s.strings)
     onto_segments = sp.csr_array(

@@ -57,10 +57,11 @@ class Multipliers(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Mechanism(ReadOnlyArrays):
-    """Constant matrices of a structure in one coordinate set.
+    """Constant matrices of a structure in one set of coordinates.
 
-    Columns are physical nodes in reduced coordinates, and class-one nodes in full coordinates. If
-    masses are parameters, M and M⁻ have nominal values. `with_masses` replaces them by expressions.
+    Columns of N (3×n) are the nodes of the structure in reduced coordinates, and separate nodes of
+    each bar (class one) in full coordinates. If masses are parameters, M and M⁻ have nominal
+    values. `with_masses` replaces them by expressions.
     """
 
     N: Array  # 3×n initial nodes
@@ -93,7 +94,7 @@ class Mechanism(ReadOnlyArrays):
 
     @property
     def joints(self) -> int:
-        """Number of columns of P."""
+        """Number of joint and pin constraints, the columns of P."""
         return int(self.P.shape[1])
 
     @property
@@ -159,33 +160,39 @@ class Mechanism(ReadOnlyArrays):
         )
 
     def local(self, vector: Any) -> Any:
-        """Convert vectors from the axes of N to local coordinates.
+        """Convert vectors from x, y, z to roller coordinates.
 
-        Local coordinates are along and across rollers. Vectors are CasADi columns (3n) or arrays
-        (…, 3n).
+        These local coordinates are along and across inclined rollers. Vectors are CasADi columns
+        (3n) or arrays (…, 3n).
         """
         return vector if self.turn is None else _rotate(self.turn.T, vector)
 
     def world(self, vector: Any) -> Any:
-        """Convert vectors from local coordinates to the axes of N."""
+        """Convert vectors from roller coordinates to x, y, z."""
         return vector if self.turn is None else _rotate(self.turn, vector)
 
     @property
     def dependent(self) -> Any:
-        """Flags (n,) of columns that are affine combinations of others."""
+        """Flags (n,) of nodes that are affine combinations of others."""
         n = self.N.shape[1]
         return np.zeros(n, bool) if self.spread is None else self.spread.diagonal() == 0.0
 
     def expand(self, Z: Any) -> Any:
-        """Set the dependent columns of positions or velocities (3×n)."""
+        """Set dependent nodes in positions or velocities (3×n).
+
+        Dependent nodes of a rigid body are affine combinations of others.
+        """
         return Z if self.spread is None else ca.mtimes(Z, sparse(self.spread.T))
 
     def gather(self, F: Any) -> Any:
-        """Move forces (3×n) from dependent to independent columns."""
+        """Move forces (3×n) from dependent to independent nodes."""
         return F if self.spread is None else ca.mtimes(F, sparse(self.spread))
 
     def generalized_forces(self, F: Any) -> Any:
-        """Compute the forces (nq) along the free coordinates from those on columns (3×n)."""
+        """Convert forces on nodes (3×n) to generalized forces (nq).
+
+        They are forces along the free coordinates.
+        """
         own = self.local(ca.vec(self.gather(F)))
         return ca.densify(
             own if len(self.free_index) == own.shape[0] else own[self.free_index.tolist()]
@@ -210,14 +217,17 @@ class Mechanism(ReadOnlyArrays):
 
     @property
     def node_weight(self) -> Any:
-        """Mass of each column [kg]: the row sums of M.
+        """Mass of each node [kg]: the row sums of M.
 
         It is an array (n,), or a CasADi row (1×n).
         """
         return ca.sum1(self.M) if is_expression(self.M) else self.M.sum(axis=1)
 
     def with_masses(self, weights: Any) -> Mechanism:
-        """Insert the entries of M and M⁻ from `masses.weigh`."""
+        """Replace M and M⁻ by expressions with nonzeros `weights`.
+
+        These are the result of `masses.weigh`.
+        """
         if self.masses is None:
             return self
         M, inverse = self.masses.matrices(weights)
@@ -225,12 +235,12 @@ class Mechanism(ReadOnlyArrays):
 
     @property
     def active_mask(self) -> ca.DM:
-        """`active` as numbers (3×c)."""
+        """Constrained axes of joints and pins (3×c), as 1 or 0."""
         return ca.DM(self.active.astype(float))
 
     @cached_property
     def constrained_directions(self) -> Any:
-        """Block-diagonal matrix (3c×3c) of the constrained directions."""
+        """Block-diagonal matrix (3c×3c) of joint constraint directions."""
         return sparse(
             sp.block_diag(
                 [frame * active for frame, active in zip(self.frames, self.active.T, strict=True)]
@@ -238,7 +248,7 @@ class Mechanism(ReadOnlyArrays):
         )
 
     def project_onto_constraints(self, vectors: Any) -> Any:
-        """Project vectors (3×c) onto the constrained directions."""
+        """Project vectors (3×c) onto the joint constraint directions."""
         if self.frames is None:
             return vectors * self.active_mask
         D = self.constrained_directions
@@ -271,7 +281,7 @@ class Mechanism(ReadOnlyArrays):
         )
 
     def join_bars(self, rigid: Any, elastic: Any) -> Any:
-        """Join rows of rigid and elastic bars in order."""
+        """Join values of rigid and elastic bars in the order of all bars."""
         if not self.C_e.shape[0]:
             return rigid
         order = np.argsort(np.concatenate([self.rigid, self.elastic]))
@@ -279,12 +289,15 @@ class Mechanism(ReadOnlyArrays):
 
     @property
     def elastic(self) -> Indices:
-        """Elastic ones among all bars."""
+        """Indices of the elastic bars."""
         return np.setdiff1d(np.arange(len(self.bar_ends)), self.rigid)
 
     @cached_property
     def G(self) -> tuple[Any, ...]:
-        """C_b M⁻ C_bᵀ (β×β) for each entry of `inverse`."""
+        """Matrices C_b M⁻ C_bᵀ (β×β), which couple the bars' multipliers.
+
+        There is one for each entry of `inverse`.
+        """
         return tuple(product(self.C_b, inverse, self.C_b.T) for inverse in self.inverse)
 
     @cached_property

@@ -1,4 +1,4 @@
-"""Model: a scene as CasADi Functions."""
+"""Model: the equations of motion of a scene as CasADi Functions."""
 
 from __future__ import annotations
 
@@ -116,12 +116,12 @@ class Model(Value, Observations, kind="Model"):
         return f"Model({sizes}, {self.coordinates} coordinates)"
 
     def to_fields(self) -> dict[str, Any]:
-        """Return the keywords."""
+        """Return the keyword arguments that build the model again."""
         bar_length = "constant" if self.mechanism.constant_length else "current"
         return {"scene": self.scene, "coordinates": self.coordinates, "bar_length": bar_length}
 
     def with_parameters(self, parameters: Any = None) -> Model:
-        """Fix the parameters as constants of a copy.
+        """Copy the model with parameter values as constants.
 
         Parameters
         ----------
@@ -280,11 +280,7 @@ class Model(Value, Observations, kind="Model"):
 
     @cached_property
     def power(self) -> ca.Function | None:
-        """Power of all forces that are not in `energy`.
-
-        Function "power" (x, u) → power [W]; None if there are no such forces. A jump of the control
-        changes the energy instantly, which is not included.
-        """
+        """Power of all forces whose work is not in `energy`."""
         if self.conservative:
             return None
         x, u = self.symbols(not self.mechanism.large)
@@ -397,9 +393,9 @@ def _rebuild(
 
 
 def _check_parameters(model: Model) -> None:
-    """Check that parameters have an effect.
+    """Check that each parameter has an effect.
 
-    Raises ValueError. Warns of parameters that set only the control.
+    Raises ValueError. Warns of parameters that affect the initial control only.
     """
     unused, control = _find_unused(model), model.scene.control
     forces_given = model.scene.commands_forces
@@ -427,7 +423,7 @@ def _check_parameters(model: Model) -> None:
 
 
 def _find_unused(model: Model) -> list[str]:
-    """Find the quantities that do not enter the ode."""
+    """Find the parameters that do not enter the equations of motion."""
     places = model.parameters.places
     x, u, one = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu), ca.MX.sym("one", len(places))
     p = ca.vertcat(

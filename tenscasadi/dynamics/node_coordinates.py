@@ -1,4 +1,4 @@
-"""Conversion between states x and nodes N, V."""
+"""Conversion between states x and nodes N, V (positions, velocities)."""
 
 from __future__ import annotations
 
@@ -42,7 +42,9 @@ class StateParts(NamedTuple):
 
 
 class NodeCoordinates(BaseModel):
-    """Positions, velocities, internal states and clock; support motion.
+    """Base class of `Model` that relates states and node positions.
+
+    A state has positions, velocities, internal states and a clock. Supports can move.
 
     Attributes
     ----------
@@ -69,9 +71,10 @@ class NodeCoordinates(BaseModel):
 
     @cached_property
     def entries(self) -> Indices:
-        """Entry of q of each coordinate of nodes (n, 3).
+        """Index in q of each node coordinate (n, 3).
 
-        It is -1 for a prescribed coordinate. Rotated supports have coordinates along their own axes.
+        It is -1 for a prescribed coordinate. Inclined rollers have coordinates along their own
+        axes.
         """
         indices = np.full(self.mechanism.N.size, -1, dtype=np.intp)
         indices[self._free] = np.arange(self.nq)
@@ -86,7 +89,7 @@ class NodeCoordinates(BaseModel):
 
     @name_errors
     def state(self, nodes: Any, velocities: Any = None, internal: Any = None) -> Array:
-        """Build the state of given nodes and velocities.
+        """Build the state from node positions and velocities.
 
         Its clock is 0.
 
@@ -135,7 +138,7 @@ class NodeCoordinates(BaseModel):
         return x
 
     def columns(self, nodes: Array, velocities: Array | None = None) -> Array:
-        """Select positions or velocities of the columns of the mechanism.
+        """Convert node positions or velocities to the columns of N.
 
         Parameters
         ----------
@@ -179,7 +182,7 @@ class NodeCoordinates(BaseModel):
                     )
 
     def _check_dependent_nodes(self, positions: Array, speeds: Array) -> None:
-        """Check that dependent nodes of bodies follow the others."""
+        """Check that nodes of rigid bodies move with their body."""
         if self.mechanism.spread is None:
             return
         size = measure_extent(self.structure.nodes)
@@ -239,9 +242,9 @@ class NodeCoordinates(BaseModel):
         return StateParts(*(x[part, :] for part in parts))
 
     def unpack(self, x: Any) -> tuple[Any, Any, Any]:
-        """Compute N, V and time of a CasADi state.
+        """Compute N, V (3×n) and the time of a symbolic state.
 
-        N and V are (3×n), in the columns of `mechanism`.
+        Columns are those of `mechanism`.
         """
         start, (q, v, _, clock) = self.mechanism.N.T, self.split(x)
         time = clock if self.has_clock else 0
@@ -251,7 +254,7 @@ class NodeCoordinates(BaseModel):
         return self.mechanism.expand(N), self.mechanism.expand(V), time
 
     def targets(self, time: Any) -> tuple[Any, Any, Any]:
-        """Compute D of N P = D and its rates (3×c).
+        """Compute D of the joint constraints N P = D, with Ḋ and D̈ (3×c).
 
         Units are m, m/s and m/s². In full coordinates they include moving supports.
         """
@@ -302,7 +305,7 @@ class NodeCoordinates(BaseModel):
     def support_accelerations(self, time: Any) -> Any:
         """Compute the accelerations (3×n) of moving supports [m/s²].
 
-        They are zero in full coordinates, where supports are columns of P.
+        They are zero in full coordinates, where supports are joint constraints.
         """
         if self._supports is None or self.coordinates == "full":
             return ca.DM(*self.mechanism.N.shape)  # sparse zero: adds no instructions
@@ -334,7 +337,10 @@ class NodeCoordinates(BaseModel):
         return self.place_dependent(nodes)
 
     def place_dependent(self, nodes: Array) -> Array:
-        """Set the dependent nodes of positions or velocities (…, n, 3)."""
+        """Set dependent nodes in positions or velocities (…, n, 3).
+
+        Dependent nodes of a rigid body are affine combinations of others.
+        """
         spread, n = self.mechanism.spread, nodes.shape[-2]
         if spread is None:
             return nodes

@@ -1,4 +1,4 @@
-"""Observable quantities of a state: nodes, forces, energies, constraint errors."""
+"""Quantities of a state: nodes, forces, energies, constraint errors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tenscasadi.util.casadi_tools import sparse
 
 
 class Energy(NamedTuple):
-    """Energies of a state.
+    """Kinetic and potential energies of a state.
 
     Attributes
     ----------
@@ -51,11 +51,15 @@ def _kinetic_energy(mech: Mechanism, V: Any) -> Any:
 
 
 class Observations(StateSpace):
-    """Observable quantities as CasADi Functions and as numbers."""
+    """Base class of `Model` with quantities of a state.
+
+    They are node positions, forces, energies and constraint errors, as CasADi Functions and as
+    numbers.
+    """
 
     @cached_property
     def observe(self) -> ca.Function:
-        """Function "observe" (x, u) → seven observable quantities.
+        """Function "observe" (x, u) → nodes, forces, energies and errors.
 
         ``nodes`` [m] and ``velocities`` [m/s] are (3n), node by node. ``force_density`` [N/m] and
         ``tension`` [N] of the modeled strings are (α). ``energy`` [J] is kinetic, elastic and
@@ -189,9 +193,9 @@ class Observations(StateSpace):
     # --- expressions ---
 
     def internal_rates(self, x: Any, w: Any, mode: Any = None) -> Any:
-        """Compute the rates (na,) of the internal states of x with the stacked input w.
+        """Compute the time derivatives (na,) of the internal states.
 
-        `mode` is that of `forces.build_elements`.
+        The state is x, the stacked input w. `mode` is that of `forces.build_elements`.
         """
         if not self.na:
             return ca.DM(0, 1)
@@ -203,7 +207,7 @@ class Observations(StateSpace):
         return forces.internal_rates(elements, NodeMotion(N, V, time))
 
     def internal_power(self, x: Any, w: Any, stored: bool, mode: Any = None) -> Any:
-        """Compute the power [W] of changes of the internal states.
+        """Compute the power [W] due to changes of the internal states.
 
         It is their contribution to the rate of the kinetic energy and, if `stored`, of the
         potential energy.

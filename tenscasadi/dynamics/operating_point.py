@@ -1,4 +1,4 @@
-"""Operating points, such as equilibria."""
+"""Operating points, such as equilibria, as states of a model."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tenscasadi.util.validate import Array
 
 
 class OperatingPoint:
-    """Nodes at rest with control and parameters.
+    """Base class of nodes at rest with control and parameters.
 
     Functions of a state, a control and parameters take it in place of the state.
 
@@ -38,7 +38,7 @@ class OperatingPoint:
         raise NotImplementedError
 
     def state_of(self, model: Model) -> Array:
-        """Compute the state (nx,) of a model.
+        """Compute the corresponding state (nx,) of a model.
 
         Parameters
         ----------
@@ -59,7 +59,10 @@ class OperatingPoint:
         return x
 
     def control_of(self, model: Model) -> Array | None:
-        """Compute the control (nu,) that keeps a model at rest; None: its initial one."""
+        """Compute the control (nu,) that keeps a model at rest here.
+
+        None means the model's initial control.
+        """
         control = model.scene.control
         if not len(self.control) or control is None:
             return None
@@ -70,9 +73,9 @@ class OperatingPoint:
 
 
 def split_point(model: Model, state: Any, control: Any, parameters: Any) -> tuple[Any, Any, Any]:
-    """Read state, control and parameters of an operating point.
+    """Read state, control and parameters from an operating point.
 
-    Control and parameters that are given have priority.
+    A given control or given parameters have priority over those of the point.
     """
     if not isinstance(state, OperatingPoint):
         return state, control, parameters

@@ -1,4 +1,4 @@
-"""States and inputs of a scene."""
+"""States, controls and parameters of a scene."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class Constraints(NamedTuple):
 
 
 class StateSpace(NodeCoordinates):
-    """States and controls of a scene in one coordinate set."""
+    """Base class of `Model` with initial states, inputs and constraints."""
 
     def __init__(
         self,
@@ -234,7 +234,7 @@ class StateSpace(NodeCoordinates):
     # --- CasADi Functions ---
 
     def keep(self, key: Hashable, build: Callable[[], Kept]) -> Kept:
-        """Return the stored value of a key, building it once."""
+        """Return the cached value of a key, and build it at the first call."""
         if key not in self.functions:
             self.functions[key] = build()
         value: Kept = self.functions[key]
@@ -274,7 +274,7 @@ class StateSpace(NodeCoordinates):
     def _function(
         self, name: str, x: Any, w: Any, outputs: list[Any], names: list[str]
     ) -> ca.Function:
-        """Build a Function of x and w with public inputs.
+        """Build a Function with public inputs from expressions of x and w.
 
         The inputs are (x, u), or (x, u, p) with parameters.
         """
@@ -295,7 +295,7 @@ class StateSpace(NodeCoordinates):
     # --- expressions ---
 
     def with_masses(self, w: Any, inverse: bool = True) -> Mechanism:
-        """Insert the masses of w into the mechanism.
+        """Build the mechanism with the masses in the input w.
 
         w is a CasADi column. M⁻ is computed only if `inverse`.
         """
@@ -307,7 +307,7 @@ class StateSpace(NodeCoordinates):
         return replace(mechanism, M=masses.mass_matrix(w[self.nu : self.nw]), inverse=())
 
     def symbols(self, scalar: bool) -> tuple[Any, Any]:
-        """Create symbols of x and w.
+        """Create symbols of the state x and the stacked input w.
 
         They are scalars (SX) or vectors (MX).
         """

@@ -27,7 +27,7 @@ _PREFERENCE = 0.3  # of the largest height, from which on shared and pinned node
 
 
 class MassMap(NamedTuple):
-    """Map from mass m and second moments S of a body to its mass matrix.
+    """Mass matrix of a body as a function of mass m and second moments S.
 
     The matrix is m w wᵀ + W S Wᵀ on the basic nodes.
 
@@ -91,9 +91,9 @@ class BodyAssembly:
         return csr_array(block_diag([M, rest]) + self.mass)
 
     def find_auxiliary(self, nodes: Array, velocities: Array | None = None) -> Array:
-        """Find the auxiliary nodes.
+        """Compute the auxiliary nodes' positions or velocities.
 
-        They follow the nearest rigid motions of the bodies.
+        They follow the rigid-body motion that fits the nodes of each body best.
 
         Parameters
         ----------
@@ -122,7 +122,7 @@ class BodyAssembly:
 
 @dataclass(frozen=True, eq=False)
 class _BasicNodes:
-    """Basic nodes of one body, with weights of its others."""
+    """Basic nodes of one body, with weights of its other nodes."""
 
     basic: list[int]
     auxiliary: Array  # (0 or 1, 3)
@@ -135,7 +135,7 @@ class _BasicNodes:
 
 @dataclass(eq=False)
 class _Found:
-    """Bars, mass matrix and relations, collected body by body."""
+    """Collected bars, mass matrix and affine relations of all bodies."""
 
     pairs: list[tuple[int, ...]]
     body: list[int]
@@ -158,7 +158,7 @@ def connected_pairs(structure: Any) -> Indices:
 
 
 def is_separate(structure: Any) -> bool:
-    """Return whether a part without supports has no connection to another part."""
+    """Return whether an unsupported part is connected to no other part."""
     pairs, count = connected_pairs(structure), len(structure.nodes)
     links = csr_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
     parts, label = sp.csgraph.connected_components(links, directed=False)
@@ -166,9 +166,10 @@ def is_separate(structure: Any) -> bool:
 
 
 def assemble_bodies(structure: Any) -> BodyAssembly | None:
-    """Assemble the bodies of a structure, None without bodies.
+    """Convert a structure's bodies to basic nodes, bars and masses.
 
-    Raises ValueError if the nodes of a body do not fit its mass, its bars or its supports.
+    Returns None without bodies. Raises ValueError if the nodes of a body do not fit its mass, its
+    bars or its supports.
     """
     s, count = structure, len(structure.nodes)
     if not s.bodies:
@@ -220,9 +221,8 @@ def assemble_bodies(structure: Any) -> BodyAssembly | None:
 def _build_frame(k: int, body: Any, nodes: Array, preferred: Any) -> _BasicNodes:
     """Choose the basic nodes of a body.
 
-    Their mass matrix and the weights of the other nodes follow.
-
-    Raises ValueError if its nodes do not fit its inertia.
+    Their mass matrix and the weights of the other nodes follow. Raises ValueError if its nodes do
+    not fit its inertia.
     """
     own = np.array(body.nodes, dtype=np.intp)
     X = nodes[own]
@@ -270,7 +270,7 @@ def _build_frame(k: int, body: Any, nodes: Array, preferred: Any) -> _BasicNodes
 
 
 def _choose_basic(k: int, X: Array, preferred: Any) -> tuple[list[int], Array, float]:
-    """Choose affinely independent nodes that span the others.
+    """Choose affinely independent nodes whose span contains the others.
 
     X are positions (k, 3). Returns their indices, orthonormal directions (3, d) and the size [m].
     """
@@ -301,7 +301,7 @@ def _choose_basic(k: int, X: Array, preferred: Any) -> tuple[list[int], Array, f
 
 
 def _extent_outside(own: Any, origin: Array, Q: Array) -> float:
-    """Compute the extent of mass outside a plane or line [m]."""
+    """Compute how far a body's mass extends from a plane or line [m]."""
     across = np.eye(3) - Q @ Q.T
     gyration = np.sqrt(max(float(np.trace(across @ own.moments @ across)), 0.0) / own.mass)
     thin = float(np.sqrt(NEGLIGIBLE * np.trace(own.moments) / own.mass))  # of rounded moments
@@ -312,10 +312,10 @@ def _extent_outside(own: Any, origin: Array, Q: Array) -> float:
 def _solve_relations(
     structure: Any, relations: list[tuple[int, dict[int, float]]], basic: set[int]
 ) -> dict[int, dict[int, float]]:
-    """Solve affine relations of nodes for dependent nodes.
+    """Solve affine relations between nodes for dependent nodes.
 
-    Each relation is a body and the coefficients by node of a sum that vanishes. Dependent nodes
-    have no supports. Returns the weights of independent nodes by dependent node.
+    A relation is a body and coefficients by node whose weighted sum of positions vanishes.
+    Dependent nodes have no supports. Returns the weights of independent nodes by dependent node.
     """
     columns = sorted({node for _, relation in relations for node in relation})
     real = np.array([node < len(structure.nodes) for node in columns], dtype=bool)
@@ -350,7 +350,7 @@ def _solve_relations(
 
 
 def _build_spread(rows: dict[int, dict[int, float]], size: int) -> csr_array:
-    """Build the matrix (size, size) of weights of independent nodes."""
+    """Build the matrix (size, size) from independent nodes to all nodes."""
     entries = [(node, node, 1.0) for node in range(size) if node not in rows]
     entries += [
         (node, other, weight) for node, own in rows.items() for other, weight in own.items()

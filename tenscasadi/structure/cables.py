@@ -1,4 +1,4 @@
-"""Cables: strings that slide over nodes as one."""
+"""Cables: strings that slide over nodes with one tension."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def read_cables(given: Any, friction: Any, strings: Indices, damping: Array) -> 
 def find_directions(
     strings: Indices, cable: Sequence[int], field: str = "cables"
 ) -> list[tuple[int, int]]:
-    """Find the nodes of each string of a cable, in the direction of travel.
+    """Find start and end node of each string along a cable.
 
     Raises ValueError if the strings do not meet end to end.
     """
@@ -97,7 +97,7 @@ def find_directions(
 
 
 def wrap_angles(structure: Any, cable: Sequence[int], nodes: Array | None = None) -> Array:
-    """Compute the angles (q − 1,) between the directions of travel of a cable [rad].
+    """Compute the angles (q − 1,) by which a cable turns at nodes [rad].
 
     `nodes` (n, 3) [m] replace those of the structure.
     """
@@ -110,7 +110,10 @@ def wrap_angles(structure: Any, cable: Sequence[int], nodes: Array | None = None
 
 
 def name_inputs(structure: Any) -> list[str]:
-    """Name the inputs of cables and strings in no cable, such as "cable 0" and "string 3"."""
+    """Name the control inputs, such as "cable 0" and "string 3".
+
+    They belong to cables, and to strings in no cable.
+    """
     names = [f"string {string}" for string in select_first(structure.cable_of)]
     for k, cable in enumerate(structure.cables):
         names[structure.cable_of[cable[0]]] = f"cable {k}"
@@ -118,33 +121,39 @@ def name_inputs(structure: Any) -> list[str]:
 
 
 def select_first(cable_of: Indices) -> Indices:
-    """Select one string for each input: strings in no cable, and one of each cable."""
+    """Select the first string of each control input.
+
+    Inputs belong to cables, and to strings in no cable.
+    """
     return np.unique(cable_of, return_index=True)[1].astype(np.intp)
 
 
 def add_compliances(cable_of: Indices, stiffness: Array) -> Array:
-    """Compute the stiffness (m,) of springs (α,) in series, by cable [N/m]."""
+    """Compute the stiffness (m,) of each cable [N/m].
+
+    Its strings, with stiffness (α,), are springs in series.
+    """
     with np.errstate(divide="ignore"):
         return np.asarray(1 / np.bincount(cable_of, weights=1 / stiffness))
 
 
 def find_units(structure: Any) -> Indices:
-    """Find the unit of each string and bar (α + β,).
+    """Assign the number of its cable or bar to each member (α + β,).
 
-    Units are the cables and strings in no cable as in `Structure.cable_of`, then the bars.
+    Cables and strings in no cable come first, as in `Structure.cable_of`, then the bars.
     """
     inputs = int(structure.cable_of.max(initial=-1)) + 1
     return np.append(structure.cable_of, inputs + np.arange(len(structure.bars)))
 
 
 def pair_strings(cables: Cables) -> Indices:
-    """List the pairs (k, 2) of strings in one cable, each pair once."""
+    """List all pairs (k, 2) of strings that belong to one cable."""
     pairs = [pair for cable in cables for pair in combinations(cable, 2)]
     return np.array(pairs, dtype=np.intp).reshape(-1, 2)
 
 
 def density_basis(structure: Any) -> Any:
-    """Build the force densities of a tension in each input and bar.
+    """Build the force densities of a unit tension in each cable or bar.
 
     Returns
     -------
@@ -164,7 +173,10 @@ def density_basis(structure: Any) -> Any:
 
 
 def reject_cables(structure: Any, user: str) -> None:
-    """Raise ValueError if a structure has cables, which a function does not take."""
+    """Raise ValueError if a structure has cables.
+
+    `user` names the function that does not support them.
+    """
     if structure.cables:
         raise ValueError(
             f"Structure.cables has {len(structure.cables)} cables, which {user} does not take: "
@@ -173,7 +185,10 @@ def reject_cables(structure: Any, user: str) -> None:
 
 
 def reject_cable_friction(structure: Any, user: str) -> None:
-    """Raise ValueError if a cable has friction, which a function does not take."""
+    """Raise ValueError if a cable has friction.
+
+    `user` names the function that does not support it.
+    """
     for cable in np.flatnonzero(structure.cable_friction):
         raise ValueError(
             f"cable_friction of cable {cable} is {structure.cable_friction[cable]:g}, which {user} "
@@ -191,7 +206,10 @@ def _read_cable(field: str, given: Any, count: int) -> tuple[int, ...]:
 
 
 def _number_inputs(cables: Cables, count: int) -> Indices:
-    """Assign an input to each string, in the order of first strings."""
+    """Assign the number of its control input to each string.
+
+    Inputs are in the order of their first strings.
+    """
     first = np.arange(count)
     for cable in cables:
         first[list(cable)] = cable[0]

@@ -77,7 +77,7 @@ class ClassOne(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """Columns of the class-one matrices for nodes and members."""
+    """Columns of the class-one matrices for each node and member."""
 
     physical: Indices  # (n',) physical node of each column
     bar_columns: Indices  # (β, 2) first and second end
@@ -87,7 +87,7 @@ class Layout(NamedTuple):
 
 
 class MatrixInput(NamedTuple):
-    """Physical structure read from the paper's matrices.
+    """Structure that was read from the paper's matrices.
 
     `layout` is None if bars share columns.
     """
@@ -121,12 +121,18 @@ def measure_diagonal(nodes: Array) -> float:
 
 
 def member_vectors(nodes: Array, pairs: Indices) -> Array:
-    """Compute the vectors (..., m, 3) between pairs (m, 2) of nodes (..., n, 3)."""
+    """Compute the vectors (..., m, 3) between pairs of nodes.
+
+    Pairs are (m, 2), nodes (..., n, 3).
+    """
     return np.asarray(nodes[..., pairs[:, 1], :] - nodes[..., pairs[:, 0], :])
 
 
 def distances(nodes: Array, pairs: Indices) -> Array:
-    """Compute the distances (..., m) of pairs (m, 2) of nodes (..., n, 3)."""
+    """Compute the distances (..., m) between pairs of nodes.
+
+    Pairs are (m, 2), nodes (..., n, 3).
+    """
     return np.asarray(np.linalg.norm(member_vectors(nodes, pairs), axis=-1))
 
 
@@ -165,9 +171,9 @@ def bar_mass_matrix(bars: Indices, inertia: Array, mass: Array, count: int) -> c
 
 
 def default_layout(count: int, bars: Indices, strings: Indices, pinned: Indices) -> Layout:
-    """Build the default column layout.
+    """Choose the default columns of the class-one matrices.
 
-    N consists of the first ends of bars, their second ends, and the string nodes. In P the ties
+    N consists of the first ends of bars, their second ends, and the string nodes. In P the joints
     come first, in node order, then the pins.
     """
     physical = np.concatenate([bars[:, 0], bars[:, 1], np.setdiff1d(np.arange(count), bars)])
@@ -187,10 +193,10 @@ def default_layout(count: int, bars: Indices, strings: Indices, pinned: Indices)
 
 
 def extend_layout(layout: Layout, count: int, strings: Indices, parent: Indices) -> Layout:
-    """Extend the layout of nodes after subdividing strings.
+    """Extend the class-one columns by the nodes inside strings.
 
-    `layout` has `count` nodes, and `strings` (segments, 2) are the segments. New nodes have the last
-    columns. A segment end at an old node keeps the column of the `parent` string.
+    `layout` has `count` nodes, and `strings` (segments, 2) are the segments. New nodes have the
+    last columns. A segment end at an old node keeps the column of the `parent` string.
     """
     columns = len(layout.physical)
     new = max(int(strings.max(initial=-1)) + 1 - count, 0)
@@ -236,7 +242,7 @@ def class_one(
 
 
 def read_matrices(N: ArrayLike, C_b: Any, C_s: Any, P: Any, D: Any, node_mass: Any) -> MatrixInput:
-    """Read the paper's matrices as a physical structure.
+    """Convert the paper's matrices to nodes, bars and strings.
 
     See `Structure.from_matrices`. Raises TypeError or ValueError.
     """
@@ -299,7 +305,7 @@ def _dense(field: str, value: Matrix, shape: tuple[int | None, int | None]) -> A
 
 
 def _member_columns(field: str, value: Any, count: int, item: str) -> Indices:
-    """Read the columns (members, 2) of a connectivity matrix."""
+    """Read the node columns (members, 2) from a connectivity matrix."""
     matrix = _dense(field, value, (None, count))
     good = (
         (np.sum(matrix == -1.0, axis=1) == 1)
@@ -320,9 +326,10 @@ def _member_columns(field: str, value: Any, count: int, item: str) -> Indices:
 def _read_joints(
     columns: Array, P: Any, D: Any
 ) -> tuple[list[tuple[int, int]], list[int], csr_array]:
-    """Read ties, pins and P of N P = D.
+    """Read joints and pins from the constraints N P = D.
 
-    Ties and pins are in column order. Columns must be independent.
+    Returns pairs of joined columns, pinned columns, and P. They are in column order. Columns of P
+    must be independent.
     """
     count = len(columns)
     P = _dense("P", P, (count, None))
@@ -368,7 +375,7 @@ def _read_joints(
 
 
 def _link(root: Indices, a: int, b: int) -> bool:
-    """Merge the groups of a and b in place.
+    """Merge the groups of a and b in the labels `root`, in place.
 
     The label of a group is its smallest member. Returns False if they were already merged.
     """

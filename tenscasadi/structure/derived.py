@@ -1,4 +1,4 @@
-"""Results of `subdivide` and `from_matrices` as arrays, for files."""
+"""Attributes set by `subdivide` and `from_matrices`, as arrays for files."""
 
 from __future__ import annotations
 

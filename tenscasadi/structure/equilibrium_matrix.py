@@ -16,14 +16,14 @@ from tenscasadi.util.validate import Array, Indices
 
 
 def member_pairs(structure: Any) -> Indices:
-    """Return the end nodes of strings and bars."""
+    """Return the end nodes (α + β, 2) of strings, then of bars."""
     return np.concatenate([structure.strings, structure.bars])
 
 
 def body_pairs(structure: Any) -> Indices:
     """Return the end nodes of the massless bars that keep bodies rigid.
 
-    Bars to auxiliary nodes are left out.
+    Bars to auxiliary nodes are omitted.
     """
     if structure._assembly is None:
         return np.zeros((0, 2), dtype=np.intp)
@@ -92,7 +92,7 @@ def balance_bars(structure: Any, gamma: Array, loads: Array | None = None) -> Ar
 
 
 def balance_columns(pairs: Indices, vectors: Array, count: int) -> sp.csc_array:
-    """Build columns of vectors at the ends of members.
+    """Build member forces on nodes as columns (3n, members).
 
     They have −vector at the first node and +vector at the second.
 

@@ -42,9 +42,9 @@ def check_node_masses(structure: Any) -> None:
 
 
 def check_mass_ratio(field: str, structure: Any, bar_mass: Array, node_mass: Array) -> None:
-    """Check the mass ratio of moving bars with end nodes.
+    """Check that masses of moving bars do not differ too much.
 
-    Raises ValueError if it is too large.
+    Their end nodes are included. Raises ValueError.
 
     Parameters
     ----------
@@ -70,9 +70,10 @@ def check_mass_ratio(field: str, structure: Any, bar_mass: Array, node_mass: Arr
 
 
 def check_inertia(field: str, inertia: Array, nominal: Array) -> None:
-    """Check that mass distributions have these inertias.
+    """Check that a mass distribution can have the given inertia.
 
-    Raises ValueError for the first that is impossible.
+    `inertia` and `nominal` are inertia matrices (…, 3, 3). Raises ValueError for the first that is
+    impossible.
 
     Parameters
     ----------

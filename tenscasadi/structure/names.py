@@ -37,9 +37,10 @@ def read_names(field: str, value: Any, count: int) -> tuple[str, ...]:
 
 
 def names_of(structure: Any, **counts: int) -> Names:
-    """Collect the names of a structure, also in construction.
+    """Collect the names of a structure's nodes, bars and strings.
 
-    Without one, there are none of given numbers of items.
+    The structure can be incomplete. If it is None, the items have numbers only, as many as
+    `counts`.
     """
     if structure is None:
         return Names(counts)  # type: ignore[arg-type]
@@ -49,7 +50,10 @@ def names_of(structure: Any, **counts: int) -> Names:
 
 
 def name_members(groups: Iterable[tuple[str, int]]) -> list[str]:
-    """Name the members of groups of given names and sizes."""
+    """Name the members of groups, such as "guys[2]".
+
+    Groups have a name and a size.
+    """
     return [
         group if size == 1 or not group else f"{group}[{k}]"
         for group, size in groups
@@ -68,7 +72,7 @@ def extend_names(names: Sequence[str], count: int) -> list[str]:
 
 
 def reset_item_fields(structure: Any, changes: dict[str, Any]) -> None:
-    """Reset the names of items, and the friction of cables, whose number changes."""
+    """Reset names of items, and cable friction, if the number changes."""
     for part, field, default in (
         ("nodes", "node_names", ()),
         ("strings", "string_names", ()),
@@ -87,7 +91,7 @@ def label(names: Sequence[str], index: int) -> str:
 
 
 def find_named(text: str, structure: Any) -> dict[str, str]:
-    """Find the members of a message that have names.
+    """Find the names of members that a message mentions by index.
 
     An example is {"string 3": "guy"}.
     """
@@ -101,7 +105,7 @@ def find_named(text: str, structure: Any) -> dict[str, str]:
 
 
 def add_names(text: str, structure: Any) -> str:
-    """Append the names of the members in a message, unless it has them already.
+    """Append the names of members to a message that has indices only.
 
     "string 3 is slack" becomes "string 3 is slack (string 3: guy)" if that string is called "guy".
     """
@@ -111,7 +115,7 @@ def add_names(text: str, structure: Any) -> str:
 
 
 def name_errors(function: Callable[P, R]) -> Callable[P, R]:
-    """Add the names of members to the errors of a function.
+    """Decorate a function so that its errors contain member names.
 
     They are those of the first argument that is a structure, or has one, such as a scene or model.
     Strings have their indices before they are divided into segments.
@@ -142,7 +146,7 @@ def _find_structure(owner: Any, depth: int = 3) -> Any:
 
 
 def find_names(counts: Mapping[Any, int], names: Mapping[Any, Sequence[str]]) -> Names:
-    """Find the indices of names and groups.
+    """Find the indices of items by their names and group names.
 
     Names such as "guys[2]" belong to the group "guys". The segment "guys[2][0]" of a string belongs
     to the groups "guys[2]" and "guys".

@@ -58,10 +58,10 @@ def read_pins(pinned: Any, names: Names) -> Mapping[int, str]:
 def read_rollers(
     rollers: Any, pins: Mapping[int, str], names: Names
 ) -> tuple[Mapping[int, str], Mapping[int, Normals]]:
-    """Split rollers into pinned axes and inclined directions.
+    """Separate rollers along axes from inclined ones.
 
-    Returns the pins, which include axis-aligned rollers, and by node one or two orthonormal
-    directions of other rollers. Raises TypeError or ValueError.
+    Returns the pins, which include axis-aligned rollers, and by node one or two orthonormal normals
+    of inclined rollers. Raises TypeError or ValueError.
     """
     if not isinstance(rollers, Mapping):
         raise TypeError(

@@ -1,4 +1,4 @@
-"""Input of the properties of nodes, bars and strings."""
+"""Validation of the properties of nodes, bars and strings."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _POSITIVE = ("bar_mass", "rest_length")
 def read_properties(
     given: Mapping[str, Any], nodes: int, bar_lengths: Array, string_lengths: Array
 ) -> dict[str, Array]:
-    """Read the numbers of nodes, bars and strings.
+    """Read the masses, stiffnesses and other numbers of a structure.
 
     Parameters
     ----------

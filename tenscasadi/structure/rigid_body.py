@@ -28,7 +28,7 @@ from tenscasadi.util.validate import (
 
 
 class MassProperties(NamedTuple):
-    """Mass, center (3,) and second moments (3, 3).
+    """Mass [kg], center (3,) [m] and second moments (3, 3) [kg m²].
 
     The moments are about the center.
     """
@@ -40,7 +40,7 @@ class MassProperties(NamedTuple):
 
 @dataclass(frozen=True)
 class RigidBody(Value, kind="RigidBody"):
-    """Rigid body that holds nodes of a structure.
+    """Rigid body with a mass, to which nodes of a structure belong.
 
     Bodies that share one node are joined by a ball joint, by two nodes by a hinge, and by three
     rigidly. A node can also belong to bars.
@@ -132,7 +132,7 @@ class RigidBody(Value, kind="RigidBody"):
         return MassProperties(self.mass, center, moments)
 
     def follow(self, before: Array, after: Array) -> RigidBody:
-        """Move the body with its nodes.
+        """Move the body's center and inertia with its nodes.
 
         Parameters
         ----------
@@ -180,9 +180,9 @@ def read_bodies(given: Any, names: Names) -> tuple[RigidBody, ...]:
 
 
 def reject_bodies(structure: Any, user: str) -> None:
-    """Reject a structure with bodies.
+    """Raise ValueError if a structure has rigid bodies.
 
-    Raises ValueError, which names the function that does not take them.
+    `user` names the function that does not support them.
     """
     if structure.bodies:
         raise ValueError(
@@ -201,7 +201,7 @@ def move_bodies(bodies: Iterable[RigidBody], before: Array, after: Any) -> tuple
 
 
 def _read_inertia(given: Any) -> Array:
-    """Read an inertia matrix (3, 3).
+    """Read an inertia matrix (3, 3) [kg m²].
 
     Raises TypeError, or ValueError if no mass distribution has it.
     """

@@ -109,7 +109,7 @@ class Structure(ReadOnlyArrays, Value, Viewable, kind="Structure"):
     elastic : ndarray of bool, shape (β,)
         Whether a bar is elastic.
     cable_of : ndarray of int, shape (α,)
-        Index of the input of each string: one input for each cable and each string in no cable, in order.
+        Index of the input of each string: one input for each cable and each string in no cable.
     bar_inertia : ndarray, shape (β,)
         J of each bar [kg] (Eq. 19).
     string_parent : ndarray of int, shape (α,)
@@ -232,7 +232,7 @@ class Structure(ReadOnlyArrays, Value, Viewable, kind="Structure"):
         return structure._finish(**read_derived(derived, structure)) if derived else structure
 
     def to_fields(self) -> dict[str, Any]:
-        """Collect the keywords from which `from_fields` builds the structure again."""
+        """Return the keyword arguments from which `from_fields` restores it."""
         own = {name: getattr(self, name) for name in PARAMETERS}
         plain, derived = write_derived(Structure(**own)), write_derived(self)
         own |= {name: dict(own[name]) for name in ("pinned", "rollers")}
@@ -297,17 +297,17 @@ class Structure(ReadOnlyArrays, Value, Viewable, kind="Structure"):
 
     @property
     def C_b(self) -> Array:
-        """Bar connectivity (β, n), with B = N C_bᵀ."""
+        """Connectivity matrix (β, n) of bars, with B = N C_bᵀ."""
         return np.asarray(connectivity(self.bars, len(self.nodes)).toarray())
 
     @property
     def C_s(self) -> Array:
-        """String connectivity (α, n), with S = N C_sᵀ."""
+        """Connectivity matrix (α, n) of strings, with S = N C_sᵀ."""
         return np.asarray(connectivity(self.strings, len(self.nodes)).toarray())
 
     @property
     def names(self) -> Names:
-        """Indices by name of nodes, strings, bars and inputs."""
+        """Indices by name of nodes, strings, bars and control inputs."""
         return keep(self, "names", lambda: names_of(self).add_inputs(self.cable_of))
 
     def mass_matrix(self) -> csr_array:

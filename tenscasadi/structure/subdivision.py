@@ -27,7 +27,7 @@ ENDS = ("interior", "lumped", "consistent")
 
 
 class Division(NamedTuple):
-    """Changes of a structure by subdivision of strings."""
+    """Fields of a structure that change when strings are divided."""
 
     fields: dict[str, Any]
     derived: dict[str, Any]
@@ -171,7 +171,7 @@ def segment_counts(segments: int | Sequence[int] | Indices, strings: int) -> lis
 
 
 def segment_shares(count: int, fractions: ArrayLike | None) -> Array:
-    """Read the length fractions of segments, equal by default.
+    """Read segment lengths as fractions of a string, equal by default.
 
     Raises TypeError or ValueError.
     """

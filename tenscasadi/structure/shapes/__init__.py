@@ -1,4 +1,4 @@
-"""Standard structures, which accept all keywords of `Structure`."""
+"""Standard structures: functions that accept all keywords of `Structure`."""
 
 from __future__ import annotations
 

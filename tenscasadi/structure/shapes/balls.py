@@ -225,7 +225,7 @@ def _truncate(
     prestress: float | None,
     options: dict[str, Any],
 ) -> Structure:
-    """Build a ball on a truncated polyhedron.
+    """Build a ball of bars on a truncated polyhedron.
 
     `corner` is a vertex of the polyhedron, shared by `order` faces, and `edge` the midpoint of an
     edge at this vertex.
@@ -254,10 +254,10 @@ def _truncate(
 
 
 def _generator(a: Array, b: Array, c: Array, ratio: float) -> Array:
-    """Find the generating node of a symmetric equilibrium.
+    """Find the node whose images by symmetry form an equilibrium.
 
-    Its images under all rotations are the nodes. Strings connect it to its images under a, a⁻¹
-    (force density 1) and b (`ratio`), and a bar connects it to its image under c.
+    The nodes are its images under all rotations of the polyhedron. Strings connect it to its images
+    under a, a⁻¹ (force density 1) and b (`ratio`), and a bar connects it to its image under c.
     """
     eye = np.eye(3)
     strings = a + a.T - 2 * eye + ratio * (b - eye)
@@ -277,9 +277,9 @@ def _rotate(axis: Array, angle: float) -> Array:
 
 
 def _images(rotations: list[Array], turn: Array) -> Indices:
-    """Find the indices of rotations multiplied by a rotation.
+    """Find the indices of the products rotation · turn in a group.
 
-    The products rotation · turn are elements of the same group.
+    `rotations` are all elements of the group.
     """
     flat = np.array(rotations).reshape(-1, 9)
     images = (np.array(rotations) @ turn).reshape(-1, 9)

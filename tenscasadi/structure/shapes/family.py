@@ -19,7 +19,7 @@ Groups = Mapping[str, Indices]  # pairs of nodes (members, 2) by the name of the
 
 
 class ShapeFamily(Value):
-    """Family of functions that build structures.
+    """Set of functions that build structures.
 
     The name of each function is its kind in files.
     """
@@ -68,7 +68,7 @@ def symmetric_self_stress(
 ) -> Array:
     """Compute the self-stress γ (α,) that is equal within groups.
 
-    That of the free-standing structure goes before one that needs the supports. Its scale is
+    A self-stress of the structure without its supports is preferred to one with them. Its scale is
     arbitrary. Raises ValueError if there is no such self-stress with all strings in tension, or
     more than one.
     """
@@ -102,5 +102,5 @@ def place_ring(count: int, radius: float, start: float, z: float) -> Array:
 
 
 def polygon(nodes: Indices) -> Indices:
-    """Build the node pairs of a closed polygon."""
+    """Build the node pairs of the sides of a closed polygon."""
     return np.column_stack([nodes, np.roll(nodes, -1)])

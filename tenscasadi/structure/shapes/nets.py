@@ -117,7 +117,7 @@ def membrane_faces(p: int = 8, q: int = 5) -> Indices:
 
 
 def _membrane_neighbors(p: int, q: int) -> tuple[Indices, Indices, Indices]:
-    """Find all nodes and their neighbors on the ring."""
+    """Find each node's previous and next node on its ring."""
     ring = np.arange(p * q)
     first = ring - ring % p
     return ring, first + (ring - 1) % p, first + (ring + 1) % p

@@ -124,7 +124,7 @@ def prism_tower(
 
 
 def _stack(stages: int, p: int, radius: float, height: float, turn: float) -> _Tower:
-    """Build a tower of class 2.
+    """Build a tower of class 2, whose stages share nodes.
 
     `turn` is the angle between the rings of a stage [rad].
     """
@@ -141,9 +141,10 @@ def _stack(stages: int, p: int, radius: float, height: float, turn: float) -> _T
 
 
 def _overlap(stages: int, p: int, radius: float, height: float, turn: float) -> _Tower:
-    """Build a tower of class 1 that has a self-stress.
+    """Build a tower of class 1 whose overlap permits a self-stress.
 
-    At its overlap, the square equilibrium matrix of one node of each ring is singular.
+    The stages overlap. At this overlap, the square equilibrium matrix of one node of each ring is
+    singular.
     """
 
     def build(overlap: float) -> _Tower:
@@ -196,11 +197,11 @@ def _build_class_one(
 
 
 def _ring_balance(tower: _Tower, p: int) -> Array:
-    """Compute the symmetric equilibrium matrix of a tower.
+    """Compute the equilibrium matrix of one node of each ring.
 
-    Rows are radial, tangential and z forces on the first node of each ring. Columns are groups of
-    bars, then of strings. Two rows are left out, which are dependent because of the rigid-body
-    translation and rotation about z.
+    The tower is symmetric. Rows are radial, tangential and z forces on these nodes. Columns are
+    groups of bars, then of strings. Two rows are omitted, which are dependent because of the
+    rigid-body translation and rotation about z.
     """
     groups = [*tower.bars.values(), *tower.strings.values()]
     forces = np.zeros((len(tower.nodes), 3, len(groups)))
@@ -217,7 +218,7 @@ def _ring_balance(tower: _Tower, p: int) -> Array:
 
 
 def _join(p: int, lower: int, upper: int, shift: int) -> Indices:
-    """Build node pairs between two rings.
+    """Build node pairs between two rings of p nodes.
 
     Node i of the lower ring is paired with node i + shift of the upper ring.
     """
