@@ -22,9 +22,9 @@ def mode_motion(
     rows: int = 41,
     parameters: Any = None,
 ) -> Trajectory:
-    """Compute one period of a natural mode.
+    """Compute one period of vibration in a natural mode.
 
-    The trajectory, about the model's initial shape, is for plots and animations.
+    The trajectory, about the model's initial nodes, is for plots and animations.
 
     Nodes move in straight lines, so bar lengths have errors of second order in the amplitude, see
     `bar_length_error`. For an unstable mode with the growth rate σ, the period is 2π/σ.

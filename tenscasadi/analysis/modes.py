@@ -1,4 +1,4 @@
-"""Small motions about a state: linearized equations and natural modes."""
+"""Linearized equations of motion and natural modes about a state."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from tenscasadi.util.validate import NEGLIGIBLE, Array, finite_array, instance, 
 
 @dataclass(frozen=True, eq=False)
 class Linearization(ReadOnlyArrays):
-    """First-order model about a state and control.
+    """Equations of motion, linearized about a state and control.
 
     ẋ ≈ ode(x₀, u₀) + A (x − x₀) + B (u − u₀).
 
@@ -63,9 +63,9 @@ class Linearization(ReadOnlyArrays):
 
 @dataclass(frozen=True, eq=False)
 class Modes(ReadOnlyArrays):
-    """Natural modes about an equilibrium.
+    """Natural modes of vibration about an equilibrium.
 
-    Rigid-body motions without a restoring force are left out.
+    Rigid-body motions without a restoring force are excluded.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class Modes(ReadOnlyArrays):
     shape : ndarray (k, n, 3)
         Displacements of the nodes in each mode, normalized by mass.
     rigid : int
-        Number of rigid-body motions that were left out.
+        Number of excluded rigid-body motions.
     residual : float
         Largest acceleration at the state [m/s²]; zero in equilibrium.
 
@@ -249,7 +249,7 @@ def modes(
 
 
 def _numbers(model: Any, x: Any, u: Any, parameters: Any) -> tuple[Model, Array, Array]:
-    """Check a model, a state (nx,) and its inputs (nw,).
+    """Check a model, and read a state (nx,) and inputs (nw,).
 
     None stands for the initial values.
     """
@@ -264,7 +264,7 @@ def _numbers(model: Any, x: Any, u: Any, parameters: Any) -> tuple[Model, Array,
 def _reject_degenerate(model: Model, state: Array, *values: Any) -> None:
     """Raise ValueError unless all values are finite.
 
-    The message names the member without length.
+    The message names a member of zero length.
     """
     if all(np.all(np.isfinite(value)) for value in values):
         return
@@ -305,9 +305,10 @@ def _all_modes(model: Model, state: Array, inputs: Array) -> tuple[Array, Array,
 def _lowest_modes(
     model: Model, state: Array, inputs: Array, count: int
 ) -> tuple[Array, Array, int, float]:
-    """Compute the lowest modes by sparse matrices, as `_all_modes` does.
+    """Compute the modes of lowest frequency by sparse matrices.
 
-    Raises LinAlgError where the matrices are too badly conditioned.
+    The result is that of `_all_modes`. Raises LinAlgError where the matrices are too badly
+    conditioned.
     """
     K, M, J, acceleration = _stiffness(model, state, inputs)
     motions = _find_rigid_motions(model, state)
@@ -327,7 +328,7 @@ def _lowest_modes(
 
 
 def _stiffness(model: Model, state: Array, inputs: Array) -> tuple[Any, Any, Any, Array]:
-    """Compute the sparse eigenproblem and the accelerations.
+    """Build the sparse eigenproblem of the modes, and the accelerations.
 
     K, M (nq×nq) and J (m×nq) define K v = ω² M v, J v = 0.
     """
@@ -342,7 +343,7 @@ def _stiffness(model: Model, state: Array, inputs: Array) -> tuple[Any, Any, Any
 
 
 def _neutral(K: Array, motions: Array) -> Array:
-    """Find the combinations of motions without a restoring force.
+    """Find combinations of displacements without a restoring force.
 
     The result is an orthonormal basis; `motions` are columns.
     """
@@ -370,9 +371,9 @@ def _find_rigid_motions(model: Model, state: Array) -> Array:
 
 
 def _project_motions(motions: Array, outside: Array) -> Array:
-    """Find the rigid-body motions that the constraints allow.
+    """Find the rigid-body motions that satisfy all constraints.
 
-    The constraints are the parts of each motion that pins of full coordinates stop.
+    `outside` are the constraint violations of each motion, due to pins in full coordinates.
     """
     return (
         np.asarray(motions @ scipy.linalg.null_space(outside, rcond=1e-9))

@@ -1,4 +1,4 @@
-"""Search for the largest sufficient step or tolerance of a scheme."""
+"""Search for the largest step or tolerance with sufficient accuracy."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ _REPEATS = 3  # timed runs
 
 @dataclass(eq=False)
 class AccuracyTarget:
-    """Position error to reach, and the deadline.
+    """Reference positions, permitted error and deadline of a search.
 
-    The nodes (n, 3) are to be within `wanted` m. The search ends at the time `deadline` of the
-    clock [s], `time_limit` after its start, or once it is interrupted. `found` is the best
-    sufficient choice of the case in search, which stays when an exception ends the search.
+    The nodes (n, 3) must be reproduced within `wanted` m. The search ends at the time `deadline` of
+    the clock [s], `time_limit` after its start, or once it is interrupted. `found` is the best
+    sufficient choice so far, which remains known when an exception ends the search.
     """
 
     nodes: Array
@@ -50,12 +50,12 @@ class AccuracyTarget:
 
 
 class OutOfTime(Exception):
-    """Exception for an expired deadline."""
+    """Raised when the deadline expires."""
 
 
 @dataclass(frozen=True)
 class Price:
-    """Price of a run in instructions.
+    """Cost of a run in instructions.
 
     `step` counts for each trial step, `second` for each second of wall time.
     """
@@ -65,12 +65,11 @@ class Price:
 
 
 def find_option(case: Case, speed: float, goal: AccuracyTarget, most: float) -> Choice | None:
-    """Find about the cheapest sufficient step or rtol.
+    """Find about the cheapest step or rtol with sufficient accuracy.
 
-    None: no option costs less than `most`. If the deadline or Ctrl-C ends the search, the best
-    choice so far is `goal.found`.
-
-    `speed`: instructions in a second, where they are not counted.
+    Returns None if no option costs less than `most`. If the deadline or Ctrl-C ends the search, the
+    best choice so far is `goal.found`. `speed`: instructions in a second, where they are not
+    counted.
     """
     if not case.scheme.implicit:
         # Error control and event location double the work.
@@ -92,7 +91,7 @@ def find_option(case: Case, speed: float, goal: AccuracyTarget, most: float) -> 
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """Measured candidate, sufficient or not.
+    """Measured error and cost of a scheme with a step or tolerance.
 
     It takes `steps` of at most `step` s and ends in the state `end` (nx,) with an error of `error`
     m. It costs `cost` instructions and `seconds` s of wall time.
@@ -107,7 +106,7 @@ class Choice:
     seconds: float
 
     def time_loop(self) -> float:
-        """Measure the time loop, s."""
+        """Measure the wall time of the time loop [s]."""
         case = self.case.with_code()
         if not case.even or self.steps <= 2048:
             return min(case.run(self.step, energy_balance=False).seconds for _ in range(_REPEATS))
@@ -115,7 +114,7 @@ class Choice:
 
 
 def _measure(case: Case, step: float, price: Price, goal: AccuracyTarget) -> Choice:
-    """Run once and measure the error.
+    """Simulate once and measure the position error.
 
     The error is infinite if the run fails. A sufficient choice becomes `goal.found` before its time
     is measured.
@@ -142,9 +141,9 @@ def _measure(case: Case, step: float, price: Price, goal: AccuracyTarget) -> Cho
 
 
 def _find_loosest(case: Case, price: Price, goal: AccuracyTarget, most: float) -> Choice | None:
-    """Find about the largest sufficient rtol.
+    """Find about the largest rtol with sufficient accuracy.
 
-    Its error is at most `wanted`; None if it costs `most` or more.
+    The error is at most `wanted`. Returns None if it costs `most` or more.
     """
     best: Choice | None = None
     wanted, expected = goal.wanted, 0.0
@@ -175,9 +174,9 @@ def _find_loosest(case: Case, price: Price, goal: AccuracyTarget, most: float) -
 
 
 def _find_fewest(case: Case, price: Price, goal: AccuracyTarget, most: float) -> Choice | None:
-    """Find about the fewest equal steps that suffice.
+    """Find about the smallest number of equal steps with sufficient accuracy.
 
-    Their error is at most `wanted`; None if they cost `most` or more.
+    The error is at most `wanted`. Returns None if they cost `most` or more.
     """
     wanted = goal.wanted
     limit = np.ceil(most / price.step) - 1 if price.step else np.inf
@@ -210,9 +209,9 @@ def _find_fewest(case: Case, price: Price, goal: AccuracyTarget, most: float) ->
 
 
 def count_coarsest(case: Case, state: Array | None = None) -> int:
-    """Count the steps at the stability limit.
+    """Compute the number of steps at the stability limit.
 
-    The limit is that of the start and of `state`.
+    The limit is the smaller one of those at the initial state and at `state`.
     """
     if case.scheme.implicit:
         return 8

@@ -1,6 +1,6 @@
-"""Recommended scheme and step for an accuracy.
+"""Recommended scheme and step for a required accuracy.
 
-The recommendation rests on measured runs of the motion itself.
+The recommendation is based on measured runs of the user's simulation.
 """
 
 from __future__ import annotations
@@ -55,12 +55,12 @@ SCHEMES: tuple[Scheme, ...] = (
 
 
 class NoSchemeError(ValueError):
-    """Error if no tested scheme meets the tolerance."""
+    """Raised if no tested scheme meets the tolerance."""
 
 
 @dataclass(frozen=True)
 class Recommendation:
-    """Cheapest options that reach a tolerance.
+    """Cheapest simulation options that reach a tolerance.
 
     Use them as ``tc.simulate(model, t_end, **recommendation.options)``.
 
@@ -118,14 +118,13 @@ def recommend(
     parameters: Any = None,
     progress: bool | None = None,
 ) -> Recommendation:
-    """Find the cheapest options for a position error.
+    """Find the cheapest simulation options for a position error.
 
     The options are the scheme, step and correction; the error is that of the final nodes.
-
-    `reference_solution` solves the motion once to a tenth of the tolerance. A search then finds the
-    largest sufficient step or `rtol` of each scheme, and drops a scheme that costs more than the
-    best so far. That takes about twenty runs of the recommended kind. If strings go slack or nodes
-    meet the ground, schemes with error control come first, since they locate these events.
+    `reference_solution` solves the problem once to a tenth of the tolerance. A search then finds
+    the largest sufficient step or `rtol` of each scheme, and drops a scheme that costs more than
+    the best so far. That takes about twenty runs of the recommended kind. If strings go slack or
+    nodes meet the ground, schemes with error control come first, since they locate these events.
 
     Parameters
     ----------
@@ -225,7 +224,7 @@ def recommend(
 def _report_choice(
     best: Choice, reference_error: float, goal: AccuracyTarget, notes: list[str]
 ) -> Recommendation:
-    """Time the choice, and add its limits to the message."""
+    """Build the recommendation from a choice, with its wall time."""
     case = best.case
     model, scheme = case.model, case.scheme
     expected = best.error + reference_error
@@ -257,10 +256,11 @@ def _report_choice(
 
 
 def _find_cheapest(ways: Sequence[Case], goal: AccuracyTarget) -> tuple[Choice | None, list[str]]:
-    """Find the cheapest candidate, and why others were rejected.
+    """Find the cheapest choice, and why others were rejected.
 
-    Explicit schemes come first: implicit ones are measured against them. Steps that miss events
-    serve only when they are tiny: schemes that locate them say beforehand how few may be tried.
+    Explicit schemes come first: implicit ones are compared with them. Fixed steps that do not
+    locate events are sufficient only if they are tiny: schemes with event location show before how
+    few may be tried.
     """
     best: Choice | None = None
     notes, late = [], []

@@ -48,9 +48,9 @@ _ROUNDING = 1e-10  # × extent: smaller differences stop decreasing because of r
 
 
 class NoReferenceError(ValueError):
-    """Error for a reference solution whose two schemes disagree.
+    """Raised if both schemes of a reference solution disagree.
 
-    The motion is chaotic, unstable or too stiff for errors to be measured.
+    The trajectory is chaotic, unstable or too stiff for errors to be measured.
     """
 
 
@@ -209,7 +209,7 @@ def reference_solution(
 def show_progress(progress: bool | None, unit: str, total: int | None = None) -> Any:
     """Build a progress bar that appears after two seconds.
 
-    None: if standard error is a terminal. Raises TypeError.
+    With None, it is shown if standard error is a terminal. Raises TypeError.
     """
     if progress is not None:
         flag("progress", progress)
@@ -218,7 +218,11 @@ def show_progress(progress: bool | None, unit: str, total: int | None = None) ->
 
 
 def _refine_steps(pairs: _Pairs, counts: Iterable[int], target: float, accepted: float) -> None:
-    """Try finer steps until the difference is at most `target` or does not decrease."""
+    """Solve with finer steps until both schemes agree.
+
+    Their difference is then at most `target`. Refinement also ends if the difference no longer
+    decreases.
+    """
     for count in counts:
         before = pairs.apart
         pairs.try_steps(count)
@@ -246,7 +250,7 @@ def _explain_failure(
 
 
 class _Pairs:
-    """Best pair of solutions, and the last pair's difference.
+    """Best pair of solutions by two schemes, and the last difference.
 
     The difference is infinite if one of the two fails.
     """
@@ -269,13 +273,13 @@ class _Pairs:
 
     @property
     def late(self) -> bool:
-        """Whether the wall time is over."""
+        """Whether the time limit has expired."""
         return time.perf_counter() > self._deadline
 
     def try_steps(self, count: int) -> None:
-        """Solve with both schemes.
+        """Solve with fixed steps of both schemes.
 
-        Order 8 takes `count` steps and order 5 about four times as many. The number is no
+        Order 8 takes `count` steps and order 5 about four times as many. The number is not a
         multiple, so the two meet events at different places of a step.
         """
         finer = _FINER * count + 1
@@ -286,7 +290,7 @@ class _Pairs:
         )
 
     def try_tolerance(self, rtol: float) -> None:
-        """Solve both with control of the error and events located."""
+        """Solve with error control and event location of both schemes."""
         first, second = DormandPrince853(rtol), DormandPrince54(rtol)
         self._try(
             f"DormandPrince853 and DormandPrince54 with rtol={rtol:g}",
@@ -295,11 +299,10 @@ class _Pairs:
         )
 
     def _round_clock(self) -> float:
-        """Bound the error from the rounding of the clock [m].
+        """Bound the position error due to rounding of the clock [m].
 
-        Functions and tables of time are evaluated at a time with this rounding error.
-
-        Their changes act as accelerations from the start on, each by so much too late or too early.
+        Functions and tables of time are evaluated at a time with this rounding error. It is
+        estimated as if their changes acted, too early or too late, from the start on.
         """
         model, state = self._model, self._options["state"]
         p = self._options["parameters"]
@@ -378,7 +381,7 @@ class _Pairs:
 def _step_counts(
     model: Model, t_end: float, state: Any, work: float, parameters: Array
 ) -> Iterator[int]:
-    """Yield numbers of steps of order 8, at least one.
+    """Yield increasing numbers of steps for the scheme of order 8.
 
     They grow from the stability limit at the start to the number that `work` allows.
     """
@@ -402,7 +405,7 @@ def _step_counts(
 def end_nodes(model: Model, trajectory: Trajectory) -> Array:
     """Select the final nodes (n, 3) of the scene's structure.
 
-    The nodes of segments come after them and are left out.
+    Nodes inside strings follow them and are omitted.
     """
     return trajectory.nodes[-1, : len(model.scene.structure.nodes)]
 

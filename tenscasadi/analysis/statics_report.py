@@ -1,4 +1,4 @@
-"""One-page report of a scene at rest: forces, stability, soft motions, utilization."""
+"""Report of a scene at rest: forces, stability, modes, utilization."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SOFTEST = 6  # motions in the report
 
 @dataclass(frozen=True, eq=False)
 class StaticsReport:
-    """Scene at rest under its loads.
+    """Analysis of a scene at rest under its loads.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class StaticsReport:
         return "\n".join(lines)
 
     def _describe_modes(self) -> list[str]:
-        """Describe the softest motions: stiffness and frequency."""
+        """Describe the softest modes by stiffness and frequency."""
         stiffness, frequency = self.stability.eigenvalues[:SOFTEST], self.modes.frequency[:SOFTEST]
         if not len(stiffness):
             return ["softest       none: bars and supports keep the shape"]
@@ -112,7 +112,11 @@ def report_statics(scene: Scene, material: Material | None = None) -> StaticsRep
 
 
 def find_utilization(eq: Equilibrium, material: Material) -> Array:
-    """Compute force over strength or Euler's load (α + β,); NaN without a section."""
+    """Compute each member's force relative to its permitted force.
+
+    The result (α + β,) is force over strength, or over Euler's load for compression; NaN without a
+    section.
+    """
     s = eq.structure
     elastic = np.where(s.elastic, s.bar_stiffness * s.bar_rest_length / material.modulus, 0.0)
     bars = np.where(s.bar_radius > 0.0, np.pi * s.bar_radius**2, elastic)
@@ -126,7 +130,7 @@ def find_utilization(eq: Equilibrium, material: Material) -> Array:
 
 
 def _describe_members(s: Structure) -> list[str]:
-    """Describe nodes, bars and strings."""
+    """Describe the nodes, bars and strings of a structure."""
     supports = sorted({*s.pinned, *s.rollers})
     held = f"{len(supports)} supported" if supports else "none supported"
     joint = int(np.bincount(s.bars.ravel()).max(initial=0)) if len(s.bars) else 0
@@ -142,7 +146,7 @@ def _describe_members(s: Structure) -> list[str]:
 
 
 def _describe_forces(eq: Equilibrium) -> list[str]:
-    """Describe tensions, bar forces and reactions."""
+    """Describe the tensions, bar forces and reactions of an equilibrium."""
     lines = []
     if len(eq.tension):
         slack = int(np.sum(eq.tension == 0.0))
@@ -159,6 +163,6 @@ def _describe_forces(eq: Equilibrium) -> list[str]:
 
 
 def _range(values: Any) -> str:
-    """Format the least and the largest value."""
+    """Format the smallest and the largest value."""
     low, high = float(np.min(values)) + 0.0, float(np.max(values)) + 0.0
     return f"{low:.5g}" if np.isclose(low, high, rtol=1e-5) else f"{low:.5g} … {high:.5g}"

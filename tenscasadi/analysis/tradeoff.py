@@ -160,7 +160,7 @@ def _read_steps(steps: Any) -> list[float]:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """Options of a run except its step."""
+    """Scheme, model and options of a run, without its step."""
 
     model: Model
     scheme: Scheme
@@ -172,16 +172,17 @@ class Case:
     parameters: Any = None
 
     def with_code(self) -> Case:
-        """Choose machine code, which takes over late in short runs, for times that are measured.
+        """Select machine code for time measurements.
 
-        SUNDIALS and machines without a compiler have none.
+        Otherwise short runs use it late or never. SUNDIALS and machines without a compiler have
+        none.
         """
         if self.compiled is not None or isinstance(self.scheme, Sundials):
             return self
         return replace(self, compiled=find_compiler() is not None)
 
     def run(self, step: float, **options: Any) -> Trajectory:
-        """Simulate the motion; raise KeyboardInterrupt after an interrupted run."""
+        """Simulate with a step; raise KeyboardInterrupt after Ctrl-C."""
         options = {
             "t_end": self.t_end,
             "control": self.control,
@@ -206,14 +207,14 @@ class Case:
     def even(self) -> bool:
         """Return whether all steps cost the same.
 
-        None is repeated, and none solves equations by iteration.
+        Steps that can be rejected, or that iterate, do not.
         """
         return not (self.scheme.adaptive or self.scheme.implicit)
 
     def instructions(self) -> int:
         """Count the instructions of one step and its correction.
 
-        0 for implicit schemes, which iterate an unknown number of times.
+        It is 0 for implicit schemes, which iterate an unknown number of times.
         """
         if self.scheme.implicit:
             return 0
@@ -229,10 +230,8 @@ class Case:
         """Measure the wall time of a step [s].
 
         It is the median of `repeats` runs that are long enough for the clock and stay near the
-        start.
-
-        A run over [0, t_end] with coarse steps is too short to be timed, and all steps cost the
-        same.
+        initial state. A run over [0, t_end] with coarse steps is too short to be timed, and all
+        steps cost the same.
         """
         fine = 1e-3 * step
 
@@ -254,15 +253,15 @@ class Case:
         return median(seconds(steps) for _ in range(repeats))
 
     def _choose_control(self) -> ControlInput:
-        """Select a control that is constant over a timed run."""
+        """Return the control if it is constant, for timed runs."""
         over_time = callable(self.control) or isinstance(self.control, ControlFunction)
         return None if over_time or np.ndim(np.asarray(self.control)) != 1 else self.control
 
 
 def start_of(model: Model, state: State) -> Array | None:
-    """Find the start (nx,) that `state` means for this model.
+    """Return the initial state (nx,) of a model.
 
-    Raises TypeError, ValueError.
+    `state` can be a function of the model. Raises TypeError, ValueError.
     """
     value = (
         call_user_function(
@@ -277,7 +276,7 @@ def start_of(model: Model, state: State) -> Array | None:
 def _measure_rows(
     case: Case, name: str, lengths: Sequence[float], reference: ReferenceSolution, repeats: int
 ) -> Iterable[TradeoffRow]:
-    """Yield a row for each step.
+    """Yield a row of the study for each step length.
 
     The time of a step and the set-up are measured once.
     """

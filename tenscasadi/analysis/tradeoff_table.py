@@ -1,4 +1,4 @@
-"""Table of measured runs with their cost and errors."""
+"""Table of a trade-off study: cost and errors of measured runs."""
 
 from __future__ import annotations
 
@@ -107,12 +107,12 @@ class TradeoffRow:
 
     @property
     def name(self) -> str:
-        """Scheme and variant of the run, without its step."""
+        """Scheme and options of the run, without its step."""
         return ", ".join([abbreviate(self.scheme), *self._variant()])
 
     @property
     def curve(self) -> str:
-        """Common name of rows except for step or tolerance."""
+        """Common name of runs that differ only in step or tolerance."""
         swept = "rtol" if np.isnan(self.step) else ""
         return ", ".join(
             [abbreviate(self.scheme, swept) + (f" with {swept}" if swept else ""), *self._variant()]
@@ -141,7 +141,7 @@ class Tradeoff:
     complete : bool
         False if the study was interrupted.
     message : str
-        Where it was interrupted.
+        Place at which it was interrupted.
 
     Examples
     --------
@@ -369,7 +369,7 @@ class Tradeoff:
         return [row for row in self.rows if row.success]
 
     def _sort_by(self, cost: Cost) -> list[TradeoffRow]:
-        """Sort the successful rows of known cost, cheapest first.
+        """Sort the successful rows by a cost, cheapest first.
 
         Of rows of equal cost the more accurate comes first.
         """
@@ -380,9 +380,9 @@ class Tradeoff:
 
 
 def abbreviate(value: Any, without: str = "") -> str:
-    """Format a frozen value with its non-default options.
+    """Format an object with its non-default options.
 
-    The option named `without` is left out.
+    The option named `without` is omitted.
     """
     own = (
         [(field.name, getattr(value, field.name), field.default) for field in fields(value)]
@@ -398,7 +398,10 @@ def abbreviate(value: Any, without: str = "") -> str:
 
 
 def _check_kinds(value: TradeoffRow | Tradeoff) -> None:
-    """Check the types of the fields by name. Raises TypeError, ValueError."""
+    """Check the types of the fields by name.
+
+    Raises TypeError, ValueError.
+    """
     for field in fields(value):
         name, given = f"{type(value).__name__}.{field.name}", getattr(value, field.name)
         if field.type == "float" and real_array(name, given, "a number").ndim:
@@ -445,7 +448,7 @@ def _from_arrays(content: archive.Fields) -> Tradeoff:
 
 
 def _kinds(field: Field[Any]) -> str:
-    """Return NumPy's kind letters of a field.
+    """Return NumPy's type codes for a field, such as "fi".
 
     Schemes and corrections are stored as text.
     """

@@ -18,7 +18,9 @@ _UNBOUNDED = ("DualInfeasible", "AlmostDualInfeasible")
 
 
 class LinearRows(NamedTuple):
-    """Rows of linear constraints on A x.
+    """Linear constraints with coefficients A and right-hand sides b.
+
+    A x = b or A x ≤ b, or b − A x is the scaled triangle of a semidefinite matrix.
 
     Attributes
     ----------
@@ -33,7 +35,7 @@ class LinearRows(NamedTuple):
 
 
 class ConicSolution(NamedTuple):
-    """Solution of a conic program.
+    """Solution of a linear, quadratic or semidefinite program.
 
     Attributes
     ----------
@@ -61,7 +63,7 @@ def solve_conic(
     semidefinite: Sequence[LinearRows] = (),
     tolerance: float = 1e-10,
 ) -> ConicSolution:
-    """Solve a conic program.
+    """Solve a linear, quadratic or semidefinite program.
 
     Minimize ½ xᵀ P x + costᵀ x under linear and semidefinite constraints.
 
@@ -114,7 +116,10 @@ def scaled_triangle(matrix: Array) -> Array:
 
 
 def unscaled_matrix(entries: Array) -> Array:
-    """Build the symmetric matrix of a scaled upper triangle, see `scaled_triangle`."""
+    """Build the symmetric matrix from its scaled upper triangle.
+
+    It is the inverse of `scaled_triangle`.
+    """
     count = _order(len(entries))
     matrix = np.zeros((count, count))
     columns, rows = np.tril_indices(count)

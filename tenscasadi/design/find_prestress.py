@@ -42,7 +42,7 @@ from tenscasadi.util.validate import (
 
 @dataclass(frozen=True, eq=False)
 class PrestressDesign(ReadOnlyArrays):
-    """Prestress that `find_prestress` has found.
+    """Optimal prestress of a structure.
 
     Attributes
     ----------
@@ -53,8 +53,8 @@ class PrestressDesign(ReadOnlyArrays):
     force_density : ndarray (α,)
         Force densities of strings [N/m].
     least_stiffness : float
-        Least eigenvalue of the tangent stiffness [N/m] on motions that preserve the lengths of
-        rigid bars; rigid-body motions are left out.
+        Smallest eigenvalue of the tangent stiffness [N/m] on motions that preserve the lengths of
+        rigid bars; rigid-body motions are excluded.
     original : Structure
         The structure as given.
     success : bool
@@ -83,7 +83,10 @@ class PrestressDesign(ReadOnlyArrays):
 
     @cached_property
     def least_stiffness(self) -> float:
-        """Least eigenvalue of the tangent stiffness [N/m]; 0 without prestress."""
+        """Smallest eigenvalue of the tangent stiffness [N/m].
+
+        It is 0 without prestress.
+        """
         if not self.success and not self.force_density.any():
             return 0.0
         values = tangent_stiffness(self.original).softest(self._density, 1)[0]
@@ -226,10 +229,10 @@ class _PrestressSearch:
         return self.settle(goal)
 
     def settle(self, goal: PrestressGoal) -> PrestressDesign:
-        """Repeat the program until prestress and response to the loads agree.
+        """Iterate until prestress and response to the loads agree.
 
         The responses of a degenerate program jump with its solutions. Aitken's relaxation makes
-        them settle.
+        them converge.
         """
         strings, none = len(self.least), np.zeros((len(self.least), 1))
         force = self.scale * float(self.tangent.lengths.mean())
@@ -283,9 +286,10 @@ class _PrestressSearch:
         return self.fail("prestress and response to the loads do not settle: reduce the loads")
 
     def program(self, response: Array, least: Array) -> PrestressProgram:
-        """Build the program with limits under the loads.
+        """Build the optimization of force densities with limits under loads.
 
-        `response` (α, cases) is the change of tensions under the loads [N].
+        `response` (α, cases) is the change of tensions under the loads [N], `least` the lower
+        limits.
         """
         strings = len(least)
         T = self.tension[:strings]
@@ -317,7 +321,10 @@ class _PrestressSearch:
         return PrestressDesign(strings, bars, strings, structure, False, message, np.zeros(0))
 
     def report(self, q: Array, gap: float = 0.0) -> PrestressDesign:
-        """Build the result for force densities q (α + β,), with their distance from the optimum."""
+        """Build the result for force densities q (α + β,).
+
+        `gap` is the relative distance from the optimum.
+        """
         structure, strings = self.tangent.structure, len(self.least)
         members = strings + len(structure.bars)
         forces = (q * self.tangent.lengths)[:members]
@@ -347,14 +354,20 @@ class _PrestressSearch:
 
 
 def read_load_cases(load_cases: Any, structure: Structure) -> Array:
-    """Read load cases (cases, n, 3) [N]. Raises TypeError, ValueError."""
+    """Read load cases as an array (cases, n, 3) [N].
+
+    Raises TypeError, ValueError.
+    """
     entries = as_tuple("load_cases", load_cases, "[loads], with loads of shape (n, 3)")
     cases = [read_loads(f"load_cases[{k}]", case, structure) for k, case in enumerate(entries)]
     return np.array(cases).reshape(len(cases), *structure.nodes.shape)
 
 
 def _read_maximum(maximum: ArrayLike, least: Array) -> Array:
-    """Read the largest tensions (α,). Raises TypeError, ValueError."""
+    """Read the upper limits of tensions (α,).
+
+    Raises TypeError, ValueError.
+    """
     most = nonnegative("maximum", per_item("maximum", maximum, len(least)), "string")
     for i in np.flatnonzero(most < least):
         raise ValueError(

@@ -1,4 +1,4 @@
-"""Given and unknown force densities, and groups of members."""
+"""Given and unknown force densities, and groups of members that share one."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class ForceDensities(NamedTuple):
 
 
 def read_force_densities(structure: Structure, given: Any, groups: Groups | None) -> ForceDensities:
-    """Read the force densities of strings (α,).
+    """Read the given force densities of strings (α,).
 
     NaN marks an unknown force density. Those of bars are always unknown. Raises TypeError,
     ValueError.
@@ -74,7 +74,7 @@ def read_force_densities(structure: Structure, given: Any, groups: Groups | None
 
 
 def read_basis(structure: Structure, groups: Groups | None) -> Any:
-    """Build the force densities of all members per unknown.
+    """Build the matrix from unknowns to force densities of all members.
 
     There is an unknown for each cable, and for each group of other members.
 
@@ -105,7 +105,7 @@ def read_basis(structure: Structure, groups: Groups | None) -> Any:
 
 
 def _share_values(label: Indices, values: Array) -> Array:
-    """Give all members of a group the value that some of them have.
+    """Assign the known value of a group to all its members.
 
     NaN marks an unknown value. Raises ValueError.
     """
@@ -162,10 +162,10 @@ def _read_values(given: Any, count: int) -> Array:
 
 
 def set_prestress(structure: Structure, gamma: Array, lam: Array) -> Structure:
-    """Set rest lengths for given force densities.
+    """Set rest lengths so that members have given force densities.
 
     They are γ (α,) of strings and λ (β,) of bars, positive in compression. Members whose stiffness
-    does not exceed their force density are left unstressed.
+    does not exceed their force density remain unstressed.
     """
     strings = (gamma > 0.0) & (gamma < structure.stiffness)
     stretch = np.divide(gamma, structure.stiffness, out=np.zeros_like(gamma), where=strings)

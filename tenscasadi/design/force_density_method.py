@@ -38,10 +38,9 @@ _PULL = 1e-3  # weight of equal force densities in the estimate, relative to tha
 
 
 def solve_form(structure: Structure, q: Array, loads: Array) -> Array | None:
-    """Compute the nodes (n, 3) for given force densities.
+    """Compute the nodes (n, 3) in equilibrium for given force densities.
 
-    They are in equilibrium under loads (n, 3). Returns None if supports and force densities do not
-    determine the nodes.
+    The loads are (n, 3). Returns None if supports and force densities do not determine the nodes.
     """
     free = free_directions(structure)
     D = sp.kron(force_density_matrix(structure, q), sp.eye_array(3), format="csr")
@@ -88,11 +87,11 @@ def estimate_force_densities(structure: Structure, densities: ForceDensities) ->
 def adapt_force_densities(
     structure: Structure, densities: ForceDensities, start: Array, near: bool
 ) -> tuple[Array, Array] | None:
-    """Find force densities of a free-standing structure.
+    """Find force densities for which an unsupported structure has a form.
 
-    Its matrix D has rank n − d − 1. In each step, Newton's method makes D vanish to first order on
-    d + 1 of its eigenvectors. These are the eigenvectors nearest to the span of the structure's
-    coordinates (`near`), or those of the smallest eigenvalues.
+    Its force-density matrix D then has rank n − d − 1. In each step, Newton's method makes D vanish
+    to first order on d + 1 of its eigenvectors. These are the eigenvectors nearest to the span of
+    the structure's coordinates (`near`), or those of the smallest eigenvalues.
 
     Returns
     -------
@@ -131,7 +130,7 @@ def adapt_force_densities(
 
 
 def _coordinate_space(nodes: Array) -> Array:
-    """Compute an orthonormal basis of affine functions.
+    """Compute an orthonormal basis of affine functions of the nodes.
 
     It spans the constant vector and the coordinates of the nodes. Its shape is (n, d + 1).
     """

@@ -48,7 +48,7 @@ from tenscasadi.util.validate import (
 
 @dataclass(frozen=True, eq=False)
 class Form(ReadOnlyArrays):
-    """Form of a structure, with its forces.
+    """Form of a structure in equilibrium, with its forces.
 
     Attributes
     ----------
@@ -170,7 +170,7 @@ def form_find(
 def _find_forms(
     structure: Structure, densities: ForceDensities, goals: Goals
 ) -> Iterator[tuple[Array, Array, dict[str, float]]]:
-    """Compute forms from several initial guesses, one by one.
+    """Compute equilibrium forms from several initial guesses.
 
     Yields nodes (n, 3), force densities (α + β,), and the residuals of goals by name.
     """
@@ -192,7 +192,10 @@ def _find_forms(
 def _estimate_forms(
     structure: Structure, densities: ForceDensities, goals: Goals, p: Array
 ) -> list[tuple[Array, Array]]:
-    """Estimate nodes (n, 3) and unknown force densities (u,) by linear algebra."""
+    """Estimate equilibrium forms by linear algebra.
+
+    They have nodes (n, 3) and unknown force densities (u,).
+    """
     if goals.hold(structure):
         nodes = None if len(structure.bars) else solve_form(structure, densities.of(p), goals.loads)
         return [] if nodes is None else [(nodes, p)]
@@ -203,7 +206,10 @@ def _estimate_forms(
 def _read_goals(
     structure: Structure, lengths: Any, positions: Any, equal_tension: Any, loads: Any
 ) -> Goals:
-    """Read prescribed properties. Raises TypeError, ValueError."""
+    """Read prescribed properties of a form.
+
+    Raises TypeError, ValueError.
+    """
     count, names = len(structure.nodes), structure.names
     for field, value in (("lengths", lengths), ("positions", positions)):
         if value is not None and not isinstance(value, Mapping):
@@ -279,7 +285,7 @@ def _assess(
 
 
 def _is_same_body(before: Array, after: Array) -> bool:
-    """Return whether a rigid motion takes nodes (k, 3) to others."""
+    """Return whether a rigid motion maps nodes (k, 3) to other ones."""
     start, end = before - before.mean(axis=0), after - after.mean(axis=0)
     moved = start @ fit_rotation(start, end).T
     return bool(np.abs(moved - end).max() <= TOLERANCE * np.abs(start).max())
@@ -314,6 +320,6 @@ def _find_fault(
 
 
 def _dimension(nodes: Array) -> int:
-    """Count the dimensions that nodes span."""
+    """Compute the dimension of the affine span of the nodes."""
     sizes = np.linalg.svd(nodes - nodes.mean(axis=0), compute_uv=False)
     return int(np.sum(sizes > TOLERANCE * sizes.max(initial=1e-300)))

@@ -1,8 +1,8 @@
 """Form finding as a nonlinear program.
 
 The unknowns are nodes and force densities. Equilibrium and goals are constraints. Among the forms
-that satisfy them, those that best keep the lengths of bars are found. Among these, the program
-selects the form nearest to the start for free-standing structures, and the form of most equal force
+that satisfy them, those are selected that keep the lengths of bars best. Among these, it is the
+form nearest to the start for unsupported structures, and the form with the most equal force
 densities for supported ones.
 """
 
@@ -63,13 +63,13 @@ class Goals(NamedTuple):
     def hold(self, structure: Structure) -> bool:
         """Return whether supports or loads determine the nodes.
 
-        Force densities are given.
+        This is for given force densities.
         """
         return bool(structure.held.any() or self.loads.any())
 
 
 class FormProgram:
-    """Nonlinear program in the unknowns x = (y, p, inner).
+    """Nonlinear program of form finding in the unknowns x = (y, p, inner).
 
     y are displacements along the free directions, p the unknown force densities, and inner those of
     the massless bars that keep bodies rigid. They are in units of a mean length and a mean force
@@ -133,20 +133,20 @@ class FormProgram:
         return ca.vertcat(ca.SX(0, 1), *rows), names
 
     def nodes(self, x: Array) -> Array:
-        """Compute the nodes (n, 3) [m]."""
+        """Compute the nodes (n, 3) [m] from the unknowns x."""
         return np.asarray(
             self.length * (self._held + self._free @ x[: self._free.shape[1]]).reshape(-1, 3)
         )
 
     def force_densities(self, x: Array) -> Array:
-        """Compute the force densities of all members [N/m]."""
+        """Compute the force densities of all members [N/m] from x."""
         own = self._free.shape[1] + np.arange(len(self.densities.lower))
         return self.densities.of(x[own] * self.density)
 
     def unknowns(self, nodes: Array, p: Array) -> Array:
-        """Compute the unknowns x of a form.
+        """Compute the unknowns x from nodes and force densities.
 
-        It has nodes (n, 3) [m] and force densities p (u,) [N/m].
+        They are nodes (n, 3) [m] and force densities p (u,) [N/m].
         """
         y = self._free.T @ (nodes.ravel() / self.length - self._held)
         inner = self.x.numel() - len(y) - len(p)
@@ -195,10 +195,10 @@ class FormProgram:
 
 
 def _independent_rows(structure: Structure, free: Any) -> Indices:
-    """Select independent equations of equilibrium.
+    """Select independent equilibrium equations.
 
-    Internal forces do no work on rigid-body motions. One equation is left out for each rigid-body
-    motion that the supports allow. The rows are those of free directions (3n, rows).
+    Internal forces do no work on rigid-body motions. One equation is omitted for each rigid-body
+    motion that the supports allow. The equations are those of free directions (3n, rows).
     """
     motions = free.T @ rigid_body_motions(structure)
     pivots = qr(motions.T, pivoting=True)[2]

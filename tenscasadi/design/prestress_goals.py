@@ -1,4 +1,4 @@
-"""Goals of a prestress: stiffest, most even, least."""
+"""Objectives of prestress design: stiffest, most even, smallest."""
 
 from __future__ import annotations
 
@@ -55,15 +55,18 @@ class PrestressProgram(NamedTuple):
         return found._replace(x=found.x * self.scale)
 
     def softest(self, p: Array) -> tuple[Array, Array]:
-        """Compute the least stiffnesses [N/m] of force densities p, and their motions."""
+        """Compute the smallest stiffnesses [N/m] and their modes.
+
+        They are those of the structure with force densities p.
+        """
         return self.stiffness.softest(self.basis @ p, SOFTEST)
 
     def fit(self, p: Array, up: bool) -> Array:
-        """Scale p to the limits.
+        """Scale force densities p so that limits hold.
 
         Without `up`, p is reduced to satisfy all upper limits. With `up`, p is scaled such that all
         lower limits are satisfied and one is active. This removes the rounding error of a solver.
-        It also determines the level of prestress if the goal does not.
+        It also determines the level of prestress if the objective does not.
         """
         values, limits = self.below.A @ p, self.below.b
         ratio = np.divide(
@@ -76,18 +79,18 @@ class PrestressProgram(NamedTuple):
         return p * float(ratio.max() if up else min(ratio.min(), 1.0))
 
     def in_units(self) -> tuple[LinearRows, LinearRows]:
-        """Divide right-hand sides by the typical force density."""
+        """Divide the constraints' right-hand sides by the typical force density."""
         equal, below = self.equal, self.below
         return LinearRows(equal.A, equal.b / self.scale), LinearRows(below.A, below.b / self.scale)
 
 
 class PrestressGoal(Protocol):
-    """Selection criterion for admissible prestresses."""
+    """Interface of objectives for prestress design."""
 
     needs_minimum: bool
 
     def solve(self, program: PrestressProgram) -> ConicSolution:
-        """Find force densities within the limits.
+        """Find the optimal force densities within the limits.
 
         Parameters
         ----------
@@ -103,11 +106,11 @@ class PrestressGoal(Protocol):
 
 @dataclass(frozen=True)
 class Stiffest(Value, kind="Stiffest"):
-    """Goal of `find_prestress`: the largest stiffness of the softest motion.
+    """Goal of `find_prestress`: the largest stiffness of the softest mode.
 
-    It maximizes the least eigenvalue of the tangent stiffness on motions that preserve the lengths
-    of rigid bars: a semidefinite program. The message of the result gives the distance from the
-    largest stiffness if it is above 1e-6, as for symmetric structures with many self-stresses.
+    It maximizes the smallest eigenvalue of the tangent stiffness on motions that preserve the
+    lengths of rigid bars: a semidefinite program. The message of the result gives the distance from
+    the largest stiffness if it is above 1e-6, as for symmetric structures with many self-stresses.
 
     Examples
     --------
@@ -120,12 +123,12 @@ class Stiffest(Value, kind="Stiffest"):
     needs_minimum = False
 
     def solve(self, program: PrestressProgram) -> ConicSolution:
-        """Find force densities by a sequence of semidefinite programs.
+        """Maximize the smallest stiffness by semidefinite programs.
 
-        Each adds the softest motions to those of the one before. The sequence ends when the softest
-        motion is as stiff as in the program. Once there are many motions, only the active ones
-        are kept, and a damping keeps force densities near the best ones: a spectral bundle method
-        [1]_. After ten programs, the tolerance doubles with each.
+        Each adds the softest modes to those of the one before. The sequence ends when the softest
+        mode is as stiff as in the program. Once there are many modes, only the active ones are
+        kept, and a damping keeps force densities near the best ones: a spectral bundle method [1]_.
+        After ten programs, the tolerance doubles with each.
 
         Parameters
         ----------
@@ -217,7 +220,7 @@ class Even(Value, kind="Even"):
 
 @dataclass(frozen=True)
 class Least(Value, kind="Least"):
-    """Goal of `find_prestress`: the least sum of string tensions.
+    """Goal of `find_prestress`: the smallest sum of string tensions.
 
     It is found by a linear program.
 
@@ -232,7 +235,7 @@ class Least(Value, kind="Least"):
     needs_minimum = True
 
     def solve(self, program: PrestressProgram) -> ConicSolution:
-        """Find force densities of the least sum of tensions.
+        """Minimize the sum of string tensions.
 
         Parameters
         ----------
@@ -249,7 +252,7 @@ class Least(Value, kind="Least"):
 
 
 class Proximity(NamedTuple):
-    """Cost ½ w |p − center|² of a distance.
+    """Quadratic penalty ½ w |p − center|² on force densities p.
 
     Attributes
     ----------
@@ -266,10 +269,10 @@ class Proximity(NamedTuple):
 def _maximize_least(
     program: PrestressProgram, motions: Array, near: Proximity
 ) -> tuple[ConicSolution, float, Array]:
-    """Maximize the least eigenvalue of the projected stiffness.
+    """Maximize the smallest eigenvalue of the projected stiffness.
 
-    The stiffness is projected onto given orthonormal motions. Returns p, this eigenvalue, and the
-    active motions, which determine it: a program in these alone has the same solution.
+    The stiffness is projected onto given orthonormal modes. Returns p, this eigenvalue, and the
+    active modes, which determine it: a program in these alone has the same solution.
     """
     materials, slopes = program.stiffness.reduce(motions)
     material = np.einsum("k,kij->ij", program.stiffness.stiffness, materials)

@@ -25,12 +25,12 @@ SOFTEST = 12  # softest motions added to a program at once
 
 
 class TangentStiffness:
-    """Tangent stiffness of a structure on its free directions.
+    """Tangent stiffness K(q) as a linear function of force densities q.
 
     K(q) = Σ k e eᵀ + Σ q (I − u uᵀ) over springs, and q I over rigid bars, each between the ends of
     the member. u is the direction of a member, q its force density, k the stiffness and e the
     elongation of a spring. A spring is a string, a cable as a whole, or an elastic bar. Massless
-    rigid bars hold the nodes of bodies.
+    rigid bars connect the nodes of bodies.
 
     Attributes
     ----------
@@ -86,11 +86,11 @@ class TangentStiffness:
 
     @property
     def held(self) -> int:
-        """Number of massless bars of bodies."""
+        """Number of massless bars that keep bodies rigid."""
         return len(self.pairs) - len(self.structure.strings) - len(self.structure.bars)
 
     def _add_units(self, rows: Any) -> sp.csr_array:
-        """Sum the rows (μ, ·) of the strings of each cable."""
+        """Add the rows (μ, ·) of the strings of each cable."""
         if not self.structure.cables:
             return rows
         each = np.arange(len(self.unit))
@@ -110,16 +110,16 @@ class TangentStiffness:
 
     @cached_property
     def _pattern(self) -> SparsePattern:
-        """Pattern of K, from a weight of each relative displacement and elongation."""
+        """Sparsity of K, as a linear function of member weights."""
         rows = sp.csr_array(sp.vstack([self.relative, self.elongation, self.springs]))
         each = np.arange(rows.shape[0])
         squares = MatrixEntries(each, each, each, np.ones(len(each))).project(rows)
         return SparsePattern(squares, (rows.shape[1], rows.shape[1]), len(each))
 
     def reduce(self, motions: Array) -> tuple[Array, Array]:
-        """Project the stiffness of units and members onto motions.
+        """Project the stiffness of each member onto given modes.
 
-        The motions are columns (free coordinates, r).
+        The modes are columns (free coordinates, r).
 
         Returns
         -------
@@ -139,17 +139,18 @@ class TangentStiffness:
     def softest(
         self, q: Array, count: int | None = None, stiffness: Array | None = None
     ) -> tuple[Array, Array]:
-        """Compute the softest motions that preserve the lengths of rigid bars.
+        """Compute the softest modes that preserve the lengths of rigid bars.
 
-        Returns the lowest eigenvalues of K [N/m], and their motions.
+        Returns the smallest eigenvalues of K [N/m], and their modes.
         """
         return softest_motions(self.at(q, stiffness), self.J, self.rigid_body, count)
 
     def has_stiff_motions(self, q: Array) -> bool:
-        """Return whether all motions are stiff, by the inertia of K.
+        """Return whether K is positive definite, by its inertia.
 
-        They preserve the lengths of rigid bars, and a few fixed coordinates exclude rigid-body
-        motions. The softest motion decides if rounding hides its stiffness from the inertia.
+        K acts on displacements that preserve the lengths of rigid bars; a few fixed coordinates
+        exclude rigid-body motions. The softest mode decides if rounding hides its stiffness from
+        the inertia.
         """
         K, J = self.at(q)[self._others][:, self._others], self.J[:, self._others]
         zero = ROUNDING * float(np.abs(K.data).max(initial=0.0))
@@ -161,7 +162,7 @@ class TangentStiffness:
 
     @cached_property
     def _others(self) -> Indices:
-        """Free coordinates without the fewest that exclude rigid-body motions."""
+        """Free coordinates except a few whose fixing excludes rigid motions."""
         order = qr(self.rigid_body.T, mode="r", pivoting=True)[1]
         return np.sort(order[self.rigid_body.shape[1] :])
 
@@ -182,7 +183,7 @@ class TangentStiffness:
 
 
 def tangent_stiffness(structure: Structure) -> TangentStiffness:
-    """Return the tangent stiffness of a structure."""
+    """Return the tangent stiffness of a structure, which caches it."""
     return keep(structure, "tangent_stiffness", lambda: TangentStiffness(structure))
 
 

@@ -30,7 +30,7 @@ MAX_INTERPOLATIONS = 6  # trials in a bracket before bisection
 
 
 class Memory(NamedTuple):
-    """State of the step-size control between attempts."""
+    """State of the step-size control between trial steps."""
 
     rest: Any  # time left in the grid step, s
     step: Any  # next trial step, s
@@ -57,9 +57,9 @@ class StepTolerances(NamedTuple):
 
 
 class Events(NamedTuple):
-    """Events within a trial step, one number each.
+    """Events within a trial step, as numbers.
 
-    All are zero if the scene has no events.
+    They are changes of contact or slack. All are zero if the scene has no events.
     """
 
     changed: Any  # number of modes that differ between start and end
@@ -70,13 +70,14 @@ class Events(NamedTuple):
 
 
 class ErrorControl(NamedTuple):
-    """Functions of a trial step.
+    """CasADi Functions that form a trial step with error control.
 
     - ode (z, v) → ż, with v = (u, modes)
     - prepare (z, memory, u) → (length, v)
     - decide (z, memory, u, limits, length, v, z after, errors, slope, slope after) → (z, memory)
 
-    The columns memory and limits hold a `Memory` and `StepTolerances`.
+    The columns memory and limits hold a `Memory` and `StepTolerances`. Modes are 1 for taut strings
+    and contacts, else 0.
     """
 
     ode: ca.Function
@@ -178,7 +179,7 @@ def _build_decision(
 def _norm(errors: list[Any]) -> Any:
     """Compute the scaled error norm of a step.
 
-    One estimate gives its root mean square. Two give Hairer's combination for DOP853.
+    For one error estimate it is the root mean square. For two it is Hairer's combination in DOP853.
     """
     squared = [ca.sumsqr(error) for error in errors]
     n = max(errors[0].shape[0], 1)
@@ -197,7 +198,7 @@ def _find_events(
     scale: Any,
     longest: Any,
 ) -> Events:
-    """Find the events of a trial step.
+    """Find the changes of contact and slack within a trial step.
 
     See `build_root` for `path`. `after` is the final z; errors are divided by `scale`.
     """
@@ -218,7 +219,7 @@ def _find_events(
 
 
 def _break_strings(model: Model, z: Any, u: Any, power: bool) -> tuple[Any, Any]:
-    """Break the strings that are overloaded at the start of a step.
+    """Mark strings that are overloaded at the start of a step as broken.
 
     Returns whether there is any, None if no string can break, and z.
     """
@@ -237,7 +238,7 @@ def _decide(
     longest: Any,
     overloaded: Any,
 ) -> tuple[Any, Any]:
-    """Decide whether to repeat a step, and update the memory.
+    """Accept or reject a trial step, and choose the next length.
 
     Steps from an `overloaded` start are repeated from the start with broken strings.
     """
@@ -289,7 +290,7 @@ def _decide(
 
 
 def _aim(m: Memory, root: Any) -> Memory:
-    """Choose the next trial step within a bracket.
+    """Choose the next trial step that locates an event in a bracket.
 
     It ends half the allowed overshoot after the interpolated root, or in the middle if that is
     outside or converges slowly.
@@ -300,10 +301,10 @@ def _aim(m: Memory, root: Any) -> Memory:
 
 
 def _jump(ode: ca.Function, moving: int, latch: ca.Function | None) -> ca.Function:
-    """Build the norm of the slope change between two modes.
+    """Build the norm of the change of ẋ between two modes.
 
     Function (z, w, w_after, scale, changed) → norm. It evaluates nothing and returns 0 if no mode
-    has changed. `latch` breaks the strings of z.
+    has changed. `latch` marks overloaded strings as broken.
     """
     z, w, after = (
         ca.MX.sym("z", ode.sparsity_in(0)),

@@ -1,8 +1,8 @@
-"""Strings that break within a step.
+"""Strings that break within a time step.
 
-A string breaks at the instant at which its margin vanishes, see `build_margins`. A step of any
-scheme ends there, the string is marked as broken, and another step follows. The order of the scheme
-is kept.
+A string breaks at the instant at which its margin to failure vanishes, see `build_margins`. A step
+of any scheme ends there, the string is marked as broken, and another step follows. The order of the
+scheme is kept.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 
 def split_at_breaks(step: ca.Function, model: Model) -> ca.Function:
-    """Divide a step of a scheme where strings break.
+    """Build a step that is divided where strings break.
 
     Function (z, u, h, …) → z_next, as `step`, which is returned if no string can break. A step
-    without a break costs two evaluations of the margins more.
+    without a break costs two more evaluations of the margins to failure.
     """
     if not count_breakable(model):
         return step

@@ -104,7 +104,7 @@ class Collocation(NamedScheme, kind="Collocation"):
         return self._close(self._newton(ode), "x")
 
     def _close(self, step: ca.Function, name: str) -> ca.Function:
-        """Insert the tolerance into a step Function.
+        """Insert the tolerance as a constant into a step Function.
 
         (x, u, h, tolerance) becomes (x, u, h).
         """
@@ -197,7 +197,7 @@ class Collocation(NamedScheme, kind="Collocation"):
         return _halve_unsolved(step) if count_switches(model) else step
 
     def _advance_by_sweeps(self, model: Model, power: ca.Function | None) -> ca.Function:
-        """Build a step by sweeps through the stages.
+        """Build a step by triangular iteration over the stages.
 
         Function (z, u, h, tolerance) → z_next.
         """
@@ -252,13 +252,12 @@ class Collocation(NamedScheme, kind="Collocation"):
 
 
 def _halve_unsolved(whole: ca.Function) -> ca.Function:
-    """Build a step that halves itself if `whole` fails.
+    """Build a step that is divided into halves if `whole` fails.
 
-    Function (z, u, h, tolerance) → z_next. The halves are halved likewise, up to ten times.
-
-    Near an impact the modes of strings and contacts, or sticking and sliding, may alternate
-    between iterations. In a short step the forces hardly change and each iteration converges.
-    Other steps cost as much as before.
+    Function (z, u, h, tolerance) → z_next. The halves are divided likewise, up to ten times. Near
+    an impact the modes of strings and contacts, or sticking and sliding, may alternate between
+    iterations. In a short step the forces hardly change and each iteration converges. Other steps
+    cost as much as before.
     """
     symbols = [ca.MX.sym(whole.name_in(i), whole.size1_in(i)) for i in range(4)]
     z, u, h, tolerance = symbols

@@ -1,10 +1,11 @@
-"""Events and the smooth motion between them.
+"""Events: slack strings, contacts and breaks, with smooth dynamics between.
 
 Strings go slack or taut, and nodes meet or leave the ground. A mode is 1 for each taut string and
 each closed contact, else 0. Within a mode all forces are smooth. The mode changes at sign changes
 of its switching functions.
 
-Strings also break, where their margins vanish. That changes the state instead of the mode.
+Strings also break, where their margins to failure vanish. That changes the state instead of the
+mode.
 """
 
 from __future__ import annotations
@@ -23,10 +24,10 @@ if TYPE_CHECKING:
 
 
 def build_switching(model: Model) -> ca.Function | None:
-    """Build the switching functions of a model.
+    """Build the switching functions, which are positive in mode 1.
 
-    Function (x, u) → g (k,) [m], positive where the mode is 1. Strings come first, then contacts.
-    None if the scene has no events.
+    Function (x, u) → g (k,) [m]. Strings come first, then contacts. None if the scene has no such
+    events.
     """
     scene, mech = model.scene, model.mechanism
     if not count_switches(model):
@@ -45,8 +46,9 @@ def build_switching(model: Model) -> ca.Function | None:
 def build_mode_ode(model: Model, work: bool = False, spare: int = 0) -> ca.Function:
     """Build the equations of motion in a fixed mode.
 
-    Function (z, w) → ż with z = x and w = (u, mode (k,)), whatever the switching functions are.
-    `spare` more entries of w have no effect.
+    The mode has 1 for each taut string and closed contact, else 0. Function (z, w) → ż with z = x
+    and w = (u, mode (k,)), whatever the switching functions are. `spare` more entries of w have no
+    effect.
 
     With `work`, z has one more entry, the work of all forces [J]. `build_potential` gives its part
     from stored energy. That part has kinks where a stretched, damped string goes slack, so
@@ -74,13 +76,16 @@ def build_mode_ode(model: Model, work: bool = False, spare: int = 0) -> ca.Funct
 
 
 def split_mode(model: Model, w: Any) -> tuple[Any, Any]:
-    """Split w = (u, mode) into the input (nw,), of control and parameters, and the mode (1×k)."""
+    """Split w = (u, mode) into input (nw,) and mode (1×k).
+
+    The input is the control followed by the parameters.
+    """
     count = count_switches(model)
     return w[: model.nw, :], w[model.nw : model.nw + count, :].T if count else None
 
 
 def build_potential(model: Model) -> ca.Function:
-    """Build the energy that `Model.power` leaves out.
+    """Build the energy whose change is not in `Model.power`.
 
     Function (x, u) → elastic and gravity energy [J]; 0 under a control schedule.
     """
@@ -94,21 +99,22 @@ def build_potential(model: Model) -> ca.Function:
 
 
 def count_switches(model: Model) -> int:
-    """Count the strings and contacts that can switch."""
+    """Count the strings that can go slack, and the contacts."""
     w = model.extend_inputs(ca.DM(model.initial_state), ca.DM(model.stack_inputs()))
     elements = forces.build_elements(model.scene, model.mechanism, w)
     return sum(element.switch_count for element in elements)
 
 
 def count_breakable(model: Model) -> int:
-    """Count the inputs (cables and strings in no cable), that can break."""
+    """Count the cables, and strings in no cable, that can break."""
     return len(model.scene.breakable_inputs)
 
 
 def build_margins(model: Model) -> ca.Function:
-    """Build the elongations that breakable inputs bear before they break.
+    """Build the elongations that strings can bear before they break.
 
-    Function (x, u) → margins (m,) [m], positive for intact and for broken inputs.
+    Function (x, u) → margins (m,) [m] of breakable cables and strings in no cable. They are
+    positive for intact and for broken ones.
     """
     x, u = model.symbols(not model.mechanism.large)
     N, V, time = model.unpack(x)
@@ -120,7 +126,7 @@ def build_margins(model: Model) -> ca.Function:
 
 
 def build_events(model: Model) -> ca.Function | None:
-    """Build the switching functions of a model, followed by its margins.
+    """Build the switching functions, and margins to failure, of a model.
 
     Function (x, u) → (k + m,) [m]; None if the scene has no events.
     """
@@ -135,11 +141,11 @@ def build_events(model: Model) -> ca.Function | None:
 
 
 def build_latch(model: Model, work: bool) -> ca.Function:
-    """Build the transition at a break.
+    """Build the change of the state when strings break.
 
-    Function (z, u) → z, in which strings without a margin are broken. With `work`, the last entry
-    of z is the energy supplied [J], to which the lost elastic energy is added. It evaluates the
-    margins alone if no string breaks.
+    Function (z, u) → z, in which strings with negative margin are marked as broken. With `work`,
+    the last entry of z is the energy supplied [J], to which the lost elastic energy is added. If no
+    string breaks, only the margins are evaluated.
     """
     count, margins = count_breakable(model), build_margins(model)
     z, u = ca.MX.sym("z", model.nx + work), ca.MX.sym("u", model.nw)
@@ -164,8 +170,8 @@ def build_latch(model: Model, work: bool) -> ca.Function:
 def build_hidden(gaps: ca.Function, model: Model) -> ca.Function:
     """Build a search for mode changes within a step.
 
-    The Function returns the first quarter of the step, as a fraction, at which its cubic
-    interpolation is in another mode, else 0. See `_path` for the inputs.
+    The Function returns the fraction of the step, a multiple of ¼, at which its cubic interpolation
+    is first in another mode, else 0. See `_path` for the inputs.
     """
     x, slope, after, end, u, h, mode = path = _path(gaps, model)
     found = ca.MX(0)
@@ -177,7 +183,7 @@ def build_hidden(gaps: ca.Function, model: Model) -> ca.Function:
 
 
 def build_root(gaps: ca.Function, model: Model) -> ca.Function:
-    """Build a search for the first event in a bracket.
+    """Build a search for the time of the first event in a bracket.
 
     Function (*path, low, high, wanted) → time [s] at which the cubic interpolation of a step
     switches. It evaluates nothing unless `wanted`.
@@ -232,9 +238,9 @@ def search_root(value: ca.Function, path: list[ca.MX]) -> ca.Function:
 
 
 def _path(gaps: ca.Function, model: Model) -> list[ca.MX]:
-    """Create the symbols of a step.
+    """Create the symbols that describe a step for its interpolation.
 
-    They are x and its slope, the final x and its slope, u, the length [s] and the mode.
+    They are x and ẋ, the final x and ẋ, u, the length [s] and the mode.
     """
     ends = [ca.MX.sym(name, model.nx) for name in ("x", "slope", "after", "end")]
     return [*ends, ca.MX.sym("u", model.nw), ca.MX.sym("h"), ca.MX.sym("mode", gaps.size1_out(0))]

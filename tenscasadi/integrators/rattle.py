@@ -149,9 +149,9 @@ class Rattle(NamedScheme, kind="Rattle"):
 
 
 def _swing(z: Complex, fraction: float, kick: Tableau) -> Any:
-    """Compute the amplification matrix of a leap.
+    """Compute the amplification matrix of drift, kick and drift.
 
-    It is (…, 2, 2) and acts on (q, h v). The leap takes `fraction` of the step h, and z = h λ.
+    It is (…, 2, 2) and acts on (q, h v). This part takes `fraction` of the step h, and z = h λ.
     """
     damping = fraction * np.where(z.imag == 0, -z.real, -2 * z.real)
     squared = fraction * np.where(z.imag == 0, 0.0, np.abs(z) ** 2)
@@ -166,7 +166,7 @@ def _swing(z: Complex, fraction: float, kick: Tableau) -> Any:
 
 
 def _leap(model: Model, power: ca.Function | None, kick: Tableau, iterations: int) -> ca.Function:
-    """Build drift, kick and drift: (z, u, h) → z_next."""
+    """Build drift, kick and drift as Function (z, u, h) → z_next."""
     kind: Any = ca.SX if model.mechanism.unrolled else ca.MX
     z, u, h = kind.sym("z", model.nx + (power is not None)), kind.sym("u", model.nw), kind.sym("h")
     mech, scene = model.with_masses(u), model.scene
@@ -180,14 +180,14 @@ def _leap(model: Model, power: ca.Function | None, kick: Tableau, iterations: in
         return place_nodes(moved, V + (moved - free) / (h / 2), later)
 
     def place_nodes(N: Any, V: Any, time: Any) -> tuple[Any, Any, Any]:
-        """Move supports to their positions at that time."""
+        """Move supports to their prescribed positions at a time."""
         return model.unpack(model.pack(N, V, own, time))
 
     def tangent(N: Any, V: Any, time: Any) -> Any:
         return project_velocities(mech, N, V, model.targets(time)[1])
 
     def turn(N: Any, V: Any, own: Any, time: Any) -> Any:
-        """Advance the internal states by half a step, while the nodes rest."""
+        """Advance internal states by half a step at fixed nodes."""
         slopes: list[Any] = []
         for row in kick.a if model.na else ():
             stage = own + h / 2 * _sum_slopes(row, slopes) if any(row) else own
@@ -228,9 +228,9 @@ def _sum_slopes(weights: tuple[float, ...], slopes: list[Any]) -> Any:
 
 
 def _constrain(mech: Mechanism, free: Any, N: Any, D: Any, iterations: int) -> Any:
-    """Find positions that satisfy bars and joints.
+    """Find positions that satisfy bar and joint constraints.
 
-    Impulses along the bars of N correct the `free` positions.
+    Displacements along the bars of N correct the `free` positions.
     """
     if not mech.constrained:
         return free
@@ -247,8 +247,8 @@ def _constrain(mech: Mechanism, free: Any, N: Any, D: Any, iterations: int) -> A
 def _newton(mech: Mechanism, free: Any, B: Any, D: Any, iterations: int) -> Any:
     """Find positions that satisfy coupled constraints, by Newton's method.
 
-    Where bars align, the impulses become dependent and the iteration would diverge. It keeps its
-    best iterate; impulses along the current bars remove the rest.
+    Where bars align, the impulses become dependent and the iteration would diverge. The best
+    iterate is used; impulses along the current bars remove the remaining residual.
     """
 
     def residual(N: Any) -> tuple[Any, Any, Any]:

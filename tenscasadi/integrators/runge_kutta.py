@@ -1,4 +1,4 @@
-"""Explicit Runge-Kutta methods and the steps of a tableau."""
+"""Explicit Runge-Kutta methods and the steps they take."""
 
 from __future__ import annotations
 
@@ -38,19 +38,19 @@ SEVERAL = 3  # weights: more are faster as one product of matrices, in building 
 
 
 class ExplicitRungeKutta(NamedScheme):
-    """Explicit Runge-Kutta methods: each is a `tableau`."""
+    """Base class of explicit Runge-Kutta methods, given by a `tableau`."""
 
     tableau: ClassVar[Tableau]
     implicit: ClassVar[bool] = False
 
     @property
     def adaptive(self) -> bool:
-        """Whether the scheme chooses its steps."""
+        """Whether the scheme controls its error by the step size."""
         return False
 
     @property
     def coefficients(self) -> tuple[Array, Array]:
-        """Coefficients A (s, s) and b (s,) of the stages that the result depends on."""
+        """Coefficients A (s, s) and b (s,) of the stages that affect the result."""
         tableau, kept = self.tableau, sorted(select_stages(self.tableau))
         A = np.zeros((len(tableau.b),) * 2)
         for row, weights in zip(A, tableau.a, strict=True):
@@ -84,12 +84,12 @@ class ExplicitRungeKutta(NamedScheme):
 
     @property
     def imaginary_limit(self) -> float:
-        """Largest stable step · ω of an undamped vibration."""
+        """Largest stable step · ω of an undamped vibration at ω [rad/s]."""
         return float(stability_limit(self, np.array([1j]))[0])  # type: ignore[arg-type]
 
     @property
     def real_limit(self) -> float:
-        """Largest stable step · rate of an overdamped motion."""
+        """Largest stable step · |λ| for real eigenvalues λ < 0 [1/s]."""
         return float(stability_limit(self, np.array([-1.0 + 0j]))[0])  # type: ignore[arg-type]
 
 
@@ -125,7 +125,7 @@ class RungeKutta4(ExplicitRungeKutta, kind="RungeKutta4"):
 
 @dataclass(frozen=True)
 class EmbeddedRungeKutta(ExplicitRungeKutta):
-    """Explicit methods with an error estimate.
+    """Base class of explicit Runge-Kutta pairs with an error estimate.
 
     They take fixed steps, or choose their steps if `rtol` is given.
     """
@@ -144,7 +144,7 @@ class EmbeddedRungeKutta(ExplicitRungeKutta):
 
     @property
     def adaptive(self) -> bool:
-        """Whether the scheme chooses its steps, as with `rtol`."""
+        """Whether the scheme controls its error, as with `rtol`."""
         return self.rtol is not None
 
     def tolerances(self, model: Model) -> tuple[float, float]:
@@ -304,9 +304,9 @@ def _slopes(
 
 
 def select_stages(tableau: Tableau) -> set[int]:
-    """Find the stages that the result depends on.
+    """Find the stages that affect the result of a step.
 
-    The last stage of a "first same as last" pair serves its error estimate alone.
+    The last stage of a "first same as last" pair is for its error estimate alone.
     """
     needed: set[int] = set()
     for i in reversed(range(len(tableau.a))):
@@ -316,9 +316,9 @@ def select_stages(tableau: Tableau) -> set[int]:
 
 
 def _advance(x: ca.MX, h: ca.MX, weights: tuple[float, ...], slopes: list[ca.MX]) -> ca.MX:
-    """Compute x + h Σ weight · slope.
+    """Compute x + h Σ weight · ẋ over the stages.
 
-    Slopes of equal weight are added first, since each product is a pass over the state. Many
+    Stages of equal weight are added first, since each product is a pass over the state. Many
     weights become one matrix product.
     """
     used = {
@@ -333,7 +333,7 @@ def _advance(x: ca.MX, h: ca.MX, weights: tuple[float, ...], slopes: list[ca.MX]
 
 
 def equal_weights(weights: tuple[float, ...]) -> dict[float, list[int]]:
-    """Group the stages by their nonzero weight."""
+    """Group the stages of a Runge-Kutta method by their nonzero weight."""
     return {
         weight: [k for k, own in enumerate(weights) if own == weight]
         for weight in weights

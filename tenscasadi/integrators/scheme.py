@@ -23,7 +23,7 @@ Complex = NDArray[np.complex128]
 
 
 class NamedScheme(Value):
-    """Scheme that files identify by its kind."""
+    """Base class of schemes with a name in files."""
 
     def step(self, ode: ca.Function) -> ca.Function:
         """Build one step of an ordinary differential equation.
@@ -98,14 +98,14 @@ class Scheme(Protocol):
 
     @property
     def adaptive(self) -> bool:
-        """Whether the scheme chooses its own steps.
+        """Whether the scheme controls its error by the step size.
 
-        They subdivide those of the grid of `simulate`.
+        Its steps subdivide those of the grid of `simulate`.
         """
 
     @property
     def implicit(self) -> bool:
-        """Whether a step iterates on equations with forces.
+        """Whether a step solves implicit equations with forces.
 
         Stability then does not limit the step.
         """
@@ -161,10 +161,10 @@ def extent(model: Model) -> float:
 
 
 def add_work(ode: ca.Function, power: ca.Function) -> ca.Function:
-    """Append the work of `power` to an ode.
+    """Append the work of forces to an ordinary differential equation.
 
-    `power` is (x, u) → W. The result is (z, u) → ż, so the scheme integrates the work like a
-    state.
+    `power` is (x, u) → W. The result is (z, u) → ż with z = (x, work), so the scheme integrates the
+    work like a state.
     """
     x, u, work = ca.MX.sym("x", ode.size1_in(0)), ca.MX.sym("u", ode.size1_in(1)), ca.MX.sym("work")
     return ca.Function(
@@ -177,7 +177,7 @@ def add_work(ode: ca.Function, power: ca.Function) -> ca.Function:
 
 
 def equations(model: Model, power: ca.Function | None) -> ca.Function:
-    """Build the model's ode (x, w) → ẋ.
+    """Build the model's right-hand side (x, w) → ẋ.
 
     The input w is the control followed by the parameters. `power` (x, w) → W adds a state, see
     `add_work`.

@@ -1,4 +1,4 @@
-"""Largest stable steps of a scheme for the linearized motion."""
+"""Largest stable time steps of a scheme for the linearized model."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ linalg = lazy_module("scipy.sparse.linalg")
 
 
 def fastest_rate(model: Model, x: Any = None, u: Any = None, parameters: Any = None) -> float:
-    """Compute the fastest rate ω_max of the motion [rad/s].
+    """Compute the largest eigenvalue magnitude ω_max [rad/s].
 
     It is the largest |eigenvalue| of ∂ode/∂x at state `x` (nx,) and control `u` (nu,), by default
     the initial ones. Above 400 states Arnoldi's method finds it to about 1 %. NaN if the
@@ -45,9 +45,9 @@ def stable_step(
 ) -> float:
     """Compute the largest stable step of a scheme.
 
-    The motion is linearized at a state; nodes may touch the ground in any state. With a larger
-    step, vibrations grow until the run fails; a much smaller one only affects accuracy. Strings
-    that go taut and bars that spin faster later on change the limit.
+    The model is linearized at a state; nodes may touch the ground in any state. With a larger step,
+    vibrations grow until the run fails; a much smaller one only affects accuracy. Strings that go
+    taut and bars that spin faster later on change the limit.
 
     Parameters
     ----------
@@ -117,9 +117,10 @@ def find_limit(
 
 
 def contact_rate(model: Model, parameters: Any = None) -> float:
-    """Compute the fastest rate of ground contact [rad/s].
+    """Compute the largest angular frequency of ground contact [rad/s].
 
-    The lightest node bounces or is damped at this rate. 0 without a ground.
+    It is that at which the lightest node vibrates on a ground's spring, or the rate of its damping.
+    0 without a ground.
     """
     return float(np.abs(_bounce_rates(model, parameters)).max(initial=0.0))
 
@@ -127,8 +128,9 @@ def contact_rate(model: Model, parameters: Any = None) -> float:
 def contact_step(model: Model, parameters: Any = None) -> float:
     """Compute a step that resolves ground contact [s].
 
-    It resolves bouncing and damping. Up to a tenth of that step, it also resolves the stop of a
-    slipping node by friction of a third of the weight. Infinite without a ground.
+    It resolves the vibration and damping of a node on a ground. It also resolves how friction of a
+    third of the weight stops a slipping node, unless that needs less than a tenth of the step.
+    Infinite without a ground.
     """
     rate = contact_rate(model, parameters)
     if not rate:
@@ -139,10 +141,11 @@ def contact_step(model: Model, parameters: Any = None) -> float:
 
 
 def _bounce_rates(model: Model, parameters: Any) -> Complex:
-    """Compute the eigenvalues of the lightest node on each ground, without friction.
+    """Compute the eigenvalues of the lightest node on each ground.
 
-    They also bound those of bars: Σ w (1 − s, s)ᵀ(1 − s, s) over the contact points at fractions s
-    has no eigenvalue above 1, as the weights w are shares of 2. Each end has at most k and c.
+    Friction is not included. They also bound those of bars: Σ w (1 − s, s)ᵀ(1 − s, s) over the
+    contact points at fractions s has no eigenvalue above 1, as the weights w add up to 2. Each end
+    has at most the stiffness k and damping c of the ground.
     """
     grounds, m, _ = _contact(model, parameters)
     rates = [(1j * np.sqrt(float(g.stiffness) / m), -float(g.damping) / m) for g in grounds]
@@ -150,7 +153,10 @@ def _bounce_rates(model: Model, parameters: Any) -> Complex:
 
 
 def _friction_rate(model: Model, parameters: Any) -> float:
-    """Compute the rate at which friction of a third of the weight stops the lightest node [1/s]."""
+    """Compute the rate at which friction stops the lightest node [1/s].
+
+    The friction force is that of a third of the weight.
+    """
     grounds, m, weight = _contact(model, parameters)
     rates = [float(g.friction) / float(g.slip_speed) for g in grounds if g.friction is not None]
     return max(rates, default=0.0) * weight / 3 / m if rates else 0.0
@@ -159,7 +165,7 @@ def _friction_rate(model: Model, parameters: Any) -> float:
 def _contact_rates(model: Model, parameters: Any) -> Complex:
     """Compute the eigenvalues of the lightest node in contact.
 
-    Friction counts up to the rate at which `contact_step` is stable.
+    Those of friction are limited to the rate at which `contact_step` is stable.
     """
     friction = min(_friction_rate(model, parameters), 2.5 / contact_step(model, parameters))
     return np.append(_bounce_rates(model, parameters), -friction)
@@ -179,7 +185,7 @@ def _numbers(matrix: Any) -> Array:
 
 
 def _contact(model: Model, parameters: Any) -> tuple[Any, float, float]:
-    """Return the contact laws, the lightest mass [kg] and the weight [N]."""
+    """Return the contact laws, the smallest mass [kg] and the weight [N]."""
     p = model.parameters.values(parameters)
     scene = fix(model.scene, p) if model.np else model.scene
     if not scene.contact_laws:
@@ -199,7 +205,7 @@ def _jacobian(model: Model, x: Any, w: Any) -> Array:
 
 
 def _directional(model: Model) -> ca.Function:
-    """Build (x, w, v) → ∂ode/∂x v.
+    """Build the Function (x, w, v) → ∂ode/∂x v.
 
     For large models it is cheaper than the Jacobian.
     """
@@ -225,9 +231,9 @@ def step_limit(scheme: Scheme, rates: Complex) -> float:
 
 
 def _rates(model: Model, x: Any, u: Any, parameters: Any) -> Complex:
-    """Compute eigenvalues of ∂ode/∂x.
+    """Compute eigenvalues of the linearized model, ∂ode/∂x.
 
-    Small models have all of them, others the largest.
+    For small models they are all eigenvalues, for others the largest.
     """
     check_model(model)
     state = model.initial_state if x is None else finite_array("x", x, (model.nx,))

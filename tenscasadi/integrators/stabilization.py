@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class Correction(Value):
-    """Correction of bar lengths and joints during a run."""
+    """Base class of corrections of bar lengths and joints during a run."""
 
     every: int
 
@@ -61,11 +61,11 @@ class Correction(Value):
 
 @dataclass(frozen=True)
 class Projection(Correction, kind="Projection"):
-    """Projection of a state onto all bars and joints.
+    """Projection of a state onto the constraints of bars and joints.
 
-    It is the smallest movement in the norm of the mass matrix. It conserves linear and angular
-    momentum; energy changes slightly. Unlike `BarLengthCorrection`, it handles closed loops of
-    bars and string nodes.
+    It is the smallest displacement in the norm of the mass matrix. It conserves linear and angular
+    momentum; energy changes slightly. Unlike `BarLengthCorrection`, it handles closed loops of bars
+    and string nodes.
 
     Parameters
     ----------
@@ -230,7 +230,7 @@ def _projection(model: Model, iterations: int) -> ca.Function:
 
 
 def _correcting(name: str, x: Any, p: Any, result: Any, what: str) -> ca.Function:
-    """Build (x) → result, or (x, p) with parameters."""
+    """Build the Function x → result, or (x, p) → result with parameters."""
     inputs = {"x": x} | ({"p": p} if p.numel() else {})
     return ca.Function(name, list(inputs.values()), [result], list(inputs), [what])
 
@@ -260,7 +260,7 @@ def correct(model: Model, project: ca.Function, x: Any, w: Any) -> Any:
 
 
 def _rescale(mech: Mechanism, N: Any) -> Any:
-    """Restore the length of bars without joints in closed form.
+    """Restore the lengths of bars that are not joined to others.
 
     The vector of a bar becomes b (1 + μ G_ii).
     """
@@ -291,7 +291,7 @@ def _appendix_c(model: Model, weight: float) -> ca.Function:
 
 
 def _direction(B: Any, Bd: Any, lengths: Any, weight: float) -> Any:
-    """Compute the unit vectors v (3×β) of Eq. 133.
+    """Compute the unit vectors v (3×β) of the corrected bars (Eq. 133).
 
     They belong to the largest root x of Eq. 121. With c = q l and t = ‖ḃ‖², the condition vᵀv = 1
     reads
@@ -333,9 +333,9 @@ def _close_joints(mech: Mechanism, Z: Any, change: Any, target: Any) -> Any:
 
 
 def build_effect(model: Model) -> ca.Function:
-    """Build the effect of a correction.
+    """Build the Function that measures the effect of a correction.
 
-    Function (x before, x after, w) → largest movement of a node [m] and added energy [J].
+    It is (x before, x after, w) → largest displacement of a node [m] and added energy [J].
     """
     energy = model.with_stacked_input(model.energy_function)
     before, after = ca.MX.sym("before", model.nx), ca.MX.sym("after", model.nx)

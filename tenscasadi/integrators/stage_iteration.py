@@ -34,9 +34,9 @@ _BLOCK = 8  # sweeps that one branch skips after convergence
 
 
 def factor_crout(A: Array) -> Array:
-    """Compute L of the factorization A = L U.
+    """Compute the lower triangle L of Crout's factorization A = L U.
 
-    L is lower triangular; the diagonal of U is 1.
+    The diagonal of U is 1.
     """
     n = len(A)
     L, U = np.zeros((n, n)), np.eye(n)
@@ -98,9 +98,9 @@ def solve_stages(model: Model, A: Array, sweeps: int) -> ca.Function:
 
 
 def stage_states(model: Model, A: Array, x: Any, k: Any, h: Any) -> list[Any]:
-    """Compute the states (nx,) of all stages.
+    """Compute the states (nx,) at all stages of a collocation step.
 
-    The rates k of velocities and internal states are (nq + na, s).
+    k (nq + na, s) are the time derivatives of velocities and internal states.
     """
     c, (q, v, own, clock) = A.sum(axis=1), model.split(x)
     Q = h**2 * ca.mtimes(k[: model.nq, :], ca.DM((A @ A).T))
@@ -112,9 +112,10 @@ def stage_states(model: Model, A: Array, x: Any, k: Any, h: Any) -> list[Any]:
 
 
 def _sweep(model: Model, A: Array, k: Any, changes: Any, x: Any, u: Any, h: Any) -> list[Any]:
-    """Sweep once through all stages.
+    """Build one sweep of the triangular iteration over all stages.
 
-    Returns their rates, the change by this sweep, and the smallest change of any sweep.
+    Returns the time derivatives of velocities and internal states, the change by this sweep, and
+    the smallest change of any sweep.
     """
     L = factor_crout(A)
     squared = L @ L
@@ -147,7 +148,7 @@ def _sweep(model: Model, A: Array, k: Any, changes: Any, x: Any, u: Any, h: Any)
 def _lead(model: Model, u: Any) -> Any:
     """Compute damping over stiffness of each switching function [s].
 
-    It is the derivative (k,) of a switching function by its velocity.
+    It is the derivative (k,) of a switching function with respect to its velocity.
     """
     w = model.extend_inputs(ca.DM(model.initial_state), u)
     scene = bind(model.scene, w)[0]
@@ -173,8 +174,9 @@ def _lead(model: Model, u: Any) -> Any:
 def _solver(model: Model) -> ca.Function:
     """Build the linear solver of one stage.
 
-    Function (x, w, g, r, moved) → δ with (I − g ∂a/∂v − g² ∂a/∂q) δ = r, approximately. See
-    `build_mode_ode` for w. `moved` is the change of velocities in the last sweep [m/s].
+    Function (x, w, g, r, moved) → δ with (I − g ∂a/∂v − g² ∂a/∂q) δ = r, approximately, for the
+    acceleration a. See `build_mode_ode` for w. `moved` is the change of velocities in the last
+    sweep [m/s].
     """
     nq = model.nq
 
@@ -225,7 +227,7 @@ def _solver(model: Model) -> ca.Function:
 
 @dataclass(frozen=True, eq=False)
 class _Dragging(ForceElement):
-    """Contact with friction that is linear in the velocity.
+    """Linearized friction in a contact, as a force element.
 
     It does not depend on the normal force, so the derivatives are symmetric. The force is drag
     (1×m) [N s/m] times the slip velocity, without its component along direction (3×m).
@@ -257,11 +259,11 @@ def _drag_slopes(
     at: NodeMotion,
     moved: Any,
 ) -> Any:
-    """Compute `slopes` of the elements with linearized friction.
+    """Compute `slopes` of the force elements with linearized friction.
 
-    A node far from its final velocity uses the secant of friction from rest instead of the
-    derivative. Friction of a sliding node hardly changes, so Newton's method would step past rest
-    and back.
+    For a node far from its final velocity, friction is linearized by the secant from rest instead
+    of the derivative. Friction of a sliding node hardly changes, so Newton's method would step past
+    rest and back.
     """
     linear: list[ForceElement] = []
     held: list[tuple[Any, Any]] = []

@@ -1,6 +1,7 @@
 """SUNDIALS' integrators CVODES and IDAS with error control.
 
-CVODES solves the ode, IDAS the form with multipliers. CasADi gives exact Jacobians.
+CVODES integrates ordinary differential equations, IDAS differential-algebraic equations with
+multipliers. CasADi gives exact Jacobians.
 """
 
 from __future__ import annotations
@@ -31,12 +32,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Sundials(NamedScheme):
-    """Backward differentiation formulas for stiff scenes.
+    """Base class of backward differentiation formulas by SUNDIALS.
 
-    They are implicit multistep methods of variable order (1 to 5) and step. They are not compiled,
-    since SUNDIALS itself takes most of the time; compiled equations and Jacobians save at most a
-    quarter of it. Events are located only with `locate_events`; otherwise the error control
-    detects them. CasADi 3.8.2's own events are experimental there and miss crossings.
+    They are implicit multistep methods of variable order (1 to 5) and step, for stiff scenes. They
+    are not compiled, since SUNDIALS itself takes most of the time; compiled equations and Jacobians
+    save at most a quarter of it. Events are located only with `locate_events`; otherwise the error
+    control detects them. CasADi 3.8.2's own events are experimental there and miss crossings.
     """
 
     rtol: RelativeTolerance = 1e-8
@@ -60,7 +61,7 @@ class Sundials(NamedScheme):
         )
 
     def advance_in_mode(self, model: Model, work: ca.Function | None, parts: int) -> ca.Function:
-        """Build one step of a model in a fixed mode.
+        """Build one step of a model with fixed slack and contact states.
 
         Function (z, w, h) → z (nz, parts) at equal times, with w = (u, mode). `work` is
         `build_mode_ode` with work, or None.
@@ -109,9 +110,9 @@ class Sundials(NamedScheme):
     def equations(
         self, model: Model, power: ca.Function | None, held: bool = False
     ) -> dict[str, Any]:
-        """Build the equations for CasADi's integrator.
+        """Build the equations for CasADi's integrator, a dictionary.
 
-        They are x, u and ode. See `advance_in_mode` for `held`.
+        It has x, u and ode. With `held`, slack and contact states are fixed, see `advance_in_mode`.
         """
         ode = (power or build_mode_ode(model)) if held else equations(model, power)
         x, u = ca.MX.sym("x", ode.size1_in(0)), ca.MX.sym("u", ode.size1_in(1))
@@ -274,7 +275,7 @@ class Idas(Sundials, kind="Idas"):
     def equations(
         self, model: Model, power: ca.Function | None, held: bool = False
     ) -> dict[str, Any]:
-        """Build the equations for CasADi's integrator.
+        """Build the differential-algebraic equations for CasADi's integrator.
 
         They are Eqs. 85-87 before the multipliers are eliminated.
 

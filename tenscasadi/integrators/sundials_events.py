@@ -1,7 +1,7 @@
 """Event location for SUNDIALS' integrators.
 
-The motion is integrated in one mode at a time. Each interval ends shortly after its first event,
-and the next one starts from there.
+The equations are integrated in one mode (of slack strings and contacts) at a time. Each interval
+ends shortly after its first event, and the next one starts from there.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _PARTS = 4  # parts of an interval, each sampled at its ends and its middle
 
 
 class _ModeInterval(NamedTuple):
-    """Motion in one mode over h s from state z.
+    """Trajectory in one mode over h seconds from state z.
 
     The input u is the control and the parameters.
     """
@@ -54,7 +54,7 @@ class _ModeInterval(NamedTuple):
 
 
 class EventSteps:
-    """Grid steps with located events.
+    """Time steps of SUNDIALS' integrators with located events.
 
     `events` counts the mode changes, `trials` the integrations to locate them. With `power`, z has
     an entry for the energy supplied [J] below the state. `pause` is called before each integration
@@ -95,7 +95,7 @@ class EventSteps:
         self.events = self.trials = 0
 
     def __call__(self, z: Array, u: Array, lengths: Array) -> Array:
-        """Integrate grid steps of equal length with constant u.
+        """Integrate time steps of equal length with constant input u.
 
         Returns z after each step (steps, nz).
         """
@@ -127,11 +127,14 @@ class EventSteps:
         return z if self._latch is None else np.asarray(self._latch(z, u).full().ravel())
 
     def _stack(self, u: Array, mode: Array) -> Array:
-        """Stack the input and the modes of the equations, without those of breaks."""
+        """Stack the input u and the modes of strings and contacts.
+
+        Modes of strings that break are not inputs.
+        """
         return np.concatenate([u, mode[: self._switches]])
 
     def _integrate(self, z: Array, u: Array, step: float, many: int) -> list[Array]:
-        """Integrate `many` grid steps up to the first possible event.
+        """Integrate `many` time steps up to the first possible event.
 
         Returns z after each step.
         """
@@ -173,9 +176,9 @@ class EventSteps:
         )
 
     def _convert_work(self, z: Array, u: Array, rows: Array) -> Array:
-        """Convert the work of all forces to the energy supplied.
+        """Convert the work of all forces to the energy supplied from outside.
 
-        It subtracts the work that came out of the model's own energy.
+        It subtracts the decrease of the model's stored energy.
         """
         if self._power:
             rows[:, self._nx] += self._potential(rows[:, : self._nx].T, u).full().ravel() - float(
@@ -184,7 +187,7 @@ class EventSteps:
         return rows
 
     def _cross(self, z: Array, u: Array, step: float) -> Array:
-        """Integrate a grid step with possible events."""
+        """Integrate a time step in which events are possible."""
         rest, h, mode = step, step, self._mode(z, u)
         for _ in range(self._scheme.max_steps):
             piece = self._piece(z, u, mode, min(h, rest))
@@ -248,7 +251,7 @@ class EventSteps:
         return high
 
     def _jump(self, piece: _ModeInterval) -> float:
-        """Compute the slope change at the final mode change.
+        """Compute the change of ẋ at the final mode change.
 
         It is relative to the tolerance.
         """
@@ -266,9 +269,9 @@ def _build_look(model: Model, gaps: ca.Function, ode: ca.Function, floor: float)
     """Build the detection of mode changes within an interval.
 
     Function (x before, half-way and after, u, h, mode) → fractions (4,) of the interval at which
-    the mode differs, and whether the interpolation resolves the interval. Fractions are in order
-    of time, 0 where the mode is the same; two come from interpolation. An interval is unresolved
-    if its interpolation misses the state half-way. `floor` [m] is the error of the states
+    the mode differs, and whether the interpolation resolves the interval. Fractions are in order of
+    time, 0 where the mode is the same; two come from interpolation. An interval is unresolved if
+    its interpolation differs from the state half-way. `floor` [m] is the error of the states
     themselves.
     """
     before, middle, after = (ca.MX.sym(name, model.nx) for name in ("before", "middle", "after"))

@@ -1,6 +1,6 @@
 """Linear buckling of a prestressed structure.
 
-The buckling factor is the least factor of a load at which the tangent stiffness becomes singular.
+The buckling factor is the smallest factor of a load at which the tangent stiffness is singular.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from tenscasadi.util.validate import NEGLIGIBLE, ROUNDING, Array, instance
 
 
 class BucklingFactor(NamedTuple):
-    """Least load factor at which a structure buckles.
+    """Smallest load factor at which a structure buckles.
 
     Attributes
     ----------
@@ -144,9 +144,10 @@ def buckling_factor(
 
 
 def _largest_ratio(state: PrestressedState, change: Any) -> tuple[float, Array]:
-    """Find the dominant eigenpair of the buckling problem.
+    """Solve the buckling eigenproblem for the smallest load factor.
 
-    It is the largest μ with −ΔK v = μ K v, and v (free,), orthogonal to neutral motions.
+    It is the largest μ with −ΔK v = μ K v, and v (free,), orthogonal to rigid-body motions without
+    stiffness. K is the tangent stiffness, ΔK its change per load factor.
     """
     system, K, flat = state.system, state.tangent, state.neutral
     free = system.size - system.rigid - flat.shape[1]
@@ -170,9 +171,9 @@ def _largest_ratio(state: PrestressedState, change: Any) -> tuple[float, Array]:
 
 
 def _tipping_motion(state: PrestressedState, change: Any) -> Array | None:
-    """Find the neutral motion (free,) that a load destabilizes most.
+    """Find the rigid-body motion (free,) that a load destabilizes most.
 
-    Return None if there is none.
+    It is one without stiffness. Returns None if there is none.
     """
     flat = state.neutral
     if not flat.shape[1]:
@@ -184,7 +185,7 @@ def _tipping_motion(state: PrestressedState, change: Any) -> Array | None:
 
 
 def _is_balanced(forces: Array, nodes: Array) -> bool:
-    """Return whether nodal forces (n, 3) balance each other without reactions."""
+    """Return whether nodal forces (n, 3) are in equilibrium by themselves."""
     arms = nodes - nodes.mean(axis=0)
     size = float(np.abs(arms).max(initial=0.0)) or 1.0
     net = np.concatenate([forces.sum(axis=0), np.cross(arms, forces).sum(axis=0) / size])
@@ -192,6 +193,6 @@ def _is_balanced(forces: Array, nodes: Array) -> bool:
 
 
 def _unit_displacement(state: PrestressedState, motion: Array) -> Array:
-    """Compute the nodal displacements (n, 3) of a motion, of unit norm."""
+    """Compute nodal displacements (n, 3) of unit norm from free coordinates."""
     nodal = (state.system.equations.free @ motion).reshape(-1, 3)
     return np.asarray(nodal / np.linalg.norm(nodal))

@@ -1,4 +1,4 @@
-"""Equilibrium of a scene under all its static terms."""
+"""Equilibrium of a scene under all its static loads."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from tenscasadi.util.validate import NEGLIGIBLE, Array, finite_array, instance, 
 
 @dataclass(frozen=True, eq=False)
 class Equilibrium(OperatingPoint, ReadOnlyArrays):
-    """Equilibrium of a scene.
+    """Equilibrium of a scene, with its forces and stability.
 
     Nodes and strings are those of the model. They include the inner nodes and the segments of
     subdivided strings.
@@ -104,12 +104,12 @@ class Equilibrium(OperatingPoint, ReadOnlyArrays):
 
     @property
     def scene(self) -> Scene:
-        """The scene."""
+        """Scene that is in equilibrium."""
         return self.source if isinstance(self.source, Scene) else self.source.scene
 
     @property
     def model(self) -> Model:
-        """The model of the scene."""
+        """Model of the scene."""
         return model_of(self.source)
 
     @cached_property
@@ -216,7 +216,7 @@ def find_equilibrium(
 
 
 def newton_system(scene: Scene) -> NewtonSystem:
-    """Return the cached Newton systems of a scene."""
+    """Return the Newton linear systems of a scene, which caches them."""
     return keep(scene, "newton system", lambda: NewtonSystem(StaticEquations(scene.locked)))
 
 
@@ -236,7 +236,7 @@ def model_of(source: Scene | Model) -> Model:
 def read_problem(
     source: Scene | Model, start: Any, control: Any, parameters: Any
 ) -> tuple[Array, Conditions]:
-    """Read the start and the inputs of a static problem.
+    """Read the initial nodes and the inputs of a static problem.
 
     Parameters
     ----------
@@ -300,7 +300,7 @@ def read_load(system: NewtonSystem, load: Any) -> Array:
 def describe_rest(
     source: Scene | Model, system: NewtonSystem, rest: SearchResult, given: Conditions
 ) -> Equilibrium:
-    """Compute all quantities of an equilibrium.
+    """Compute forces and stability at the nodes of an equilibrium.
 
     Parameters
     ----------
@@ -364,7 +364,9 @@ def _retry(
 
 
 def is_unheld(system: NewtonSystem, rest: SearchResult) -> bool:
-    """Return whether most unbalanced force acts on rigid-body motions.
+    """Return whether unbalanced forces mainly act on rigid-body motions.
+
+    These are motions that no support prevents.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
-"""Force densities in equilibrium with loads.
+"""Smallest force densities in equilibrium with loads.
 
-N K = W with K = C_sᵀ γ̂ C_s − C_bᵀ λ̂ C_b (Eqs. 58, 60 at rest).
+They satisfy N K = W with K = C_sᵀ γ̂ C_s − C_bᵀ λ̂ C_b (Eqs. 58, 60 at rest).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from tenscasadi.util.validate import (
 
 
 class EquilibriumError(ValueError):
-    """No admissible force densities balance the loads.
+    """Raised if no admissible force densities balance the loads.
 
     Attributes
     ----------
@@ -50,11 +50,11 @@ def equilibrium_force_density(
     minimum: ArrayLike = 1.0,
     compression_strings: Iterable[int | str] = (),
 ) -> Array:
-    """Compute the least string force densities in equilibrium with loads.
+    """Compute the smallest string force densities in equilibrium with loads.
 
     The nodes are given. Bars take any force, and pins any reaction. The strings of a cable have one
-    tension. Of all γ that balance the loads
-    and are at least the minimum, the one of least Σγ² is returned.
+    tension. Of all γ that balance the loads and are at least the minimum, the one with the smallest
+    Σγ² is returned.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def equilibrium_force_density(
 def _balance(
     structure: Structure, strings: Any, bars: Any, w: Array, least: Array, bounded: Any
 ) -> tuple[Array | None, Array]:
-    """Find the least force densities, with one tension in each cable.
+    """Find the smallest force densities, with one tension in each cable.
 
     The arguments are those of `least_force_density`.
     """

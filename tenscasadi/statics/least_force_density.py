@@ -1,4 +1,4 @@
-"""Least force densities by a primal-dual interior-point method.
+"""Smallest force densities by a primal-dual interior-point method.
 
 Solvers in libraries fail where the admissible force densities have no interior, as for some of the
 random structures in equilibrium of `test_force_density`. This method solves all to rounding.
@@ -58,7 +58,7 @@ class _LeastForceIterate(NamedTuple):
 def least_force_density(
     A: Any, B: Any, w: Array, least: Array, bounded: Booleans
 ) -> tuple[Array | None, Array]:
-    """Compute the force densities of least norm that balance loads.
+    """Compute the force densities of smallest norm that balance loads.
 
     They minimize Σγ² with A γ + B t = w for any bar forces t, and γ ≥ `least` where `bounded`.
 
@@ -109,9 +109,9 @@ def least_force_density(
 
 
 def _interior_point(program: _LeastForceProgram) -> tuple[_LeastForceIterate, bool]:
-    """Solve a program by the predictor-corrector method.
+    """Solve a quadratic program by the predictor-corrector method.
 
-    Also return whether it has converged.
+    Also returns whether it has converged.
     """
     A, B, w, low, weight, weights, slack = program
     count = max(len(low), 1)
@@ -165,9 +165,10 @@ def _newton(
 
 
 def _is_infeasible(A: Any, B: Any, load: Array, y: Array) -> bool:
-    """Return whether y proves infeasibility (Farkas).
+    """Return whether y proves that the program is infeasible.
 
-    In the motion y the load does work, but strings and bars cannot.
+    By Farkas' lemma it does if the load does work along the displacements y, but strings and bars
+    cannot.
     """
     size = _largest(y) or 1.0
     work = float((A.T @ y).max(initial=0.0)), _largest(B.T @ y)

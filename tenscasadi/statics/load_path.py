@@ -43,7 +43,7 @@ from tenscasadi.util.validate import (
 
 @dataclass(frozen=True, eq=False)
 class LoadPath(ReadOnlyArrays):
-    """Equilibria along a load path.
+    """Equilibria under loads, control or parameters that grow by a factor.
 
     Each row is exact to rounding.
 
@@ -262,7 +262,7 @@ def _read_parameters(scene: Scene, given: Any) -> Array:
 
 
 def _collect(scene: Scene, system: NewtonSystem, rows: list[PathRow], fault: str) -> LoadPath:
-    """Compute all quantities of a path."""
+    """Compute forces and stability at all points of a path."""
     equations = system.equations
     strings, bars = len(equations.structure.strings), len(equations.structure.bars)
     count = len(rows)
@@ -289,7 +289,7 @@ def _collect(scene: Scene, system: NewtonSystem, rows: list[PathRow], fault: str
 
 
 def _collect_sliding(scene: Scene, rows: list[SlidingRow], fault: str) -> LoadPath:
-    """Collect all quantities of a path with friction of cables."""
+    """Collect the equilibria of a path with cable friction."""
     s, found = scene.modelled, [row.equilibrium for row in rows]
     factor = np.array([row.factor for row in rows])
     tension = np.array([eq.tension for eq in found]).reshape(len(rows), len(s.strings))
@@ -308,7 +308,7 @@ def _collect_sliding(scene: Scene, rows: list[SlidingRow], fault: str) -> LoadPa
 
 
 def _describe(scene: Scene, factor: Array, tension: Array, fault: str) -> str:
-    """Describe a path, with the first overload of a string, and its early end."""
+    """Describe a path, its first string overload, and an early end."""
     if not len(factor):
         return fault
     end = f"from factor {factor[0]:g} to {factor[-1]:g} in {len(factor)} rows"

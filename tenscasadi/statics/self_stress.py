@@ -58,8 +58,9 @@ def self_stress(structure: Structure) -> Array:
 def mechanisms(structure: Structure) -> Array:
     """Compute a basis of the infinitesimal mechanisms.
 
-    No bar, cable or string in no cable lengthens to first order, rigid or elastic. Supports do not move. Rigid-body motions
-    that the supports allow are left out.
+    They are displacements that lengthen no bar, cable, or string in no cable to first order,
+    whether it is rigid or elastic. Supports do not move. Rigid-body motions that the supports allow
+    are excluded.
 
     Parameters
     ----------
@@ -110,7 +111,7 @@ def rigid_body_motions(structure: Structure, nodes: Array | None = None) -> Arra
 
 
 def idle_combinations(motions: Array, effects: Array, allowed: float) -> Array:
-    """Find the combinations of motions with negligible effects.
+    """Find the linear combinations of displacements with negligible effects.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Load paths of cables with friction, which carry the slip from step to step."""
+"""Load paths of cables with friction, whose slip accumulates."""
 
 from __future__ import annotations
 
@@ -22,14 +22,16 @@ from tenscasadi.util.validate import Array
 
 
 class SlidingRow(NamedTuple):
-    """Row of a path: the factor of the load, and the equilibrium."""
+    """Point of a load path: factor of the load, and equilibrium."""
 
     factor: float
     equilibrium: Equilibrium
 
 
 class _SlidingPath:
-    """Equilibria of a scene whose cables slip from the state of the row before.
+    """Load path of a scene with cable friction.
+
+    At each factor, cables slip from their state at the previous one.
 
     Attributes
     ----------
@@ -38,7 +40,7 @@ class _SlidingPath:
     load : array_like, shape (n, 3), mapping of int or str to array_like, or NodalForce
         Change of the nodal forces per unit of the factor [N].
     start : object
-        Start of the path, from which grounds measure their slip.
+        Start of the path, from which the slip on grounds is measured.
     """
 
     def __init__(self, scene: Scene, load: Any, start: Any) -> None:

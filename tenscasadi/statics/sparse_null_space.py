@@ -71,7 +71,7 @@ def sparse_null_space(A: Any, tolerance: float) -> Array:
 def _reduce_bandwidth(A: Any) -> tuple[Any, Indices, Indices]:
     """Order the rows for a small bandwidth.
 
-    Also find the first row and the end of the rows of each column.
+    Also returns the first row and the end of the rows of each column.
     """
     A = sp.csr_array(A, copy=True)
     A.eliminate_zeros()
@@ -98,7 +98,7 @@ def split_spaces(R: Array, zero: float) -> tuple[Array, Array]:
 
 
 def _expand(alone: Indices, blocks: list[tuple[Indices, Array, Array]], columns: int) -> Array:
-    """Assemble the null vectors by backward recursion over blocks."""
+    """Assemble the null vectors from the blocks by backward recursion."""
     begin = len(alone) + sum(null.shape[1] for _, _, null in blocks)
     basis = np.zeros((begin, columns))
     basis[np.arange(len(alone)), alone] = 1.0

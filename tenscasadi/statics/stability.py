@@ -1,6 +1,6 @@
 """Stiffness and stability of structures.
 
-Self-stress, mechanisms, tangent stiffness and its softest motions.
+They consist of self-stress, mechanisms, tangent stiffness and its softest modes.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ from tenscasadi.util.validate import NEGLIGIBLE, ROUNDING, TOLERANCE, Array, ins
 class Stability(ReadOnlyArrays):
     """Stiffness and stability of a structure at given nodes.
 
-    Displacements, motions and mechanisms are those that pins and rollers allow. Rigid-body motions
-    without stiffness are left out.
+    Displacements, modes and mechanisms are those that pins and rollers allow. Rigid-body motions
+    without stiffness are excluded.
 
     Attributes
     ----------
@@ -97,7 +97,7 @@ class Stability(ReadOnlyArrays):
     def mechanisms(self) -> Array:
         """Orthonormal infinitesimal mechanisms (k, n, 3).
 
-        No bar, cable or string in no cable lengthens to first order, rigid or elastic.
+        These displacements lengthen no bar, cable, or string in no cable to first order.
         """
         return mechanisms(self.structure)
 
@@ -105,7 +105,7 @@ class Stability(ReadOnlyArrays):
     def stable(self) -> bool:
         """Whether the structure is stable.
 
-        All motions that preserve the lengths of rigid bars then have a positive stiffness.
+        All displacements that preserve the lengths of rigid bars then have a positive stiffness.
         """
         return self._state.is_stable
 
@@ -126,7 +126,7 @@ class Stability(ReadOnlyArrays):
 
         It is then stable for all levels of prestress and all stiffnesses. The force density matrix
         is positive semidefinite, of rank n − d − 1 in d dimensions, and no affine motion keeps all
-        lengths. With supports, the motions are those that they allow.
+        lengths. With supports, the affine motions are those that they allow.
         """
         return is_super_stable(self.structure, self.force_density_matrix)
 
@@ -297,7 +297,7 @@ def read_state(
     force_density: ArrayLike | None = None,
     parameters: Any = None,
 ) -> tuple[PrestressedState, Structure]:
-    """Read the state of a source, and the structure in its nodes.
+    """Read nodes and member forces of a structure, scene or equilibrium.
 
     The arguments are those of `stability`. Raises TypeError, ValueError.
     """
@@ -318,7 +318,7 @@ def read_state(
 
 
 def find_overload(source: Structure | Scene | Model | Equilibrium, state: PrestressedState) -> str:
-    """Describe the most overloaded string in the state of a source.
+    """Describe the most overloaded string.
 
     Returns "" if there is none.
     """
@@ -330,7 +330,7 @@ def find_overload(source: Structure | Scene | Model | Equilibrium, state: Prestr
 
 
 def _read_source(source: Any) -> tuple[Any, Any]:
-    """Return the scene or model, and the start."""
+    """Return the scene or model of a source, and its initial nodes."""
     if isinstance(source, Equilibrium):
         return source.source, source
     if isinstance(source, Structure):
@@ -341,9 +341,9 @@ def _read_source(source: Any) -> tuple[Any, Any]:
 def _impose(
     system: NewtonSystem, point: StaticPoint, structure: Structure, force_density: Any
 ) -> tuple[StaticPoint, Array]:
-    """Impose force densities on members with elastic stiffness.
+    """Set force densities of members that keep their elastic stiffness.
 
-    Also return the tensions of rigid bars.
+    Also returns the tensions of rigid bars.
     """
     equations = system.equations
     gamma, lam = read_force_densities(structure, force_density)
@@ -374,7 +374,7 @@ def _impose(
 def describe_state(
     state: PrestressedState, structure: Structure, count: int | None = None
 ) -> Stability:
-    """Compute the softest motions and the message of a state."""
+    """Compute the softest modes and a message about stability."""
     system, point, equations = state.system, state.point, state.system.equations
     values, vectors = state.lowest if count is None else state.softest(count)
     modes = (equations.free @ vectors).T.reshape(-1, *point.nodes.shape)

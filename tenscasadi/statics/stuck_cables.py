@@ -1,4 +1,4 @@
-"""Equilibria with friction of cables, which slip no further than needed."""
+"""Equilibria with cable friction, in which cables slip as little as needed."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _LARGEST_STEP = 0.3  # of a slip per iteration, relative to the rest lengths on 
 
 
 class _Bends(NamedTuple):
-    """Nodes that cables run over.
+    """Nodes at which cables slide, between two strings each.
 
     Attributes
     ----------
@@ -49,13 +49,16 @@ def read_sliding(scene: Scene, control: Any, parameters: Any) -> Scene:
 
 
 def replace_cables(scene: Scene) -> Scene:
-    """Build the scene with strings in place of cables, whose rest lengths are the control."""
+    """Build the scene with separate strings in place of cables.
+
+    Their rest lengths are the control.
+    """
     strings = scene.structure.replace(cables=(), cable_friction=0.0)
     return replace(scene, structure=strings, control=RestLength())
 
 
 def fix_rest_lengths(scene: Scene, found: Any) -> Any:
-    """Convert an equilibrium of the scene of `replace_cables` into one without control."""
+    """Convert an equilibrium of `replace_cables` to one without control."""
     lengths = found.control
     strings = scene.structure.replace(cables=(), cable_friction=0.0, rest_length=lengths)
     strings_only = replace(scene, structure=strings)
@@ -63,12 +66,12 @@ def fix_rest_lengths(scene: Scene, found: Any) -> Any:
 
 
 def find_sliding(scene: Scene, search: Callable[[Array, Any], Any], start: Any) -> Any:
-    """Find an equilibrium in which cables slip no further than needed.
+    """Find an equilibrium in which cables slip as little as needed.
 
-    Each string of a cable holds its rest length by friction. Where the tensions of two strings
+    Friction keeps the rest length of each string of a cable. Where the tensions of two strings
     differ by more than the factor exp(μ θ), the cable slips over the node between them until they
     differ by this factor. Newton's method finds the slips, with derivatives by differences. A node
-    sticks again where its slip would turn back.
+    sticks again where its slip would reverse.
 
     Parameters
     ----------
@@ -131,10 +134,10 @@ def find_sliding(scene: Scene, search: Callable[[Array, Any], Any], start: Any) 
 def _find_step(
     excess: Callable[[Array], Array], slip: Array, side: Array, error: Array, limits: Array
 ) -> Array:
-    """Find the Newton step (c,) of the slips.
+    """Find the Newton step (c,) of the slips at all nodes.
 
-    `excess` is a function of the slips, with `error` at the slipping nodes now. The step is zero if
-    the slips do not change the tensions.
+    `excess` is a function of the slips, with the value `error` at the slipping nodes now. The step
+    is zero if the slips do not change the tensions.
     """
     slipping = np.flatnonzero(side)
     slopes = np.zeros((len(slipping), len(slipping)))
@@ -170,14 +173,18 @@ def _rest_lengths(scene: Scene, bends: _Bends, slip: Array) -> Array:
 
 
 def _find_slip_limits(lengths: Array, bends: _Bends) -> Array:
-    """Compute the length (c,) that can slip at each node [m]."""
+    """Compute the largest possible slip (c,) at each node [m].
+
+    It is the shorter length of the two strings.
+    """
     return np.asarray(np.minimum(lengths[bends.before], lengths[bends.after]))
 
 
 def _excess(scene: Scene, found: Any) -> Array:
-    """Compute the excess of tension before, and after, each node (2, c) [N].
+    """Compute by how much tensions exceed the limits of sticking [N].
 
-    It is T₁ − exp(μ θ) T₂. The cable sticks if neither is positive.
+    It is T₁ − exp(μ θ) T₂ for both directions of slip (2, c). The cable sticks if neither is
+    positive.
     """
     structure = scene.modelled
     bends = _list_bends(structure)
@@ -188,11 +195,11 @@ def _excess(scene: Scene, found: Any) -> Array:
 
 
 def _violation(excess: Array, side: Array) -> float:
-    """Compute the norm of the violated conditions of sticking and of slip."""
+    """Compute the norm of violations of the stick and slip conditions."""
     stuck = np.maximum(excess.max(axis=0), 0.0)[side == 0.0]
     return float(np.linalg.norm(np.concatenate([stuck, _select(excess, side)])))
 
 
 def _select(excess: Array, side: Array) -> Array:
-    """Select the excess on the side of the slip, where a cable slips."""
+    """Select the excess tension in the direction of slip, at slipping nodes."""
     return np.asarray(np.where(side > 0.0, excess[0], excess[1])[side != 0.0])

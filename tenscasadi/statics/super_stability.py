@@ -61,9 +61,9 @@ def is_super_stable(structure: Structure, density: Any) -> bool:
 
 
 def affine_motions(structure: Structure) -> Array:
-    """Compute a basis (3n, ·) of the affine motions.
+    """Compute a basis (3n, ·) of affine displacements of the nodes.
 
-    Pins and rollers allow these motions.
+    They are those that pins and rollers allow.
     """
     arms = structure.nodes - structure.nodes.mean(axis=0)
     arms = np.column_stack([np.ones(len(arms)), arms / (np.abs(arms).max(initial=0.0) or 1.0)])
@@ -73,9 +73,9 @@ def affine_motions(structure: Structure) -> Array:
 
 
 def count_below(matrix: Any, value: float) -> int:
-    """Count the eigenvalues below a value.
+    """Count the eigenvalues of a sparse symmetric matrix below a value.
 
-    The matrix is sparse and symmetric. The count is its inertia after a shift.
+    The count is the inertia of the shifted matrix.
     """
     size = matrix.shape[0]
     if not size:

@@ -1,1 +1,1 @@
-"""Least mass of members under load cases."""
+"""Sizing: cross-sections of members with the smallest mass."""

@@ -44,7 +44,7 @@ def response_slopes(program: SizingProgram, area: Array) -> Array:
 
 
 def _stiffness(program: SizingProgram, area: Array) -> tuple[Array, Callable[[Array], Array]]:
-    """Compute the member stiffnesses and factorize K.
+    """Compute the member stiffnesses and factorize the matrix K.
 
     Returns the stiffnesses [N/m], and a function f → x that solves K x = f.
     """
@@ -90,9 +90,9 @@ def fit_prestress(program: SizingProgram, area: Array, forces: Array) -> Array:
 def superpose_prestress(
     program: SizingProgram, prestress: Array, area: Array
 ) -> tuple[Array, Array]:
-    """Find areas for a prestress and the elastic response.
+    """Find areas for the sum of prestress and elastic forces.
 
-    The stiffness depends on the areas. Areas and forces are computed by turns until both agree
+    The stiffness depends on the areas. Areas and forces are computed alternately until both agree
     (fully stressed design).
 
     Returns

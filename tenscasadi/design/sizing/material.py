@@ -39,14 +39,14 @@ class Material(Value, kind="Material"):
 
 
 class Sections(NamedTuple):
-    """Material and shape of the sections of all units.
+    """Material and shape of the cross-sections of all members.
 
-    Cables and strings in no cable come first, then bars. A cable has one section.
+    The members (units) are cables and strings in no cable, then bars. A cable has one section.
 
     Attributes
     ----------
     unit : ndarray of int (α + β,)
-        Unit of each string and bar.
+        Member (unit) that each string and bar belongs to.
     lengths : ndarray (units,)
         Lengths [m].
     modulus, density, strength : ndarray (units,)
@@ -55,7 +55,7 @@ class Sections(NamedTuple):
         Coefficient c of the Euler load c · area² [N/m⁴]; inf for strings, which carry no
         compression.
     minimum : ndarray (units,)
-        Least areas [m²].
+        Smallest permitted areas [m²].
     solidity : ndarray (units,)
         Area relative to that of a solid section of the same outer radius.
     """
@@ -71,7 +71,7 @@ class Sections(NamedTuple):
 
     @property
     def mass_per_area(self) -> Array:
-        """Mass of each unit per area [kg/m²]."""
+        """Mass of each member divided by its area [kg/m²]."""
         return self.density * self.lengths
 
     def needed_for_yield(self, force: Array) -> Array:
@@ -89,7 +89,7 @@ class Sections(NamedTuple):
         return np.asarray(np.sqrt(np.maximum(-force, 0.0) / self.buckling))
 
     def needed(self, forces: Array) -> Array:
-        """Compute the areas required by several states [m²].
+        """Compute the areas required by several load states [m²].
 
         Forces [N] have the shape (states, units), areas (units,). Areas are not below the minimum.
         """
@@ -97,18 +97,18 @@ class Sections(NamedTuple):
         return np.asarray(np.maximum(both.max(axis=0, initial=0.0), self.minimum))
 
     def outer_radius(self, area: Array) -> Array:
-        """Compute the outer radii [m] of areas [m²]."""
+        """Compute the outer radii [m] of sections with given areas [m²]."""
         return np.asarray(np.sqrt(area / (np.pi * self.solidity)))
 
 
 def build_sections(
     structure: Structure, string: Material | None, bar: Material | None, tube: float, minimum: Array
 ) -> Sections:
-    """Build the sections of all units.
+    """Build the cross-sections of all members.
 
-    `minimum` (α + β,) are the least areas of strings and bars [m²]. `tube` is the ratio of the
-    inner to the outer radius of bars. Their second moment of area is κ area², with κ = (1 + tube²)
-    / (4π (1 − tube²)). Their Euler load is π² modulus κ area² / length².
+    `minimum` (α + β,) are the smallest permitted areas of strings and bars [m²]. `tube` is the
+    ratio of the inner to the outer radius of bars. Their second moment of area is κ area², with κ =
+    (1 + tube²) / (4π (1 − tube²)). Their Euler load is π² modulus κ area² / length².
     """
     unit, bars = find_units(structure), len(structure.bars)
     own = np.concatenate([structure.string_lengths, structure.bar_lengths])

@@ -1,4 +1,4 @@
-"""Least mass of members as a linear program.
+"""Minimum mass of members as a linear program.
 
 Unknowns are the areas a and, for each load case, forces f of members in equilibrium. Any such
 forces within the limits are admissible (lower-bound theorem of plasticity).
@@ -23,7 +23,7 @@ from tenscasadi.util.validate import NEGLIGIBLE, Array, Indices
 
 
 class BucklingRows(NamedTuple):
-    """Linear buckling constraints −f ≤ slope · a + constant.
+    """Linear buckling constraints −f ≤ slope · a + constant on areas a.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class BucklingRows(NamedTuple):
 
 
 class SizedForces(NamedTuple):
-    """Solution of the linear program.
+    """Solution of the linear program for areas and forces.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class SizedForces(NamedTuple):
 
 
 class SizingProgram:
-    """Linear program of a structure under load cases.
+    """Linear program for the smallest mass under load cases.
 
     The members are the cables and strings in no cable, then the bars.
 
@@ -106,7 +106,7 @@ class SizingProgram:
         return np.asarray((self.end_weights @ area).reshape(-1, 3))
 
     def _build(self) -> tuple[_SizingUnits, _SizingRows]:
-        """Build the constant rows of the program, in scaled units.
+        """Build the constant constraints of the program, in scaled units.
 
         The units are the largest load, and the areas that it requires.
         """
@@ -133,10 +133,10 @@ class SizingProgram:
         return units, _SizingRows(equal, below, cost)
 
     def solve(self, rows: BucklingRows | None = None, most: Array | None = None) -> SizedForces:
-        """Minimize the mass.
+        """Minimize the mass subject to limits of forces.
 
-        Beside the allowable stress, `rows` bound compressions by areas, and `most` (members,) bounds
-        them by constants [N].
+        Besides the allowable stress, `rows` bound compressions by areas, and `most` (members,)
+        bounds them by constants [N].
         """
         cases, members = len(self.loads), self.members
         units, fixed = self._units, self._rows
@@ -159,7 +159,7 @@ class SizingProgram:
         return SizedForces(float(self.sections.mass_per_area @ area), area, forces)
 
     def _buckling_rows(self, rows: BucklingRows) -> LinearRows:
-        """Build the buckling rows of all cases, bar by bar.
+        """Build the buckling constraints of all load cases, bar by bar.
 
         They are −f − slope · a ≤ constant [in scaled units].
         """
@@ -175,7 +175,7 @@ class SizingProgram:
 
 
 class _SizingUnits(NamedTuple):
-    """Units of the program.
+    """Units of force and area in the scaled program.
 
     Attributes
     ----------
@@ -190,9 +190,9 @@ class _SizingUnits(NamedTuple):
 
 
 class _SizingRows(NamedTuple):
-    """Constant rows of the program, and the cost.
+    """Constant constraints of the program, and the cost.
 
-    The rows are those of equilibrium (`equal`) and of the allowable stress (`below`).
+    They are equilibrium (`equal`) and the allowable stress (`below`).
     """
 
     equal: LinearRows
@@ -201,7 +201,7 @@ class _SizingRows(NamedTuple):
 
 
 def _end_weights(structure: Structure, sections: Sections, gravity: Array) -> Any:
-    """Build the nodal weights (3n, members) per area.
+    """Build the nodal weights (3n, members) per area of members.
 
     One half of the weight of a string or bar acts at each end.
     """

@@ -1,9 +1,14 @@
-"""Least mass with Euler buckling: linear programs between bounds.
+"""Minimum mass with Euler buckling, bounded by linear programs.
 
 Euler's load c a² makes the program nonconvex. Lower bounds replace the area √(F/c) of a compression
 F by its chord over an interval. Upper bounds linearize c a² about a design, which keeps every
 iterate feasible (convex-concave procedure [1]_). Branch and bound divides the intervals until both
 bounds agree. If they do not, perturbed designs are further starts of the procedure.
+
+References
+----------
+.. [1] A. L. Yuille and A. Rangarajan, The concave-convex procedure, Neural Computation 15 (2003),
+   915-936.
 
 References
 ----------
@@ -47,7 +52,7 @@ class Design(NamedTuple):
 
 
 def find_least_mass(program: SizingProgram) -> Design:
-    """Find the areas and forces of least mass."""
+    """Find the areas and forces with the smallest mass."""
     root = program.solve()
     none = SizedForces(np.inf, root.area, root.force)
     if not np.isfinite(root.mass):
@@ -86,9 +91,9 @@ def _descend(program: SizingProgram, area: Array) -> SizedForces | None:
 
 
 def _tangents(program: SizingProgram, area: Array) -> BucklingRows:
-    """Linearize the buckling constraints f⁻ ≤ c a² about areas.
+    """Linearize the buckling constraints c a² about given areas.
 
-    Bars of zero area remain without compression.
+    They limit the compressive forces of bars. Bars of zero area remain without compression.
     """
     bars = np.arange(program.strings, program.members)
     floor = 1e-9 * float(area.max(initial=0.0))
@@ -98,9 +103,10 @@ def _tangents(program: SizingProgram, area: Array) -> BucklingRows:
 
 
 def _perturb(program: SizingProgram, best: SizedForces, starts: int) -> SizedForces:
-    """Repeat the procedure from designs with areas perturbed by factors from 0.1 to 10.
+    """Repeat the convex-concave procedure from perturbed designs.
 
-    Twelve starts reduce the mass of grids of 42 members under two load cases by up to 4 %.
+    Areas are multiplied by random factors from 0.1 to 10. Twelve starts reduce the mass of grids of
+    42 members under two load cases by up to 4 %.
     """
     rng = np.random.default_rng(0)
     for _ in range(starts):
@@ -112,15 +118,15 @@ def _perturb(program: SizingProgram, best: SizedForces, starts: int) -> SizedFor
 
 
 def _branch(program: SizingProgram, best: SizedForces, programs: int) -> Design:
-    """Search for the global minimum by branch and bound.
+    """Search for the global minimum mass by branch and bound.
 
-    It ends after a number of programs.
+    It ends after a given number of linear programs.
     """
     sections, bars = program.sections, np.arange(program.strings, program.members)
     c, strength = sections.buckling, sections.strength
 
     def chords(low: Array, high: Array) -> BucklingRows:
-        """Build lower bounds of areas over intervals of compression.
+        """Build lower bounds of areas as chords over compression intervals.
 
         They apply to bars for which buckling governs.
         """
@@ -160,7 +166,7 @@ def _branch(program: SizingProgram, best: SizedForces, programs: int) -> Design:
 def _inner(low: float, high: float) -> tuple[float, float]:
     """Compute the inner 90 % of an interval.
 
-    A division within it shrinks both parts.
+    If it is divided there, both parts become shorter.
     """
     margin = 0.05 * (high - low)
     return low + margin, high - margin

@@ -1,4 +1,4 @@
-"""Sizing of members for least mass under load cases."""
+"""Sizing of members for minimum mass under load cases."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def size(
     prestress: ArrayLike | None = None,
     stable: bool = False,
 ) -> Sized:
-    """Find the sections of least mass for all load cases.
+    """Find the sections with the smallest mass for all load cases.
 
     The allowable stress limits strings and bars. Bars are also limited by the Euler load of their
     own length, with hinged ends. Parallel bars do not brace each other. A cable has one section.
@@ -144,10 +144,10 @@ def _stabilize(
     given: Array | None,
     design: Design,
 ) -> Sized:
-    """Size members such that no load case buckles the structure.
+    """Size members such that the structure is stable in all load cases.
 
-    The imposed factor grows until that of the result is 1. It differs by the displacements of the
-    self-weight and the accuracy of the solver.
+    The imposed buckling factor is increased until that of the result is 1. Both differ by the
+    displacements due to self-weight and the accuracy of the solver.
     """
     sections = program.sections
     elastic = structure.replace(bar_stiffness=1.0)  # any: areas give the stiffness
@@ -171,7 +171,7 @@ def _stabilize(
 
 
 def _describe(design: Design) -> str:
-    """Describe the distance of a design from the lightest one."""
+    """Describe how far a design may be from the smallest mass."""
     gap = f"within {_gap(design.best.mass, design.bound):.1e} of the least mass"
     bound = f"the lightest design that was found, the lower bound is {design.bound:.6g} kg"
     return gap if design.is_global else bound
@@ -189,7 +189,10 @@ def _read_sections(
     tube: float,
     minimum_area: ArrayLike,
 ) -> Sections:
-    """Read materials and shapes of sections. Raises TypeError, ValueError."""
+    """Read materials and shapes of sections.
+
+    Raises TypeError, ValueError.
+    """
     for name, given, members in (
         ("string", string, structure.strings),
         ("bar", bar, structure.bars),
@@ -273,7 +276,7 @@ def _choose_forces(
 
 
 def _explain(program: SizingProgram) -> str:
-    """Explain why no sections carry the loads."""
+    """Explain why no sections can carry the loads."""
     for case in np.flatnonzero(program.loads.any(axis=1)):
         load = program.loads[case]
         left = unbalanced_load(program, load)
@@ -285,7 +288,7 @@ def _explain(program: SizingProgram) -> str:
 
 
 def unbalanced_load(program: SizingProgram, load: Array) -> float:
-    """Compute the least unbalanced force under a load [N].
+    """Compute the smallest possible unbalanced force under a load [N].
 
     Member forces balance the load (free,) as far as possible, with strings in tension.
     """

@@ -109,7 +109,7 @@ def report_sections(
     design: tuple[Array, Array, Array],
     message: str,
 ) -> Sized:
-    """Build the result from areas, forces and prestress of the members of a program."""
+    """Build the result from areas, forces and prestress of the members."""
     sections, strings = program.sections, len(structure.strings)
     unit = sections.unit
     reasons = _find_reasons(sections, design[0], np.vstack([design[1], design[2]]))

@@ -1,7 +1,7 @@
-"""Least mass with global stability, by semidefinite programs.
+"""Minimum mass with global stability, by semidefinite programs.
 
 The tangent stiffness is linear in areas and prestress for given responses to the loads. It is
-constrained to be positive semidefinite on the motions that were unstable in earlier solutions.
+constrained to be positive semidefinite on the modes that were unstable in earlier solutions.
 Responses and Euler loads are linearized about the areas of the last program, until both agree.
 """
 
@@ -44,27 +44,28 @@ class StableDesign(NamedTuple):
 
 
 class _Response(NamedTuple):
-    """Linearized change of forces: constant + slope · area.
+    """Force changes due to a load, linearized in the areas.
 
-    The forces are those of the members, then of the bars of bodies.
+    They are constant + slope · area, of the members, then of the massless bars that keep bodies
+    rigid.
     """
 
     constant: Array
     slope: Array
 
     def at(self, area: Array) -> Array:
-        """Compute the change of forces (units,) [N]."""
+        """Compute the force changes (units,) for given areas [N]."""
         return np.asarray(self.constant + self.slope @ area)
 
     def of(self, members: int) -> _Response:
-        """Select the forces of the members."""
+        """Select the force changes of the first `members` members."""
         return _Response(self.constant[:members], self.slope[:members])
 
 
 class StableSizing:
-    """Search for the least mass with all states stable.
+    """Search for the smallest mass with stability in all load cases.
 
-    Unknowns are areas and prestress.
+    Unknowns are areas and prestress. The unloaded state is a load case, too.
 
     Attributes
     ----------
@@ -127,7 +128,7 @@ class StableSizing:
         return StableDesign(area, own + response, own, message)
 
     def _transfer_forces(self) -> tuple[Array, Array]:
-        """Compute the forces of all units, which include the massless bars of bodies.
+        """Compute all member forces, also in massless bars of bodies.
 
         Returns them per force of a member (units, members), and per nodal load (units, 3n). The
         loads balance the members, so that bodies are in equilibrium.
@@ -140,9 +141,9 @@ class StableSizing:
         return of_members, np.vstack([nothing, held @ tangent.free.T])
 
     def _linearize(self, area: Array) -> list[_Response]:
-        """Linearize the changes of forces in all states.
+        """Linearize the force changes of all load cases in the areas.
 
-        The first state is without loads.
+        The first case is without loads.
         """
         every, loads = self._of_members, self._of_loads
         slopes = response_slopes(self.program, area)
@@ -158,9 +159,9 @@ class StableSizing:
         ]
 
     def _stabilize(self, area: Array, states: list[_Response]) -> tuple[Array, Array] | None:
-        """Solve programs until all states are stable.
+        """Solve semidefinite programs until all load cases are stable.
 
-        Unstable motions of a solution become constraints of the next program.
+        Unstable modes of a solution become constraints of the next program.
         """
         sections = self.program.sections
         for _ in range(MAX_ITERATIONS):
@@ -181,7 +182,10 @@ class StableSizing:
         return None
 
     def _minimize(self, area: Array, states: list[_Response]) -> tuple[Array, Array] | None:
-        """Minimize the mass over areas and prestress for given responses."""
+        """Minimize the mass over areas and prestress.
+
+        The force changes due to loads are given by `states`.
+        """
         sections, members = self.program.sections, self.program.members
         known = [state.at(area)[:members] for state in states]
         known.append(np.zeros(members) if self.given is None else self.given)
@@ -248,17 +252,17 @@ class StableSizing:
 
 
 def _triangles(matrices: Array) -> Array:
-    """Arrange scaled triangles of matrices (k, r, r) as columns."""
+    """Arrange the scaled triangles of matrices (k, r, r) as columns."""
     return np.stack([scaled_triangle(each) for each in matrices], axis=1)
 
 
 def _beside(of_areas: Array, of_prestress: Any) -> sp.csc_array:
-    """Concatenate the columns of areas and of prestress."""
+    """Concatenate constraint coefficients of areas and of prestress."""
     return sp.hstack([sp.csc_array(of_areas), sp.csc_array(of_prestress)], format="csc")
 
 
 def _stack(rows: list[LinearRows]) -> LinearRows:
-    """Stack rows."""
+    """Stack several sets of linear constraints."""
     return LinearRows(
         sp.vstack([each.A for each in rows], format="csc"),
         np.concatenate([each.b for each in rows]),

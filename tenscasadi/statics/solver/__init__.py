@@ -1,1 +1,1 @@
-"""Solution of static equations: Newton systems, trust region, continuation."""
+"""Solvers of static equations: Newton's method, trust region, continuation."""

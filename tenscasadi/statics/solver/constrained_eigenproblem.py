@@ -1,4 +1,4 @@
-"""Lowest eigenvalues of large sparse constrained problems.
+"""Smallest eigenvalues of large sparse constrained problems.
 
 The problem is K v = λ M v with J v = 0. The method is shift-invert Lanczos, and the inertia counts
 the eigenvalues below the shift.
@@ -17,10 +17,10 @@ from tenscasadi.util.validate import Array
 
 
 class SaddlePoint:
-    """Factors of the symmetric matrix [[A, Jᵀ], [J, 0]].
+    """Factorization of the symmetric saddle-point matrix [[A, Jᵀ], [J, 0]].
 
-    They solve A v + Jᵀ μ = f, J v = g, also with redundant rows of J. Raises LinAlgError if the
-    factors are too inaccurate for the refinement.
+    It solves A v + Jᵀ μ = f, J v = g, also with redundant rows of J. Raises LinAlgError if the
+    factors are too inaccurate for iterative refinement.
     """
 
     def __init__(self, A: Any, J: Any) -> None:
@@ -50,7 +50,7 @@ class SaddlePoint:
             raise np.linalg.LinAlgError(str(error)) from None
 
     def solve(self, f: Array, g: Array | None = None) -> tuple[Array, Array]:
-        """Solve for v and μ."""
+        """Solve A v + Jᵀ μ = f, J v = g for v and μ."""
         target = np.concatenate([f, np.zeros((self.rows, *f.shape[1:])) if g is None else g])
         scale = self.scale.reshape(-1, *[1] * (f.ndim - 1))
         target = target * scale
@@ -68,7 +68,7 @@ class SaddlePoint:
         return x[: self.size], x[self.size :]
 
     def count_negative(self) -> int:
-        """Count the negative constrained eigenvalues of A.
+        """Count the negative eigenvalues of A on the null space of J.
 
         By Sylvester's law of inertia they have the signs of the pivots.
         """
@@ -78,7 +78,7 @@ class SaddlePoint:
 
 
 def lowest_eigenpairs(K: Any, M: Any, J: Any, left_out: Array, count: int) -> tuple[Array, Array]:
-    """Compute the lowest constrained eigenvalues and their vectors.
+    """Compute the smallest constrained eigenvalues and their vectors.
 
     They solve K v = λ M v with J v = 0 and v orthogonal to `left_out`.
 
@@ -149,9 +149,9 @@ def lowest_eigenpairs(K: Any, M: Any, J: Any, left_out: Array, count: int) -> tu
 
 
 def fastest_rate(K: Any, M: Any) -> float:
-    """Estimate the largest |λ| without constraints.
+    """Estimate the largest |λ| of K v = λ M v.
 
-    The problem is K v = λ M v with the diagonal of M. The result is 1 if K is zero.
+    Constraints are ignored, and M is replaced by its diagonal. The result is 1 if K is zero.
     """
     weight = (
         M.diagonal() ** -0.5

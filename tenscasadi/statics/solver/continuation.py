@@ -58,13 +58,13 @@ class LoadChange(NamedTuple):
     load: Array
 
     def at(self, factor: float) -> Conditions:
-        """Return the conditions at a factor."""
+        """Return loads and inputs at a factor."""
         added = self.given.added + factor * self.load
         return self.given._replace(inputs=self.given.inputs + factor * self.inputs, added=added)
 
 
 class PathPoint(NamedTuple):
-    """Equilibrium on a path.
+    """Equilibrium on a load path.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class PathPoint(NamedTuple):
     direction : ndarray (free + 1,)
         Unit tangent of the path: displacements, then the factor.
     unstable : int
-        Number of motions without a positive stiffness.
+        Number of displacement modes without a positive stiffness.
     neutral : ndarray (free, r)
         Rigid-body motions without stiffness.
     """
@@ -91,7 +91,7 @@ class PathPoint(NamedTuple):
 
 
 class PathRow(NamedTuple):
-    """Row of a path.
+    """Equilibrium on a load path, with its kind of critical point.
 
     Attributes
     ----------
@@ -106,15 +106,15 @@ class PathRow(NamedTuple):
 
 
 class PathEnd(ArithmeticError):
-    """End of a path, for the reason in the message."""
+    """Raised at the end of a path, with the reason as message."""
 
 
 class BranchJump(ArithmeticError):
-    """Convergence of the corrector to another branch nearby."""
+    """Raised if the corrector converges to another branch nearby."""
 
 
 class Tracer:
-    """Continuation of equilibria along a path.
+    """Continuation of equilibria along a load path.
 
     Parameters
     ----------
@@ -186,10 +186,10 @@ class Tracer:
         return rows, f"the factor stays in its range for {most} steps"
 
     def _advance(self, place: PathPoint, step: float) -> tuple[float, PathPoint]:
-        """Take one step of at most a given length.
+        """Take one step along the path of at most a given length.
 
-        The step is halved until the corrector converges and the tangent turns little enough. Return
-        its length and the new point.
+        The step is halved until the corrector converges and the tangent turns little enough.
+        Returns its length and the new equilibrium.
         """
         while step >= SHORTEST:
             found = self._correct(place, step)
@@ -259,9 +259,9 @@ class Tracer:
         offset: float,
         neutral: Array,
     ) -> tuple[StaticPoint, Array, float, int] | None:
-        """Balance the forces in a hyperplane across the path.
+        """Find the equilibrium in a hyperplane across the path.
 
-        The hyperplane has the normal `across`. Return None if the iterations do not converge.
+        The hyperplane has the normal `across`. Returns None if Newton's method does not converge.
         """
         equations, system = self.equations, self.system
         for iteration in range(ITERATIONS + 1):
@@ -290,7 +290,8 @@ class Tracer:
     ) -> Callable[[Array, Array, float], tuple[Array, Array, float]]:
         """Factorize the Newton system bordered by the hyperplane.
 
-        The row `across` is the normal of the hyperplane. Neutral motions are excluded.
+        The row `across` is the normal of the hyperplane. Rigid-body motions without stiffness
+        (`neutral`) are excluded.
         """
         system, size, rigid = self.system, self.system.size, self.system.rigid
         scale = system.stiffness_scale(point, tension)
@@ -338,9 +339,9 @@ class Tracer:
     def _complete(
         self, point: StaticPoint, tension: Array, factor: float, ahead: Array
     ) -> PathPoint:
-        """Compute the tangent and stability of an equilibrium.
+        """Compute the tangent and stability of an equilibrium on the path.
 
-        The path point contains the number of motions without a positive stiffness.
+        The path point contains the number of displacement modes without a positive stiffness.
         """
         system = self.system
         pressed = self.equations.at(
@@ -415,9 +416,9 @@ class Tracer:
         return [row for _, row in sorted(found, key=lambda entry: entry[0])]
 
     def _is_bifurcation(self, place: PathPoint, k: int, values: Array, motions: Array) -> bool:
-        """Return whether the k-th softest motion indicates a bifurcation.
+        """Return whether the k-th softest mode indicates a bifurcation.
 
-        It is then critical, and orthogonal to the load.
+        Its stiffness is then zero, and it is orthogonal to the load.
         """
         push = self._push(place.point, place.factor)
         scale = self.system.stiffness_scale(place.point, place.tension)
@@ -437,15 +438,15 @@ class Tracer:
             raise BranchJump
 
     def _way(self, place: PathPoint, other: PathPoint) -> Array:
-        """Compute the scaled difference (free + 1,) of two points.
+        """Compute the scaled difference (free + 1,) of two equilibria.
 
-        It is in units of arc length.
+        It is in units of arc length: displacements, then the factor.
         """
         moved = self._displacement(place, other)
         return np.asarray(np.append(moved, other.factor - place.factor) / self.units)
 
     def _softest(self, place: PathPoint, count: int) -> tuple[Array, Array]:
-        """Find the lowest stiffnesses and their motions (free, count)."""
+        """Find the smallest stiffnesses with their modes (free, count)."""
         system, nodes = self.system, place.point.nodes
         point = self.equations.at(nodes, self.change.at(place.factor)._replace(pressing=nodes))
         K, J = system.tangent(point, place.tension), system.lengthening(point)
@@ -454,15 +455,18 @@ class Tracer:
 
 
 def unit_length(nodes: Array) -> float:
-    """Compute the norm of displacements of nodes (n, 3) that counts as one [m]."""
+    """Compute the displacement norm that has unit arc length [m].
+
+    The nodes are (n, 3).
+    """
     size = measure_extent(nodes) or 1.0
     return float(0.2 * size * len(nodes) ** 0.5)
 
 
 def _root(function: Callable[[float], float], steps: Iterable[float]) -> float:
-    """Find a root of a function between the first and the last of some steps.
+    """Find a root of a function between the first and the last step.
 
-    The function is known at all of them, or cheap.
+    The function values at all `steps` are known already, or cheap.
     """
     known = sorted(steps)
     values = [function(step) for step in known]

@@ -1,7 +1,6 @@
-"""Softest and neutral motions under rigid-bar constraints.
+"""Softest displacement modes under rigid-bar constraints.
 
-All motions keep the lengths of rigid bars. Neutral motions are rigid-body motions without
-stiffness.
+All modes keep the lengths of rigid bars. Neutral motions are rigid-body motions without stiffness.
 """
 
 from __future__ import annotations
@@ -25,9 +24,9 @@ from tenscasadi.util.validate import NEGLIGIBLE, ROUNDING, Array
 def softest_motions(
     K: Any, J: Any, left_out: Array, count: int | None = None
 ) -> tuple[Array, Array]:
-    """Compute the lowest eigenvalues of the constrained stiffness.
+    """Compute the smallest eigenvalues of the constrained stiffness.
 
-    They are those of K on motions v with J v = 0.
+    They are those of K on displacements v with J v = 0. Also returns the modes.
 
     Parameters
     ----------
@@ -59,9 +58,9 @@ def softest_motions(
 
 
 def motion_basis(J: Any, left_out: Array) -> Array:
-    """Compute a basis of the motions that preserve the lengths of rigid bars.
+    """Compute a basis of displacements that keep rigid bars' lengths.
 
-    It is an orthonormal basis (n, ·) of all v with J v = 0.
+    It is an orthonormal basis (n, ·) of all v with J v = 0 that are orthogonal to `left_out`.
 
     Parameters
     ----------
@@ -109,10 +108,10 @@ def neutral_motions(system: NewtonSystem, point: StaticPoint, tension: Array) ->
 def find_stable_factors(
     system: NewtonSystem, point: StaticPoint, tension: Array, shift: float = -ROUNDING
 ) -> NewtonFactors | None:
-    """Factorize the Newton system of a stable equilibrium.
+    """Factorize the Newton system if the equilibrium is stable.
 
-    All motions but free rigid-body motions then have a positive stiffness. Loads without an energy
-    count by the symmetric part of their tangent.
+    All displacements except free rigid-body motions then have a positive stiffness. Loads without
+    an energy count by the symmetric part of their tangent. Returns None if it is not stable.
 
     Parameters
     ----------

@@ -24,7 +24,9 @@ COMPLIANCE = 1e-8  # of rigid bars, relative to 1/stiffness: keeps pivots of red
 
 
 class NewtonSystem:
-    """Newton systems of static equations, with one sparsity pattern.
+    """Assembly and factorization of Newton's linear systems.
+
+    All have the same sparsity pattern.
 
     Parameters
     ----------
@@ -51,26 +53,26 @@ class NewtonSystem:
     # --- matrices in numbers ---
 
     def tangent(self, point: StaticPoint, tension: Array) -> Any:
-        """Build K (free × free), sparse and symmetric."""
+        """Build the tangent stiffness K (free × free), sparse and symmetric."""
         return self._tangent.fill(self._values(point, tension))
 
     def member_matrix(self, gamma: Array, along: Array, vectors: Array) -> Any:
-        """Assemble the matrix (free × free) of member blocks.
+        """Assemble a stiffness matrix (free × free) from member blocks.
 
-        Blocks γ I + c v vᵀ are those of springs, then of rigid bars.
+        Blocks γ I + c v vᵀ are those of springs (strings and elastic bars), then of rigid bars.
         """
         values = np.zeros(self._first_load)
         values[: 9 * len(gamma)] = member_blocks(gamma, along, vectors).ravel()
         return self._only_members.fill(values)
 
     def load_tangent(self, point: StaticPoint) -> Any:
-        """Build the unsymmetric part of K, due to loads."""
+        """Build the unsymmetric stiffness matrix due to loads."""
         return self._load_tangent.fill(self._values(point, np.zeros(self.rigid)))
 
     def is_symmetric(self, point: StaticPoint) -> bool:
-        """Return whether the load tangent is symmetric.
+        """Return whether the stiffness due to loads is symmetric.
 
-        Loads with an energy have a symmetric tangent.
+        It is symmetric for loads with an energy.
         """
         if not self.equations.follows:
             return True
@@ -78,7 +80,7 @@ class NewtonSystem:
         return bool(abs(part).max() <= 1e-12 * np.abs(point.load_slopes).max(initial=0.0))
 
     def lengthening(self, point: StaticPoint) -> Any:
-        """Build J (rigid bars × free), sparse."""
+        """Build the sparse Jacobian J (rigid bars × free) of bar lengths."""
         return self._jacobian.fill(self._values(point, np.zeros(self.rigid)))
 
     def nodal_material(self, point: StaticPoint) -> sp.csr_array:
@@ -156,7 +158,7 @@ class NewtonSystem:
     def solve_unsymmetric(
         self, point: StaticPoint, tension: Array, f: Array, g: Array
     ) -> tuple[Array, Array]:
-        """Solve with an unsymmetric tangent stiffness.
+        """Solve the linear system with an unsymmetric tangent stiffness.
 
         It is that of loads without an energy.
 
@@ -192,7 +194,7 @@ class NewtonSystem:
     def factor_bars(self, bars: Array) -> NewtonFactors:
         """Factorize the system with K = I.
 
-        Its solutions are least displacements and least-squares tensions.
+        Its solutions are minimum-norm displacements and least-squares tensions.
 
         Parameters
         ----------
@@ -213,7 +215,8 @@ class NewtonSystem:
     def _values(self, point: StaticPoint, tension: Array, penalty: float = 0.0) -> Array:
         """Stack the values whose linear combinations form all matrices.
 
-        A penalty on the lengths of rigid bars makes pivots larger. It changes no solution.
+        A penalty on the lengths of rigid bars makes pivots larger. It does not change the
+        solutions.
         """
         units = point.bars / self.equations.lengths[:, None]
         gamma = np.concatenate([point.gamma, tension / self.equations.lengths])
@@ -273,7 +276,7 @@ class NewtonSystem:
 
 
 class NewtonFactors:
-    """Factors of a Newton system.
+    """Factorization of Newton's linear system.
 
     Parameters
     ----------
@@ -305,10 +308,10 @@ class NewtonFactors:
     def count_negative(self, left_out: Array | None = None) -> int:
         """Count the negative eigenvalues of the constrained stiffness.
 
-        It is K + σ I on motions that preserve the lengths of rigid bars and are orthogonal to
+        It is K + σ I on displacements that preserve the lengths of rigid bars and are orthogonal to
         `left_out` (free, r). By Sylvester's law of inertia, the count is the number of negative
-        pivots less the number of rigid bars. Motions left out are further constraints, by
-        Haynsworth's formula. Raises LinAlgError if a pivot left the diagonal.
+        pivots minus the number of rigid bars. `left_out` are further constraints, by Haynsworth's
+        formula. Raises LinAlgError if pivoting moved a pivot off the diagonal.
         """
         if not np.array_equal(self.factors.perm_r, self.factors.perm_c):
             raise np.linalg.LinAlgError("a pivot left the diagonal")
@@ -348,15 +351,18 @@ class NewtonFactors:
         return x[self.order[: self.size]], x[bars]
 
     def lengthen(self, g: Array) -> Array:
-        """Solve for displacements (free,) that lengthen rigid bars by g (β_r,) [m].
+        """Solve for displacements (free,) that lengthen rigid bars.
 
-        Without refinement, the relative error is `COMPLIANCE` times the condition number. It is
-        meant for iterations that correct their errors.
+        The elongations g are (β_r,) [m]. Without refinement, the relative error is `COMPLIANCE`
+        times the condition number. It is meant for iterations that correct their errors.
         """
         return np.asarray(self.factors.solve(self._load_bars(g))[self.order[: self.size]])
 
     def _load_bars(self, g: Array) -> Array:
-        """Build the right-hand side of lengthenings g, on which the penalty acts, too."""
+        """Build the right-hand side for given elongations of rigid bars.
+
+        The penalty acts on them, too.
+        """
         target = self.penalty * (self._bar_columns @ g)
         target[self.order[self.size :]] = g
         return np.asarray(target)
@@ -377,9 +383,9 @@ def member_blocks(gamma: Array, along: Array, vectors: Array) -> Array:
 
 
 def member_entries(pairs: Indices) -> MatrixEntries:
-    """Build the matrix entries (3n × 3n) of member blocks.
+    """Build the sparse pattern (3n × 3n) of member stiffness blocks.
 
-    The source of the values is one block (3, 3) after the other.
+    Values are the blocks (3, 3) of the members, one after the other.
     """
     first, second = 3 * pairs.T[:, :, None, None]
     a, b = np.arange(3)[:, None], np.arange(3)
@@ -402,18 +408,18 @@ def member_entries(pairs: Indices) -> MatrixEntries:
 
 
 def coupling_blocks(point: StaticPoint, coupled: Indices) -> Array:
-    """Compute the stiffness blocks (pairs, 3, 3) between strings of one cable.
+    """Compute stiffness blocks (pairs, 3, 3) between a cable's strings.
 
-    A block is 2 (∂γ_i/∂s_j²) s_i s_jᵀ.
+    A block is 2 (∂γ_i/∂s_j²) s_i s_jᵀ for the string vectors s.
     """
     first, second = point.springs[coupled[:, 0]], point.springs[coupled[:, 1]]
     return np.asarray((2 * point.coupling[:, None] * first)[:, :, None] * second[:, None, :])
 
 
 def coupling_entries(pairs: Indices, coupled: Indices) -> MatrixEntries:
-    """Build the matrix entries (3n × 3n) of blocks between two members each.
+    """Build the sparse pattern (3n × 3n) of blocks between two members.
 
-    The source of the values is one block (3, 3) after the other. The matrix is symmetric.
+    Values are the blocks (3, 3), one after the other. The matrix is symmetric.
     """
     one, other = 3 * pairs[coupled.T]  # (coupled, ends)
     source = np.arange(9 * len(coupled)).reshape(-1, 3, 3)
@@ -433,9 +439,9 @@ def coupling_entries(pairs: Indices, coupled: Indices) -> MatrixEntries:
 
 
 def direction_entries(pairs: Indices) -> MatrixEntries:
-    """Build the matrix entries (m × 3n) of member elongations.
+    """Build the sparse pattern (m × 3n) of member elongations.
 
-    The source of the values is the unit vectors (3,) of the members.
+    Values are the unit vectors (3,) of the members.
     """
     item = np.repeat(np.arange(len(pairs)), 3)
     source = np.arange(3 * len(pairs))
@@ -451,7 +457,7 @@ def direction_entries(pairs: Indices) -> MatrixEntries:
 def elimination_order(tangent: SparsePattern, jacobian: SparsePattern) -> Indices:
     """Compute a fill-reducing order of elimination.
 
-    Return the position of each unknown. Each bar follows the coordinates of its ends, as its own
+    Returns the position of each unknown. Each bar follows the coordinates of its ends, as its own
     pivot is only its compliance.
     """
     size = tangent.shape[0]

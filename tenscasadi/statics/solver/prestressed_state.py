@@ -21,9 +21,9 @@ LOWEST = 20  # motions of large structures that are computed by default
 
 
 class PrestressedState:
-    """Forces of a scene in some nodes, with their tangent stiffness.
+    """Nodes and member forces of a scene, with the tangent stiffness.
 
-    Displacements and motions are those of the free coordinates.
+    Displacements and modes are those of the free coordinates.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class PrestressedState:
 
     @cached_property
     def lengthening(self) -> Any:
-        """Derivative J (β_r, free) of the lengths of rigid bars, sparse."""
+        """Sparse Jacobian J (β_r, free) of the lengths of rigid bars."""
         return self.system.lengthening(self.point)
 
     @cached_property
@@ -60,11 +60,14 @@ class PrestressedState:
 
     @cached_property
     def is_stable(self) -> bool:
-        """Whether all motions but neutral ones have a positive stiffness."""
+        """Whether all displacements have a positive stiffness.
+
+        Rigid-body motions without stiffness are excluded.
+        """
         return find_stable_factors(self.system, self.point, self.tension) is not None
 
     def describe_softest(self, values: Array) -> str:
-        """Describe the softest motion by the lowest eigenvalues, `values` [N/m]."""
+        """Describe the softest mode by the smallest eigenvalues [N/m]."""
         zero = ROUNDING * self.scale
         if not len(values):
             return "no motion changes the shape"
@@ -77,15 +80,18 @@ class PrestressedState:
 
     @cached_property
     def lowest(self) -> tuple[Array, Array]:
-        """Lowest eigenvalues of K [N/m], and their motions (free, ·).
+        """Smallest eigenvalues of K [N/m], and their modes (free, ·).
 
-        They are all of a small structure.
+        For a small structure they are all eigenvalues.
         """
         return self.softest(None if self.system.size <= DENSE else LOWEST)
 
     @cached_property
     def flat(self) -> Array:
-        """Orthonormal motions (free, ·) without stiffness, neutral ones among them."""
+        """Orthonormal modes (free, ·) without stiffness.
+
+        They include rigid-body motions.
+        """
         zero = ROUNDING * self.scale
         values, motions = self.lowest
         if len(values) and values[-1] <= zero:  # there may be more of them
@@ -93,7 +99,10 @@ class PrestressedState:
         return np.hstack([self.neutral, motions[:, np.abs(values) <= zero]])
 
     def softest(self, count: int | None) -> tuple[Array, Array]:
-        """Compute the lowest eigenvalues of K and their motions; None: all."""
+        """Compute the smallest eigenvalues of K and their modes.
+
+        None as count means all.
+        """
         return softest_motions(self.tangent, self.lengthening, self.neutral, count)
 
     def displace(self, forces: Array) -> tuple[Array, Array]:
@@ -121,7 +130,7 @@ class PrestressedState:
         return np.asarray(y - flat @ (flat.T @ y)), multipliers
 
     def force_stiffness(self, forces: Array) -> Any:
-        """Build the geometric stiffness of the member forces under a load.
+        """Build the geometric stiffness of the member forces due to a load.
 
         Parameters
         ----------

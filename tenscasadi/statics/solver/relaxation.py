@@ -85,7 +85,7 @@ def relax(scene: Scene, nodes: Array, control: Array, parameters: Array, time: f
 
 
 def _move(model: Model, state: Array, control: Array, duration: float, step: float) -> Runs:
-    """Simulate a motion, and save up to about 1000 rows."""
+    """Simulate for a duration, and save up to about 1000 states."""
     scheme = RungeKutta4()
     inputs = read_inputs(model, duration, step, scheme, state, control, None, many=False)
     every = max(1, -(-inputs.grid.steps // 1000))
@@ -93,9 +93,9 @@ def _move(model: Model, state: Array, control: Array, duration: float, step: flo
 
 
 def freeze_loads(scene: Scene, nodes: Array, parameters: Array, time: float) -> Scene:
-    """Freeze the loads and supports of a scene.
+    """Replace time-varying loads and supports by constants.
 
-    They are constants of one instant.
+    They are those of one instant.
 
     Parameters
     ----------

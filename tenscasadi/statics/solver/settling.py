@@ -23,7 +23,8 @@ ROUGH = 1e-4  # accuracy before the final Newton iterations, relative to the lar
 def settle(system: NewtonSystem, nodes: Array, given: Conditions) -> SearchResult:
     """Find a stable equilibrium under all static loads.
 
-    Loads may have no energy. Contacts with friction slip as little as possible from the start.
+    Loads may have no energy. Contacts with friction slip as little as possible from the initial
+    nodes.
 
     Parameters
     ----------
@@ -53,7 +54,7 @@ def settle(system: NewtonSystem, nodes: Array, given: Conditions) -> SearchResul
 
 
 def prepare_friction(system: NewtonSystem, nodes: Array, given: Conditions) -> Conditions:
-    """Set the nodes from which contacts with friction slip."""
+    """Set the reference nodes from which slip in contacts is measured."""
     if not system.equations.has_friction:
         return given
     return given._replace(anchor=nodes, slip=TOLERANCE * structure_size(nodes))
@@ -68,7 +69,7 @@ def structure_size(nodes: Array) -> float:
 
 
 def finish(system: NewtonSystem, rest: SearchResult, given: Conditions) -> SearchResult:
-    """Balance the forces by Newton's method with exact tangent.
+    """Find an equilibrium by Newton's method with the exact tangent.
 
     The start is near an equilibrium.
 

@@ -1,4 +1,4 @@
-"""Sparse matrices of fixed pattern with linear entries."""
+"""Sparse matrices of fixed pattern, linear in given values."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ from tenscasadi.util.validate import Array, Indices
 
 
 class MatrixEntries(NamedTuple):
-    """Contributions to a matrix: weight · values[source] at (row, column)."""
+    """Sparse matrix as contributions weight · values[source].
+
+    Each contribution belongs to a row and a column.
+    """
 
     row: Indices
     column: Indices
@@ -34,9 +37,9 @@ class MatrixEntries(NamedTuple):
         return self._replace(weight=factor * self.weight)
 
     def multiply_basis(self, basis: sp.csr_array) -> MatrixEntries:
-        """Compute the entries of the product with a basis.
+        """Multiply by a constant sparse matrix from the right.
 
-        `basis` (columns × new columns) multiplies from the right.
+        `basis` is (columns × new columns).
         """
         counts = np.diff(basis.indptr)[self.column]
         which = np.repeat(np.arange(len(self.column)), counts)
@@ -50,17 +53,17 @@ class MatrixEntries(NamedTuple):
         )
 
     def project(self, basis: sp.csr_array) -> MatrixEntries:
-        """Compute the entries of basisᵀ · matrix · basis."""
+        """Compute basisᵀ · matrix · basis."""
         return self.multiply_basis(basis).transpose().multiply_basis(basis).transpose()
 
 
 def join_entries(*parts: MatrixEntries) -> MatrixEntries:
-    """Join contributions to one matrix."""
+    """Add matrices by joining their contributions."""
     return MatrixEntries(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
 class SparsePattern:
-    """Sparse matrix of fixed pattern, filled from values.
+    """Sparse matrix of fixed pattern that is filled from values.
 
     Parameters
     ----------
@@ -99,7 +102,9 @@ class SparsePattern:
 
 
 def join_blocks(parts: Sequence[tuple[int, int, Any]], size: int) -> sp.csc_array:
-    """Assemble a square matrix of blocks, in much less time than `block_array` for small ones.
+    """Assemble a square sparse matrix from blocks.
+
+    For small blocks it is much faster than `block_array` of SciPy.
 
     Parameters
     ----------
@@ -121,7 +126,7 @@ def join_blocks(parts: Sequence[tuple[int, int, Any]], size: int) -> sp.csc_arra
 
 
 def _find_entries(block: Any) -> tuple[Indices, Indices, Array]:
-    """Find rows, columns and values of the entries of a matrix.
+    """Find rows, columns and values of a matrix's nonzeros.
 
     Compressed formats are read directly, as their conversion by SciPy takes longer.
     """

@@ -35,7 +35,7 @@ from tenscasadi.util.validate import NEGLIGIBLE, Array, Indices
 
 
 class Conditions(NamedTuple):
-    """Constant data of a static problem.
+    """Inputs, loads and friction data of a static problem.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Conditions(NamedTuple):
     time : float
         Time of the loads and support positions [s].
     anchor : ndarray (n, 3)
-        Nodes from which contacts slip [m].
+        Nodes from which slip in contacts is measured [m].
     pressing : ndarray (n, 3) or None
         Nodes at which the normal forces that limit friction are taken; None: the current nodes.
     slip : float
@@ -62,12 +62,12 @@ class Conditions(NamedTuple):
 
     @property
     def instant(self) -> tuple[Array, Array]:
-        """Slip distance and time, as arguments of functions."""
+        """Slip distance and time, as arguments of CasADi Functions."""
         return np.array([self.slip]), np.array([self.time])
 
 
 class NodeColumns(NamedTuple):
-    """Stand-in for a mechanism, for force elements.
+    """Substitute for a `Mechanism` in statics.
 
     It has one column of N per node, and the attributes of a mechanism that force elements use.
     """
@@ -80,7 +80,7 @@ class NodeColumns(NamedTuple):
 
 
 class StaticPoint(NamedTuple):
-    """Forces at some nodes.
+    """Forces of a scene at given nodes, with their derivatives.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ class StaticPoint(NamedTuple):
     applied : ndarray (n, 3)
         Loads and forces of springs on nodes [N].
     load_slopes : ndarray
-        Entries of the Jacobians of the loads with respect to the nodes, then the pressing nodes.
+        Nonzeros of the Jacobians of the loads with respect to the nodes, then the pressing nodes.
     """
 
     nodes: Array
@@ -117,7 +117,7 @@ class StaticPoint(NamedTuple):
 
 
 class StaticEquations:
-    """Static equations of a scene.
+    """Static equilibrium equations of a scene.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ class StaticEquations:
 
     @property
     def follows(self) -> bool:
-        """Whether loads depend on the nodes."""
+        """Whether loads depend on the node positions."""
         return bool(self.scene.contact_laws) or self.scene.pressure is not None
 
     def place_supports(self, nodes: Array, time: float) -> Array:
@@ -189,9 +189,9 @@ class StaticEquations:
         return placed
 
     def ground_normals(self, nodes: Array) -> Array:
-        """Sum the ground normals (n, 3) at each node.
+        """Compute the sum of ground normals (n, 3) at each node.
 
-        Grounds that do not act on a node are left out.
+        Grounds that do not act on a node are excluded.
         """
         normals = np.zeros_like(nodes)
         for surface in self.scene.grounds:
@@ -237,9 +237,9 @@ class StaticEquations:
         return np.asarray(-(self._across_bars.T @ pull))
 
     def support_forces(self, total: Array) -> Array:
-        """Compute the forces (n, 3) of supports from those of all else [N].
+        """Compute the reactions (n, 3) of supports [N].
 
-        Unbalanced forces remain unbalanced.
+        `total` is the sum of all other forces. Unbalanced forces remain unbalanced.
         """
         bodies, s = self.structure._assembly, self.structure
         if bodies is None:
@@ -291,7 +291,7 @@ class StaticEquations:
 
     @cached_property
     def load_pattern(self) -> tuple[Indices, Indices]:
-        """Rows and columns of the entries of `StaticPoint.load_slopes`."""
+        """Rows and columns of the nonzeros in `StaticPoint.load_slopes`."""
         patterns = [self._load_function.sparsity_out(k).get_triplet() for k in (2, 3)]
         rows, columns = (
             np.concatenate([np.array(pattern[k], dtype=np.intp) for pattern in patterns])
@@ -305,7 +305,7 @@ class StaticEquations:
         return self.scene.nu + len(self.scene.layout)
 
     def _densities(self, squared: Any, w: Any, corner: bool) -> Any:
-        """Build the force densities γ (1×springs).
+        """Build force densities γ (1×springs) from squared lengths and inputs w.
 
         With `corner`, strings at their rest lengths count as taut.
         """
@@ -326,7 +326,7 @@ class StaticEquations:
         return ca.densify(ca.horzcat(*parts))
 
     def _columns(self, w: Any) -> NodeColumns:
-        """Build the stand-in for a mechanism, for force elements.
+        """Build the substitute for a mechanism, with the masses in w.
 
         It has a column of N for each node.
         """
@@ -342,7 +342,10 @@ class StaticEquations:
 
     @cached_property
     def _laws(self) -> ArrayFunction:
-        """Function (squared lengths, w) → γ, dγ/d(squared length), coupling of cables."""
+        """Function (squared lengths, w) → γ, dγ/d(squared lengths), coupling.
+
+        w are the inputs. The coupling is the derivative between strings of one cable.
+        """
         squared, w = self._law_symbols
         gamma, taut = (self._densities(squared, w, corner) for corner in (False, True))
         if not len(self.coupled):
@@ -360,7 +363,10 @@ class StaticEquations:
 
     @cached_property
     def _law_changes(self) -> ArrayFunction:
-        """Function (squared lengths, w, dw) → dγ."""
+        """Function (squared lengths, w, dw) → directional derivative of γ.
+
+        dw is a change of the inputs w.
+        """
         squared, w = self._law_symbols
         dw = ca.MX.sym("dw", self.inputs)
         change = ca.jtimes(self._densities(squared, w, True), w, dw)
@@ -368,16 +374,19 @@ class StaticEquations:
 
     @cached_property
     def _load_symbols(self) -> tuple[Any, ...]:
-        """Nodes N, C and A (3n), slip distance, time, w."""
+        """CasADi symbols of the arguments of load Functions.
+
+        They are the nodes N, C and A (3n), the slip distance, the time and the inputs w.
+        """
         size = 3 * len(self.structure.nodes)
         names = {"N": size, "C": size, "A": size, "slip": 1, "time": 1, "w": self.inputs}
         return tuple(ca.MX.sym(name, count) for name, count in names.items())
 
     @cached_property
     def _load_expressions(self) -> tuple[Any, Any]:
-        """Loads and ground forces (3n) on nodes N.
+        """Loads and ground forces (3n) at the nodes N.
 
-        Ground forces at C limit the friction of slips from A to N.
+        Normal forces at the nodes C limit the friction of slips from A to N.
         """
         N, C, A = (ca.reshape(nodes, 3, -1) for nodes in self._load_symbols[:3])
         slip, time, w = self._load_symbols[3:]
@@ -395,7 +404,7 @@ class StaticEquations:
 
     @cached_property
     def _load_function(self) -> ca.Function:
-        """CasADi function of the loads and their Jacobians.
+        """Function of the loads and their Jacobians.
 
         (N, C, A, slip, time, w) → loads, ground forces, Jacobians of loads with respect to N, C.
         """
@@ -412,9 +421,9 @@ class StaticEquations:
 
     @cached_property
     def _load_changes(self) -> ArrayFunction:
-        """CasADi function of the change of the loads.
+        """Function of the directional derivative of the loads.
 
-        (N, C, A, slip, time, w, dw) → change of the loads.
+        (N, C, A, slip, time, w, dw) → change of the loads for a change dw of the inputs.
         """
         loads, _ = self._load_expressions
         dw = ca.MX.sym("dw", self.inputs)

@@ -69,17 +69,17 @@ class SearchResult(NamedTuple):
 
 
 class NoRestError(ArithmeticError):
-    """Absence of an equilibrium near the start."""
+    """Raised if there is no equilibrium near the start."""
 
 
 class StalledError(NoRestError):
-    """Search without progress."""
+    """Raised if a search makes no progress."""
 
 
 def find_rest(
     system: NewtonSystem, nodes: Array, given: Conditions, accuracy: float = ACCURACY
 ) -> SearchResult:
-    """Find a stable equilibrium near some nodes.
+    """Find a stable equilibrium near given nodes.
 
     Friction is limited by the normal forces at the given pressing nodes. By default these are the
     nodes of the previous iterate.
@@ -111,7 +111,7 @@ def find_rest(
 
 
 class _SearchState:
-    """State of a search."""
+    """Iterate and trust region of a search for an equilibrium."""
 
     def __init__(
         self, system: NewtonSystem, nodes: Array, given: Conditions, accuracy: float
@@ -153,7 +153,7 @@ class _SearchState:
         raise StalledError(f"the forces did not balance within {limit} iterations")
 
     def result(self, reason: str, stalled: bool = False) -> SearchResult:
-        """Return the last iterate."""
+        """Build the result from the last iterate."""
         found, stable = not reason, self.stable and not reason
         return SearchResult(
             self.point, self.tension, self.residual, found, stable, stalled, reason, self.steps
@@ -161,9 +161,9 @@ class _SearchState:
 
     @property
     def floor(self) -> float:
-        """Least shift σ of the tangent stiffness [N/m].
+        """Smallest shift σ of the tangent stiffness [N/m].
 
-        It keeps motions without stiffness at rest.
+        It prevents displacements along modes without stiffness.
         """
         return ROUNDING * self.scale
 
@@ -273,7 +273,7 @@ class _SearchState:
             self.point, self.tension, self.residual = before
 
     def _leave_saddle(self) -> None:
-        """Step along the motion of least stiffness."""
+        """Step along the softest mode to leave a saddle point."""
         K = self.system.tangent(self.point, self.tension)
         J = self.system.lengthening(self.point)
         neutral = neutral_motions(self.system, self.point, self.tension)
@@ -303,7 +303,7 @@ class _SearchState:
         return pull_to_bars(self.system, self.equations.displace(self.point.nodes, p), factors)
 
     def _works(self, half: Array, whole: Array, tension: Array) -> tuple[float, float]:
-        """Compute the work of the forces along half of a step, and along all of it [J].
+        """Compute the work of forces along half and all of a step [J].
 
         The power along the parabola through the nodes is integrated as a parabola, by Simpson's
         rule. It is exact for constant tensions of rigid bars, which do no work but cancel most of
@@ -343,7 +343,7 @@ class _SearchState:
 def allowed_residual(
     system: NewtonSystem, point: StaticPoint, tension: Array, accuracy: float = ACCURACY
 ) -> float:
-    """Compute the unbalanced force that counts as zero [N].
+    """Compute the unbalanced force below which forces balance [N].
 
     It is relative to the largest force, and not below the rounding error of the spring forces.
     """
@@ -355,7 +355,7 @@ def allowed_residual(
 
 
 def restore_bars(system: NewtonSystem, nodes: Array) -> Array:
-    """Restore the lengths of rigid bars by least displacements.
+    """Restore the lengths of rigid bars by minimum-norm displacements.
 
     Raises NoRestError if there is no such configuration nearby.
     """
@@ -371,9 +371,9 @@ def restore_bars(system: NewtonSystem, nodes: Array) -> Array:
 
 
 def pull_to_bars(system: NewtonSystem, nodes: Array, factors: NewtonFactors) -> Array | None:
-    """Restore the lengths of rigid bars by given factors.
+    """Restore the lengths of rigid bars with a given factorization.
 
-    The factors are those of a configuration nearby. Return None if the lengths cannot be restored.
+    The factors are those of a configuration nearby. Returns None if the lengths cannot be restored.
     """
     equations = system.equations
     last = np.inf
